@@ -200,17 +200,11 @@ def _check_roots(robot: RobotSpec, specs: Sequence[HandSpec]) -> None:
 
 def _merged(specs: Sequence[HandSpec]) -> HandSpec:
     """Return the description of all joints that hands of one URDF move."""
-    rest = reduce(or_, (spec.rest for spec in specs))
-    locked = reduce(or_, (spec.locked for spec in specs))
-    return replace(
-        specs[0],
-        joints=(*rest,),
-        rest=rest,
-        matched=None,
-        locked={joint: at for joint, at in locked.items() if joint not in rest},
-        limits=reduce(or_, (spec.limits for spec in specs)),
-        mimic=reduce(or_, (spec.mimic for spec in specs)),
-    )
+    keys = "rest", "locked", "limits", "mimic"
+    whole = {k: reduce(or_, (getattr(spec, k) for spec in specs)) for k in keys}
+    rest = whole["rest"]
+    whole["locked"] = {j: at for j, at in whole["locked"].items() if j not in rest}
+    return replace(specs[0], joints=(*rest,), matched=None, **whole)
 
 
 def _stand(

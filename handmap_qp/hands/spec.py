@@ -193,6 +193,10 @@ class ArmSpec(Document, frozen=True):
     limits: dict[str, LimitSpec] = {}
     directory: Path | None = None
 
+    def error(self, message: str, key: str, value: Any = None) -> HandError:
+        """Return an error about one key of this arm, as part of a hand."""
+        return HandError(message, key=f"arm.{key}", value=value)
+
 
 class _HandFields(Document, frozen=True):
     """The fields of `HandSpec`, without the checks that concern several of them."""

@@ -42,6 +42,7 @@ _NUMBERS = {
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},
     "limit": {"lower": 1, "upper": 1, "velocity": 1},
+    "mimic": {"multiplier": 1, "offset": 1},
 }
 _OF_FIXED_JOINTS = ("origin", "parent", "child")
 
@@ -153,16 +154,11 @@ def mimics_of(robot: Element) -> Rules:
     Raises:
         HandError: If one does not hold finite numbers.
     """
-    rules = dict[str, MimicSpec]()
+    rules = {}
     for name, joint in joints_by_name(robot).items():
-        for mimic in joint.findall("mimic")[:1]:
-            try:
-                (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
-                (offset,) = get_numbers(mimic, "offset", 1, "0")
-            except HandError as error:
-                raise HandError(
-                    str(error), key=f"mimic.{name}", value=error.value
-                ) from error
+        if (mimic := joint.find("mimic")) is not None:
+            (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
+            (offset,) = get_numbers(mimic, "offset", 1, "0")
             rules[name] = MimicSpec(mimic.get("joint", ""), multiplier, offset)
     return rules
 
