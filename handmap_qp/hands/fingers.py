@@ -21,7 +21,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.model import Expansion
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.se3 import lengths, unit
+from handmap_qp.se3 import Array, lengths, unit
 
 PARALLEL = 0.85
 """Cosine from which on two axes are parallel.
@@ -30,7 +30,7 @@ On the 30 robot hands of `benchmarks/bench_hands.py` and the human one, joints t
 have 0.99 and more with its last joint at zero, and no other joint has more than 0.82.
 """
 
-Place = tuple[int, np.ndarray]
+Place = tuple[int, Array]
 """A joint of the model, and a point's offset on it [m], shape (3,)."""
 
 # Place of the PIP joint between knuckle and tip on a person, and the least and largest share of the
@@ -63,16 +63,16 @@ class Jointed(Protocol):
 
     model: pin.Model
     palm_frame_id: int
-    lower_limits: np.ndarray
-    upper_limits: np.ndarray
-    joint_columns: np.ndarray
+    lower_limits: Array
+    upper_limits: Array
+    joint_columns: Array
 
     @property
     def expansion(self) -> Expansion | None:
         """From the active coordinates to all of the model's; None if all are active."""
         ...
 
-    def configuration_vector(self, q: np.ndarray) -> np.ndarray:
+    def configuration_vector(self, q: Array) -> Array:
         """Return Pinocchio's configuration at joint angles, shape (n,)."""
         ...
 
@@ -89,10 +89,10 @@ class PalmKinematics:
         self._model = hand.model
         self._data = hand.model.createData()
 
-    def points(self, q: np.ndarray, places: Sequence[Place]) -> np.ndarray:
+    def points(self, q: Array, places: Sequence[Place]) -> Array:
         """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
 
-        def placed(posture: np.ndarray) -> np.ndarray:
+        def placed(posture: Array) -> Array:
             palm = self._place(posture)
             rows = [palm.actInv(self._data.oMi[j].act(offset)) for j, offset in places]
             return np.reshape(rows, (-1, 3))
@@ -100,8 +100,8 @@ class PalmKinematics:
         return np.apply_along_axis(placed, -1, q)
 
     def axes(
-        self, q: np.ndarray, joints: Sequence[int], near: Place | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, q: Array, joints: Sequence[int], near: Place | None = None
+    ) -> tuple[Array, Array]:
         """Return axes of k joints and a point on each.
 
         Args:
@@ -121,12 +121,12 @@ class PalmKinematics:
             points = points + (levers * turns).sum(axis=1, keepdims=True) * turns
         return turns, points
 
-    def on_axis(self, q: np.ndarray, joint: int, near: Place) -> Place:
+    def on_axis(self, q: Array, joint: int, near: Place) -> Place:
         """Return the point of a turning joint's axis that is nearest to another point."""
         _, (point,) = self.axes(q, [joint], near)
         return joint, self._data.oMi[joint].actInv(self._palm.act(point))
 
-    def motion(self, q: np.ndarray, place: Place) -> np.ndarray:
+    def motion(self, q: Array, place: Place) -> Array:
         """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""
         palm = self._place(q)
         carrier = self._model.frames[self.hand.palm_frame_id].parentJoint
@@ -138,7 +138,7 @@ class PalmKinematics:
         linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
         return np.vstack([palm.rotation.T @ linear, palm.rotation.T @ turns])
 
-    def _place(self, q: np.ndarray) -> pin.SE3:
+    def _place(self, q: Array) -> pin.SE3:
         vector = self.hand.configuration_vector(q)
         pin.computeJointJacobians(self._model, self._data, vector)
         return self._palm
@@ -149,13 +149,13 @@ class PalmKinematics:
         return self._data.oMi[frame.parentJoint] * frame.placement
 
 
-def joint_motion(hand: Jointed) -> np.ndarray:
+def joint_motion(hand: Jointed) -> Array:
     """Return the motion of the model per unit of every joint that is set, shape (nv, n)."""
     every = np.eye(hand.model.nv) if hand.expansion is None else hand.expansion.matrix
     return every[:, hand.joint_columns]
 
 
-def zero_posture(hand: Jointed) -> np.ndarray:
+def zero_posture(hand: Jointed) -> Array:
     """Return zero, or the limit next to it, of every joint [rad or m], shape (n,)."""
     return np.clip(0.0, hand.lower_limits, hand.upper_limits)
 
@@ -174,11 +174,11 @@ class Flexion(NamedTuple):
         curls: Whether they shorten the finger by more than a few hundredths.
     """
 
-    columns: np.ndarray
-    signs: np.ndarray
-    axis: np.ndarray
-    knuckle: np.ndarray
-    straight: np.ndarray
+    columns: Array
+    signs: Array
+    axis: Array
+    knuckle: Array
+    straight: Array
     sense: float
     certainty: float
     curls: bool
@@ -217,7 +217,7 @@ class Finger:
         return bool(self.joints) and not self._turns(self.joints).any()
 
     @cached_property
-    def columns(self) -> np.ndarray:
+    def columns(self) -> Array:
         """Columns of q that move the finger, from the palm outwards, shape (c,)."""
         rows = [self.hand.model.idx_vs[joint] for joint in self.joints]
         moves = joint_motion(self.hand)[rows] != 0.0
@@ -297,12 +297,12 @@ class Finger:
         return self._farthest[0]
 
     @property
-    def stretched(self) -> np.ndarray:
+    def stretched(self) -> Array:
         """Joint angles where it has that reach [rad or m], shape (n,)."""
         return self._farthest[1]
 
     @cached_property
-    def _farthest(self) -> tuple[float, np.ndarray]:
+    def _farthest(self) -> tuple[float, Array]:
         """Find reach and its posture: random search, refined."""
         best_q = self._zero.copy()
         if not self.joints:
@@ -312,7 +312,7 @@ class Finger:
         low = self.hand.lower_limits[moving]
         high = self.hand.upper_limits[moving]
 
-        def distance(positions: np.ndarray) -> float:
+        def distance(positions: Array) -> float:
             best_q[moving] = positions
             return math.dist(*view.points(best_q, [self.tip, self.knuckle]))
 
@@ -346,7 +346,7 @@ class Finger:
             return None
         _, base, signs, gears = self._axis(view, columns, self._zero)
 
-        def lengths_at(postures: np.ndarray) -> np.ndarray:
+        def lengths_at(postures: Array) -> Array:
             return lengths(view.points(postures, [self.tip])[..., 0, :] - base)
 
         q = self._straightened(columns, lengths_at)
@@ -361,7 +361,7 @@ class Finger:
         return Flexion(columns, signs, axis, base, straight, sense, certainty, curls)
 
     @cached_property
-    def closing(self) -> np.ndarray:
+    def closing(self) -> Array:
         """Sense in which each joint flexes the finger; 0 of all other joints, shape (n,).
 
         A finger that curls equally far both ways flexes to the palm's side.
@@ -376,13 +376,13 @@ class Finger:
             )
         return senses
 
-    def _turns(self, joints: Sequence[int]) -> np.ndarray:
+    def _turns(self, joints: Sequence[int]) -> Array:
         """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""
         return PalmKinematics(self.hand).axes(self._zero, joints)[0]
 
     def _axis(
-        self, view: PalmKinematics, columns: np.ndarray, q: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        self, view: PalmKinematics, columns: Array, q: Array
+    ) -> tuple[Array, Array, Array, Array]:
         """Return axis (3,), knuckle on it (3,), and each column's sense and gear about it (k,)."""
         turns = view.motion(q, self.tip)[3:, columns]
         # The sense of the axis is that of the last joint, in every posture.
@@ -396,8 +396,8 @@ class Finger:
         return axis, base, np.sign(along), np.abs(along)
 
     def _straightened(
-        self, columns: np.ndarray, lengths_at: Callable[[np.ndarray], np.ndarray]
-    ) -> np.ndarray:
+        self, columns: Array, lengths_at: Callable[[Array], Array]
+    ) -> Array:
         """Return the posture of some joints at which the finger is longest, else zero."""
         hand = self.hand
         q = self._zero.copy()
@@ -418,9 +418,7 @@ class Finger:
         is_straight = lengths_at(self._zero) > _STRAIGHT * best
         return self._zero.copy() if is_straight else q
 
-    def _with_knuckle(
-        self, columns: np.ndarray, straight: np.ndarray, sense: np.ndarray
-    ) -> np.ndarray:
+    def _with_knuckle(self, columns: Array, straight: Array, sense: Array) -> Array:
         """Return a straight posture whose knuckle is stretched too, if zero is half a fist.
 
         The knuckle's angle does not change the finger's length, so that its zero position counts as
@@ -438,7 +436,7 @@ class Finger:
         return np.array([knuckle, *straight[1:]])
 
 
-def _sense(shares: np.ndarray, travels: np.ndarray) -> tuple[float, float]:
+def _sense(shares: Array, travels: Array) -> tuple[float, float]:
     """Return the sense of the closed end, 0 if unknown, and the confidence in it.
 
     Args:
@@ -458,7 +456,7 @@ def _sense(shares: np.ndarray, travels: np.ndarray) -> tuple[float, float]:
 
 def nearing(
     view: PalmKinematics,
-    ends: np.ndarray,
+    ends: Array,
     tips: Sequence[Place],
     i: int,
 ) -> float:
@@ -470,10 +468,10 @@ def nearing(
 
 def ends_of(
     hand: Jointed,
-    q: np.ndarray,
-    columns: np.ndarray | Sequence[int],
-    signs: np.ndarray | float = 1.0,
-) -> np.ndarray:
+    q: Array,
+    columns: Array | Sequence[int],
+    signs: Array | float = 1.0,
+) -> Array:
     """Return two postures: some joints at one end of their ranges, then at the other, (2, n)."""
     ends = np.tile(q, (2, 1))
     limits = np.array([hand.lower_limits[columns], hand.upper_limits[columns]])

@@ -40,7 +40,7 @@ from handmap_qp.hands.spec import (
     check_point,
     twice,
 )
-from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose, frozen
+from handmap_qp.se3 import Array, PoseLike, affine, as_floats, check_pose, frozen
 
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""
@@ -118,7 +118,7 @@ class Hand:
         self.contact_gap = CONTACT_GAP
         self.unscaled: Hand | None = None
         self.moves: dict[str, JointMove] = {}
-        self.stretches: dict[int, np.ndarray] = {}
+        self.stretches: dict[int, Array] = {}
         self.parts: tuple[Hand, ...] = ()
         self.name = spec.name
         self.side = spec.side
@@ -139,7 +139,7 @@ class Hand:
         # An arm is at rest in every posture of the description.
         arm = {} if spec.arm is None else spec.arm.rest
 
-        def posture(own: Positions) -> np.ndarray:
+        def posture(own: Positions) -> Array:
             return _frozen([(arm | own)[name] for name in self.joint_names])
 
         self.rest = posture(spec.rest)
@@ -189,7 +189,7 @@ class Hand:
         return self.parts or (self,)
 
     @property
-    def moves_wrist(self) -> np.ndarray:
+    def moves_wrist(self) -> Array:
         """Which joints move the wrist, those of an arm, or a wrist of a robot, shape (n,)."""
         if self.parts:
             return np.any([hand.moves_wrist for hand in self.parts], axis=0)
@@ -198,7 +198,7 @@ class Hand:
         return np.isin([model.getJointId(joint) for joint in self.joint_names], arm)
 
     @property
-    def moves_points(self) -> np.ndarray:
+    def moves_points(self) -> Array:
         """Which joints move each reference point, shape (m, n)."""
         moves = moved_by(self.model, [f.parentJoint for f in self.point_frames])
         if self.expansion is not None:
@@ -206,7 +206,7 @@ class Hand:
         return moves[:, self.joint_columns] > 0.0
 
     @property
-    def stop_distances(self) -> np.ndarray:
+    def stop_distances(self) -> Array:
         """How far each joint moves at most while it stops [rad or m], shape (n,).
 
         From its speed limit and `LONGEST_STOP`, within its range.
@@ -214,7 +214,7 @@ class Hand:
         ranges = self.upper_limits - self.lower_limits
         return np.minimum(0.5 * LONGEST_STOP * self.velocity_limits, ranges)
 
-    def at_position_limit(self, q: np.ndarray) -> np.ndarray:
+    def at_position_limit(self, q: Array) -> Array:
         """Return which joints are within 1e-6 rad or m of a position limit, shape (n,)."""
         return (q <= self.lower_limits + 1e-6) | (q >= self.upper_limits - 1e-6)
 
@@ -233,7 +233,7 @@ class Hand:
         """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
         vars(self).update(state)
         for value in (*state.values(), *(self.expansion or ())):
-            if isinstance(value, np.ndarray):
+            if isinstance(value, Array):
                 value.setflags(write=False)
 
     def with_points(self, points: Points | None) -> Hand:
@@ -260,7 +260,7 @@ class Hand:
     def with_joints(
         self,
         moves: dict[str, JointMove],
-        stretches: Mapping[str, np.ndarray],
+        stretches: Mapping[str, Array],
         compose: Callable[[], str],
     ) -> Hand:
         """Return the same hand with joints in other places, without reading a URDF.
@@ -295,7 +295,7 @@ class Hand:
 
     def configuration_vector(
         self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    ) -> Array:
         """Compose Pinocchio's configuration vector, shape (model.nq,).
 
         Args:
@@ -322,7 +322,7 @@ class Hand:
         return vector
 
     def write_configuration(
-        self, vector: np.ndarray, q: np.ndarray, wrist_pose: np.ndarray | None = None
+        self, vector: Array, q: Array, wrist_pose: Array | None = None
     ) -> None:
         """Write a configuration into an array of the caller's, for use sample by sample.
 
@@ -346,7 +346,7 @@ class Hand:
                 got="arrays that do not fit",
             ) from error
 
-    def all_joints(self, q: npt.ArrayLike) -> np.ndarray:
+    def all_joints(self, q: npt.ArrayLike) -> Array:
         """Compute the positions of every movable joint, for a driver that needs them.
 
         Args:
@@ -366,9 +366,7 @@ class Hand:
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
         return np.concatenate([self._moving.all_joints(angles), locked], axis=-1)
 
-    def points(
-        self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    def points(self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None) -> Array:
         """Compute the positions of the reference points in the world (eq. 4) [m], shape (m, 3).
 
         Args and errors are those of `configuration_vector`.
@@ -377,7 +375,7 @@ class Hand:
 
     def point_jacobian(
         self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    ) -> Array:
         """Compute the derivative of the reference points with respect to the joint angles.
 
         Args and errors are those of `configuration_vector`.
@@ -389,7 +387,7 @@ class Hand:
 
     def frame_pose(
         self, frame: str, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    ) -> Array:
         """Compute the pose of a frame in the world, shape (4, 4).
 
         Args:
@@ -411,7 +409,7 @@ class Hand:
 
     def link_poses(
         self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    ) -> Array:
         """Compute the poses of k links of the URDF in the world, shape (k, 4, 4).
 
         Only links are searched. The other arguments are those of `configuration_vector`.
@@ -476,7 +474,7 @@ class Hand:
         self._wrist_to_root = wrist.placement.inverse()
         self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
 
-    def _frame(self, name: str, link: str, key: str, pose: np.ndarray) -> pin.Frame:
+    def _frame(self, name: str, link: str, key: str, pose: Array) -> pin.Frame:
         """Return a frame of a new name at a pose (4, 4) on a link, which a key of the spec names.
 
         Raises:
@@ -575,6 +573,6 @@ def _check_type(argument: str, value: Any, kind: Any, expected: str) -> None:
     expect(isinstance(value, kind), argument, expected, value=value)
 
 
-def _frozen(values: npt.ArrayLike) -> np.ndarray:
+def _frozen(values: npt.ArrayLike) -> Array:
     """Return a write-protected copy as floats."""
     return frozen(np.array(values, dtype=float))

@@ -27,7 +27,7 @@ from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands.mjcf_couplings import read_couplings
 from handmap_qp.hands.sources import root_tag
 from handmap_qp.hands.urdf import set_numbers, set_origin
-from handmap_qp.se3 import affine, inverse_pose, rotation_from_quat_wxyz
+from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -283,7 +283,7 @@ class ConvertedMjcf:
         self._add_inertial(robot[-1], body)
         self._add_shapes(robot[-1], body)
 
-    def _steps(self, body: int) -> Iterator[tuple[int | None, str, np.ndarray]]:
+    def _steps(self, body: int) -> Iterator[tuple[int | None, str, Array]]:
         """Iterate over the axes that move a body: joint, name, unit vector in the body's frame.
 
         A ball joint is three hinges, `q = q_x q_y q_z`. Without a joint, a last step leads to a
@@ -308,7 +308,7 @@ class ConvertedMjcf:
             name = self._unique("joint", f"{self.links[body]}_fixed")
             yield None, name, np.zeros(3)
 
-    def _describe(self, element: Element, joint: int, direction: np.ndarray) -> None:
+    def _describe(self, element: Element, joint: int, direction: Array) -> None:
         """Write an axis of a joint, its limits, dynamics and mimic rule."""
         model = self.model
         kind = model.jnt_type[joint]
@@ -374,7 +374,7 @@ class ConvertedMjcf:
                     set_origin(element, pose)
                     SubElement(element, "geometry").append(geometry)
 
-    def _geometries(self, geom: int) -> Iterator[tuple[np.ndarray, Element]]:
+    def _geometries(self, geom: int) -> Iterator[tuple[Array, Element]]:
         """Iterate over the URDF geometries of a geom, with their poses in the link."""
         model = self.model
         size = model.geom_size[geom]
@@ -410,11 +410,11 @@ class ConvertedMjcf:
         return Element("mesh", filename=file)
 
 
-def _pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+def _pose(position: Array, quaternion: Array) -> Array:
     return affine(rotation_from_quat_wxyz(quaternion), position)
 
 
-def _body_pose(data: mujoco.MjData, body: int) -> np.ndarray:
+def _body_pose(data: mujoco.MjData, body: int) -> Array:
     """Return the pose of a body in the world, shape (4, 4)."""
     return affine(data.xmat[body].reshape(3, 3), data.xpos[body])
 

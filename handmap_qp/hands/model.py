@@ -38,7 +38,7 @@ from handmap_qp.hands.urdf import (
     prepare_urdf,
     remove_subtrees,
 )
-from handmap_qp.se3 import affine
+from handmap_qp.se3 import Array, affine
 
 FLOATING_JOINT = "wrist_mount"
 """Name of the free-flyer that carries a floating hand."""
@@ -130,7 +130,7 @@ def _joint_problems(spec: HandSpec, names: set[str], rules: Rules) -> Problems:
         yield f"{name!r} is not a movable joint of the URDF", "joints", name
 
 
-def palm_in_link(spec: HandSpec) -> np.ndarray:
+def palm_in_link(spec: HandSpec) -> Array:
     """Return the pose of the palm frame in its link, shape (4, 4)."""
     palm = spec.palm
     side = np.cross(palm.distal, palm.dorsal)
@@ -138,7 +138,7 @@ def palm_in_link(spec: HandSpec) -> np.ndarray:
 
 
 def limit_problems(
-    spec: HandSpec, limits: Sequence[np.ndarray], postures: dict[str, np.ndarray | None]
+    spec: HandSpec, limits: Sequence[Array], postures: dict[str, Array | None]
 ) -> Problems:
     """Check that limits are finite and that the description's postures lie inside them.
 
@@ -196,10 +196,10 @@ class Expansion(NamedTuple):
         offset: Position of every joint where the active ones are zero [rad or m], shape (n_all,).
     """
 
-    matrix: np.ndarray
-    offset: np.ndarray
+    matrix: Array
+    offset: Array
 
-    def all_joints(self, q: np.ndarray) -> np.ndarray:
+    def all_joints(self, q: Array) -> Array:
         """Return the positions of all joints [rad or m], shape (..., n_all), of (..., n_active)."""
         return q @ self.matrix.T + self.offset
 

@@ -26,7 +26,7 @@ from handmap_qp.hands.spec import (
     Rules,
     repeated,
 )
-from handmap_qp.se3 import affine, rotation_from_rpy, rpy_from_rotation
+from handmap_qp.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one coordinate."""
@@ -129,7 +129,7 @@ def child_of(element: Element, tag: str) -> Element:
     return SubElement(element, tag) if found is None else found
 
 
-def origin_of(element: Element) -> np.ndarray:
+def origin_of(element: Element) -> Array:
     """Read the pose in an element's `<origin>`, shape (4, 4); the identity where there is none.
 
     Raises:
@@ -142,7 +142,7 @@ def origin_of(element: Element) -> np.ndarray:
     return affine(rotation_from_rpy(rpy), xyz)
 
 
-def set_origin(element: Element, pose: np.ndarray) -> None:
+def set_origin(element: Element, pose: Array) -> None:
     """Write a pose [m], shape (4, 4), into an element's `<origin>`."""
     origin = child_of(element, "origin")
     set_numbers(origin, xyz=pose[:3, 3], rpy=rpy_from_rotation(pose[:3, :3]))
