@@ -16,12 +16,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands.configuration import moved_by
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, THUMB
-from handmap_qp.hands.model import Expansion
-from handmap_qp.hands.spec import PointSpec
 from handmap_qp.se3 import Array, lengths, unit
+from .configuration import moved_by
+from .hand import Hand
+from .human import FINGERS, THUMB
+from .model import Expansion
+from .spec import PointSpec
 
 PARALLEL = 0.85
 """Cosine from which on two axes are parallel.

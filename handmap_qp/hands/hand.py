@@ -17,9 +17,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError, expect
-from handmap_qp.hands.configuration import Configuration, moved_by
-from handmap_qp.hands.human import CONTACT_GAP, JointMove
-from handmap_qp.hands.model import (
+from handmap_qp.se3 import Array, PoseLike, affine, as_floats, check_pose, frozen
+from .configuration import Configuration, moved_by
+from .human import CONTACT_GAP, JointMove
+from .model import (
     Expansion,
     build_model,
     choose_mount,
@@ -30,8 +31,8 @@ from handmap_qp.hands.model import (
     tighten_model,
     wrist_problems,
 )
-from handmap_qp.hands.sources import read_urdf
-from handmap_qp.hands.spec import (
+from .sources import read_urdf
+from .spec import (
     HandSpec,
     Mount,
     PointSpec,
@@ -40,7 +41,6 @@ from handmap_qp.hands.spec import (
     check_point,
     twice,
 )
-from handmap_qp.se3 import Array, PoseLike, affine, as_floats, check_pose, frozen
 
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""

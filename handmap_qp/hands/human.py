@@ -16,8 +16,9 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from handmap_qp.errors import HandError, expect
-from handmap_qp.hands.sources import urdf_directory
-from handmap_qp.hands.urdf import (
+from handmap_qp.se3 import Array, as_floats, frozen
+from .sources import urdf_directory
+from .urdf import (
     child_of,
     get_numbers,
     joints_by_name,
@@ -25,7 +26,6 @@ from handmap_qp.hands.urdf import (
     parse_urdf,
     set_numbers,
 )
-from handmap_qp.se3 import Array, as_floats, frozen
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """The fingers, in the order of the rows of `HumanLengths`."""

@@ -24,10 +24,10 @@ import trimesh
 from trimesh.exchange.stl import export_stl
 
 from handmap_qp.errors import HandError, reason_of
-from handmap_qp.hands.mjcf_couplings import read_couplings
-from handmap_qp.hands.sources import root_tag
-from handmap_qp.hands.urdf import set_numbers, set_origin
 from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
+from .mjcf_couplings import read_couplings
+from .sources import root_tag
+from .urdf import set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)

@@ -17,8 +17,9 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, expect, reason_of
-from handmap_qp.hands.sources import read_urdf
-from handmap_qp.hands.spec import (
+from handmap_qp.se3 import Array, affine
+from .sources import read_urdf
+from .spec import (
     HandSpec,
     MimicSpec,
     Mount,
@@ -26,7 +27,7 @@ from handmap_qp.hands.spec import (
     Problems,
     Rules,
 )
-from handmap_qp.hands.urdf import (
+from .urdf import (
     MOVABLE,
     NO_LIMIT,
     check_tree,
@@ -38,7 +39,6 @@ from handmap_qp.hands.urdf import (
     prepare_urdf,
     remove_subtrees,
 )
-from handmap_qp.se3 import Array, affine
 
 FLOATING_JOINT = "wrist_mount"
 """Name of the free-flyer that carries a floating hand."""

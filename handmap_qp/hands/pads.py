@@ -13,11 +13,11 @@ import coal
 import msgspec
 import numpy as np
 
-from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import Finger, place_of
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import PointSpec
 from handmap_qp.se3 import Array, transform_points, unit
+from .collision_shapes import read_collision_shapes
+from .fingers import Finger, place_of
+from .hand import Hand
+from .spec import PointSpec
 
 # A fingertip that lies deeper under its surface than this is the middle of a round tip [m].
 _DEEP = 0.004

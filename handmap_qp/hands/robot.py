@@ -25,11 +25,12 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import find_file
-from handmap_qp.hands.model import compose_urdf
-from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory, urdf_path
-from handmap_qp.hands.spec import (
+from handmap_qp.se3 import affine, rotation_from_rpy
+from .hand import Hand
+from .library import find_file
+from .model import compose_urdf
+from .sources import read_urdf, source_file, urdf_directory, urdf_path
+from .spec import (
     ORIGIN,
     Document,
     HandSpec,
@@ -40,14 +41,13 @@ from handmap_qp.hands.spec import (
     read_hand_spec,
     typed,
 )
-from handmap_qp.hands.urdf import (
+from .urdf import (
     parse_urdf,
     rename,
     root_links,
     set_mesh_paths,
     set_origin,
 )
-from handmap_qp.se3 import affine, rotation_from_rpy
 
 BASE = "robot_base"
 """Link that all hands stand on."""

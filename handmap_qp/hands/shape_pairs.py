@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import Finger, zero_posture
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
 from handmap_qp.se3 import Array
+from .collision_shapes import read_collision_shapes
+from .fingers import Finger, zero_posture
+from .hand import Hand
+from .human import THUMB
 
 LINK_MARGIN = 0.001
 """Margin between all links but those that pinch [m]."""

@@ -23,7 +23,7 @@ from handmap_qp.errors import (
     reason_of,
     require,
 )
-from handmap_qp.hands.spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
+from .spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
 
 # Which variable of a description's module is taken, the first that it has.
 _VARIABLES = ("URDF_PATH", "MJCF_PATH")

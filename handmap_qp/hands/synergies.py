@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.se3 import Array, as_floats, frozen
+from .sources import urdf_directory
 
 
 class Synergies(NamedTuple):

@@ -17,8 +17,9 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.sources import find_mesh, urdf_path
-from handmap_qp.hands.spec import (
+from handmap_qp.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
+from .sources import find_mesh, urdf_path
+from .spec import (
     ArmSpec,
     LimitSpec,
     MimicSpec,
@@ -26,7 +27,6 @@ from handmap_qp.hands.spec import (
     Rules,
     repeated,
 )
-from handmap_qp.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one coordinate."""
