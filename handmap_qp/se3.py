@@ -40,6 +40,7 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 """
 
 
+Array = np.ndarray
 PoseLike = npt.ArrayLike | pin.SE3
 
 

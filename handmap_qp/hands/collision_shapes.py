@@ -1,7 +1,5 @@
 """The collision shapes of a hand's URDF, between which Pinocchio and coal measure distances."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -11,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import reason_of
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.sources import urdf_path
-from handmap_qp.hands.urdf import get_numbers, parse_urdf, set_mesh_paths
+from .hand import Hand
+from .sources import urdf_path
+from .urdf import get_numbers, parse_urdf, set_mesh_paths
 
 _PLACEHOLDER = "0.001"
 """Radius of the sphere in the place of a mesh [m]."""

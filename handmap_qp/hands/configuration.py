@@ -3,8 +3,6 @@
 It offers what `mink.build_ik` reads from a configuration, too (`model.nv`, `nv`, `q`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any
@@ -13,10 +11,10 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.se3 import frozen
+from handmap_qp.se3 import Array, frozen
 
 
-def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
+def moved_by(model: pin.Model, joints: Sequence[int]) -> Array:
     """Return 1 for every velocity coordinate that moves a joint's frame.
 
     Args:
@@ -57,7 +55,7 @@ class Configuration:
         model: pin.Model,
         wrists: Sequence[int],
         counts: Sequence[int],
-        expansion: np.ndarray | None = None,
+        expansion: Array | None = None,
     ) -> None:
         self.model = model
         self.expansion = expansion
@@ -91,7 +89,7 @@ class Configuration:
         """Number of active velocity coordinates, k: the wrist's and those of joints that lead."""
         return self.model.nv if self.expansion is None else self.expansion.shape[1]
 
-    def place(self, q: np.ndarray) -> None:
+    def place(self, q: Array) -> None:
         """Put the model at a configuration.
 
         Args:
@@ -114,11 +112,11 @@ class Configuration:
 
     __setstate__ = place
 
-    def frame_pose(self, frame: pin.Frame) -> np.ndarray:
+    def frame_pose(self, frame: pin.Frame) -> Array:
         """Return the pose of any frame on the joints in the world, shape (4, 4); a new array."""
         return (self.data.oMi[frame.parentJoint] * frame.placement).homogeneous
 
-    def displace(self, start: np.ndarray, displacement: np.ndarray) -> None:
+    def displace(self, start: Array, displacement: Array) -> None:
         """Go from a configuration by a displacement; Jacobians become valid.
 
         Args:
@@ -130,7 +128,7 @@ class Configuration:
         )
         self.place(pin.integrate(self.model, start, step))
 
-    def joint_jacobian(self) -> np.ndarray:
+    def joint_jacobian(self) -> Array:
         """Spatial velocity at the world's origin per velocity of the model.
 
         Returns:
@@ -138,7 +136,7 @@ class Configuration:
         """
         return self.data.J
 
-    def point_jacobian(self) -> np.ndarray:
+    def point_jacobian(self) -> Array:
         """Jacobian of the points in the active coordinates, in world axes [m per unit].
 
         Returns:
@@ -146,7 +144,7 @@ class Configuration:
         """
         return self.contracted(self.full_point_jacobian())
 
-    def full_point_jacobian(self) -> np.ndarray:
+    def full_point_jacobian(self) -> Array:
         """Jacobian as of `point_jacobian`, by all coordinates of the model, (3 m, model.nv)."""
         rows = [
             pin.getFrameJacobian(self.model, self.data, i, pin.LOCAL_WORLD_ALIGNED)[:3]
@@ -154,7 +152,7 @@ class Configuration:
         ]
         return np.vstack(rows)
 
-    def wrist_jacobian(self, error_jacobian: np.ndarray, part: int = 0) -> np.ndarray:
+    def wrist_jacobian(self, error_jacobian: Array, part: int = 0) -> Array:
         """Body Jacobian of a wrist in the active coordinates.
 
         Args:
@@ -168,7 +166,7 @@ class Configuration:
         wrist = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL)
         return self.contracted(error_jacobian @ wrist)
 
-    def contracted(self, jacobian: np.ndarray) -> np.ndarray:
+    def contracted(self, jacobian: Array) -> Array:
         """Take a Jacobian over the model's tangent space to the active coordinates.
 
         Args:

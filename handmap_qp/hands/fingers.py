@@ -6,8 +6,6 @@ end of their ranges where it is shortest, or to which the ranges are longer. All
 it, or bring a thumb before the palm.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
@@ -18,11 +16,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, THUMB
-from handmap_qp.hands.model import Expansion
-from handmap_qp.hands.spec import PointSpec
-from handmap_qp.se3 import lengths, unit
+from handmap_qp.se3 import Array, lengths, unit
+from .configuration import moved_by
+from .hand import Hand
+from .human import FINGERS, THUMB
+from .model import Expansion
+from .spec import PointSpec
 
 PARALLEL = 0.85
 """Cosine from which on two axes are parallel.
@@ -31,7 +30,7 @@ On the 30 robot hands of `benchmarks/bench_hands.py` and the human one, joints t
 have 0.99 and more with its last joint at zero, and no other joint has more than 0.82.
 """
 
-Place = tuple[int, np.ndarray]
+Place = tuple[int, Array]
 """A joint of the model, and a point's offset on it [m], shape (3,)."""
 
 # Place of the PIP joint between knuckle and tip on a person, and the least and largest share of the
@@ -39,7 +38,7 @@ Place = tuple[int, np.ndarray]
 _PIP = 0.45
 _LEAST = 0.15
 _MOST = 0.88
-_REACH_SAMPLES = 200
+_SAMPLES = 200
 # Samples of a joint's range, and of the way from straight to one end of the ranges.
 _GRID = 25
 _SWEEP = 11
@@ -64,16 +63,16 @@ class Jointed(Protocol):
 
     model: pin.Model
     palm_frame_id: int
-    lower_limits: np.ndarray
-    upper_limits: np.ndarray
-    joint_columns: np.ndarray
+    lower_limits: Array
+    upper_limits: Array
+    joint_columns: Array
 
     @property
     def expansion(self) -> Expansion | None:
         """From the active coordinates to all of the model's; None if all are active."""
         ...
 
-    def configuration_vector(self, q: np.ndarray) -> np.ndarray:
+    def configuration_vector(self, q: Array) -> Array:
         """Return Pinocchio's configuration at joint angles, shape (n,)."""
         ...
 
@@ -90,21 +89,19 @@ class PalmKinematics:
         self._model = hand.model
         self._data = hand.model.createData()
 
-    def points(self, q: np.ndarray, places: Sequence[Place]) -> np.ndarray:
+    def points(self, q: Array, places: Sequence[Place]) -> Array:
         """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
 
-        def placed(posture: np.ndarray) -> np.ndarray:
-            vector = self.hand.configuration_vector(posture)
-            pin.forwardKinematics(self._model, self._data, vector)
-            to_palm = self._palm.inverse()
-            rows = [(to_palm * self._data.oMi[j]).act(offset) for j, offset in places]
+        def placed(posture: Array) -> Array:
+            palm = self._place(posture)
+            rows = [palm.actInv(self._data.oMi[j].act(offset)) for j, offset in places]
             return np.reshape(rows, (-1, 3))
 
         return np.apply_along_axis(placed, -1, q)
 
     def axes(
-        self, q: np.ndarray, joints: Sequence[int], near: Place | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, q: Array, joints: Sequence[int], near: Place | None = None
+    ) -> tuple[Array, Array]:
         """Return axes of k joints and a point on each.
 
         Args:
@@ -124,26 +121,24 @@ class PalmKinematics:
             points = points + (levers * turns).sum(axis=1, keepdims=True) * turns
         return turns, points
 
-    def on_axis(self, q: np.ndarray, joint: int, near: Place) -> Place:
+    def on_axis(self, q: Array, joint: int, near: Place) -> Place:
         """Return the point of a turning joint's axis that is nearest to another point."""
         _, (point,) = self.axes(q, [joint], near)
         return joint, self._data.oMi[joint].actInv(self._palm.act(point))
 
-    def motion(self, q: np.ndarray, place: Place) -> np.ndarray:
+    def motion(self, q: Array, place: Place) -> Array:
         """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""
         palm = self._place(q)
         carrier = self._model.frames[self.hand.palm_frame_id].parentJoint
         # Columns of joints that move both are the same, and cancel.
-        moves, carried = (
-            pin.getJointJacobian(self._model, self._data, joint, pin.WORLD)
-            for joint in (place[0], carrier)
-        )
-        linear, turns = np.split((moves - carried) @ joint_motion(self.hand), 2)
+        moves, carries = moved_by(self._model, [place[0], carrier])
+        columns = (moves - carries) * self._data.J
+        linear, turns = np.split(columns @ joint_motion(self.hand), 2)
         point = self._data.oMi[place[0]].act(place[1])
         linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
         return np.vstack([palm.rotation.T @ linear, palm.rotation.T @ turns])
 
-    def _place(self, q: np.ndarray) -> pin.SE3:
+    def _place(self, q: Array) -> pin.SE3:
         vector = self.hand.configuration_vector(q)
         pin.computeJointJacobians(self._model, self._data, vector)
         return self._palm
@@ -154,13 +149,13 @@ class PalmKinematics:
         return self._data.oMi[frame.parentJoint] * frame.placement
 
 
-def joint_motion(hand: Jointed) -> np.ndarray:
+def joint_motion(hand: Jointed) -> Array:
     """Return the motion of the model per unit of every joint that is set, shape (nv, n)."""
     every = np.eye(hand.model.nv) if hand.expansion is None else hand.expansion.matrix
     return every[:, hand.joint_columns]
 
 
-def zero_posture(hand: Jointed) -> np.ndarray:
+def zero_posture(hand: Jointed) -> Array:
     """Return zero, or the limit next to it, of every joint [rad or m], shape (n,)."""
     return np.clip(0.0, hand.lower_limits, hand.upper_limits)
 
@@ -179,11 +174,11 @@ class Flexion(NamedTuple):
         curls: Whether they shorten the finger by more than a few hundredths.
     """
 
-    columns: np.ndarray
-    signs: np.ndarray
-    axis: np.ndarray
-    knuckle: np.ndarray
-    straight: np.ndarray
+    columns: Array
+    signs: Array
+    axis: Array
+    knuckle: Array
+    straight: Array
     sense: float
     certainty: float
     curls: bool
@@ -214,6 +209,7 @@ class Finger:
         self.tip = tip
         self.name = name
         self._own = tuple(own) or self.joints
+        self._zero = zero_posture(hand)
 
     @property
     def is_jaw(self) -> bool:
@@ -221,7 +217,7 @@ class Finger:
         return bool(self.joints) and not self._turns(self.joints).any()
 
     @cached_property
-    def columns(self) -> np.ndarray:
+    def columns(self) -> Array:
         """Columns of q that move the finger, from the palm outwards, shape (c,)."""
         rows = [self.hand.model.idx_vs[joint] for joint in self.joints]
         moves = joint_motion(self.hand)[rows] != 0.0
@@ -266,7 +262,7 @@ class Finger:
 
     def _on_axis(self, joint: int) -> Place:
         view = PalmKinematics(self.hand)
-        return view.on_axis(zero_posture(self.hand), joint, self.tip)
+        return view.on_axis(self._zero, joint, self.tip)
 
     def find_middle(self) -> Place | None:
         """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.
@@ -276,7 +272,7 @@ class Finger:
         nearest to the fingertip.
         """
         view = PalmKinematics(self.hand)
-        q = zero_posture(self.hand)
+        q = self._zero.copy()
         if self.flexion is not None:
             q[self.flexion.columns] = self.flexion.straight
         tip = view.points(q, [self.tip])[0]
@@ -301,64 +297,59 @@ class Finger:
         return self._farthest[0]
 
     @property
-    def stretched(self) -> np.ndarray:
+    def stretched(self) -> Array:
         """Joint angles where it has that reach [rad or m], shape (n,)."""
         return self._farthest[1]
 
     @cached_property
-    def _farthest(self) -> tuple[float, np.ndarray]:
+    def _farthest(self) -> tuple[float, Array]:
         """Find reach and its posture: random search, refined."""
-        best_q = zero_posture(self.hand)
+        best_q = self._zero.copy()
         if not self.joints:
             return math.nan, best_q
         view = PalmKinematics(self.hand)
-
-        def distance(q: np.ndarray) -> float:
-            return math.dist(*view.points(q, [self.tip, self.knuckle]))
-
-        best = distance(best_q)
         moving = np.sort(self.columns)
         low = self.hand.lower_limits[moving]
         high = self.hand.upper_limits[moving]
 
-        def improve(positions: np.ndarray) -> bool:
-            nonlocal best, best_q
-            q = best_q.copy()
-            q[moving] = np.clip(positions, low, high)
-            if is_better := (found := distance(q)) > best + 1e-9:
-                best = found
-                best_q = q
-            return is_better
+        def distance(positions: Array) -> float:
+            best_q[moving] = positions
+            return math.dist(*view.points(best_q, [self.tip, self.knuckle]))
 
-        shape = (_REACH_SAMPLES, len(moving))
-        for positions in np.random.default_rng(0).uniform(low, high, shape):
-            improve(positions)
+        random = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(moving)))
+        found = max([best_q[moving], *random], key=distance)
+        best = distance(found)
         step = 0.25 * (high - low)
         while (step > 1e-3).any():
-            changes = np.vstack([[-row, row] for row in np.diag(step)])
-            if not any([improve(best_q[moving] + change) for change in changes]):
+            before = best
+            for change in np.vstack([[-row, row] for row in np.diag(step)]):
+                tried = np.clip(found + change, low, high)
+                if (reached := distance(tried)) > best + 1e-9:
+                    best = reached
+                    found = tried
+            if best == before:
                 step = 0.5 * step
+        best_q[moving] = found
         return best, best_q
 
     @cached_property
     def flexion(self) -> Flexion | None:
         """How it curls; None if no joint turns the tip."""
         view = PalmKinematics(self.hand)
-        zero = zero_posture(self.hand)
         # The columns that turn the tip about the axis of the last one that does.
-        turns = view.motion(zero, self.tip)[3:]
+        turns = view.motion(self._zero, self.tip)[3:]
         sizes = np.linalg.norm(turns, axis=0)
         turning = self.columns[sizes[self.columns] > _LEAST_TURN]
         units = turns[:, turning] / sizes[turning]
         columns = turning[(np.abs(units[:, -1:].T @ units) > PARALLEL).any(axis=0)]
         if not len(columns):
             return None
-        _, base, signs, gears = self._axis(view, columns, zero)
+        _, base, signs, gears = self._axis(view, columns, self._zero)
 
-        def lengths_at(postures: np.ndarray) -> np.ndarray:
+        def lengths_at(postures: Array) -> Array:
             return lengths(view.points(postures, [self.tip])[..., 0, :] - base)
 
-        q = self._straightened(columns, zero, lengths_at)
+        q = self._straightened(columns, lengths_at)
         ways = ends_of(self.hand, q, columns, signs)[::-1] - q
         bent = lengths_at(q + np.linspace(0.0, 1.0, _SWEEP)[:, None, None] * ways)
         shares = 1.0 - bent.min(axis=0) / bent[0].clip(1e-9)
@@ -370,7 +361,7 @@ class Finger:
         return Flexion(columns, signs, axis, base, straight, sense, certainty, curls)
 
     @cached_property
-    def closing(self) -> np.ndarray:
+    def closing(self) -> Array:
         """Sense in which each joint flexes the finger; 0 of all other joints, shape (n,).
 
         A finger that curls equally far both ways flexes to the palm's side.
@@ -378,20 +369,20 @@ class Finger:
         found = self.flexion
         senses = np.zeros_like(self.hand.lower_limits)
         if found is not None:
-            motion = PalmKinematics(self.hand).motion(zero_posture(self.hand), self.tip)
+            motion = PalmKinematics(self.hand).motion(self._zero, self.tip)
             dorsal = motion[2, found.columns] @ found.signs
             senses[found.columns] = found.signs * (
                 found.sense or -np.sign(dorsal) or 1.0
             )
         return senses
 
-    def _turns(self, joints: Sequence[int]) -> np.ndarray:
+    def _turns(self, joints: Sequence[int]) -> Array:
         """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""
-        return PalmKinematics(self.hand).axes(zero_posture(self.hand), joints)[0]
+        return PalmKinematics(self.hand).axes(self._zero, joints)[0]
 
     def _axis(
-        self, view: PalmKinematics, columns: np.ndarray, q: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        self, view: PalmKinematics, columns: Array, q: Array
+    ) -> tuple[Array, Array, Array, Array]:
         """Return axis (3,), knuckle on it (3,), and each column's sense and gear about it (k,)."""
         turns = view.motion(q, self.tip)[3:, columns]
         # The sense of the axis is that of the last joint, in every posture.
@@ -405,14 +396,11 @@ class Finger:
         return axis, base, np.sign(along), np.abs(along)
 
     def _straightened(
-        self,
-        columns: np.ndarray,
-        zero: np.ndarray,
-        lengths_at: Callable[[np.ndarray], np.ndarray],
-    ) -> np.ndarray:
+        self, columns: Array, lengths_at: Callable[[Array], Array]
+    ) -> Array:
         """Return the posture of some joints at which the finger is longest, else zero."""
         hand = self.hand
-        q = zero.copy()
+        q = self._zero.copy()
         best = 0.0
         # Coordinate descent: the best value of a joint depends on the others; three rounds suffice.
         for _ in range(3):
@@ -426,12 +414,11 @@ class Finger:
                 best = found.max()
                 # Several postures are equally straight: take the one nearest to zero.
                 near = grid[found >= (1.0 - 1e-4) * best]
-                q[j] = near[np.argmin(np.abs(near - zero[j]))]
-        return zero.copy() if lengths_at(zero) > _STRAIGHT * best else q
+                q[j] = near[np.argmin(np.abs(near - self._zero[j]))]
+        is_straight = lengths_at(self._zero) > _STRAIGHT * best
+        return self._zero.copy() if is_straight else q
 
-    def _with_knuckle(
-        self, columns: np.ndarray, straight: np.ndarray, sense: np.ndarray
-    ) -> np.ndarray:
+    def _with_knuckle(self, columns: Array, straight: Array, sense: Array) -> Array:
         """Return a straight posture whose knuckle is stretched too, if zero is half a fist.
 
         The knuckle's angle does not change the finger's length, so that its zero position counts as
@@ -440,7 +427,7 @@ class Finger:
         """
         lower = self.hand.lower_limits[columns]
         upper = self.hand.upper_limits[columns]
-        flexed = sense * (np.clip(0.0, lower, upper) - straight)
+        flexed = sense * (self._zero[columns] - straight)
         if sense[0] == 0.0 or len(columns) < 2 or flexed[1:].mean() < _FLEXED_ZERO:
             return straight
         open_end = np.where(sense > 0.0, lower, upper)
@@ -449,7 +436,7 @@ class Finger:
         return np.array([knuckle, *straight[1:]])
 
 
-def _sense(shares: np.ndarray, travels: np.ndarray) -> tuple[float, float]:
+def _sense(shares: Array, travels: Array) -> tuple[float, float]:
     """Return the sense of the closed end, 0 if unknown, and the confidence in it.
 
     Args:
@@ -469,7 +456,7 @@ def _sense(shares: np.ndarray, travels: np.ndarray) -> tuple[float, float]:
 
 def nearing(
     view: PalmKinematics,
-    ends: np.ndarray,
+    ends: Array,
     tips: Sequence[Place],
     i: int,
 ) -> float:
@@ -481,10 +468,10 @@ def nearing(
 
 def ends_of(
     hand: Jointed,
-    q: np.ndarray,
-    columns: np.ndarray | Sequence[int],
-    signs: np.ndarray | float = 1.0,
-) -> np.ndarray:
+    q: Array,
+    columns: Array | Sequence[int],
+    signs: Array | float = 1.0,
+) -> Array:
     """Return two postures: some joints at one end of their ranges, then at the other, (2, n)."""
     ends = np.tile(q, (2, 1))
     limits = np.array([hand.lower_limits[columns], hand.upper_limits[columns]])

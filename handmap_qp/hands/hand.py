@@ -17,29 +17,30 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError, expect
-from handmap_qp.hands.configuration import Configuration, moved_by
-from handmap_qp.hands.human import CONTACT_GAP, JointMove
-from handmap_qp.hands.model import (
+from handmap_qp.se3 import Array, PoseLike, affine, as_floats, check_pose, frozen
+from .configuration import Configuration, moved_by
+from .human import CONTACT_GAP, JointMove
+from .model import (
     Expansion,
     build_model,
-    check_limits,
-    check_wrist,
     choose_mount,
     compose_urdf,
     expansion_matrix,
+    limit_problems,
     palm_in_link,
     tighten_model,
+    wrist_problems,
 )
-from handmap_qp.hands.sources import read_urdf
-from handmap_qp.hands.spec import (
+from .sources import read_urdf
+from .spec import (
     HandSpec,
-    MimicSpec,
     Mount,
     PointSpec,
+    Positions,
+    Rules,
     check_point,
     twice,
 )
-from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose, frozen
 
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""
@@ -117,7 +118,7 @@ class Hand:
         self.contact_gap = CONTACT_GAP
         self.unscaled: Hand | None = None
         self.moves: dict[str, JointMove] = {}
-        self.stretches: dict[int, np.ndarray] = {}
+        self.stretches: dict[int, Array] = {}
         self.parts: tuple[Hand, ...] = ()
         self.name = spec.name
         self.side = spec.side
@@ -138,13 +139,14 @@ class Hand:
         # An arm is at rest in every posture of the description.
         arm = {} if spec.arm is None else spec.arm.rest
 
-        def posture(own: dict[str, float]) -> np.ndarray:
+        def posture(own: Positions) -> Array:
             return _frozen([(arm | own)[name] for name in self.joint_names])
 
         self.rest = posture(spec.rest)
         self.matched = None if spec.matched is None else posture(spec.matched)
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
-        check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
+        postures = {"rest": self.rest, "matched": self.matched}
+        spec.reject(limit_problems(spec, limits, postures))
         self._add_wrist_and_palm()
         self.use_points(chosen)
 
@@ -187,7 +189,7 @@ class Hand:
         return self.parts or (self,)
 
     @property
-    def moves_wrist(self) -> np.ndarray:
+    def moves_wrist(self) -> Array:
         """Which joints move the wrist, those of an arm, or a wrist of a robot, shape (n,)."""
         if self.parts:
             return np.any([hand.moves_wrist for hand in self.parts], axis=0)
@@ -196,7 +198,7 @@ class Hand:
         return np.isin([model.getJointId(joint) for joint in self.joint_names], arm)
 
     @property
-    def moves_points(self) -> np.ndarray:
+    def moves_points(self) -> Array:
         """Which joints move each reference point, shape (m, n)."""
         moves = moved_by(self.model, [f.parentJoint for f in self.point_frames])
         if self.expansion is not None:
@@ -204,7 +206,7 @@ class Hand:
         return moves[:, self.joint_columns] > 0.0
 
     @property
-    def stop_distances(self) -> np.ndarray:
+    def stop_distances(self) -> Array:
         """How far each joint moves at most while it stops [rad or m], shape (n,).
 
         From its speed limit and `LONGEST_STOP`, within its range.
@@ -212,7 +214,7 @@ class Hand:
         ranges = self.upper_limits - self.lower_limits
         return np.minimum(0.5 * LONGEST_STOP * self.velocity_limits, ranges)
 
-    def at_position_limit(self, q: np.ndarray) -> np.ndarray:
+    def at_position_limit(self, q: Array) -> Array:
         """Return which joints are within 1e-6 rad or m of a position limit, shape (n,)."""
         return (q <= self.lower_limits + 1e-6) | (q >= self.upper_limits - 1e-6)
 
@@ -231,7 +233,7 @@ class Hand:
         """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
         vars(self).update(state)
         for value in (*state.values(), *(self.expansion or ())):
-            if isinstance(value, np.ndarray):
+            if isinstance(value, Array):
                 value.setflags(write=False)
 
     def with_points(self, points: Points | None) -> Hand:
@@ -258,7 +260,7 @@ class Hand:
     def with_joints(
         self,
         moves: dict[str, JointMove],
-        stretches: Mapping[str, np.ndarray],
+        stretches: Mapping[str, Array],
         compose: Callable[[], str],
     ) -> Hand:
         """Return the same hand with joints in other places, without reading a URDF.
@@ -293,7 +295,7 @@ class Hand:
 
     def configuration_vector(
         self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    ) -> Array:
         """Compose Pinocchio's configuration vector, shape (model.nq,).
 
         Args:
@@ -320,7 +322,7 @@ class Hand:
         return vector
 
     def write_configuration(
-        self, vector: np.ndarray, q: np.ndarray, wrist_pose: np.ndarray | None = None
+        self, vector: Array, q: Array, wrist_pose: Array | None = None
     ) -> None:
         """Write a configuration into an array of the caller's, for use sample by sample.
 
@@ -344,7 +346,7 @@ class Hand:
                 got="arrays that do not fit",
             ) from error
 
-    def all_joints(self, q: npt.ArrayLike) -> np.ndarray:
+    def all_joints(self, q: npt.ArrayLike) -> Array:
         """Compute the positions of every movable joint, for a driver that needs them.
 
         Args:
@@ -364,9 +366,7 @@ class Hand:
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
         return np.concatenate([self._moving.all_joints(angles), locked], axis=-1)
 
-    def points(
-        self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    def points(self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None) -> Array:
         """Compute the positions of the reference points in the world (eq. 4) [m], shape (m, 3).
 
         Args and errors are those of `configuration_vector`.
@@ -375,7 +375,7 @@ class Hand:
 
     def point_jacobian(
         self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    ) -> Array:
         """Compute the derivative of the reference points with respect to the joint angles.
 
         Args and errors are those of `configuration_vector`.
@@ -387,7 +387,7 @@ class Hand:
 
     def frame_pose(
         self, frame: str, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    ) -> Array:
         """Compute the pose of a frame in the world, shape (4, 4).
 
         Args:
@@ -409,7 +409,7 @@ class Hand:
 
     def link_poses(
         self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> np.ndarray:
+    ) -> Array:
         """Compute the poses of k links of the URDF in the world, shape (k, 4, 4).
 
         Only links are searched. The other arguments are those of `configuration_vector`.
@@ -430,9 +430,7 @@ class Hand:
         poses = [placed.frame_pose(frame) for frame in frames]
         return np.array(poses).reshape(-1, 4, 4)
 
-    def _index_joints(
-        self, rules: Mapping[str, MimicSpec], locked: Mapping[str, float]
-    ) -> None:
+    def _index_joints(self, rules: Rules, locked: Positions) -> None:
         """Name all joints, find them in Pinocchio's vectors, and map the active ones to all."""
         model = self.model
         names = self.spec.all_joints
@@ -471,11 +469,12 @@ class Hand:
         wrist = self._frame("/wrist", spec.wrist.link, "wrist.link", np.eye(4))
         self.palm_frame_id = model.addFrame(palm)
         self.wrist_frame_id = model.addFrame(wrist)
-        check_wrist(model, spec, self.mount, self.wrist_frame_id, self.palm_frame_id)
+        frames = self.wrist_frame_id, self.palm_frame_id
+        spec.reject(wrist_problems(model, spec, self.mount, *frames))
         self._wrist_to_root = wrist.placement.inverse()
         self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
 
-    def _frame(self, name: str, link: str, key: str, pose: np.ndarray) -> pin.Frame:
+    def _frame(self, name: str, link: str, key: str, pose: Array) -> pin.Frame:
         """Return a frame of a new name at a pose (4, 4) on a link, which a key of the spec names.
 
         Raises:
@@ -484,7 +483,7 @@ class Hand:
         model = self.model
         # By kind as well as by name: in many URDFs a joint has the name of its link.
         if not model.existBodyName(link):
-            raise self.spec.error(f"the URDF has no link {link!r}", key=key, value=link)
+            raise self.spec.error(f"the URDF has no link {link!r}", key, link)
         at = model.getBodyId(link)
         parent = model.frames[at]
         placement = parent.placement * pin.SE3(pose)
@@ -542,7 +541,7 @@ def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ..
         _choose_point(spec, point, f"points[{i}]") for i, point in enumerate(points)
     )
     if not chosen:
-        raise spec.error("expected at least one reference point", key="points")
+        raise spec.error("expected at least one reference point", "points")
     spec.reject(twice([point.name for point in chosen], "points"))
     return chosen
 
@@ -566,7 +565,7 @@ def _look_up(spec: HandSpec, kind: str, named: Mapping[str, Any], name: str) -> 
     if name not in named:
         known = ", ".join(named)
         message = f"no {kind} {name!r}; there are {known}"
-        raise spec.error(message, key=f"{kind}s", value=name)
+        raise spec.error(message, f"{kind}s", name)
     return named[name]
 
 
@@ -574,6 +573,6 @@ def _check_type(argument: str, value: Any, kind: Any, expected: str) -> None:
     expect(isinstance(value, kind), argument, expected, value=value)
 
 
-def _frozen(values: npt.ArrayLike) -> np.ndarray:
+def _frozen(values: npt.ArrayLike) -> Array:
     """Return a write-protected copy as floats."""
     return frozen(np.array(values, dtype=float))

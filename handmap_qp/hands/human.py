@@ -5,8 +5,6 @@ The hand itself is an ordinary hand in `urdf/human`. It can be scaled to a perso
 URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirror`).
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable
@@ -18,8 +16,9 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from handmap_qp.errors import HandError, expect
-from handmap_qp.hands.sources import urdf_directory
-from handmap_qp.hands.urdf import (
+from handmap_qp.se3 import Array, as_floats, frozen
+from .sources import urdf_directory
+from .urdf import (
     child_of,
     get_numbers,
     joints_by_name,
@@ -27,7 +26,6 @@ from handmap_qp.hands.urdf import (
     parse_urdf,
     set_numbers,
 )
-from handmap_qp.se3 import as_floats, frozen
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """The fingers, in the order of the rows of `HumanLengths`."""
@@ -87,9 +85,9 @@ class HumanLengths:
             not at the -x side of the little one, or a roll that is too large.
     """
 
-    bases: np.ndarray
-    segments: np.ndarray
-    rolls: np.ndarray = field(default_factory=partial(np.zeros, 5))
+    bases: Array
+    segments: Array
+    rolls: Array = field(default_factory=partial(np.zeros, 5))
     contact_gap: float = CONTACT_GAP
 
     def __post_init__(self) -> None:
@@ -112,7 +110,7 @@ class HumanLengths:
         ):
             expect(is_valid, name, expected, value=getattr(self, name), got=got)
 
-    def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray | float, ...]]:
+    def __reduce__(self) -> tuple[type[Self], tuple[Array | float, ...]]:
         return type(self), (self.bases, self.segments, self.rolls, self.contact_gap)
 
     @property
@@ -171,7 +169,7 @@ class HumanLengths:
         )
 
 
-JointMove = tuple[np.ndarray, float]
+JointMove = tuple[Array, float]
 """Position of a joint on its parent link [m], shape (3,), and a turn about its own x axis [rad]."""
 
 
@@ -199,7 +197,7 @@ def joint_moves(
     return moves
 
 
-def shape_stretches(old: HumanLengths, new: HumanLengths) -> dict[str, np.ndarray]:
+def shape_stretches(old: HumanLengths, new: HumanLengths) -> dict[str, Array]:
     """Return factors on the shapes of the fingers' bones when a hand is scaled to a person.
 
     Args:
@@ -287,7 +285,7 @@ def _joints(robot: Element) -> dict[str, Element]:
 
 def _palm_map(
     old: HumanLengths, new: HumanLengths, shape_name: str
-) -> Callable[[np.ndarray], np.ndarray]:
+) -> Callable[[Array], Array]:
     """Return the map of points of a shape in the palm."""
     sizes = [
         (each.bases[4, 0] - each.bases[1, 0], each.bases[2, 1], each.hand_length)
@@ -301,16 +299,14 @@ def _palm_map(
     base = old.bases[rows].mean(axis=0)
     residual = new.bases[rows].mean(axis=0) - scale * base
 
-    def follow(point: np.ndarray) -> np.ndarray:
+    def follow(point: Array) -> Array:
         # Add the residual at the finger base, weighted linearly from wrist to base.
         return scale * point + max(0.0, point @ base / (base @ base)) * residual
 
     return follow
 
 
-def _scale_shape(
-    shape: Element, move: Callable[[np.ndarray], np.ndarray], size: float
-) -> None:
+def _scale_shape(shape: Element, move: Callable[[Array], Array], size: float) -> None:
     """Move a primitive's centre and ends by `move`, and scale its thickness by `size`."""
     pose = origin_of(shape)
     primitive = shape.find("geometry/*")

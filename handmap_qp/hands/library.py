@@ -4,8 +4,6 @@
 whose models other packages ship (`urdf/described/<name>.yaml`). Only the human's can be scaled.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache, partial
@@ -20,16 +18,16 @@ from handmap_qp.errors import (
     did_you_mean,
     expect,
 )
-from handmap_qp.hands.hand import Hand, Points
-from handmap_qp.hands.human import (
+from .hand import Hand, Points
+from .human import (
     HumanLengths,
     joint_moves,
     scaled_human_urdf,
     shape_stretches,
 )
-from handmap_qp.hands.model import compose_urdf
-from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory
-from handmap_qp.hands.spec import HandSpec, Mount, is_named_source, read_hand_spec
+from .model import compose_urdf
+from .sources import read_urdf, source_file, urdf_directory
+from .spec import HandSpec, Mount, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
 _ROBOT_FILES = (".urdf", ".xml", ".mjcf", ".xacro")

@@ -15,7 +15,6 @@ import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import mujoco
@@ -25,10 +24,10 @@ import trimesh
 from trimesh.exchange.stl import export_stl
 
 from handmap_qp.errors import HandError, reason_of
-from handmap_qp.hands.mjcf_couplings import read_couplings
-from handmap_qp.hands.sources import root_tag
-from handmap_qp.hands.urdf import set_numbers, set_origin
-from handmap_qp.se3 import affine, inverse_pose, rotation_from_quat_wxyz
+from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
+from .mjcf_couplings import read_couplings
+from .sources import root_tag
+from .urdf import set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -44,26 +43,6 @@ _CONVERSION = 3
 _SMALL_RANGE = 0.06
 
 
-class ConvertedMjcf(NamedTuple):
-    """An MJCF model as a URDF.
-
-    Attributes:
-        text: The URDF.
-        meshes: Its meshes [m] by file, relative to the URDF.
-        notes: What a URDF cannot express, one sentence each.
-        model: The compiled model.
-        links: Name of the link of each body, by the body's index.
-        joints: Name of each hinge and slide joint, by its index.
-    """
-
-    text: str
-    meshes: dict[str, trimesh.Trimesh]
-    notes: tuple[str, ...]
-    model: mujoco.MjModel
-    links: dict[int, str]
-    joints: dict[int, str]
-
-
 def convert_mjcf(file: Path, meshes: str = "meshes") -> ConvertedMjcf:
     """Compile an MJCF file and describe it as a URDF, not yet written.
 
@@ -77,10 +56,10 @@ def convert_mjcf(file: Path, meshes: str = "meshes") -> ConvertedMjcf:
     model, name, notes = _compile(file)
     if not (model.jnt_type != _FREE).any():
         raise HandError("no joint moves in the MJCF", file=file)
-    return _Converter(model, meshes, notes).convert(name)
+    return ConvertedMjcf(model, name, notes, meshes)
 
 
-def _compile(file: Path) -> tuple[mujoco.MjModel, str, list[str]]:
+def _compile(file: Path) -> tuple[mujoco.MjModel, str, tuple[str, ...]]:
     """Return a compiled file, its name, and a note if its unit of angles was guessed.
 
     MuJoCo's default unit of angles is the degree. Parts of robots that other files include often
@@ -95,15 +74,13 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, list[str]]:
         # Keep bodies without joints, and shapes that only show.
         spec.compiler.fusestatic = spec.compiler.discardvisual = False
         model = spec.compile()
-        notes = []
+        notes: tuple[str, ...] = ()
         is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
         ranges = model.jnt_range[is_hinge & (model.jnt_limited != 0)]
         widest = np.ptp(ranges, axis=1).max(initial=0.0)
         if spec.compiler.degree and 0.0 < widest < _SMALL_RANGE:
-            notes.append(
-                f"ranges of at most {math.degrees(widest):.2g} deg make no sense: angles are "
-                "taken as radians"
-            )
+            what = f"ranges of at most {math.degrees(widest):.2g} deg make no sense"
+            notes = (f"{what}: angles are taken as radians",)
             spec.compiler.degree = False
             model = spec.compile()
         # Bindings decode names only when they are asked for them.
@@ -195,47 +172,57 @@ def cached_urdf(file: Path) -> Path:
     return urdf
 
 
-class _Converter:
-    """Writes the links and joints of one model, and collects its meshes.
+class ConvertedMjcf:
+    """An MJCF model as a URDF.
+
+    Args:
+        model: The compiled model.
+        name: The robot's name.
+        notes: Oddities of the file.
+        folder: Folder of the meshes, relative to the URDF.
 
     Attributes:
-        meshes: Each mesh [m] by the path of its file relative to the URDF.
+        text: The URDF.
+        meshes: Its meshes [m] by file, relative to the URDF.
+        notes: What a URDF cannot express, one sentence each.
+        model: The compiled model.
+        links: Name of the link of each body, by the body's index.
+        joints: Name of each hinge and slide joint, by its index.
     """
 
-    def __init__(self, model: mujoco.MjModel, folder: str, notes: list[str]) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, name: str, notes: tuple[str, ...], folder: str
+    ) -> None:
         self.model = model
         self.notes = notes
         self.meshes: dict[str, trimesh.Trimesh] = {}
         self._folder = folder
-        # Kinds of geoms that have no counterpart in URDF.
-        self._omitted = set[str]()
-        taken = set[str]()
-        self._mesh_names = [
-            _unique(_file_name(model.mesh(i).name or f"mesh{i}"), taken)
+        self._taken = set[tuple[str, str]]()
+        self._files = [
+            self._unique("mesh", _file_name(model.mesh(i).name or f"mesh{i}"))
             for i in range(model.nmesh)
         ]
-        self._link_names = set[str]()
-        self._joint_names = set[str]()
         self.links = {
-            body: _unique(model.body(body).name or f"body{body}", self._link_names)
+            body: self._unique("link", model.body(body).name or f"body{body}")
             for body in self._kept()
         }
         self.joints = {
-            joint: _unique(
-                model.joint(joint).name or f"joint{joint}", self._joint_names
-            )
+            joint: self._unique("joint", _joint_name(model, joint))
             for joint in range(model.njnt)
             if model.jnt_type[joint] not in (_FREE, _BALL)
             and model.jnt_bodyid[joint] in self.links
         }
-        self.data = mujoco.MjData(model)
-        self.data.qpos[model.jnt_qposadr[list(self.joints)]] = 0.0
-        mujoco.mj_kinematics(model, self.data)
-        self.rules, more = read_couplings(model, self.joints)
-        self.notes += more
+        self._data = mujoco.MjData(model)
+        self._data.qpos[model.jnt_qposadr[[*self.joints]]] = 0.0
+        mujoco.mj_kinematics(model, self._data)
+        self._rules, more = read_couplings(model, self.joints)
+        self.notes += tuple(more)
+        # Kinds of geoms that have no counterpart in URDF.
+        self._omitted = set[str]()
+        self.text = self._described(name)
 
-    def convert(self, name: str) -> ConvertedMjcf:
-        """Write all links and joints of a robot."""
+    def _described(self, name: str) -> str:
+        """Return the URDF with all links and joints."""
         robot = Element("robot", name=_file_name(name))
         for body, link in self.links.items():
             if body == 0:
@@ -244,18 +231,21 @@ class _Converter:
                 self._add_body(robot, body, link)
         if self._omitted:
             kinds = ", ".join(sorted(self._omitted))
-            self.notes.append(
-                f"shapes without a counterpart in URDF are left out: {kinds}"
+            self.notes += (
+                f"shapes without a counterpart in URDF are left out: {kinds}",
             )
         indent(robot)
-        return ConvertedMjcf(
-            tostring(robot, encoding="unicode") + "\n",
-            self.meshes,
-            tuple(self.notes),
-            self.model,
-            self.links,
-            self.joints,
-        )
+        return tostring(robot, encoding="unicode") + "\n"
+
+    def _unique(self, kind: str, name: str) -> str:
+        """Return a name that no other thing of a kind has, whatever its case."""
+        found = name
+        number = 1
+        while (kind, found.lower()) in self._taken:
+            number += 1
+            found = f"{name}_{number}"
+        self._taken.add((kind, found.lower()))
+        return found
 
     def _kept(self) -> list[int]:
         """Return the world and the bodies of all trees with a hinge, a slide or a ball."""
@@ -265,68 +255,64 @@ class _Converter:
         left = np.flatnonzero(~is_kept & (model.body_parentid == 0)).tolist()
         if left:
             names = ", ".join(model.body(b).name or f"body {b}" for b in left)
-            self.notes.append(
-                f"bodies without joints of their own are left out: {names}"
-            )
+            self.notes += (f"bodies without joints of their own are left out: {names}",)
         return np.flatnonzero(is_kept).tolist()
 
     def _add_body(self, robot: Element, body: int, name: str) -> None:
         """Add a body's link, the joints that move it, and the links between these."""
         above = self.model.body_parentid[body]
-        pose = _body_pose(self.data, body)
+        pose = _body_pose(self._data, body)
         parent = self.links[above]
-        placed = _body_pose(self.data, above)
+        placed = _body_pose(self._data, above)
         steps = [*self._steps(body)]
-        last = len(steps) - 1
-        for number, (joint, title, direction) in enumerate(steps):
+        inner = [self._unique("link", f"{name}_{k}") for k in range(len(steps) - 1)]
+        for (joint, title, direction), link in zip(steps, [*inner, name], strict=True):
             element = SubElement(robot, "joint", name=title, type="fixed")
             frame = pose
             if joint is not None:
                 self._describe(element, joint, direction)
                 if self.model.jnt_type[joint] != _SLIDE:
-                    frame = affine(pose[:3, :3], self.data.xanchor[joint])
+                    frame = affine(pose[:3, :3], self._data.xanchor[joint])
             set_origin(element, inverse_pose(placed) @ frame)
-            placed = frame
             SubElement(element, "parent", link=parent)
-            parent = name
-            if number < last:
-                parent = _unique(f"{name}_{number}", self._link_names)
-            SubElement(element, "child", link=parent)
-            link = SubElement(robot, "link", name=parent)
-            if number == last:
-                self._add_inertial(link, body)
-                self._add_shapes(link, body)
+            SubElement(element, "child", link=link)
+            SubElement(robot, "link", name=link)
+            placed = frame
+            parent = link
+        # The last link is the body's own.
+        self._add_inertial(robot[-1], body)
+        self._add_shapes(robot[-1], body)
 
-    def _steps(self, body: int) -> Iterator[tuple[int | None, str, np.ndarray]]:
+    def _steps(self, body: int) -> Iterator[tuple[int | None, str, Array]]:
         """Iterate over the axes that move a body: joint, name, unit vector in the body's frame.
 
         A ball joint is three hinges, `q = q_x q_y q_z`. Without a joint, a last step leads to a
         frame beside that of the last axis.
         """
         model = self.model
-        to_body = self.data.xmat[body].reshape(3, 3).T
+        to_body = self._data.xmat[body].reshape(3, 3).T
         is_own = (model.jnt_bodyid == body) & (model.jnt_type != _FREE)
         is_there = False
         for joint in np.flatnonzero(is_own).tolist():
             is_there = model.jnt_type[joint] == _SLIDE or not model.jnt_pos[joint].any()
             if joint in self.joints:
-                yield joint, self.joints[joint], to_body @ self.data.xaxis[joint]
+                yield joint, self.joints[joint], to_body @ self._data.xaxis[joint]
                 continue
-            name = model.joint(joint).name or f"joint{joint}"
-            names = [_unique(f"{name}_{letter}", self._joint_names) for letter in "xyz"]
+            name = _joint_name(model, joint)
+            names = [self._unique("joint", f"{name}_{letter}") for letter in "xyz"]
             hinges = ", ".join(names)
-            self.notes.append(f"the ball joint {name} is three hinges: {hinges}")
+            self.notes += (f"the ball joint {name} is three hinges: {hinges}",)
             for axis in zip(names, np.eye(3), strict=True):
                 yield joint, *axis
         if not is_there:
-            name = _unique(f"{self.links[body]}_fixed", self._joint_names)
+            name = self._unique("joint", f"{self.links[body]}_fixed")
             yield None, name, np.zeros(3)
 
-    def _describe(self, element: Element, joint: int, direction: np.ndarray) -> None:
+    def _describe(self, element: Element, joint: int, direction: Array) -> None:
         """Write an axis of a joint, its limits, dynamics and mimic rule."""
         model = self.model
         kind = model.jnt_type[joint]
-        rule = self.rules.get(joint)
+        rule = self._rules.get(joint)
         low, high = model.jnt_range[joint]
         ends: dict[str, float] = {}
         if rule is not None and rule.leader is None:
@@ -340,11 +326,8 @@ class _Converter:
         set_numbers(SubElement(element, "limit"), **ends, effort=self._effort(joint))
         dof = model.jnt_dofadr[joint]
         damping = np.ravel(model.dof_damping[dof])[:1]
-        set_numbers(
-            SubElement(element, "dynamics"),
-            damping=damping,
-            friction=model.dof_frictionloss[dof],
-        )
+        friction = model.dof_frictionloss[dof]
+        set_numbers(SubElement(element, "dynamics"), damping=damping, friction=friction)
         if rule is not None and rule.leader is not None:
             mimic = SubElement(element, "mimic", joint=self.joints[rule.leader])
             set_numbers(mimic, multiplier=rule.multiplier, offset=rule.offset)
@@ -352,11 +335,9 @@ class _Converter:
     def _effort(self, joint: int) -> float:
         """Return the largest force or torque of a joint's actuators [N or N m]."""
         model = self.model
-        is_motor = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-        is_motor &= model.actuator_trnid[:, 0] == joint
-        ranges = model.actuator_forcerange[
-            is_motor & (model.actuator_forcelimited != 0)
-        ]
+        is_own = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+        is_own &= model.actuator_trnid[:, 0] == joint
+        ranges = model.actuator_forcerange[is_own & (model.actuator_forcelimited != 0)]
         if model.jnt_actfrclimited[joint]:
             ranges = model.jnt_actfrcrange[joint]
         return float(np.abs(ranges).max(initial=0.0)) or _NO_EFFORT_LIMIT
@@ -367,23 +348,11 @@ class _Converter:
             return
         element = SubElement(link, "inertial")
         # Along the principal axes, in which the inertia is diagonal.
-        set_origin(
-            element,
-            affine(
-                rotation_from_quat_wxyz(model.body_iquat[body]), model.body_ipos[body]
-            ),
-        )
+        set_origin(element, _pose(model.body_ipos[body], model.body_iquat[body]))
         set_numbers(SubElement(element, "mass"), value=model.body_mass[body])
         xx, yy, zz = model.body_inertia[body]
-        set_numbers(
-            SubElement(element, "inertia"),
-            ixx=xx,
-            ixy=0.0,
-            ixz=0.0,
-            iyy=yy,
-            iyz=0.0,
-            izz=zz,
-        )
+        numbers = {"ixx": xx, "ixy": 0, "ixz": 0, "iyy": yy, "iyz": 0, "izz": zz}
+        set_numbers(SubElement(element, "inertia"), **numbers)
 
     def _add_shapes(self, link: Element, body: int) -> None:
         """Add the geoms of a body to its `<link>`, whose frame is the body's.
@@ -405,13 +374,11 @@ class _Converter:
                     set_origin(element, pose)
                     SubElement(element, "geometry").append(geometry)
 
-    def _geometries(self, geom: int) -> Iterator[tuple[np.ndarray, Element]]:
+    def _geometries(self, geom: int) -> Iterator[tuple[Array, Element]]:
         """Iterate over the URDF geometries of a geom, with their poses in the link."""
         model = self.model
         size = model.geom_size[geom]
-        pose = affine(
-            rotation_from_quat_wxyz(model.geom_quat[geom]), model.geom_pos[geom]
-        )
+        pose = _pose(model.geom_pos[geom], model.geom_quat[geom])
         kind = mujoco.mjtGeom(int(model.geom_type[geom])).name
         match kind := kind.removeprefix("mjGEOM_").lower():
             case "mesh" | "sdf":
@@ -438,25 +405,22 @@ class _Converter:
         own = self.model.mesh(mesh)
         vertices = self.model.mesh_vert[own.vertadr[0] :][: own.vertnum[0]]
         faces = self.model.mesh_face[own.faceadr[0] :][: own.facenum[0]]
-        file = f"{self._folder}/{self._mesh_names[mesh]}.stl"
+        file = f"{self._folder}/{self._files[mesh]}.stl"
         self.meshes[file] = trimesh.Trimesh(vertices, faces, process=False)
         return Element("mesh", filename=file)
 
 
-def _body_pose(data: mujoco.MjData, body: int) -> np.ndarray:
+def _pose(position: Array, quaternion: Array) -> Array:
+    return affine(rotation_from_quat_wxyz(quaternion), position)
+
+
+def _body_pose(data: mujoco.MjData, body: int) -> Array:
     """Return the pose of a body in the world, shape (4, 4)."""
     return affine(data.xmat[body].reshape(3, 3), data.xpos[body])
 
 
-def _unique(name: str, taken: set[str]) -> str:
-    """Return a name that is not taken yet, whatever its case, and count it as taken."""
-    found = name
-    number = 1
-    while found.lower() in taken:
-        number += 1
-        found = f"{name}_{number}"
-    taken.add(found.lower())
-    return found
+def _joint_name(model: mujoco.MjModel, joint: int) -> str:
+    return model.joint(joint).name or f"joint{joint}"
 
 
 def _file_name(name: str) -> str:

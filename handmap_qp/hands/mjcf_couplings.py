@@ -5,8 +5,6 @@ finger, fit into a URDF: one of them leads, and each of the others follows it al
 curve is solved from MuJoCo's own constraints, and its best line is written.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping
 from copy import copy
@@ -17,6 +15,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 from scipy.sparse.csgraph import connected_components
+
+from handmap_qp.se3 import Array
 
 _DISABLE = mujoco.mjtDisableBit
 # Postures at which a curve is solved, Newton iterations of each, and the residual of a solution
@@ -47,7 +47,7 @@ class Coupling(NamedTuple):
     offset: float
 
 
-_Residual = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+_Residual = Callable[[Array], tuple[Array, Array]]
 """Residuals of constraints and their derivatives at positions of joints."""
 _Solution = tuple[dict[int, Coupling], list[str]]
 """Rules of followers, and notes on them."""
@@ -219,9 +219,7 @@ class _Constraints:
             driven.update(_fixed_tendon(model, tendon))
         return max(sorted(coupled), key=lambda j: (j in leading, j in driven))
 
-    def _curve(
-        self, residual: _Residual, leader: int, start: np.ndarray
-    ) -> list[np.ndarray]:
+    def _curve(self, residual: _Residual, leader: int, start: Array) -> list[Array]:
         """Follow closed postures over the range of the leader, the first of the joints."""
         ends = self._model.jnt_range[leader]
         if not self._model.jnt_limited[leader]:
@@ -240,8 +238,8 @@ class _Constraints:
         return found
 
     def _residual(
-        self, joints: list[int], constraints: list[int], q: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, joints: list[int], constraints: list[int], q: Array
+    ) -> tuple[Array, Array]:
         """Return the residuals of constraints and their derivatives by joints.
 
         Each constraint is scaled so that metres and radians count alike.
@@ -261,7 +259,7 @@ class _Constraints:
         return rows[:, 0], rows[:, 1:]
 
 
-def _closed(residual: _Residual, q: np.ndarray, first: int) -> np.ndarray | None:
+def _closed(residual: _Residual, q: Array, first: int) -> Array | None:
     """Find a posture near another that satisfies constraints, moving the joints from `first`.
 
     Returns None if there is none.

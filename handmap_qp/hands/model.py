@@ -8,10 +8,8 @@ variables of the model, and the rules one linear map on top of it,
 so followers are not variables of the QP. A leader may follow another joint itself.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, get_args
 from xml.etree.ElementTree import Element, tostring
 
@@ -19,9 +17,17 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, expect, reason_of
-from handmap_qp.hands.sources import read_urdf
-from handmap_qp.hands.spec import HandSpec, MimicSpec, Mount
-from handmap_qp.hands.urdf import (
+from handmap_qp.se3 import Array, affine
+from .sources import read_urdf
+from .spec import (
+    HandSpec,
+    MimicSpec,
+    Mount,
+    Positions,
+    Problems,
+    Rules,
+)
+from .urdf import (
     MOVABLE,
     NO_LIMIT,
     check_tree,
@@ -33,7 +39,6 @@ from handmap_qp.hands.urdf import (
     prepare_urdf,
     remove_subtrees,
 )
-from handmap_qp.se3 import affine
 
 FLOATING_JOINT = "wrist_mount"
 """Name of the free-flyer that carries a floating hand."""
@@ -58,17 +63,12 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
     if spec.arm is None:
         return mount or spec.wrist.mount
     if mount == "floating":
-        raise spec.error(
-            f"{spec.name} is mounted on {spec.arm.name}, and cannot float",
-            key="arm",
-            value=mount,
-        )
+        problem = f"{spec.name} is mounted on {spec.arm.name}, and cannot float"
+        raise spec.error(problem, "arm", mount)
     return "fixed"
 
 
-def compose_urdf(
-    spec: HandSpec, text: str | bytes
-) -> tuple[str, dict[str, float], dict[str, MimicSpec]]:
+def compose_urdf(spec: HandSpec, text: str | bytes) -> tuple[str, Positions, Rules]:
     """Compose the URDF that a hand's model is built from.
 
     Keep the part from `root` outwards; write `mimic`, `locked` and `limits` into it; mount it on
@@ -96,15 +96,11 @@ def compose_urdf(
             mirror(robot)
         return tostring(robot, encoding="unicode"), locked, read_mimic_rules(robot)
     except HandError as error:
-        key = error.key or "urdf"
-        raise spec.error(error.problem, key=key, value=error.value) from error
+        raise spec.error(error.problem, error.key or "urdf", error.value) from error
 
 
 def build_model(
-    spec: HandSpec,
-    urdf_text: str,
-    mount: Mount,
-    rules: Mapping[str, MimicSpec],
+    spec: HandSpec, urdf_text: str, mount: Mount, rules: Rules
 ) -> pin.Model:
     """Build the Pinocchio model of a composed URDF: every movable joint is a variable.
 
@@ -115,38 +111,35 @@ def build_model(
     try:
         model = pin.buildModelFromXML(urdf_text, *root)
     except (RuntimeError, ValueError) as error:
-        raise spec.error(
-            f"Pinocchio cannot read the URDF: {reason_of(error)}",
-            key="urdf",
-        ) from error
-    own = set(spec.all_joints)
-    movable = {*model.names} - {"universe", FLOATING_JOINT}
-    for message, names in (
-        (
-            "mimics {}: leave it out, or give its rule in `mimic`",
-            own & rules.keys(),
-        ),
-        ("is missing: name it here or in `locked`", movable - own - rules.keys()),
-        ("is not a movable joint of the URDF", own - movable),
-    ):
-        for name in sorted(names):
-            leader = repr(rules[name].joint) if name in rules else ""
-            raise spec.error(
-                f"{name!r} {message.format(leader)}", key="joints", value=name
-            )
+        problem = f"Pinocchio cannot read the URDF: {reason_of(error)}"
+        raise spec.error(problem, "urdf") from error
+    spec.reject(_joint_problems(spec, {*model.names}, rules))
     return model
 
 
-def palm_in_link(spec: HandSpec) -> np.ndarray:
+def _joint_problems(spec: HandSpec, names: set[str], rules: Rules) -> Problems:
+    """Check that a model has the joints of a description, and followers."""
+    own = {*spec.all_joints}
+    movable = names - {"universe", FLOATING_JOINT}
+    for name in sorted(own & rules.keys()):
+        mimics = f"{name!r} mimics {rules[name].joint!r}"
+        yield f"{mimics}: leave it out, or give its rule in `mimic`", "joints", name
+    for name in sorted(movable - own - rules.keys()):
+        yield f"{name!r} is missing: name it here or in `locked`", "joints", name
+    for name in sorted(own - movable):
+        yield f"{name!r} is not a movable joint of the URDF", "joints", name
+
+
+def palm_in_link(spec: HandSpec) -> Array:
     """Return the pose of the palm frame in its link, shape (4, 4)."""
     palm = spec.palm
     side = np.cross(palm.distal, palm.dorsal)
     return affine(np.column_stack([side, palm.distal, palm.dorsal]), palm.xyz)
 
 
-def check_limits(
-    spec: HandSpec, limits: Sequence[np.ndarray], postures: dict[str, np.ndarray | None]
-) -> None:
+def limit_problems(
+    spec: HandSpec, limits: Sequence[Array], postures: dict[str, Array | None]
+) -> Problems:
     """Check that limits are finite and that the description's postures lie inside them.
 
     Args:
@@ -154,50 +147,30 @@ def check_limits(
         limits: Position limits, lower and upper [rad or m], and speed limits [rad/s or m/s], of
             `spec.all_joints`, shape (n,) each.
         postures: Rest posture and others by key [rad or m]; None where there is none.
-
-    Raises:
-        HandError: With the joint at fault, and the key that gives its limits.
     """
     rows = enumerate(zip(spec.all_joints, *limits, strict=True))
     for i, (name, lower, upper, speed) in rows:
         interval = f"[{lower:.6g}, {upper:.6g}]"
         key = f"limits.{name}"
         if not max(-lower, upper) < NO_LIMIT:
-            raise spec.error(
-                f"{name!r} has no limits in the URDF: give lower, upper and velocity",
-                key=key,
-                value=name,
-            )
+            lacks = "has no limits in the URDF: give lower, upper and velocity"
+            yield f"{name!r} {lacks}", key, name
         if not lower < upper:
-            raise spec.error(
-                f"{name!r} needs limits with lower < upper, got {interval}", key=key
-            )
+            yield f"{name!r} needs limits with lower < upper, got {interval}", key, None
         if not 0.0 < speed < math.inf:
-            raise spec.error(
-                f"{name!r} needs a velocity limit > 0, got {speed:.6g}", key=key
-            )
-        for key, posture in postures.items():
-            if posture is not None and not lower <= posture[i] <= upper:
-                raise spec.error(
-                    f"{posture[i]:.6g} is outside the joint's limits {interval}",
-                    key=f"{key}.{name}",
-                    value=float(posture[i]),
-                )
+            yield f"{name!r} needs a velocity limit > 0, got {speed:.6g}", key, None
+        for title, posture in postures.items():
+            if posture is not None and not lower <= (at := posture[i]) <= upper:
+                outside = f"{at:.6g} is outside the joint's limits {interval}"
+                yield outside, f"{title}.{name}", float(at)
 
 
-def check_wrist(
-    model: pin.Model,
-    spec: HandSpec,
-    mount: Mount,
-    wrist: int,
-    palm: int,
-) -> None:
-    """Reject a wrist or palm that moves with the fingers.
+def wrist_problems(
+    model: pin.Model, spec: HandSpec, mount: Mount, wrist: int, palm: int
+) -> Problems:
+    """Check that wrist and palm do not move with the fingers.
 
     Only the free-flyer or the joints of an arm may move them, and both together.
-
-    Raises:
-        HandError: With the key of the link at fault.
     """
     joints = [model.frames[frame].parentJoint for frame in (wrist, palm)]
     links = {point.link for point in spec.points if model.existBodyName(point.link)}
@@ -207,16 +180,12 @@ def check_wrist(
         # All other joints hang from it or carry it.
         related = {*model.subtrees[joint], *model.supports[joint]}
         if carriers - related or (mount == "floating" and joint != 1):
-            message = (
-                f"{link!r} moves with joints of the hand; it must be fixed to the root"
-            )
-            raise spec.error(f"{message}, or to an arm", key=key, value=link)
+            moves = f"{link!r} moves with joints of the hand"
+            yield f"{moves}; it must be fixed to the root, or to an arm", key, link
     if joints[0] != joints[1]:
-        raise spec.error(
-            f"{spec.palm.link!r} moves against the wrist's link {spec.wrist.link!r}",
-            key="palm.link",
-            value=spec.palm.link,
-        )
+        palm_link = spec.palm.link
+        what = f"moves against the wrist's link {spec.wrist.link!r}"
+        yield f"{palm_link!r} {what}", "palm.link", palm_link
 
 
 class Expansion(NamedTuple):
@@ -227,15 +196,15 @@ class Expansion(NamedTuple):
         offset: Position of every joint where the active ones are zero [rad or m], shape (n_all,).
     """
 
-    matrix: np.ndarray
-    offset: np.ndarray
+    matrix: Array
+    offset: Array
 
-    def all_joints(self, q: np.ndarray) -> np.ndarray:
+    def all_joints(self, q: Array) -> Array:
         """Return the positions of all joints [rad or m], shape (..., n_all), of (..., n_active)."""
         return q @ self.matrix.T + self.offset
 
 
-def read_mimic_rules(robot: Element) -> dict[str, MimicSpec]:
+def read_mimic_rules(robot: Element) -> Rules:
     """Read the mimic rules of a URDF, resolved to leaders that follow no other joint.
 
     Returns:
@@ -258,7 +227,7 @@ def read_mimic_rules(robot: Element) -> dict[str, MimicSpec]:
     return {follower: _resolve(follower, direct) for follower in direct}
 
 
-def _resolve(follower: str, direct: Mapping[str, MimicSpec]) -> MimicSpec:
+def _resolve(follower: str, direct: Rules) -> MimicSpec:
     """Follow the leaders to one that follows no other: a (b q + c) + d = (a b) q + (a c + d)."""
     passed = [follower]
     rule = direct[follower]
@@ -279,7 +248,7 @@ def _resolve(follower: str, direct: Mapping[str, MimicSpec]) -> MimicSpec:
 
 
 def expansion_matrix(
-    names: Sequence[str], active: Sequence[str], rules: Mapping[str, MimicSpec]
+    names: Sequence[str], active: Sequence[str], rules: Rules
 ) -> Expansion:
     """Compose S and offset.
 
@@ -297,7 +266,7 @@ def expansion_matrix(
     return Expansion(matrix, offset)
 
 
-def tighten_model(model: pin.Model, rules: Mapping[str, MimicSpec]) -> tuple[str, ...]:
+def tighten_model(model: pin.Model, rules: Rules) -> tuple[str, ...]:
     """Tighten the limits of leaders in a model so that their followers stay inside theirs.
 
     Limits that would leave a leader almost no range contradict the rule, and are dropped. A

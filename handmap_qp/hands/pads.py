@@ -3,8 +3,6 @@
 A description names them, or they are found in the collision shapes.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping
 from functools import lru_cache
@@ -15,11 +13,11 @@ import coal
 import msgspec
 import numpy as np
 
-from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import Finger, place_of
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import PointSpec
-from handmap_qp.se3 import transform_points, unit
+from handmap_qp.se3 import Array, transform_points, unit
+from .collision_shapes import read_collision_shapes
+from .fingers import Finger, place_of
+from .hand import Hand
+from .spec import PointSpec
 
 # A fingertip that lies deeper under its surface than this is the middle of a round tip [m].
 _DEEP = 0.004
@@ -45,7 +43,7 @@ class Pad(NamedTuple):
     """
 
     joint: int
-    offset: np.ndarray
+    offset: Array
     radius: float
     cover: float = 0.0
 
@@ -67,7 +65,7 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
 
 
 @lru_cache(maxsize=32)
-def _surfaces(hand: Hand) -> dict[int, list[tuple[np.ndarray, float]]]:
+def _surfaces(hand: Hand) -> dict[int, list[tuple[Array, float]]]:
     """Return points (k, 3) and a radius of the shapes of each joint [m]: hulls of balls."""
     surfaces = defaultdict(list)
     for shape in read_collision_shapes(hand).geometryObjects:
@@ -95,12 +93,12 @@ def _pad(hand: Hand, chain: Finger, point: PointSpec | None) -> Pad:
     return Pad(joint, *(_ball(supports, middle) if supports else (middle, _RADIUS)))
 
 
-def _supports(points: np.ndarray, radius: float) -> np.ndarray:
+def _supports(points: Array, radius: float) -> Array:
     """Return the largest `n p` of balls around points (k, 3) for every direction n."""
     return (points @ _DIRECTIONS.T).max(axis=0) + radius
 
 
-def _depths(supports: list[np.ndarray], points: np.ndarray) -> np.ndarray:
+def _depths(supports: list[Array], points: Array) -> Array:
     """Return how deep points (..., 3) are under convex surfaces [m], shape (...); negative outside.
 
     Args:
@@ -111,7 +109,7 @@ def _depths(supports: list[np.ndarray], points: np.ndarray) -> np.ndarray:
     return np.max([(support - ahead).min(axis=-1) for support in supports], axis=0)
 
 
-def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
+def ball_in(points: Array, tip: Array) -> tuple[Array, float]:
     """Find the ball under a fingertip's surface.
 
     Args:
@@ -124,7 +122,7 @@ def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
     return _ball([_supports(points, 0.0)], tip)
 
 
-def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, float]:
+def _ball(supports: list[Array], tip: Array) -> tuple[Array, float]:
     """Return centre and radius of the ball inside convex shapes, given by their supports."""
     steps = np.arange(0.0, _LONGEST + _STEP, _STEP)
     points = tip - np.outer(steps, unit(tip))
@@ -133,7 +131,7 @@ def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, floa
     return points[np.argmax(depths >= _SHARE * most)], max(most, _SMALLEST)
 
 
-def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:
+def _corners(geometry: coal.CollisionGeometry) -> tuple[Array, float]:
     """Return points and a radius so that the shape is the hull of balls around the points."""
     radius = 0.0
     match geometry:

@@ -13,8 +13,6 @@ A hand of a robot is a `Hand` whose model is that of the whole robot: palm, wris
 own, and every `q` has all joints of the robot. So a method, a task or a limit needs no other hand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import copy
 from functools import reduce
@@ -27,27 +25,29 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import find_file
-from handmap_qp.hands.model import compose_urdf
-from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory, urdf_path
-from handmap_qp.hands.spec import (
+from handmap_qp.se3 import affine, rotation_from_rpy
+from .hand import Hand
+from .library import find_file
+from .model import compose_urdf
+from .sources import read_urdf, source_file, urdf_directory, urdf_path
+from .spec import (
+    ORIGIN,
     Document,
     HandSpec,
+    Positions,
     Side,
     Vector,
     read_document,
     read_hand_spec,
     typed,
 )
-from handmap_qp.hands.urdf import (
+from .urdf import (
     parse_urdf,
     rename,
     root_links,
     set_mesh_paths,
     set_origin,
 )
-from handmap_qp.se3 import affine, rotation_from_rpy
 
 BASE = "robot_base"
 """Link that all hands stand on."""
@@ -63,8 +63,8 @@ class RobotHandSpec(Document, frozen=True):
     """
 
     hand: str
-    xyz: Vector = (0.0, 0.0, 0.0)
-    rpy: Vector = (0.0, 0.0, 0.0)
+    xyz: Vector = ORIGIN
+    rpy: Vector = ORIGIN
 
 
 class RobotSpec(Document, frozen=True):
@@ -170,7 +170,7 @@ def load_robot(robot: str | Path | RobotSpec) -> Robot:
     whole = Element("robot", name=robot.name)
     SubElement(whole, "link", name=BASE)
     prefixes: dict[Side, str] = {}
-    rest: dict[str, float] = {}
+    rest: Positions = {}
     for (_, place), sides in trees.items():
         prefix = "" if len(trees) == 1 else f"{sides[0]}_"
         spec = _merged([specs[side] for side in sides])
@@ -200,17 +200,11 @@ def _check_roots(robot: RobotSpec, specs: Sequence[HandSpec]) -> None:
 
 def _merged(specs: Sequence[HandSpec]) -> HandSpec:
     """Return the description of all joints that hands of one URDF move."""
-    rest = reduce(or_, (spec.rest for spec in specs))
-    locked = reduce(or_, (spec.locked for spec in specs))
-    return replace(
-        specs[0],
-        joints=(*rest,),
-        rest=rest,
-        matched=None,
-        locked={joint: at for joint, at in locked.items() if joint not in rest},
-        limits=reduce(or_, (spec.limits for spec in specs)),
-        mimic=reduce(or_, (spec.mimic for spec in specs)),
-    )
+    keys = "rest", "locked", "limits", "mimic"
+    whole = {k: reduce(or_, (getattr(spec, k) for spec in specs)) for k in keys}
+    rest = whole["rest"]
+    whole["locked"] = {j: at for j, at in whole["locked"].items() if j not in rest}
+    return replace(specs[0], joints=(*rest,), matched=None, **whole)
 
 
 def _stand(
@@ -229,9 +223,7 @@ def _stand(
     robot.extend(list(tree))
 
 
-def _on_robot(
-    spec: HandSpec, name: str, prefix: str, rest: dict[str, float]
-) -> HandSpec:
+def _on_robot(spec: HandSpec, name: str, prefix: str, rest: Positions) -> HandSpec:
     """Return the description of a hand in the composed URDF of its robot."""
 
     def renamed(value: Any) -> Any:

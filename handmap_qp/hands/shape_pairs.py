@@ -1,7 +1,5 @@
 """Pairs of a hand's collision shapes: those that its description names, or all that may collide."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations, compress, product
 from typing import NamedTuple
@@ -10,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import Finger, zero_posture
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
+from handmap_qp.se3 import Array
+from .collision_shapes import read_collision_shapes
+from .fingers import Finger, zero_posture
+from .hand import Hand
+from .human import THUMB
 
 LINK_MARGIN = 0.001
 """Margin between all links but those that pinch [m]."""
@@ -138,7 +137,7 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
 
 def common_pairs(
     of: Sequence[ShapePairs],
-) -> tuple[ShapePairs, list[tuple[np.ndarray, np.ndarray]]]:
+) -> tuple[ShapePairs, list[tuple[Array, Array]]]:
     """Return the pairs that all hands of one robot keep apart.
 
     Args:
@@ -194,15 +193,13 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
     return next(filter(None, found), [])
 
 
-def random_postures(hand: Hand, count: int) -> np.ndarray:
+def random_postures(hand: Hand, count: int) -> Array:
     """Return postures within the joint limits, always the same ones, shape (count, n)."""
     shape = count, len(hand.rest)
     return np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits, shape)
 
 
-def pair_distances(
-    hand: Hand, geometry: pin.GeometryModel, postures: np.ndarray
-) -> np.ndarray:
+def pair_distances(hand: Hand, geometry: pin.GeometryModel, postures: Array) -> Array:
     """Measure the distance of each of k pairs in postures (p, n) [m], shape (p, k)."""
     data = hand.model.createData()
     geometry_data = geometry.createData()

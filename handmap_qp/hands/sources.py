@@ -3,8 +3,6 @@
 A `urdf` is a path, `package://PACKAGE/path` or `robot_descriptions:MODULE`.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import io
@@ -25,7 +23,7 @@ from handmap_qp.errors import (
     reason_of,
     require,
 )
-from handmap_qp.hands.spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
+from .spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
 
 # Which variable of a description's module is taken, the first that it has.
 _VARIABLES = ("URDF_PATH", "MJCF_PATH")
@@ -142,7 +140,7 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
         if is_mjcf(path):
             return hands.mjcf.cached_urdf(path)
     except HandError as error:
-        raise _source_error(spec, error.problem) from error
+        raise spec.error(error.problem, "urdf", spec.urdf) from error
     return path
 
 
@@ -159,13 +157,8 @@ def read_urdf(spec: HandSpec | ArmSpec) -> bytes:
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         unset = re.search(r"\$\{(\w+)\}", str(path))
         reason = f"set the environment variable {unset[1]}" if unset else error
-        raise _source_error(spec, f"the URDF cannot be read: {reason}") from error
-
-
-def _source_error(spec: HandSpec | ArmSpec, problem: str) -> HandError:
-    if isinstance(spec, ArmSpec):
-        return HandError(problem, key="arm.urdf", value=spec.urdf)
-    return spec.error(problem, key="urdf", value=spec.urdf)
+        problem = f"the URDF cannot be read: {reason}"
+        raise spec.error(problem, "urdf", spec.urdf) from error
 
 
 def find_mesh(name: str, folder: Path) -> Path:

@@ -4,11 +4,9 @@ A spec says what the URDF does not. It is read from a file (`read_hand_spec`) or
 making a `Hand` checks it against its URDF.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
@@ -24,13 +22,16 @@ from handmap_qp.errors import HandError, reason_of
 Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
 Vector = tuple[float, float, float]
+ORIGIN: Vector = (0.0, 0.0, 0.0)
+Positions = dict[str, float]
+"""Positions of joints by name [rad or m]."""
 Positive = Annotated[float, Meta(gt=0.0)]
 UPRIGHT = r"^[+-]([xyz]) up, [+-](?!\1)[xyz] forward\Z"
 Upright = Annotated[str, Meta(pattern=UPRIGHT)]
 """Axes of a world that are up and forward, such as `+y up, -z forward`."""
 _Spec = TypeVar("_Spec")
-Problem = tuple[str, str, Any]
-"""What is wrong with a spec: the message, the key, and the value there."""
+Problems = Iterator[tuple[str, str, Any]]
+"""What is wrong with a spec: messages, keys, and the values there."""
 
 PACKAGE_SCHEME = "package://"
 DESCRIPTION_SCHEME = "robot_descriptions:"
@@ -55,7 +56,7 @@ class PadSpec(Document, frozen=True):
     """
 
     radius: Positive
-    xyz: Vector = (0.0, 0.0, 0.0)
+    xyz: Vector = ORIGIN
 
 
 class PointSpec(Document, frozen=True):
@@ -77,7 +78,7 @@ class PointSpec(Document, frozen=True):
 
     name: str
     link: str
-    xyz: Vector = (0.0, 0.0, 0.0)
+    xyz: Vector = ORIGIN
     finger: str | None = None
     weight: Positive = 1.0
     partner: str | None = None
@@ -98,7 +99,7 @@ class PalmSpec(Document, frozen=True):
     link: str
     distal: Vector
     dorsal: Vector
-    xyz: Vector = (0.0, 0.0, 0.0)
+    xyz: Vector = ORIGIN
 
 
 class WristSpec(Document, frozen=True):
@@ -157,6 +158,10 @@ class MimicSpec(Document, frozen=True):
     offset: float = 0.0
 
 
+Rules = Mapping[str, MimicSpec]
+"""Rules of joints that mimic others, by the follower's name."""
+
+
 class ArmSpec(Document, frozen=True):
     """An arm that carries the hand: its joints move the wrist within their own limits.
 
@@ -179,14 +184,18 @@ class ArmSpec(Document, frozen=True):
     urdf: str
     tip: str
     joints: tuple[str, ...]
-    rest: dict[str, float]
-    xyz: Vector = (0.0, 0.0, 0.0)
-    rpy: Vector = (0.0, 0.0, 0.0)
+    rest: Positions
+    xyz: Vector = ORIGIN
+    rpy: Vector = ORIGIN
     root: str | None = None
     without: tuple[str, ...] = ()
-    locked: dict[str, float] = {}
+    locked: Positions = {}
     limits: dict[str, LimitSpec] = {}
     directory: Path | None = None
+
+    def error(self, message: str, key: str, value: Any = None) -> HandError:
+        """Return an error about one key of this arm, as part of a hand."""
+        return HandError(message, key=f"arm.{key}", value=value)
 
 
 class _HandFields(Document, frozen=True):
@@ -198,18 +207,18 @@ class _HandFields(Document, frozen=True):
     palm: PalmSpec
     wrist: WristSpec
     joints: Annotated[tuple[str, ...], Meta(min_length=1)]
-    rest: dict[str, float]
+    rest: Positions
     points: tuple[PointSpec, ...]
     sets: dict[str, tuple[str, ...]]
     reference: str
     mirror: bool = False
     collision: CollisionSpec | None = None
     root: str | None = None
-    locked: dict[str, float] = {}
+    locked: Positions = {}
     limits: dict[str, LimitSpec] = {}
     mimic: dict[str, MimicSpec | None] = {}
     arm: ArmSpec | None = None
-    matched: dict[str, float] | None = None
+    matched: Positions | None = None
     upright: Upright = "+z up, +x forward"
     directory: Path | None = None
     file: Path | None = None
@@ -277,14 +286,14 @@ class HandSpec(_HandFields, frozen=True):
             )
         )
 
-    def error(self, message: str, *, key: str, value: Any = None) -> HandError:
+    def error(self, message: str, key: str, value: Any = None) -> HandError:
         """Return an error about one key of this spec, with its file."""
         return HandError(message, file=self.file, key=key, value=value)
 
-    def reject(self, problems: Iterable[Problem]) -> None:
+    def reject(self, problems: Problems) -> None:
         """Raise an error about the first of some problems, if there are any."""
         for message, key, value in problems:
-            raise self.error(message, key=key, value=value)
+            raise self.error(message, key, value)
 
 
 def read_hand_spec(path: Path) -> HandSpec:
@@ -437,20 +446,20 @@ def repeated(names: Sequence[str]) -> list[str]:
     return [name for name, count in Counter(names).items() if count > 1]
 
 
-def twice(names: Sequence[str], key: str) -> Iterator[Problem]:
+def twice(names: Sequence[str], key: str) -> Problems:
     """Find names that are given more than once under one key of a spec."""
     for name in repeated(names):
         yield f"{name!r} is given twice", key, name
 
 
-def _pad_problems(points: Sequence[PointSpec]) -> Iterator[Problem]:
+def _pad_problems(points: Sequence[PointSpec]) -> Problems:
     """Find pads of points that are on no finger."""
     for i, point in enumerate(points):
         if point.pad is not None and point.finger is None:
             yield "expected a point with `finger`, got None", f"points[{i}].pad", None
 
 
-def _joint_problems(spec: HandSpec) -> Iterator[Problem]:
+def _joint_problems(spec: HandSpec) -> Problems:
     """Check names of joints: unique, each with a rest position, none of them locked."""
     yield from twice(spec.all_joints, "joints")
     arm = () if spec.arm is None else (("arm.", spec.arm),)
@@ -464,8 +473,8 @@ def _joint_problems(spec: HandSpec) -> Iterator[Problem]:
 
 
 def _posture_problems(
-    joints: Sequence[str], positions: dict[str, float], key: str
-) -> Iterator[Problem]:
+    joints: Sequence[str], positions: Positions, key: str
+) -> Problems:
     """Check that a posture has a position for each joint, and for no other."""
     for joint in sorted({*joints} ^ positions.keys()):
         lacks = f"has no {key.removeprefix('arm.')} position"
@@ -473,7 +482,7 @@ def _posture_problems(
         yield f"{joint!r} {what}", key, joint
 
 
-def _set_problems(spec: HandSpec) -> Iterator[Problem]:
+def _set_problems(spec: HandSpec) -> Problems:
     """Check that points have unique names and sets name points."""
     names = [point.name for point in spec.points]
     yield from twice(names, "points")
@@ -489,7 +498,7 @@ def _set_problems(spec: HandSpec) -> Iterator[Problem]:
         yield message, "reference", spec.reference
 
 
-def _axis_problems(palm: PalmSpec) -> Iterator[Problem]:
+def _axis_problems(palm: PalmSpec) -> Problems:
     """Check that the palm's axes are orthonormal."""
     for key, axis in (("palm.distal", palm.distal), ("palm.dorsal", palm.dorsal)):
         if abs(math.hypot(*axis) - 1.0) >= 1e-6:
@@ -499,7 +508,7 @@ def _axis_problems(palm: PalmSpec) -> Iterator[Problem]:
         yield message, "palm.dorsal", palm.dorsal
 
 
-def _pair_problems(collision: CollisionSpec | None) -> Iterator[Problem]:
+def _pair_problems(collision: CollisionSpec | None) -> Problems:
     """Check that pairs of links to keep apart are two links each, and given once."""
     seen: set[frozenset[str]] = set()
     for i, pair in enumerate(collision.pairs if collision else ()):

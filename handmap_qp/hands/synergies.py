@@ -1,7 +1,5 @@
 """Postural synergies of the human hand: few coordinates for its twenty joints."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from typing import NamedTuple
@@ -10,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.sources import urdf_directory
-from handmap_qp.se3 import as_floats, frozen
+from handmap_qp.se3 import Array, as_floats, frozen
+from .sources import urdf_directory
 
 
 class Synergies(NamedTuple):
@@ -24,10 +22,10 @@ class Synergies(NamedTuple):
         mean: Mean posture q_m [rad], shape (20,).
     """
 
-    matrix: np.ndarray
-    mean: np.ndarray
+    matrix: Array
+    mean: Array
 
-    def posture(self, z: npt.ArrayLike) -> np.ndarray:
+    def posture(self, z: npt.ArrayLike) -> Array:
         """Compute joint angles [rad], shape (20,), not clipped to limits.
 
         Args:
@@ -46,7 +44,7 @@ class Synergies(NamedTuple):
         )
         return self.mean + self.matrix[:, : len(coordinates)] @ coordinates
 
-    def coordinates(self, q: npt.ArrayLike) -> np.ndarray:
+    def coordinates(self, q: npt.ArrayLike) -> Array:
         """Compute the coordinates, shape (15,), nearest to joint angles [rad], shape (20,).
 
         The sum of squared differences of the angles is least.

@@ -3,8 +3,6 @@
 All readers of `Hand.urdf_text` (Pinocchio, MuJoCo, a picture) see the same robot.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -19,9 +17,16 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.sources import find_mesh, urdf_path
-from handmap_qp.hands.spec import ArmSpec, LimitSpec, MimicSpec, repeated
-from handmap_qp.se3 import affine, rotation_from_rpy, rpy_from_rotation
+from handmap_qp.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
+from .sources import find_mesh, urdf_path
+from .spec import (
+    ArmSpec,
+    LimitSpec,
+    MimicSpec,
+    Positions,
+    Rules,
+    repeated,
+)
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one coordinate."""
@@ -37,6 +42,7 @@ _NUMBERS = {
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},
     "limit": {"lower": 1, "upper": 1, "velocity": 1},
+    "mimic": {"multiplier": 1, "offset": 1},
 }
 _OF_FIXED_JOINTS = ("origin", "parent", "child")
 
@@ -123,7 +129,7 @@ def child_of(element: Element, tag: str) -> Element:
     return SubElement(element, tag) if found is None else found
 
 
-def origin_of(element: Element) -> np.ndarray:
+def origin_of(element: Element) -> Array:
     """Read the pose in an element's `<origin>`, shape (4, 4); the identity where there is none.
 
     Raises:
@@ -136,28 +142,23 @@ def origin_of(element: Element) -> np.ndarray:
     return affine(rotation_from_rpy(rpy), xyz)
 
 
-def set_origin(element: Element, pose: np.ndarray) -> None:
+def set_origin(element: Element, pose: Array) -> None:
     """Write a pose [m], shape (4, 4), into an element's `<origin>`."""
     origin = child_of(element, "origin")
     set_numbers(origin, xyz=pose[:3, 3], rpy=rpy_from_rotation(pose[:3, :3]))
 
 
-def mimics_of(robot: Element) -> dict[str, MimicSpec]:
+def mimics_of(robot: Element) -> Rules:
     """Read the mimic rules of a URDF as they are, by follower.
 
     Raises:
         HandError: If one does not hold finite numbers.
     """
-    rules: dict[str, MimicSpec] = {}
+    rules = {}
     for name, joint in joints_by_name(robot).items():
-        for mimic in joint.findall("mimic")[:1]:
-            try:
-                (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
-                (offset,) = get_numbers(mimic, "offset", 1, "0")
-            except HandError as error:
-                raise HandError(
-                    str(error), key=f"mimic.{name}", value=error.value
-                ) from error
+        if (mimic := joint.find("mimic")) is not None:
+            (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
+            (offset,) = get_numbers(mimic, "offset", 1, "0")
             rules[name] = MimicSpec(mimic.get("joint", ""), multiplier, offset)
     return rules
 
@@ -319,9 +320,9 @@ def prepare_urdf(
     robot: Element,
     root: str | None,
     mimic: Mapping[str, MimicSpec | None],
-    locked: Mapping[str, float],
+    locked: Positions,
     limits: Mapping[str, LimitSpec],
-) -> dict[str, float]:
+) -> Positions:
     """Keep the part from `root` outwards, and write mimic rules, locked joints and limits into it.
 
     Args:
@@ -373,7 +374,7 @@ def _complete_limits(joint: Element, limits: LimitSpec) -> None:
         element.attrib.setdefault(key, "0")
 
 
-def lock_joints(robot: Element, positions: Mapping[str, float]) -> dict[str, float]:
+def lock_joints(robot: Element, positions: Positions) -> Positions:
     """Make joints fixed ones at given positions, and those that mimic them where they then stand.
 
     Returns:
@@ -385,7 +386,7 @@ def lock_joints(robot: Element, positions: Mapping[str, float]) -> dict[str, flo
     joints = joints_by_name(robot)
     rules = mimics_of(robot)
     pending = [*positions.items()]
-    locked = dict[str, float]()
+    locked: Positions = {}
     for name, position in pending:
         if name not in joints:
             raise HandError(f"the URDF has no joint {name!r}", key="locked", value=name)
