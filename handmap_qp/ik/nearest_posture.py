@@ -10,6 +10,7 @@ the axis of i times the point's derivative by j. Each step solves a QP with the 
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -109,12 +110,10 @@ class _Distance:
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()
         self.free = np.flatnonzero(~hand.moves_wrist)
+        spread, self._is_ancestor = _coordinates(hand)
         # From the free joints to the model's tangent space.
-        self._spread = joint_motion(hand)[:, self.free]
+        self._spread = spread[:, self.free]
         self._rest = hand.rest[self.free]
-        model = hand.model
-        carriers = np.repeat(np.arange(model.njoints), model.nvs)
-        self._is_ancestor = moved_by(model, carriers.tolist()).T
 
     def whole(self, x: np.ndarray) -> np.ndarray:
         """Return the positions of all joints, given those of the free ones."""
@@ -143,6 +142,14 @@ class _Distance:
         )
         value = 0.5 * ((forces * errors).sum() + self._rest_cost * away.dot(away))
         return _Terms(value, gradient, hessian)
+
+
+@lru_cache(maxsize=16)
+def _coordinates(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
+    """Return `joint_motion`, and for each coordinate of the model those that it carries, or 0."""
+    model = hand.model
+    carriers = np.repeat(np.arange(model.njoints), model.nvs)
+    return joint_motion(hand), moved_by(model, carriers.tolist()).T
 
 
 def _convex(hessian: np.ndarray) -> np.ndarray:
