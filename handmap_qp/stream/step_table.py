@@ -7,14 +7,14 @@ from typing import get_args
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.sample import Rule
+from handmap_qp.human.sample import RULES
 from handmap_qp.ik.core import Parts
 from handmap_qp.ik.qp import Status
 from handmap_qp.mapping.method import MapStep
 
 STATUS_NAMES: tuple[str, ...] = (*get_args(Status), "held", "gliding")
 """Outcomes of a step (`MapStep.status`); rows have the index."""
-RULE_NAMES: tuple[str, ...] = get_args(Rule)
+RULE_NAMES: tuple[str, ...] = ("", *RULES)
 """Names of what is wrong with a sample (`MapStep.rule`), likewise."""
 
 

@@ -24,10 +24,7 @@ def _own() -> Mapping[str, Layout]:
     return import_module(f"{__name__}.tables").read_tables()
 
 
-def _check(layout: Layout) -> None:
-    if not isinstance(layout, import_module(f"{__name__}.base").Layout):
-        raise TypeError("expected a Layout")
-
-
-LAYOUTS: Mapping[str, Layout] = Plugins("handmap_qp.layouts", _own, _check)
+LAYOUTS: Mapping[str, Layout] = Plugins(
+    "handmap_qp.layouts", _own, "handmap_qp.trackers.layouts.base:Layout"
+)
 """All layouts by name."""
