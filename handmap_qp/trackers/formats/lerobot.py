@@ -140,8 +140,7 @@ def writing_set(
         InvalidInputError: If the folder exists and is not empty, or cannot be written.
         MissingExtraError: If pyarrow is not installed.
     """
-    is_empty = root.is_dir() and not any(root.iterdir())
-    is_free = overwrite or is_empty
+    is_free = overwrite or (root.is_dir() and not any(root.iterdir()))
     check_new(argument, root, overwrite=is_free, advice="remove it first")
     make_folder(root.parent, argument)
     with (
