@@ -35,15 +35,8 @@ class StepTable:
         pose = (4, 4)
         self._parts = Parts(n, pose, pose, (m, 3), (m, 3), n, (), (), (), (), (), ())
         self.rows = np.full((count, self._parts.size), np.nan)
-        unseen = (
-            STATUS_NAMES.index("held"),
-            RULE_NAMES.index("missing"),
-            1,
-            np.nan,
-            1,
-            0,
-        )
-        self.rows[:, -len(unseen) :] = unseen
+        held, missing = STATUS_NAMES.index("held"), RULE_NAMES.index("missing")
+        self.rows[:, -6:] = held, missing, 1, np.nan, 1, 0
 
     def write(self, index: int, step: MapStep, cpu: float) -> None:
         """Write the step of a sample, which took some CPU time [s]."""
