@@ -350,7 +350,7 @@ class Layout(abc.ABC):
         Raises:
             InvalidInputError: If one is missing.
         """
-        other = "left" if side == "right" else "right"
+        other = {"left": "right", "right": "left"}[side]
         own = [name for name in names if other not in name.lower()]
         found = {}
         for column in self.columns:
