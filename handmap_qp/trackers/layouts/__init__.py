@@ -11,7 +11,7 @@ add layouts by entry points of the group `handmap_qp.layouts`. They are loaded a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 from handmap_qp.plugins import Plugins
@@ -20,11 +20,9 @@ if TYPE_CHECKING:
     from handmap_qp.trackers.layouts.base import Layout
 
 
-def _own() -> Mapping[str, Layout]:
-    return import_module(f"{__name__}.tables").read_tables()
-
-
 LAYOUTS: Mapping[str, Layout] = Plugins(
-    "handmap_qp.layouts", _own, "handmap_qp.trackers.layouts.base:Layout"
+    "handmap_qp.layouts",
+    lambda: resolve_name("handmap_qp.trackers.layouts.tables:read_tables")(),
+    "handmap_qp.trackers.layouts.base:Layout",
 )
 """All layouts by name."""
