@@ -3,8 +3,8 @@
 Time is CPU time per sample, also in calls of one Jacobian: placing the hand with
 `place` and reading `point_jacobian` of the 21 landmarks.
 
-A fit has converged if 200 further steps turn no joint by more than 1 degree. It is the best if none
-of four other starts ends at a cost of a finger that is lower by 2 %.
+A fit has converged if a further one turns no joint by more than 1 degree. It is the best if none
+of the four starts of a first sample ends at a cost of a finger that is lower by 2 %.
 
 The tracker's own angles come from the orientations of its bones (recordings with `joints_pose`:
 headsets). Its zeros and ours differ by a constant per joint, which is taken out: `offset` is the
@@ -26,14 +26,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handmap_qp import load_hand, read_recording
-from handmap_qp.human import fit as fitting
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.sample import PALM, TIPS
 from handmap_qp.se3 import rigid_fit
 
 _FINGERS = {"index": "index", "middle": "middle", "ring": "ring", "little": "pinky"}
-_FURTHER = 200
 _BENT = np.radians(60.0)
 
 
@@ -98,41 +96,32 @@ def optimum_of(
     fitter: LandmarkFitter, q: np.ndarray, landmarks: np.ndarray
 ) -> tuple[float, bool]:
     """Return how far further steps turn a joint [deg], and whether no other start ends better."""
-    targets = local_targets(fitter, landmarks)
+    local = local_landmarks(fitter, landmarks)
     start = q.reshape(5, 4)
-    tolerance, fitting.TOLERANCE = fitting.TOLERANCE, 1e-9
-    try:
-        best, cost = fitter._solve(start, targets, _FURTHER)
-        fitter._q, last = None, fitter._q
-        other_cost = np.min([found for _, found in fitter._fits(targets)], axis=0)
-        fitter._q = last
-    finally:
-        fitting.TOLERANCE = tolerance
+    best, cost = fitter._nearest(start, local)
+    fitter._q, last = None, fitter._q
+    other_cost = np.min([found for _, found in fitter._fits(local)], axis=0)
+    fitter._q = last
     is_best = not (other_cost < 0.98 * cost - 1e-3).any()
     return float(np.degrees(np.abs(best - start).max())), is_best
 
 
-def local_targets(fitter: LandmarkFitter, landmarks: np.ndarray) -> np.ndarray:
-    """Return a sample as the fitter's fingers see it, in wrist axes [m], shape (5, 3, 3)."""
+def local_landmarks(fitter: LandmarkFitter, landmarks: np.ndarray) -> np.ndarray:
+    """Return a sample as the fitter sees it, in wrist axes [m], shape (21, 3)."""
     wrist = rigid_fit(fitter._palm.points, landmarks[PALM])
-    local = (landmarks - wrist[:3, 3]) @ wrist[:3, :3]
-    return local[1:].reshape(5, 4, 3)[:, 1:]
+    return (landmarks - wrist[:3, 3]) @ wrist[:3, :3]
 
 
 def measure_time(file: Path, count: int | None) -> dict[str, Any]:
-    """Fit a recording; measure times, iterations, errors and distances from the optimum."""
+    """Fit a recording; measure times, errors and distances from the optimum."""
     recording = read_recording(file)
     fitter = LandmarkFitter(recording.side, measure_hand(recording))
     one = jacobian_time(fitter)
     seen = np.flatnonzero(recording.valid)[:count]
-    iterations, errors, excess = [], [], []
+    excess = []
     fits: list[Any] = []
     times = common.cpu_times(
-        lambda i: (
-            fits.append(fitter.fit(recording.landmarks[seen[i]])),
-            iterations.append(fitter.iterations),
-        ),
-        len(seen),
+        lambda i: fits.append(fitter.fit(recording.landmarks[seen[i]])), len(seen)
     )
     errors = np.array([fit[2] for fit in fits])
     for i in range(0, len(seen), 10):
@@ -145,8 +134,6 @@ def measure_time(file: Path, count: int | None) -> dict[str, Any]:
         "in Jacobians, median": float(np.median(ratio)),
         "mean": float(ratio.mean()),
         "p99": float(np.percentile(ratio, 99)),
-        "iterations": float(np.mean(iterations)),
-        "at most": int(max(iterations)),
         "error [mm]": 1e3 * float(errors.mean()),
         "tips [mm]": 1e3 * float(errors[:, TIPS].mean()),
         "converged [%]": 100.0 * float(np.mean([angle < 1.0 for angle, _ in excess])),

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
+from pkgutil import resolve_name
 from typing import TypeVar
 
 from handmap_qp.errors import HandmapError
@@ -33,15 +34,15 @@ class Plugins(Mapping[str, T]):
     Args:
         group: Group of the entry points.
         own: Makes the package's own things, at the first use.
-        check: Rejects a thing of another package by raising `TypeError`.
+        kind: Class of all of them, as `module:name`; imported when another package has one.
     """
 
     def __init__(
-        self, group: str, own: Callable[[], Mapping[str, T]], check: Callable[[T], None]
+        self, group: str, own: Callable[[], Mapping[str, T]], kind: str
     ) -> None:
         self._group = group
         self._make = own
-        self._check = check
+        self._kind = kind
 
     @cached_property
     def own(self) -> Mapping[str, T]:
@@ -75,7 +76,8 @@ class Plugins(Mapping[str, T]):
     def _load(self, point: EntryPoint) -> T:
         try:
             found = point.load()
-            self._check(found)
+            if not isinstance(found, resolve_name(self._kind)):
+                raise TypeError(f"expected a {self._kind}, got {found!r:.60}")
         except Exception as error:
             raise PluginError(
                 f"{self._group}: {point.name} ({point.value}): {error}"

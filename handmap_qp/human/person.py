@@ -12,8 +12,9 @@ import numpy as np
 import yaml
 from msgspec.structs import astuple
 
-from handmap_qp.errors import InvalidInputError, expect, reason_of
+from handmap_qp.errors import HandError, InvalidInputError, expect
 from handmap_qp.hands.human import FINGERS, HumanLengths
+from handmap_qp.hands.spec import Document, Vector, read_yaml, typed
 from handmap_qp.human.sample import expect_hand_length
 from handmap_qp.output_files import replaced_file
 
@@ -114,22 +115,15 @@ def read_person(path: Path | str) -> Person:
     )
     file = Path(path)
     try:
-        found: Any = msgspec.yaml.decode(file.read_bytes(), type=_PERSON_FILE)
+        found: Any = typed(read_yaml(file), _PERSON_FILE, file)
         columns = zip(*map(astuple, astuple(found.fingers)), strict=True)
         lengths = HumanLengths(*map(np.array, columns))
         return Person(found.name, lengths, found.contact_gap)
+    except HandError as error:
+        raise _refused(file, error.key or "person", error.problem) from error
     except InvalidInputError as error:
         key = _KEYS.get(error.argument, error.argument)
-        raise _unreadable(file, key, error.what) from error
-    except msgspec.ValidationError as error:
-        # msgspec names the place in its message only.
-        message, _, place = str(error).partition(" - at `$")
-        key = place.rstrip("`").lstrip(".") or "person"
-        raise _unreadable(file, key, message) from error
-    # ValueError and TypeError: also those of yaml and msgspec.
-    except (OSError, ValueError, TypeError, RecursionError) as error:
-        problem = f"cannot be read: {reason_of(error)}"
-        raise _unreadable(file, "person", problem) from error
+        raise _refused(file, key, error.what) from error
 
 
 _KEYS = {
@@ -138,30 +132,23 @@ _KEYS = {
     "rolls": "fingers.*.roll",
 }
 """Keys of a person's file by the fields of `HumanLengths`."""
-_Three = tuple[float, float, float]
 
 
-class _FingerFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _FingerFile(Document, frozen=True):
     """One finger of a person's file: its first joint and its bones [m], and its roll [rad]."""
 
-    base: _Three
-    bones: _Three
+    base: Vector
+    bones: Vector
     roll: float = 0.0
 
 
 _FINGERS_FILE = msgspec.defstruct(
-    "_FingersFile",
-    [(name, _FingerFile) for name in FINGERS],
-    frozen=True,
-    forbid_unknown_fields=True,
+    "_FingersFile", [(name, _FingerFile) for name in FINGERS], bases=(Document,)
 )
-
-
 _PERSON_FILE = msgspec.defstruct(
     "_PersonFile",
     [("name", str), ("contact_gap", float), ("fingers", _FINGERS_FILE)],
-    frozen=True,
-    forbid_unknown_fields=True,
+    bases=(Document,),
 )
 """The keys of a person's file."""
 
@@ -170,6 +157,5 @@ def _row(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{value:.{_DECIMALS}f}" for value in values) + "]"
 
 
-def _unreadable(file: Path, key: str, problem: str) -> InvalidInputError:
-    text = " ".join(problem.split())
-    return InvalidInputError(argument=key, problem=f"{file}: {text}", value=str(file))
+def _refused(file: Path, key: str, problem: str) -> InvalidInputError:
+    return InvalidInputError(f"{file}: {problem}", argument=key, value=str(file))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -222,29 +222,8 @@ def palm_sizes(palms: np.ndarray) -> np.ndarray:
     return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
 
 
-Rule = Literal[
-    "",
-    "missing",
-    "zero",
-    "size",
-    "outlier",
-    "jump",
-    "flip",
-    "frozen",
-    "gap",
-    "settling",
-    "duplicate",
-    "disorder",
-    "clock_jump",
-    "time",
-    "unit",
-    "order",
-    "side",
-    "flexion",
-    "wrist",
-    "unproven",
-]
-"""Name of what is wrong with a sample; empty if nothing is."""
+Rule = str
+"""Name of what is wrong with a sample, one of `RULES`; empty if nothing is."""
 
 RULES: dict[Rule, str] = {
     "missing": "the tracker did not see the hand, or its confidence is 0",
@@ -269,7 +248,7 @@ RULES: dict[Rule, str] = {
     "unproven": "the wrist has not followed a palm that turned yet; it is followed at a quarter of "
     "the speed limits",
 }
-"""The rules, in words."""
+"""The rules, in words; `RULE_NAMES` of `stream.step_table` numbers them in this order."""
 
 UNPROVEN_SPEED = 0.25
 """Share of the speed limits at which the robot follows a wrist that is not proven yet."""

@@ -26,10 +26,10 @@ from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.human.sample import landmarks_at_rest
 from handmap_qp.ik.compiled import core_tree
+from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
-from handmap_qp.mapping.matched_posture import nearest_posture
 from handmap_qp.mapping.palm import chain_landmarks, point_indices, require_points
 from handmap_qp.se3 import frozen, lengths, transform_points, unit
 

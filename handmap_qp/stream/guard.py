@@ -73,22 +73,6 @@ _RATE_WINDOW = 0.5  # time of arrival between two comparisons of the clocks [s]
 _LARGEST_DRIFT = 0.3
 
 
-class Tick(NamedTuple):
-    """What a time stamp says.
-
-    Attributes:
-        rule: What is unusual about it: `duplicate`, `disorder`, `gap`, `clock_jump` or nothing.
-            Samples of the first two bring nothing new.
-        elapsed: Time since the last sample that counted [s]; the usual one after a clock jump.
-        dt: Time that this sample accounts for [s], from 0 to `LONGEST_STEP` periods; one period at
-            most after a sample that brought nothing new, for its command has taken the time.
-    """
-
-    rule: Rule
-    elapsed: float
-    dt: float
-
-
 class SampleClock(NamedTuple):
     """State of the clock after a sample; `advance` returns the next one.
 
@@ -97,35 +81,48 @@ class SampleClock(NamedTuple):
         period: Usual time between samples [s].
         late_stamp: Stamp of the last late sample [s].
         late_count: Late samples in a row.
-        is_idle: Whether the last sample brought nothing new.
+        rule: What is unusual about the sample's stamp: `duplicate`, `disorder`, `gap`, `clock_jump`
+            or nothing.
+        elapsed: Time since the last sample that counted [s]; the usual one after a clock jump.
+        dt: Time that the sample accounts for [s], from 0 to `LONGEST_STEP` periods; one period at
+            most after a sample that brought nothing new, for its command has taken the time.
     """
 
     stamp: float | None = None
     period: float = 1.0 / 60.0
     late_stamp: float = 0.0
     late_count: int = 0
-    is_idle: bool = False
+    rule: Rule = ""
+    elapsed: float = 0.0
+    dt: float = 0.0
 
-    def advance(self, stamp: float) -> tuple[Tick, SampleClock]:
-        """Return what the time stamp of a sample says [s], and the clock after it."""
+    @property
+    def is_idle(self) -> bool:
+        """Whether the sample brings nothing new."""
+        return self.rule in ("duplicate", "disorder")
+
+    def advance(self, stamp: float) -> SampleClock:
+        """Return the clock after a sample of a time stamp [s], with what that says."""
         period = self.period
+        usual = SampleClock(stamp, period, elapsed=period, dt=period)
         if self.stamp is None:
-            return Tick("", period, period), self._replace(stamp=stamp)
+            return usual
         step = stamp - self.stamp
+        idle = self._replace(rule="duplicate", elapsed=0.0, dt=0.0)
         if step == 0.0:
-            return Tick("duplicate", 0.0, 0.0), self._replace(is_idle=True)
+            return idle
         if -_SET_BACK <= step < 0.0:
             count = 1 + (self.late_count if stamp > self.late_stamp else 0)
             if count < _LATE_SAMPLES:
-                late = self._replace(late_stamp=stamp, late_count=count, is_idle=True)
-                return Tick("disorder", 0.0, 0.0), late
+                idle = idle._replace(rule="disorder", late_stamp=stamp)
+                return idle._replace(late_count=count)
         if step < 0.0 or step > _SET_FORWARD:
-            return Tick("clock_jump", period, period), SampleClock(stamp, period)
+            return usual._replace(rule="clock_jump")
         if step > GAP:
-            return Tick("gap", step, period), SampleClock(stamp, period)
-        usual = period + _PERIOD_SHARE * (step - period)
+            return usual._replace(rule="gap", elapsed=step)
         longest = period if self.is_idle else LONGEST_STEP * period
-        return Tick("", step, min(step, longest)), SampleClock(stamp, usual)
+        period += _PERIOD_SHARE * (step - period)
+        return SampleClock(stamp, period, elapsed=step, dt=min(step, longest))
 
     @property
     def shortest(self) -> float:
@@ -418,11 +415,11 @@ class StreamGuard(Compiled):
         if self.core is not None:
             return self.core.check(sample, arrival)
         former = self._former = self._state
-        state = self._state = replace(former)
-        tick, state.clock = former.clock.advance(sample.time)
-        state.now += tick.elapsed
-        held = Verdict(tick.rule, True, False, tick.dt, math.nan)
-        if tick.rule in ("duplicate", "disorder"):
+        clock = former.clock.advance(sample.time)
+        now = former.now + clock.elapsed
+        state = self._state = replace(former, clock=clock, now=now)
+        held = Verdict(clock.rule, True, False, clock.dt, math.nan)
+        if clock.is_idle:
             return held
         rule, finding = self._input_fault(sample, arrival)
         if rule:

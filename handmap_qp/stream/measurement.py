@@ -51,15 +51,10 @@ def without_faults(recording: Recording) -> Recording:
 
 
 def _joined(recordings: Sequence[Recording]) -> Recording:
-    """Put recordings behind each other, as of a right hand, a second apart."""
+    """Put recordings behind each other, as of a right hand."""
     if len(recordings) == 1:
         return recordings[0]
     right = [each if each.side == "right" else mirrored(each) for each in recordings]
-    times = []
-    start = 0.0
-    for each in right:
-        times.append(each.time - each.time[0] + start)
-        start = times[-1][-1] + 1.0
-    landmarks = np.concatenate([each.landmarks for each in right])
-    valid = np.concatenate([each.valid for each in right])
-    return Recording(right[0].name, np.concatenate(times), landmarks, valid, "right")
+    columns = zip(*((r.steps, r.landmarks, r.valid) for r in right), strict=True)
+    steps, landmarks, valid = map(np.concatenate, columns)
+    return Recording(right[0].name, np.cumsum(steps), landmarks, valid, "right")

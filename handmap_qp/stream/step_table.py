@@ -7,14 +7,14 @@ from typing import get_args
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.sample import Rule
+from handmap_qp.human.sample import RULES
 from handmap_qp.ik.core import Parts
 from handmap_qp.ik.qp import Status
 from handmap_qp.mapping.method import MapStep
 
 STATUS_NAMES: tuple[str, ...] = (*get_args(Status), "held", "gliding")
 """Outcomes of a step (`MapStep.status`); rows have the index."""
-RULE_NAMES: tuple[str, ...] = get_args(Rule)
+RULE_NAMES: tuple[str, ...] = ("", *RULES)
 """Names of what is wrong with a sample (`MapStep.rule`), likewise."""
 
 
@@ -35,15 +35,8 @@ class StepTable:
         pose = (4, 4)
         self._parts = Parts(n, pose, pose, (m, 3), (m, 3), n, (), (), (), (), (), ())
         self.rows = np.full((count, self._parts.size), np.nan)
-        unseen = (
-            STATUS_NAMES.index("held"),
-            RULE_NAMES.index("missing"),
-            1,
-            np.nan,
-            1,
-            0,
-        )
-        self.rows[:, -len(unseen) :] = unseen
+        held, missing = STATUS_NAMES.index("held"), RULE_NAMES.index("missing")
+        self.rows[:, -6:] = held, missing, 1, np.nan, 1, 0
 
     def write(self, index: int, step: MapStep, cpu: float) -> None:
         """Write the step of a sample, which took some CPU time [s]."""

@@ -404,7 +404,17 @@ def _known_orders() -> tuple[list[str], np.ndarray]:
 _STEPS = (4e-4, 0.5)
 """Shortest and longest median time between samples [s]: from 2500 Hz to 2 Hz."""
 _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-_LENGTH_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
+_ADULT = (0.12, 0.26)
+"""Usual lengths of an adult's hand [m]."""
+_LENGTH_UNITS = {
+    1e-3: "so the landmarks are in millimetres (or pixels)",
+    1e3: "as if metres had been taken for millimetres",
+    1e-2: "so the landmarks are in centimetres",
+    1e2: "as if metres had been taken for centimetres",
+    0.0254: "so the landmarks are in inches",
+    1.0 / 0.0254: "as if metres had been taken for inches",
+}
+"""Factors that make metres of landmarks in other units, and what they mean."""
 _PIXELS = 30.0  # a hand that is longer in any unit
 
 
@@ -459,20 +469,11 @@ def _find_length_unit(
     if low <= length <= high or is_other_order:
         return None
     found = f"the hand is {length:.3g} m long"
-    for name, unit in _LENGTH_UNITS.items():
-        if _is_usual(length * unit):
-            also = " (or pixels)" if name == "millimetres" else ""
-            problem = f"{found}, so the landmarks are in {name}{also}"
-            return Finding("unit", problem, f"multiply them by {unit:g}")
-        if _is_usual(length / unit):
-            problem = f"{found}, as if metres had been taken for {name}"
-            return Finding("unit", problem, f"multiply the landmarks by {1.0 / unit:g}")
+    for factor, meaning in _LENGTH_UNITS.items():
+        if _ADULT[0] <= length * factor <= _ADULT[1]:
+            advice = f"multiply the landmarks by {factor:g}"
+            return Finding("unit", f"{found}, {meaning}", advice)
     if length > _PIXELS:
         found += ", as if the landmarks were pixels"
     advice = f"give landmarks in metres, of a hand of {low} to {high} m"
     return Finding("unit", found, advice)
-
-
-def _is_usual(length: float) -> bool:
-    """Tell whether a length is that of an adult's hand in metres."""
-    return 0.12 <= length <= 0.26

@@ -19,7 +19,7 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.fit import MOST_ITERATIONS, LandmarkFitter, fit_recording
+from handmap_qp.human.fit import LandmarkFitter, fit_recording
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.sample import TIPS, human_name
 from handmap_qp.se3 import affine
@@ -270,22 +270,19 @@ def test_real_hands_are_fitted_within_their_limits(recordings: Path) -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_a_fit_of_noisy_landmarks_has_converged_within_a_few_steps(side: Side) -> None:
+def test_a_fit_of_noisy_landmarks_has_converged(side: Side) -> None:
     lengths = HumanLengths.from_hand_length(0.19)
     recording, _, _ = synthetic(side, lengths)
     noise = np.random.default_rng(0).normal(scale=0.002, size=recording.landmarks.shape)
     landmarks = recording.landmarks + noise
     fitter = LandmarkFitter(side, lengths)
-    iterations, moves = [], []
+    moves = []
     for sample in landmarks:
         first = fitter.fit(sample)[0]
-        iterations.append(fitter.iterations)
         fitter.fit(sample)
         moves.append(np.abs(fitter.fit(sample)[0] - first).max())
     # Going on from there turns no joint any further, so these are optima.
     assert np.mean(np.array(moves) < 0.02) > 0.95
-    assert max(iterations[1:]) <= MOST_ITERATIONS
-    assert np.mean(iterations[1:]) < 6.0
 
 
 @settings(max_examples=8)

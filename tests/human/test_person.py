@@ -91,7 +91,11 @@ BAD = {
     "sixth finger": ("fingers.sixth", {}, "fingers"),
     "two bones": ("fingers.index.bones", [0.04, 0.02], "fingers.index.bones"),
     "bone of no length": ("fingers.index.bones", [0.04, 0.02, 0.0], "fingers.*.bones"),
-    "bone NaN": ("fingers.index.bones", [0.04, 0.02, float("nan")], "fingers.*.bones"),
+    "bone NaN": (
+        "fingers.index.bones",
+        [0.04, 0.02, float("nan")],
+        "fingers.index.bones",
+    ),
     "bone of text": (
         "fingers.index.bones",
         [0.04, 0.02, "short"],

@@ -20,8 +20,9 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.human.sample import landmarks_at_rest
 from handmap_qp.ik import core as core_module
+from handmap_qp.ik import nearest_posture as posture_module
 from handmap_qp.ik.compiled import core_tree
-from handmap_qp.mapping import hand_pair, matched_posture
+from handmap_qp.mapping import hand_pair
 from handmap_qp.mapping.hand_pair import HandPair
 from handmap_qp.se3 import inverse_pose, transform_points
 
@@ -37,7 +38,7 @@ def in_python(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     """Take the core away from what is called afterwards."""
 
     def take() -> None:
-        for module in (hand_pair, matched_posture, surface_gaps):
+        for module in (hand_pair, posture_module, surface_gaps):
             monkeypatch.setattr(module, "core_tree", lambda _: None)
         for name in ("_OPENING", "_PINCHING"):
             options = getattr(hand_pair, name).replaced(formulation="direct")
@@ -93,14 +94,14 @@ def test_a_posture_is_the_nearest_one_to_hostile_targets_too(
         costs = rng.uniform(0.0, 100.0, len(targets))
         start = rng.uniform(hand.lower_limits, hand.upper_limits)
         arguments = hand, targets, costs, 0.05, start
-        cases.append((arguments, matched_posture.nearest_posture(*arguments)))
+        cases.append((arguments, posture_module.nearest_posture(*arguments)))
     in_python()
     apart = []
     for arguments, q in cases:
         assert (q >= hand.lower_limits).all()
         assert (q <= hand.upper_limits).all()
-        other = matched_posture.nearest_posture(*arguments)
-        distance = matched_posture._Distance(*arguments[:4])
+        other = posture_module.nearest_posture(*arguments)
+        distance = posture_module._Distance(*arguments[:4])
         free = distance.free
         values = [distance.at(x[free]).value for x in (q, other)]
         # Of several minima nearby, rounding may choose.

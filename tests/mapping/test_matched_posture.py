@@ -8,7 +8,7 @@ from marks import slow
 
 from handmap_qp import load_hand
 from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.matched_posture import _Distance, nearest_posture
+from handmap_qp.ik.nearest_posture import _Distance, nearest_posture
 
 REST_COST = 0.05
 

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handmap_qp.stream.guard import GAP, LONGEST_STEP, RateCheck, SampleClock, Tick
+from handmap_qp.stream.guard import GAP, LONGEST_STEP, RateCheck, SampleClock
 
 PERIOD = 0.01
 
 
-def run(stamps: list[float]) -> list[Tick]:
+def run(stamps: list[float]) -> list[SampleClock]:
     clock, ticks = SampleClock(), []
     for stamp in stamps:
-        tick, clock = clock.advance(stamp)
-        ticks.append(tick)
+        clock = clock.advance(stamp)
+        ticks.append(clock)
     return ticks
 
 
@@ -98,7 +98,7 @@ def test_a_pause_is_a_gap_whose_time_is_not_granted() -> None:
 def test_jitter_does_not_shorten_the_time_that_speeds_are_computed_over() -> None:
     clock = SampleClock()
     for stamp in regular(200):
-        _, clock = clock.advance(stamp)
+        clock = clock.advance(stamp)
     assert clock.shortest == pytest.approx(0.5 * PERIOD, rel=0.05)
 
 

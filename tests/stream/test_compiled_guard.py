@@ -8,7 +8,7 @@ import pickle
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +19,11 @@ from handmap_qp import load_hand, read_recording
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, recording_samples
-from handmap_qp.human.sample import HumanSample, Rule, Verdict
+from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.ik import core as core_module
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.measurement import without_faults
+from handmap_qp.stream.step_table import RULE_NAMES
 from handmap_qp.trackers import hand_geometry, plausibility
 from handmap_qp.trackers.plausibility import InputCheck
 
@@ -290,7 +291,7 @@ def test_recordings_are_judged_at_once_as_sample_by_sample(
         )
         judge: Any = StreamGuard(human).core
         columns = judge.judge(taken)
-        names = get_args(Rule)
+        names = RULE_NAMES
         for rule, *rest, verdict in zip(*columns, expected, strict=True):
             expect_same(Verdict(names[rule], *rest), verdict)
         for part in (taken, taken.part(slice(0, 40))):
@@ -300,7 +301,7 @@ def test_recordings_are_judged_at_once_as_sample_by_sample(
 
 
 def test_the_core_has_the_rules_of_python() -> None:
-    assert get_args(Rule) == core.RULES
+    assert RULE_NAMES == core.RULES
 
 
 def test_the_input_check_has_one_finding_alone(recording: Recording) -> None:

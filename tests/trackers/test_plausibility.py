@@ -159,7 +159,7 @@ def test_short_recordings_are_judged_by_what_they_have(take: Any) -> None:
             )
         assert caught.value.argument == "hand.npz"
         assert "millimetres" in str(caught.value)
-        assert "multiply them by 0.001" in str(caught.value)
+        assert "multiply the landmarks by 0.001" in str(caught.value)
 
 
 def test_a_session_can_start_again(take: Any) -> None:
@@ -227,7 +227,7 @@ def test_units_of_length_are_named(factor: float, name: str, take: Any) -> None:
     finding = find(take.part(0.0, 1.0)._replace(landmarks=take.landmarks[:60] * factor))
     assert finding is not None
     assert name in finding.problem
-    assert finding.advice == f"multiply them by {1 / factor:g}"
+    assert finding.advice == f"multiply the landmarks by {1 / factor:g}"
 
 
 def test_a_wrist_in_another_unit_or_world_is_found(take: Any) -> None:

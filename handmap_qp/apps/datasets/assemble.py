@@ -10,7 +10,6 @@ set of both robots, a hand that an episode lacks is at rest, and not valid.
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -23,7 +22,6 @@ from handmap_qp.apps.datasets.manifest import Line
 from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers.formats import SEPARATOR
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
@@ -111,23 +109,18 @@ def _write_lerobot(
         "action": Feature("float32", names),
         "observation.valid": Feature("bool", tuple(hands)),
     }
-    fresh = root.with_name(f"{root.name}.new")
-    shutil.rmtree(fresh, ignore_errors=True)
     with writing_set(
-        fresh,
+        root,
         fps=fps,
         features=features,
         robot_type=_robot_names(hands),
         argument="--out",
+        overwrite=True,
     ) as writer:
         for episode in episodes:
             arrays = episode.state, episode.action, episode.valid
             columns = dict(zip(features, arrays, strict=True))
             writer.add(columns, episode.task, {"source": episode.sources})
-    shutil.rmtree(root, ignore_errors=True)
-    with writing(root, "--out"):
-        fresh.rename(root)
-        sync(root.parent)
     return root
 
 

@@ -39,13 +39,10 @@ _OWN = (
 )
 
 
-def _check(form: RecordingFormat) -> None:
-    if not isinstance(form, RecordingFormat):
-        raise TypeError("expected an object of a subclass of RecordingFormat")
-
-
 FORMATS: Mapping[str, RecordingFormat] = Plugins(
-    "handmap_qp.formats", lambda: {form.name: form for form in _OWN}, _check
+    "handmap_qp.formats",
+    lambda: {form.name: form for form in _OWN},
+    "handmap_qp.trackers.formats.base:RecordingFormat",
 )
 """All formats by name; where a suffix has several, the first one that recognises a file reads it,
 and the first one writes it."""

@@ -9,6 +9,7 @@ row for each frame. pyarrow alone reads them.
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -123,22 +124,24 @@ def writing_set(
     features: Mapping[str, Feature],
     robot_type: str,
     argument: str = "path",
+    overwrite: bool = False,
 ) -> Iterator[LeRobotWriter]:
     """Write a data set; the folder appears when the block has succeeded.
 
     Args:
-        root: Folder to write; must not exist, or be empty.
+        root: Folder to write; must not exist, or be empty, unless `overwrite`.
         fps: Frames per second of all episodes.
         features: Columns by name, without those that every data set has.
         robot_type: Name of the robot or hand.
         argument: Argument or option that names the folder, for errors.
+        overwrite: Whether to replace a folder that exists.
 
     Raises:
         InvalidInputError: If the folder exists and is not empty, or cannot be written.
         MissingExtraError: If pyarrow is not installed.
     """
-    is_empty = root.is_dir() and not any(root.iterdir())
-    check_new(argument, root, overwrite=is_empty, advice="remove it first")
+    is_free = overwrite or (root.is_dir() and not any(root.iterdir()))
+    check_new(argument, root, overwrite=is_free, advice="remove it first")
     make_folder(root.parent, argument)
     with (
         writing(root, argument),
@@ -153,6 +156,8 @@ def writing_set(
             writer.abandon()
         for path in (*folder.rglob("*"), folder):
             sync(path)
+        if overwrite:
+            shutil.rmtree(root, ignore_errors=True)
         folder.rename(root)
         sync(root.parent)
 

@@ -11,7 +11,7 @@ add layouts by entry points of the group `handmap_qp.layouts`. They are loaded a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 from handmap_qp.plugins import Plugins
@@ -20,14 +20,9 @@ if TYPE_CHECKING:
     from handmap_qp.trackers.layouts.base import Layout
 
 
-def _own() -> Mapping[str, Layout]:
-    return import_module(f"{__name__}.tables").read_tables()
-
-
-def _check(layout: Layout) -> None:
-    if not isinstance(layout, import_module(f"{__name__}.base").Layout):
-        raise TypeError("expected a Layout")
-
-
-LAYOUTS: Mapping[str, Layout] = Plugins("handmap_qp.layouts", _own, _check)
+LAYOUTS: Mapping[str, Layout] = Plugins(
+    "handmap_qp.layouts",
+    lambda: resolve_name("handmap_qp.trackers.layouts.tables:read_tables")(),
+    "handmap_qp.trackers.layouts.base:Layout",
+)
 """All layouts by name."""

@@ -118,14 +118,9 @@ class MarkerLayout(Layout):
         palm = human.points(human.rest)[self._on_palm]
         wrist = rigid_fit(palm, markers[0, self._on_palm])
         ik.place(human.configuration_vector(human.rest, wrist))
-        found = []
-        poses = []
-        for sample in markers:
-            ik.solve(sample, None, 1.0)
-            q = ik.configuration.q[human.q_indices]
-            poses.append(ik.configuration.wrist.homogeneous)
-            found.append(landmarks.points(q, poses[-1]))
-        return Hands(np.array(found), np.array(poses))
+        fits = [ik.solve(sample, None, 1.0) for sample in markers]
+        found = [landmarks.points(fit.q[human.q_indices], fit.wrist) for fit in fits]
+        return Hands(np.array(found), np.array([fit.wrist for fit in fits]))
 
     def write_posture(
         self,

@@ -1,0 +1,161 @@
+"""The posture in which a hand's reference points are nearest to their targets, by Newton's method.
+
+    min   f(q) = 1/2 sum_j w_j^2 |p_j(q) - t_j|^2 + 1/2 w_q^2 |q - q_rest|^2
+    s.t.  q_min <= q <= q_max
+
+with the palm at rest. Targets may be out of reach, so the Hessian holds the curvature of the
+points' paths too: the second derivative of a point by the joints i and j, i nearer to the palm, is
+the axis of i times the point's derivative by j. Each step solves a QP with the joint limits.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from handmap_qp.hands.configuration import moved_by
+from handmap_qp.hands.fingers import joint_motion
+from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.compiled import core_tree
+from handmap_qp.ik.qp import solve_by_daqp
+
+_MOST_STEPS = 50
+_SMALLEST_STEP = 1e-8  # rad or m
+_LEAST_DECREASE = 1e-4
+"""Share of the decrease that the slope foretells (Armijo)."""
+_SMALLEST_SHARE = 1e-4
+"""Least share of a step to try."""
+_ROUNDING = 1.0 + 1e-14
+"""Near the minimum, values differ by less than their rounding."""
+_LEAST_CURVATURE = 1e-6
+"""Least eigenvalue of the Hessian over its largest; smaller ones are turned or lifted."""
+
+
+def nearest_posture(
+    hand: Hand,
+    targets: np.ndarray,
+    costs: np.ndarray,
+    rest_cost: float,
+    start: np.ndarray,
+) -> np.ndarray:
+    """Return the joint positions that bring a hand's points nearest to their targets.
+
+    Joints that move the wrist (those of an arm) stay as in the rest posture.
+
+    Args:
+        hand: The hand.
+        targets: Targets of its reference points, its wrist being where it is in the rest posture
+            with the identity as wrist pose [m], shape (m, 3).
+        costs: Cost of each point's error [1/m], shape (m,).
+        rest_cost: Cost of leaving the rest posture [1/rad or 1/m].
+        start: Joint positions to begin at, shape (n,); of several minima, the one nearby is found.
+
+    Returns:
+        Joint positions inside their limits [rad or m], shape (n,).
+    """
+    if (tree := core_tree(hand)) is not None:
+        return tree.nearest_posture(hand, targets, costs, rest_cost, start)
+    distance = _Distance(hand, targets, costs, rest_cost)
+    free = distance.free
+    lower = hand.lower_limits[free]
+    upper = hand.upper_limits[free]
+    x = np.clip(start[free], lower, upper)
+    here = distance.at(x)
+    for _ in range(_MOST_STEPS):
+        step = solve_by_daqp(_convex(here.hessian), here.gradient, lower - x, upper - x)
+        if step is None:
+            break
+        slope = step @ here.gradient
+        share = 1.0
+        while True:
+            ahead = np.clip(x + share * step, lower, upper)
+            there = distance.at(ahead)
+            most = _ROUNDING * here.value + _LEAST_DECREASE * share * slope
+            if there.value <= most:
+                break
+            share *= 0.5
+            if share < _SMALLEST_SHARE:
+                return distance.whole(x)
+        length = np.abs(ahead - x).max()
+        x = ahead
+        here = there
+        if length < _SMALLEST_STEP:
+            break
+    return distance.whole(x)
+
+
+class _Terms(NamedTuple):
+    """Value, gradient (k,) and Hessian (k, k) of f in the free joints."""
+
+    value: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+
+
+class _Distance:
+    """f of one hand; arguments as of `nearest_posture`.
+
+    Attributes:
+        free: Indices of the joints that do not move the wrist, shape (k,).
+    """
+
+    def __init__(
+        self, hand: Hand, targets: np.ndarray, costs: np.ndarray, rest_cost: float
+    ) -> None:
+        self._hand = hand
+        self._targets = targets
+        self._costs = costs[:, None] ** 2
+        self._rest_cost = rest_cost**2
+        self._placed = hand.configuration()
+        self.free = np.flatnonzero(~hand.moves_wrist)
+        spread, self._is_ancestor = _coordinates(hand)
+        # From the free joints to the model's tangent space.
+        self._spread = spread[:, self.free]
+        self._rest = hand.rest[self.free]
+
+    def whole(self, x: np.ndarray) -> np.ndarray:
+        """Return the positions of all joints, given those of the free ones."""
+        q = self._hand.rest.copy()
+        q[self.free] = x
+        return q
+
+    def at(self, x: np.ndarray) -> _Terms:
+        """Return f and its derivatives at positions of the free joints, shape (k,)."""
+        placed = self._placed
+        away = x - self._rest
+        placed.place(self._hand.configuration_vector(self.whole(x)))
+        errors = placed.points - self._targets
+        forces = self._costs * errors
+        rows = placed.full_point_jacobian()
+        # S_ij = axis_i . sum_k (J_kj x force_k), for i an ancestor of j or j itself.
+        levers = rows.reshape(len(forces), 3, -1)
+        turning = np.cross(levers, forces[:, :, None], axis=1).sum(axis=0)
+        curvature = placed.joint_jacobian()[3:].T.dot(turning) * self._is_ancestor
+        full = rows.T.dot(np.repeat(self._costs, 3, axis=0) * rows)
+        full += curvature + np.triu(curvature, 1).T
+        hessian = self._spread.T.dot(full).dot(self._spread)
+        hessian += self._rest_cost * np.eye(len(x))
+        gradient = (
+            forces.reshape(-1).dot(rows).dot(self._spread) + self._rest_cost * away
+        )
+        value = 0.5 * ((forces * errors).sum() + self._rest_cost * away.dot(away))
+        return _Terms(value, gradient, hessian)
+
+
+@lru_cache(maxsize=16)
+def _coordinates(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
+    """Return `joint_motion`, and for each coordinate of the model those that it carries, or 0."""
+    model = hand.model
+    carriers = np.repeat(np.arange(model.njoints), model.nvs)
+    return joint_motion(hand), moved_by(model, carriers.tolist()).T
+
+
+def _convex(hessian: np.ndarray) -> np.ndarray:
+    """Return a matrix with positive eigenvalues, so that every step leads downhill."""
+    values, vectors = np.linalg.eigh(hessian)
+    if values[0] > 0.0:
+        return hessian
+    sizes = np.abs(values)
+    return (vectors * sizes.clip(_LEAST_CURVATURE * sizes.max())).dot(vectors.T)
