@@ -269,10 +269,10 @@ double smallest_gap_of(const Array& time, const Array& landmarks) {
                       constants.get<double>("_PERCENTILE"));
 }
 
-// See matched_posture.nearest_posture, whose constants and arguments these are.
+// See ik.nearest_posture, whose constants and arguments these are.
 nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array& targets,
                            const Array& costs, double rest_cost, const Array& start) {
-  const Fields constants(nb::module_::import_("handmap_qp.mapping.matched_posture"));
+  const Fields constants(nb::module_::import_("handmap_qp.ik.nearest_posture"));
   const Fields of(hand);
   NearestPosture problem(tree);
   problem.settings = {constants.get<int>("_MOST_STEPS"), constants.get<double>("_SMALLEST_STEP"),

@@ -1,5 +1,5 @@
 // Postures and gaps of a hand that are solved or measured outside a stream: see
-// handmap_qp/mapping/matched_posture.py and apps/offline/surface_gaps.py.
+// handmap_qp/ik/nearest_posture.py and apps/offline/surface_gaps.py.
 #pragma once
 
 #include <algorithm>
@@ -21,7 +21,7 @@ class NearestPosture {
   double rest_cost;              // squared
   Vector configuration, rest;    // where the hand is at rest: all coordinates, joints
   Vector lower, upper;
-  struct Settings {  // see matched_posture, in its order
+  struct Settings {  // see ik.nearest_posture, in its order
     int most_steps;
     double smallest_step, least_decrease, smallest_share, rounding, least_curvature;
   } settings;
