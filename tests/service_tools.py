@@ -19,7 +19,7 @@ from patience import PATIENCE, wait_until
 from zmq.auth import load_certificate
 from zmq.utils.monitor import recv_monitor_message
 
-from handmap_qp.apps.service.opening import Calibration, HandCache, Hands, prepare_hands
+from handmap_qp.apps.service.opening import HandCache, Hands, prepare_hands
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.session import Posture, Session
 from handmap_qp.apps.service.settings import Settings
@@ -96,13 +96,8 @@ def make_session(
 ) -> Session:
     """Make a session without a server."""
     request = opening(robot, **choices)
-    return Session(
-        request,
-        prepare_hands(request, CACHE),
-        "test",
-        now,
-        calibration=Calibration(request, CACHE, run_now),
-    )
+    hands = prepare_hands(request, CACHE, defer=run_now)
+    return Session(request, hands, "test", now)
 
 
 class Sampler:

@@ -325,7 +325,7 @@ def explore(monkeypatch: pytest.MonkeyPatch) -> Iterator[Search]:
     """Return the search, which takes a setting and returns what it has seen."""
     # Sessions of a world follow one another, and each resets the mapper.
     hands = prepare_hands(opening(), CACHE)
-    monkeypatch.setattr(sessions, "prepare_hands", lambda *_: hands)
+    monkeypatch.setattr(sessions, "prepare_hands", lambda *_, **__: hands)
     monkeypatch.setattr(sessions, "report", lambda *_, **__: None)
     monkeypatch.setattr(
         "handmap_qp.apps.service.dispatch.Throttle.report", lambda *_, **__: None

@@ -74,6 +74,7 @@ _FIELDS = {"human_q": "q", "wrist_pose": "wrist", "method": "preset"} | {
 _OF_ROBOT = {"input": "landmarks", "mount": None, "robot_points": None}
 """The only values of fields that a robot with two hands may be opened with."""
 
+Defer = Callable[[Callable[[], "Hands"]], Future["Hands"]]
 T = TypeVar("T")
 Chosen = TypeVar("Chosen", bound=Options)
 
@@ -233,8 +234,8 @@ class Hands:
         robot: The robot hand with the reference points of the request; of two, the first.
         choice: Preset and options of the mapper.
         lengths: The measured human hand, of two one of them; None for the model's own.
-        needs_measuring: Whether the first landmarks measure the human hand; until then it is the
-            model's own.
+        calibration: Measures the human hand from the first landmarks, if it is not known; until
+            then it is the model's own.
         pairs: Human and robot hands, matched for teleoperation; kept so that `configure` finds them
             at once. Those whose fingers do not correspond are missing.
     """
@@ -244,7 +245,7 @@ class Hands:
     robot: Hand
     choice: Choice
     lengths: HumanLengths | None
-    needs_measuring: bool
+    calibration: Calibration | None = None
     pairs: Sequence[HandPair] = ()
 
 
@@ -252,6 +253,7 @@ def prepare_hands(
     request: Open,
     cache: HandCache,
     measured: Mapping[Side, HumanLengths] = {},
+    defer: Defer | None = None,
 ) -> Hands:
     """Make the mapper of a session.
 
@@ -260,6 +262,8 @@ def prepare_hands(
         cache: The hands that clients may open.
         measured: The human hands as measured from landmarks, by side; one that is missing is as
             large as the other. The request decides if empty.
+        defer: Runs a measurement, which takes some 200 ms, in another thread; nothing is measured
+            if omitted.
 
     Returns:
         The mapper and the hands.
@@ -303,8 +307,10 @@ def prepare_hands(
         pairs = [hand_pair(humans[side], robot.hands[side]) for side in humans]
     rejoins = request.resume == "clutch"
     follower = following(mapper, rejoin="clutch" if rejoins else "glide")
-    is_new = has_landmarks and lengths is None
-    return Hands(mapper, follower, hand, choice, lengths, is_new, pairs)
+    calibration = None
+    if has_landmarks and lengths is None and defer is not None:
+        calibration = Calibration(request, cache, defer)
+    return Hands(mapper, follower, hand, choice, lengths, calibration, pairs)
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:
@@ -388,15 +394,12 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
 class Calibration:
     """Measure the human hands from landmarks, and prepare the hands of the session with them.
 
-    Attributes:
-        request: The request that opened the session.
-        cache: The hands that clients may open.
-        defer: Runs the measurement, which takes some 200 ms, in another thread.
+    Attributes are as of `prepare_hands`.
     """
 
     request: Open
     cache: HandCache
-    defer: Callable[[Callable[[], Hands]], Future[Hands]]
+    defer: Defer
 
     def __post_init__(self) -> None:
         """Begin without samples."""

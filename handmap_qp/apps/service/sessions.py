@@ -18,7 +18,7 @@ from weakref import WeakSet
 import msgspec
 
 from handmap_qp.apps.service.logs import AuditLog, Metrics, report
-from handmap_qp.apps.service.opening import Calibration, HandCache, Hands, prepare_hands
+from handmap_qp.apps.service.opening import HandCache, prepare_hands
 from handmap_qp.apps.service.safety import Bucket, refuse_if
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.settings import Settings
@@ -174,8 +174,10 @@ class Sessions:
         name = request.name or f"session-{next(self._numbers)}-{secrets.token_hex(3)}"
         self._names_opening.add(name)
         try:
-            work = self._submit(lambda: self._prepare(request))
-            hands, calibration = await asyncio.wrap_future(work)
+            work = self._submit(
+                lambda: prepare_hands(request, self.cache, defer=self._submit)
+            )
+            hands = await asyncio.wrap_future(work)
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
             self._check_owner(request, by)
@@ -186,7 +188,6 @@ class Sessions:
                 hands,
                 name,
                 self.clock(),
-                calibration=calibration,
                 former=former,
                 owner=by.owner(request.session),
                 motion=None if running is None else running.motion,
@@ -254,13 +255,6 @@ class Sessions:
         for secret in list(self.entries):
             self.end(secret, "no_session", "the server stops")
         self._executor.shutdown(wait=False, cancel_futures=True)
-
-    def _prepare(self, request: Open) -> tuple[Hands, Calibration | None]:
-        """Load the hands of a session, and what measures the human hand if that is needed."""
-        hands = prepare_hands(request, self.cache)
-        if not hands.needs_measuring:
-            return hands, None
-        return hands, Calibration(request, self.cache, self._submit)
 
     def _submit(self, work: Callable[[], _T]) -> Future[_T]:
         """Run work in the opening thread."""
