@@ -227,9 +227,9 @@ def lose_sessions(server: Server) -> None:
     sessions = server.dispatcher.sessions
 
     def lose() -> None:
-        for entry in sessions.entries.values():
-            sessions.store.note(entry.session.record)
-        sessions.entries.clear()
+        for session in sessions.by_secret.values():
+            sessions.store.note(session.record)
+        sessions.by_secret.clear()
 
     in_loop(server, lose)
 

@@ -129,8 +129,7 @@ class World:
     @property
     def session(self) -> Session | None:
         """The running session; there is at most one."""
-        entries = self.dispatcher.sessions.entries.values()
-        running = [entry.session for entry in entries]
+        running = [*self.dispatcher.sessions.by_secret.values()]
         assert len(running) <= 1, "two sessions of one name"
         return running[0] if running else None
 
@@ -297,7 +296,7 @@ class World:
 
         return (
             tuple(
-                (secret in there.entries, there._ended.get(secret))
+                (secret in there.by_secret, there._ended.get(secret))
                 for secret in secrets
             ),
             running
@@ -394,11 +393,11 @@ def _forgets_leases(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _renews_no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    def find(self: sessions.Sessions, secret: str) -> sessions.Entry:
-        entry = self.entries.get(secret)
-        heard = 0.0 if entry is None else entry.session.last_request
+    def find(self: sessions.Sessions, secret: str) -> Session:
+        session = self.by_secret.get(secret)
+        heard = 0.0 if session is None else session.last_request
         found = whole(self, secret)
-        found.session.last_request = heard
+        found.last_request = heard
         return found
 
     whole = sessions.Sessions.find

@@ -210,7 +210,7 @@ class Dispatcher:
         self._opening: dict[str, tuple[bytes, asyncio.Task[AnyReply]]] = {}
         self._refusals = Throttle()
         self._bugs = Throttle()
-        self.metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
+        self.metrics.gauges["sessions"] = lambda: len(self.sessions.by_secret)
         self.metrics.gauges["uptime_seconds"] = lambda: self.clock() - self._started
 
     def receive(
@@ -261,8 +261,10 @@ class Dispatcher:
             self._pending[request.session] = request, send
         elif isinstance(request, Open):
             self._receive_open(request, payload, send)
+        elif isinstance(request, Subscribe):
+            send(self._attempt(self._subscribe, request, subscribe))
         else:
-            send(self._attempt(self._answer, request, payload, now, subscribe))
+            send(self._attempt(self._answer, request, payload, now))
         return True
 
     def flush(self) -> None:
@@ -282,8 +284,7 @@ class Dispatcher:
         """
         now = self.clock()
         due = now + _LONGEST_TICK
-        for secret, entry in list(self.sessions.entries.items()):
-            session = entry.session
+        for secret, session in list(self.sessions.by_secret.items()):
             is_idle = now - session.last_request > self.settings.idle
             if is_idle and not session.will_move:
                 reason = "closed: its client was silent too long"
@@ -320,67 +321,62 @@ class Dispatcher:
 
     def _for_stream(self, sample: Sample) -> AnyReply:
         """Map a streamed sample; its command, or why there is none, is in the stream."""
-        entry = self.sessions.find(sample.session)
-        if sample.seq <= entry.seq:
-            entry.session.counts["stale"] += 1
+        session = self.sessions.find(sample.session)
+        if sample.seq <= session.seq:
+            session.counts["stale"] += 1
         else:
-            entry.seq = sample.seq
-            entry.payload = b""
-            now = self.clock()
-            reply = self._attempt(self._act, sample, entry.session, now)
+            session.seq = sample.seq
+            session.payload = b""
+            reply = self._attempt(self._act, sample, session, self.clock())
             if isinstance(reply, Error):
-                self.sessions.send(entry.session.name, encode_reply(reply))
+                self.sessions.send(session.name, encode_reply(reply))
         return Done(seq=sample.seq)
 
-    def _answer(
-        self,
-        request: AnyRequest,
-        payload: bytes,
-        now: float,
-        subscribe: Subscriber | None,
-    ) -> AnyReply:
+    def _subscribe(self, request: Subscribe, subscribe: Subscriber | None) -> AnyReply:
+        """Subscribe a connection to the stream of a session, as everyone may.
+
+        Raises:
+            RefusedError: If there is no such session, or the transport has no such streams.
+        """
+        self.sessions.named(request.name)
+        if subscribe is None:
+            message = "connect a SUB socket to the stream's port instead"
+            raise RefusedError("invalid", message, field="type")
+        subscribe(request.name)
+        return Done(seq=request.seq)
+
+    def _answer(self, request: AnyRequest, payload: bytes, now: float) -> AnyReply:
         """Answer a request at once; repeat the last answer if a session's client repeats itself.
 
         Raises:
             RefusedError: If there is no such session, or the request is older than the last one, or
                 the client may not do that.
         """
-        if isinstance(request, Named | Subscribe) and request.name is not None:
-            return self._by_name(request, now, subscribe)
+        if isinstance(request, Named) and request.name is not None:
+            return self._by_name(request, now)
         if isinstance(request, Status | Stop) and not request.session:
             return self._for_all(request, now)
-        entry = self.sessions.find(request.session)
-        if request.seq == entry.seq and payload == entry.payload:
-            return entry.answer
-        message = f"expected a number above {entry.seq}, got {request.seq}"
-        refuse_if(request.seq <= entry.seq, message, "seq", "stale")
-        entry.seq = request.seq
-        entry.payload = payload
-        entry.answer = self._attempt(self._act, request, entry.session, now)
-        return entry.answer
+        session = self.sessions.find(request.session)
+        if request.seq == session.seq and payload == session.payload:
+            return session.answer
+        message = f"expected a number above {session.seq}, got {request.seq}"
+        refuse_if(request.seq <= session.seq, message, "seq", "stale")
+        session.seq = request.seq
+        session.payload = payload
+        session.answer = self._attempt(self._act, request, session, now)
+        return session.answer
 
-    def _by_name(
-        self,
-        request: Named | Subscribe,
-        now: float,
-        subscribe: Subscriber | None,
-    ) -> AnyReply:
+    def _by_name(self, request: Named, now: float) -> AnyReply:
         """Answer a request by a session's public name.
 
-        Everyone may subscribe, ask for the status, and stop robots; other requests need
-        `is_shared`. The owner's key and supervisor may clear a stop too.
+        Everyone may ask for the status, and stop robots; other requests need `is_shared`. The
+        owner's key and supervisor may clear a stop too.
 
         Raises:
             RefusedError: If the client may not do that.
         """
         session = self.sessions.named(request.name or "")
         by = self._who()
-        if isinstance(request, Subscribe):
-            if subscribe is None:
-                message = "connect a SUB socket to the stream's port instead"
-                raise RefusedError("invalid", message, field="type")
-            subscribe(request.name)
-            return Done(seq=request.seq)
         refuse_if(request.session, "give session or name, not both", "name")
         may_clear = by.key in self.settings.supervisor or by.owner("") == session.owner
         free = Status | Stop | Clear if may_clear else Status | Stop
@@ -404,8 +400,8 @@ class Dispatcher:
                 stream_port=self.stream_port,
             )
         self.audit.note("stop", self._who(), **_changes(request))
-        for entry in list(self.sessions.entries.values()):
-            self._attempt(self._act, request, entry.session, now)
+        for session in list(self.sessions.by_secret.values()):
+            self._attempt(self._act, request, session, now)
         return Done(seq=request.seq)
 
     def _attempt(
@@ -423,26 +419,16 @@ class Dispatcher:
         Raises:
             RefusedError: If it cannot be carried out.
         """
-        if isinstance(request, Step):
-            command = session.step(request, now)
-            self.metrics.counts["steps"] += 1
-            spent = self.clock() - now
-            self.metrics.steps[bisect_left(BUCKETS, spent)] += 1
-            self.metrics.seconds += spent
-            self._send(session, command)
-            return command
-        if isinstance(request, Status):
-            return session.state(request.seq, self._version, self.stream_port, now)
-        if isinstance(request, Close):
-            reason = "closed by its client"
-            self.sessions.end(request.session, "no_session", reason, by=self._who())
-        else:
-            self._control(session, request, now)
-        return Done(seq=request.seq)
-
-    def _control(self, session: Session, request: Request, now: float) -> None:
-        """Engage, disengage, change or stop a session, or start it again."""
         match request:
+            case Step():
+                return self._step(request, session, now)
+            case Status():
+                return session.state(request.seq, self._version, self.stream_port, now)
+            case Close():
+                reason = "closed by its client"
+                by = self._who()
+                self.sessions.end(request.session, "no_session", reason, by=by)
+                return Done(seq=request.seq)
             case Configure():
                 limit = f"more than {self.settings.configures:g} changes of options a second"
                 is_due = self._configures.take(now)
@@ -464,17 +450,28 @@ class Dispatcher:
         self.audit.note(event, self._who(), session=session.name, **_changes(request))
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
+        return Done(seq=request.seq)
+
+    def _step(self, sample: Step, session: Session, now: float) -> Command:
+        """Map a sample, and publish its command."""
+        command = session.step(sample, now)
+        self.metrics.counts["steps"] += 1
+        spent = self.clock() - now
+        self.metrics.steps[bisect_left(BUCKETS, spent)] += 1
+        self.metrics.seconds += spent
+        self._send(session, command)
+        return command
 
     def _receive_open(self, request: Open, payload: bytes, send: Send) -> None:
         """Open a session in a task; a repeated request gets the same answer."""
-        entry = self.sessions.entries.get(request.session)
-        if entry is not None and payload == entry.payload:
-            send(entry.answer)
+        session = self.sessions.by_secret.get(request.session)
+        if session is not None and payload == session.payload:
+            send(session.answer)
             return
         first, task = self._opening.get(request.session, (payload, None))
-        is_full = task is None and len(self._opening) >= self.settings.sessions
-        if first != payload or is_full:
-            send(self._failure(request.seq, RefusedError("busy", "too many at once")))
+        if first != payload:
+            message = "another request opens a session with this secret"
+            send(self._failure(request.seq, RefusedError("busy", message)))
             return
         if task is None:
             opening = self._open(request, payload, self._who())
@@ -487,9 +484,10 @@ class Dispatcher:
     async def _open(self, request: Open, payload: bytes, by: Caller) -> AnyReply:
         """Open a session; return the answer."""
         try:
-            entry = await self.sessions.open(request, payload, by)
-            entry.answer = entry.session.opened(request.seq, self.stream_port)
-            return entry.answer
+            session = await self.sessions.open(request, by)
+            session.payload = payload
+            session.answer = session.opened(request.seq, self.stream_port)
+            return session.answer
         except Exception as error:
             return self._failure(request.seq, error)
         finally:

@@ -223,7 +223,7 @@ class Server:
         is_alive = self._tasks and not any(task.done() for task in self._tasks)
         return {
             "status": "ok" if is_alive else "stopped",
-            "sessions": len(self.dispatcher.sessions.entries),
+            "sessions": len(self.dispatcher.sessions.by_secret),
             "lag_seconds": max(self._lags),
         }
 

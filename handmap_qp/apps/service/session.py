@@ -46,9 +46,11 @@ from handmap_qp.apps.service.safety import (
 from handmap_qp.apps.service.store import Posture, Record
 from handmap_qp.client.messages import (
     About,
+    AnyReply,
     Command,
     Configure,
     Detail,
+    Done,
     HandSample,
     HandState,
     Lengths,
@@ -187,6 +189,9 @@ class Session:
         robot: The robot hand.
         counts: Counts of what happened.
         last_request: Time of the last request with the session's secret [s].
+        seq: Number of that request.
+        payload: That request as received.
+        answer: Its answer, which is sent again if the same request arrives again.
         owner: Its owner.
 
     Raises:
@@ -210,6 +215,9 @@ class Session:
         self.robot = hands.mapper.robot
         self.counts: Counter[str] = Counter()
         self.last_request = self._opened_at = now
+        self.seq = self._stamped = request.seq
+        self.payload = b""
+        self.answer: AnyReply = Done()
         self._form = SampleForm(request, self.robot)
         # The request with all changes since.
         self._wanted = request
@@ -224,7 +232,6 @@ class Session:
         self._state = SessionState.WAITING
         self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
         self._stamp = 0.0
-        self._seq = request.seq
         self._dt = 0.0
         self._stop = 0
         self._reset_mapper()
@@ -680,11 +687,11 @@ class Session:
         """Return a command that answers a sample, or the last sample again if omitted."""
         if sample is not None:
             self._stamp = sample.time
-            self._seq = sample.seq
+            self._stamped = sample.seq
         state = self._state
         released = ["released"] * state.is_released + ["stopped"] * state.is_stopped
         return Command(
-            seq=self._seq,
+            seq=self._stamped,
             name=self.name,
             time=self._stamp,
             server_time=now,

@@ -10,7 +10,7 @@ import math
 import secrets
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from logging import INFO
 from typing import Any, NamedTuple, TypeVar
 from weakref import WeakSet
@@ -23,7 +23,7 @@ from handmap_qp.apps.service.safety import Bucket, refuse_if
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore, Record
-from handmap_qp.client.messages import AnyReply, Done, Error, Open
+from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.hand import Hand
 
@@ -68,25 +68,6 @@ def refusal(owner: str, client: str, *, is_attended: bool, is_rival: bool) -> st
     return "busy" if is_attended and (is_rival or not is_owner) else ""
 
 
-@dataclass(slots=True, eq=False)
-class Entry:
-    """A session with its last request and answer.
-
-    The answer is sent again if the same request arrives again.
-
-    Attributes:
-        session: The session.
-        seq: Number of the request.
-        payload: The request as received.
-        answer: Its answer.
-    """
-
-    session: Session
-    seq: int
-    payload: bytes
-    answer: AnyReply = field(default_factory=Done)
-
-
 @dataclass(eq=False)
 class Sessions:
     """The open sessions.
@@ -98,7 +79,7 @@ class Sessions:
         store: Records of former sessions.
         clock: Monotonic clock [s].
         audit: Record of who did what.
-        entries: Sessions by their secrets.
+        by_secret: Sessions by their secrets.
         publish: Callbacks that receive the messages of all streams.
     """
 
@@ -111,7 +92,7 @@ class Sessions:
 
     def __post_init__(self) -> None:
         """Begin without sessions."""
-        self.entries: dict[str, Entry] = {}
+        self.by_secret: dict[str, Session] = {}
         self.publish: list[Publish] = []
         self._works: WeakSet[Future[Any]] = WeakSet()
         # Single worker, so that opening sessions cannot starve running ones.
@@ -127,23 +108,23 @@ class Sessions:
     @property
     def names(self) -> tuple[str, ...]:
         """Public names of the open sessions."""
-        return tuple(entry.session.name for entry in self.entries.values())
+        return tuple(session.name for session in self.by_secret.values())
 
     @property
     def is_preparing(self) -> bool:
         """Whether the opening thread loads a hand, which it does not stop on request."""
         return any(work.running() for work in self._works)
 
-    def find(self, secret: str) -> Entry:
+    def find(self, secret: str) -> Session:
         """Return the session of a secret, and renew its lease.
 
         Raises:
             RefusedError: `no_session` if there is none, `taken` if another client took it over.
         """
-        entry = self.entries.get(secret)
-        if entry is not None:
-            entry.session.last_request = self.clock()
-            return entry
+        session = self.by_secret.get(secret)
+        if session is not None:
+            session.last_request = self.clock()
+            return session
         is_taken = self._ended.get(secret) == "taken"
         refuse_if(is_taken, "another client took this session over", "session", "taken")
         raise RefusedError("no_session", "no such session; open one", field="session")
@@ -158,12 +139,11 @@ class Sessions:
             raise RefusedError("invalid", f"no session {name!r}", field="name")
         return session
 
-    async def open(self, request: Open, payload: bytes, by: Caller) -> Entry:
+    async def open(self, request: Open, by: Caller) -> Session:
         """Open a session.
 
         Args:
             request: The request.
-            payload: The request as received.
             by: The client.
 
         Raises:
@@ -201,8 +181,7 @@ class Sessions:
             reason = "a client restored this session"
             self.end(running.request.session, "taken", reason, by=by)
         self._last_heard.pop(name, None)
-        entry = Entry(session, request.seq, payload)
-        self.entries[request.session] = entry
+        self.by_secret[request.session] = session
         self.note(session)
         self.metrics.counts["opened"] += 1
         event: dict[str, Any] = {
@@ -212,7 +191,7 @@ class Sessions:
         }
         self.audit.note("opened", by, **event)
         report(INFO, "opened", input=request.input, **event)
-        return entry
+        return session
 
     def note(self, session: Session) -> None:
         """Note where a session is, if that is to outlive the server.
@@ -233,7 +212,7 @@ class Sessions:
             reason: The reason for stream and log.
             by: Who ends it, for the audit log.
         """
-        session = self.entries.pop(secret).session
+        session = self.by_secret.pop(secret)
         self.store.note(session.record)
         self._ended[secret] = code
         if len(self._ended) > _REMEMBERED:
@@ -252,7 +231,7 @@ class Sessions:
 
     def close(self) -> None:
         """Close all sessions."""
-        for secret in list(self.entries):
+        for secret in list(self.by_secret):
             self.end(secret, "no_session", "the server stops")
         self._executor.shutdown(wait=False, cancel_futures=True)
 
@@ -266,13 +245,13 @@ class Sessions:
         """Refuse requests that can be refused before hands are loaded."""
         name = request.name
         last = self._find_named(request.name)
-        held = self.entries.get(request.session)
+        held = self.by_secret.get(request.session)
         most = self.settings.sessions
         is_another = held is not None and not (
-            held.session is last and request.restore and request.seq > held.seq
+            held is last and request.restore and request.seq > held.seq
         )
         is_replacing = last is not None and request.restore
-        count = len(self.entries) + len(self._names_opening) - is_replacing
+        count = len(self.by_secret) + len(self._names_opening) - is_replacing
         refuse_if(
             len(request.session) < _SHORTEST_SECRET,
             f"expected at least {_SHORTEST_SECRET} random characters",
@@ -311,8 +290,8 @@ class Sessions:
 
     def _find_named(self, name: str | None) -> Session | None:
         """Return the open session of a name, if there is one."""
-        sessions = (entry.session for entry in self.entries.values())
-        return next((session for session in sessions if session.name == name), None)
+        named = (each for each in self.by_secret.values() if each.name == name)
+        return next(named, None)
 
     def _check_owner(self, request: Open, by: Caller) -> None:
         """Refuse a name to a client that must not have it, or must not yet."""
@@ -326,7 +305,7 @@ class Sessions:
         # Without `restore`, a name is free after the lease.
         if held is None or not (request.restore or is_attended):
             return
-        is_rival = running is not None and request.session not in self.entries
+        is_rival = running is not None and request.session not in self.by_secret
         client = by.owner(request.session)
         code = refusal(held.owner, client, is_attended=is_attended, is_rival=is_rival)
         busy = f"is in use until {LEASE:g} s after its owner's last request"
