@@ -6,9 +6,9 @@ refusals that name a field of the request.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -25,7 +25,6 @@ from handmap_qp.errors import (
     InvalidInputError,
     InvalidOptionsError,
     RefusedError,
-    expect,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
@@ -75,7 +74,6 @@ _OF_ROBOT = {"input": "landmarks", "mount": None, "robot_points": None}
 """The only values of fields that a robot with two hands may be opened with."""
 
 Defer = Callable[[Callable[[], "Hands"]], Future["Hands"]]
-T = TypeVar("T")
 Chosen = TypeVar("Chosen", bound=Options)
 
 
@@ -109,14 +107,15 @@ def _field_of(named: str) -> str:
     return _FIELDS[name] + bracket + index if name in _FIELDS else ""
 
 
-def with_field_errors(field: str, make: Callable[[], T]) -> T:
-    """Return what `make` returns, and raise its errors as refusals of a field.
+@contextmanager
+def naming_field(field: str) -> Iterator[None]:
+    """Raise errors of the library as refusals of a field.
 
     Raises:
         RefusedError: With the field that the error names, or else `field`.
     """
     try:
-        return make()
+        yield
     except HandmapError as error:
         raise refused(error, field) from error
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -124,22 +123,24 @@ def with_field_errors(field: str, make: Callable[[], T]) -> T:
         raise RefusedError("invalid", message, field=field) from error
 
 
-def with_option_errors(robot: Hand, choice: Choice, make: Callable[[], T]) -> T:
-    """Return what `make` returns, and raise its errors as refusals of options.
+@contextmanager
+def naming_option(robot: Hand, choice: Choice) -> Iterator[None]:
+    """Raise errors of a mapper that is made or configured as refusals of options.
 
     Args:
         robot: The robot hand.
         choice: The options.
-        make: Makes or configures a mapper.
 
     Raises:
         RefusedError: With the option at fault. If the error names none: `ik` if the QP alone cannot
             be set up; else `options`.
     """
     try:
-        return with_field_errors("options", make)
+        with naming_field("options"):
+            yield
     except RefusedError:
-        with_field_errors("ik", lambda: PointIk(robot, choice.ik))
+        with naming_field("ik"):
+            PointIk(robot, choice.ik)
         raise
 
 
@@ -195,7 +196,8 @@ class HandCache:
         for field, only in _OF_ROBOT.items():
             message = f"expected {only or 'none'} for a robot with two hands"
             refuse_if(getattr(request, field) != only, message, field)
-        return with_field_errors("robot", lambda: self._load_robot(file))
+        with naming_field("robot"):
+            return self._load_robot(file)
 
     def robot(self, name: str, points: str | None, mount: Mount | None) -> Hand:
         """Return a robot hand.
@@ -212,9 +214,8 @@ class HandCache:
         message = f"no hand {name!r:.80}; there are {known}"
         refuse_if(name not in self._files, message, "robot")
         file = self._files[name]
-        return with_field_errors(
-            "robot", lambda: self._load(file, points=points, mount=mount)
-        )
+        with naming_field("robot"):
+            return self._load(file, points=points, mount=mount)
 
     def human(
         self, side: Side, points: str | None, lengths: HumanLengths | None = None
@@ -271,13 +272,12 @@ def prepare_hands(
     Raises:
         RefusedError: With the field at fault.
     """
-    has_both = request.hand_length is not None and request.lengths is not None
-    refuse_if(has_both, "give hand_length or lengths, not both", "lengths")
     robot = cache.robot_of(request)
     first, hand = next(iter(robot.hands.items()))
     lengths = next(iter(measured.values()), None)
     if lengths is None:
-        lengths = with_field_errors("lengths", lambda: _human_lengths(request))
+        with naming_field("lengths"):
+            lengths = _human_lengths(request)
     points = request.human_points
 
     def load(side: Side) -> Hand:
@@ -285,22 +285,20 @@ def prepare_hands(
         gap = request.contact_gap
         return human if gap is None else human.with_contact_gap(gap)
 
-    humans = with_field_errors(
-        "human_points", lambda: {side: load(side) for side in robot.hands}
-    )
-    human = humans[first]
     has_landmarks = request.input == "landmarks"
-    if has_landmarks:
-        # Reject reference points that are no landmarks now, not at the first sample.
-        with_field_errors("human_points", lambda: LandmarkReader(human))
+    with naming_field("human_points"):
+        humans = {side: load(side) for side in robot.hands}
+        human = humans[first]
+        if has_landmarks:
+            # Reject reference points that are no landmarks now, not at the first sample.
+            LandmarkReader(human)
     choice = read_choice(request, human, hand)
     mapping: Any = partial(HandMapper, human, hand)
     following: Any = Follower
     if robot.name:
         mapping, following = partial(RobotMapper, robot, humans), RobotFollower
-    mapper = with_option_errors(
-        hand, choice, lambda: mapping(choice.method, ik=choice.ik)
-    )
+    with naming_option(hand, choice):
+        mapper = mapping(choice.method, ik=choice.ik)
     pairs = []
     # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
     with suppress(HandmapError):
@@ -319,12 +317,10 @@ def _human_lengths(request: Open) -> HumanLengths | None:
     length = request.hand_length
     if given is None:
         return None if length is None else HumanLengths.from_hand_length(length)
+    refuse_if(length is not None, "give hand_length or lengths, not both", "lengths")
     bones = np.linalg.norm((given.bases, given.segments), axis=2)
-    expect(
-        ((bones > 0.0) & (bones < _LONGEST_BONE)).all(),
-        "lengths",
-        "lengths between 0 and 1 m",
-    )
+    is_hand = ((bones > 0.0) & (bones < _LONGEST_BONE)).all()
+    refuse_if(not is_hand, "expected lengths between 0 and 1 m", "lengths")
     return HumanLengths(*msgspec.structs.astuple(given))
 
 
@@ -340,7 +336,8 @@ def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
         RefusedError: With the field at fault.
     """
     name = request.preset or preset_with(request.options, human, robot)
-    start = with_field_errors("preset", lambda: preset_choice(name, human))
+    with naming_field("preset"):
+        start = preset_choice(name, human)
     found = found_alignment(start.method, robot, upright_of(request))
     method = _changed("options", start.method, found | request.options)
     ik = _changed("ik", start.ik, request.ik)
@@ -424,7 +421,8 @@ class Calibration:
         if verdict.rule in ("missing", "zero"):
             return verdict.rule
         landmarks = sample.landmarks
-        with_field_errors("landmarks", lambda: check_length(landmarks[None]))
+        with naming_field("landmarks"):
+            check_length(landmarks[None])
         # The person may be much larger or smaller than the model.
         if verdict.is_held and verdict.rule != "size":
             return verdict.rule
@@ -462,7 +460,8 @@ def _measured(side: Side, landmarks: np.ndarray) -> HumanLengths:
     time = _PERIOD * np.arange(len(landmarks))
     is_valid = np.ones(len(landmarks), dtype=bool)
     recording = Recording("calibration", time, landmarks, is_valid, side)
-    lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
+    with naming_field("landmarks"):
+        lengths = measure_hand(recording)
     # Without a touch, nothing was measured: the preset's own gap is the better guess.
     smallest = smallest_gap(time, landmarks)
     if smallest < TOUCH_GAP:

@@ -25,12 +25,12 @@ from msgspec import structs
 from handmap_qp.apps.service.opening import (
     Calibration,
     Hands,
+    naming_field,
+    naming_option,
     read_choice,
     refused,
     upright_of,
     with_changes,
-    with_field_errors,
-    with_option_errors,
 )
 from handmap_qp.apps.service.safety import (
     START_TOLERANCE,
@@ -484,10 +484,10 @@ class Session:
             RefusedError: If the robot cannot be there, or its wrist is fixed.
         """
         if request.robot_q is not None:
-            start = request.robot_q, "robot_q", START_TOLERANCE
-            q, _ = with_field_errors(
-                "robot_q", lambda: check_joints(self.robot, *start)
-            )
+            with naming_field("robot_q"):
+                q, _ = check_joints(
+                    self.robot, request.robot_q, "robot_q", START_TOLERANCE
+                )
         is_moved = request.robot_wrist is not None and not self.robot.is_floating
         message = f"{self.robot.name} has a fixed wrist: leave it out"
         refuse_if(is_moved, message, "robot_wrist")
@@ -587,9 +587,8 @@ class Session:
             human = human.with_contact_gap(self._gap_meter.gap)
         choice = read_choice(wanted, human, hands.robot)
         method = None if choice.method == hands.choice.method else choice.method
-        with_option_errors(
-            hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik)
-        )
+        with naming_option(hands.robot, choice):
+            mapper.configure(method, ik=choice.ik)
         self._wanted = wanted
         self._hands = replace(hands, choice=choice)
         self._commanded.obey(mapper.point_ik)
