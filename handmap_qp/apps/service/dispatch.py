@@ -68,10 +68,16 @@ _LONGEST_TICK = 0.02
 
 
 class _Head(msgspec.Struct):
-    """The fields that identify a request which is invalid elsewhere."""
+    """The fields that identify a request, which may be invalid elsewhere."""
 
     protocol: Any = None
     seq: Any = 0
+
+    @property
+    def number(self) -> int:
+        """The number of the request; 0 if it is not one."""
+        is_number = type(self.seq) is int and 0 <= self.seq <= 2**53
+        return self.seq if is_number else 0
 
 
 # Invalid UTF-8 and excessive nesting raise errors other than msgspec's.
@@ -91,44 +97,31 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
         The request; or the error to answer with, which has the field at fault, and the number of
         the request if it can be read.
     """
+    head = _Head()
+    known = messages.PROTOCOLS
     try:
-        request = _decode(payload)
+        head = _decode_head(payload)
+        request = None
+        if type(head.protocol) is not int or head.protocol in known:
+            request = _decode(payload)
     except msgspec.ValidationError as error:
-        head = _head(payload)
-        if type(head.protocol) is int and head.protocol not in messages.PROTOCOLS:
-            return _wrong_protocol(head)
         message, path = _explain(error)
-        return Error(seq=head.seq, code="invalid", message=message, field=path)
+        return Error(seq=head.number, code="invalid", message=message, field=path)
     except _UNREADABLE as error:
         return Error(code="invalid", message=f"not a message: {error}"[:200])
     is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
-    if request.protocol not in messages.PROTOCOLS or is_newer:
-        return _wrong_protocol(request)
+    if request is None or is_newer:
+        versions = " or ".join(map(str, known))
+        return Error(
+            seq=head.number,
+            code="protocol",
+            field="protocol",
+            message=f"expected version {versions}, got {head.protocol}",
+            protocols=known,
+        )
     for place, message in _wrong_poses(request):
         return Error(seq=request.seq, code="invalid", message=message, field=place)
     return request
-
-
-def _head(payload: bytes) -> _Head:
-    """Return protocol and number of a request that is invalid elsewhere."""
-    try:
-        head = _decode_head(payload)
-    except _UNREADABLE:
-        return _Head()
-    is_number = type(head.seq) is int and 0 <= head.seq <= 2**53
-    return head if is_number else _Head(head.protocol)
-
-
-def _wrong_protocol(request: _Head | AnyRequest) -> Error:
-    known = messages.PROTOCOLS
-    message = f"expected version {' or '.join(map(str, known))}, got {request.protocol}"
-    return Error(
-        seq=request.seq,
-        code="protocol",
-        field="protocol",
-        message=message,
-        protocols=known,
-    )
 
 
 def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
