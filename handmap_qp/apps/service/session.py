@@ -184,7 +184,7 @@ class Session:
         motion: How the robot of that session moves, if it is running; at rest if omitted.
 
     Attributes:
-        request: The request that opened it.
+        request: The request that opened it, with all changes of options since.
         name: Public name.
         robot: The robot hand.
         counts: Counts of what happened.
@@ -219,9 +219,6 @@ class Session:
         self.payload = b""
         self.answer: AnyReply = Done()
         self._form = SampleForm(request, self.robot)
-        # The request with all changes since.
-        self._wanted = request
-        self._calibration = hands.calibration
         self._adopt(hands)
         start = self._start(self.robot.rest.copy(), None, request)
         self._place(*(start if former is None else former.posture), motion)
@@ -253,7 +250,7 @@ class Session:
     def mode(self) -> str:
         """What the robot does, as clients read it."""
         is_led = self._state is SessionState.FOLLOWING
-        return "calibrating" if self._calibration and is_led else self._state.mode
+        return "calibrating" if self._hands.calibration and is_led else self._state.mode
 
     @property
     def record(self) -> Record:
@@ -297,9 +294,10 @@ class Session:
         """Answer `status`."""
         choice = self._hands.choice
         measured = self._hands.lengths
-        wanted = {name: getattr(self._wanted, name) for name in About.__struct_fields__}
-        about: Fields = wanted | {
-            "upright": upright_of(self._wanted),
+        wanted = self.request
+        shared = {name: getattr(wanted, name) for name in About.__struct_fields__}
+        about: Fields = shared | {
+            "upright": upright_of(wanted),
             "robot": self.robot.name,
             "lengths": measured
             and Lengths(*(part.tolist() for part in astuple(measured)[:3])),
@@ -336,8 +334,8 @@ class Session:
         """
         try:
             humans = self._form.each(sample, self._form.read)
-            if self._calibration is not None:
-                return self._calibrate(self._calibration, humans, sample, now)
+            if self._hands.calibration is not None:
+                return self._calibrate(self._hands.calibration, humans, sample, now)
             self._prepare_mapper()
             self._dt, flags = self._clock.grant(sample.time, now)
             step = self._map(humans, sample, now)
@@ -448,7 +446,7 @@ class Session:
             RefusedError: With the option at fault. The session is then unchanged.
         """
         preset = self._hands.choice.preset
-        self._choose(self._hands, with_changes(self._wanted, preset, request))
+        self._choose(self._hands, with_changes(self.request, preset, request))
 
     def reset(self, request: Reset, now: float) -> None:
         """Start again.
@@ -551,9 +549,8 @@ class Session:
         command = self._command(now, "calibrating", flags, sample, **trust)
         if hands is not None:
             # Options may have changed since the hands were prepared.
-            self._choose(hands, self._wanted)
+            self._choose(hands, self.request)
             self._adopt(self._hands)
-            self._calibration = None
             self._reset_mapper()
             if self._state.is_released:
                 hands.mapper.release()
@@ -562,7 +559,7 @@ class Session:
     def _adopt(self, hands: Hands) -> None:
         """Make these the hands of the session, and measure their contact gap if nobody gave it."""
         self._hands = hands
-        wanted = self._wanted
+        wanted = self.request
         is_known = wanted.contact_gap is not None or "contact_gap" in wanted.options
         gap = hands.choice.method.values.get("contact_gap")
         self._gap_meter = None if gap is None or is_known else ContactGapMeter(gap)
@@ -570,10 +567,10 @@ class Session:
     def _measure_gap(self, time: float, landmarks: np.ndarray | None) -> None:
         """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
         meter = self._gap_meter
-        if meter is None or landmarks is None or "contact_gap" in self._wanted.options:
+        if meter is None or landmarks is None or "contact_gap" in self.request.options:
             return
         if meter.add(time, landmarks):
-            self._choose(self._hands, self._wanted)
+            self._choose(self._hands, self.request)
 
     def _choose(self, hands: Hands, wanted: Open) -> None:
         """Make these the hands of the session, with the options of a request.
@@ -589,7 +586,7 @@ class Session:
         method = None if choice.method == hands.choice.method else choice.method
         with naming_option(hands.robot, choice):
             mapper.configure(method, ik=choice.ik)
-        self._wanted = wanted
+        self.request = wanted
         self._hands = replace(hands, choice=choice)
         self._commanded.obey(mapper.point_ik)
 
@@ -650,7 +647,7 @@ class Session:
         """Return the fields of a command that describe the mapping."""
         error, at_bound, residual, _ = step.stages.summary
         detail = None
-        if self._wanted.has_detail and "motion" in step.diagnostics:
+        if self.request.has_detail and "motion" in step.diagnostics:
             # Every stage of a step whose method has a T.
             names = "motion", "motion_rigid", "motion_deformation", "stretches"
             names += "human_points", "targets", "points"
