@@ -59,13 +59,13 @@ T = TypeVar("T")
 Call = Coroutine[Any, Any, T]
 
 
-class Command(messages.Command, frozen=True):
+class Command(messages.Command):
     """A command for the robot's driver; its `detail` is a dict, as the server sent it."""
 
     detail: dict[str, Any] | None = None  # ty: ignore[incompatible-attribute-override]
 
 
-class State(messages.State, frozen=True):
+class State(messages.State):
     """The state of a session or of the server; its `about` is a dict, as the server sent it."""
 
     about: dict[str, Any] | None = None  # ty: ignore[incompatible-attribute-override]
