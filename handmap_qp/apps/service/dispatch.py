@@ -200,7 +200,7 @@ class Dispatcher:
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending: dict[str, tuple[Sample, Send]] = {}
-        self._opening: dict[str, tuple[bytes, asyncio.Task[AnyReply]]] = {}
+        self._opening: dict[bytes, asyncio.Task[AnyReply]] = {}
         self._refusals = Throttle()
         self._bugs = Throttle()
         self.metrics.gauges["sessions"] = lambda: len(self.sessions.by_secret)
@@ -294,7 +294,7 @@ class Dispatcher:
 
     async def close(self) -> None:
         """Close all sessions."""
-        tasks = [task for _, task in self._opening.values()]
+        tasks = [*self._opening.values()]
         for task in tasks:
             task.cancel()
         self.sessions.close()
@@ -461,15 +461,10 @@ class Dispatcher:
         if session is not None and payload == session.payload:
             send(session.answer)
             return
-        first, task = self._opening.get(request.session, (payload, None))
-        if first != payload:
-            message = "another request opens a session with this secret"
-            send(self._failure(request.seq, RefusedError("busy", message)))
-            return
-        if task is None:
+        if (task := self._opening.get(payload)) is None:
             opening = self._open(request, payload, self._who())
             task = asyncio.get_running_loop().create_task(opening)
-            self._opening[request.session] = payload, task
+            self._opening[payload] = task
         task.add_done_callback(
             lambda done: None if done.cancelled() else send(done.result())
         )
@@ -484,7 +479,7 @@ class Dispatcher:
         except Exception as error:
             return self._failure(request.seq, error)
         finally:
-            del self._opening[request.session]
+            del self._opening[payload]
 
     def _send(self, session: Session, command: Command) -> None:
         """Note and publish a command."""

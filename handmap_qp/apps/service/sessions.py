@@ -99,7 +99,8 @@ class Sessions:
         self._executor = ThreadPoolExecutor(1, "handmap-open")
         most = self.settings.sessions
         self._opens = Bucket(self.settings.opens, self.clock(), burst=most)
-        self._names_opening: set[str] = set()
+        # Names of the sessions that are being opened, by their secrets.
+        self._opening: dict[str, str] = {}
         self._ended: dict[str, str] = {}
         # After a restart, owners are on their way back.
         self._last_heard = dict.fromkeys(self.store.records, self.clock())
@@ -152,7 +153,7 @@ class Sessions:
         self._check(request, by)
         # Else a name that is unique also over restarts, because others may watch it.
         name = request.name or f"session-{next(self._numbers)}-{secrets.token_hex(3)}"
-        self._names_opening.add(name)
+        self._opening[request.session] = name
         try:
             work = self._submit(
                 lambda: prepare_hands(request, self.cache, defer=self._submit)
@@ -173,7 +174,7 @@ class Sessions:
                 motion=None if running is None else running.motion,
             )
         finally:
-            self._names_opening.discard(name)
+            del self._opening[request.session]
         # A stop also outlives a session that is not restored.
         if (last := self.store.records.get(name)) is not None and last.stop:
             session.stop(last.stop)
@@ -251,7 +252,7 @@ class Sessions:
             held is last and request.restore and request.seq > held.seq
         )
         is_replacing = last is not None and request.restore
-        count = len(self.by_secret) + len(self._names_opening) - is_replacing
+        count = len(self.by_secret) + len(self._opening) - is_replacing
         refuse_if(
             len(request.session) < _SHORTEST_SECRET,
             f"expected at least {_SHORTEST_SECRET} random characters",
@@ -270,7 +271,9 @@ class Sessions:
             "denied",
         )
         opening = f"session {name!r} is being opened"
-        refuse_if(name in self._names_opening, opening, "name", "busy")
+        refuse_if(name in self._opening.values(), opening, "name", "busy")
+        opening = "a session with this secret is being opened"
+        refuse_if(request.session in self._opening, opening, code="busy")
         refuse_if(
             last is not None and not request.restore,
             f"session {name!r} exists: restore=true takes it over",
