@@ -344,11 +344,9 @@ class _Core:
             return False
         # Servers of version 1 do not say which versions they answer.
         theirs = reply.protocols or PROTOCOLS[:1]
-        common = {
-            version for version in PROTOCOLS if version < self._protocol
-        }.intersection(theirs)
-        self._protocol = max(common, default=self._protocol)
-        return bool(common)
+        older = [v for v in PROTOCOLS if v in theirs and v < self._protocol]
+        self._protocol = max(older, default=self._protocol)
+        return bool(older)
 
     def _note(self, request: Request, reply: Reply) -> None:
         """Note what a request that was carried out means for the next reopening."""
