@@ -37,7 +37,7 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample, Rule, human_name
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.alignment import found_alignment
-from handmap_qp.mapping.hand_pair import HandPair, hand_pair
+from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.mapper import HandMapper, LandmarkReader
 from handmap_qp.mapping.presets import (
     IK_NAMES,
@@ -157,32 +157,30 @@ class HandCache:
         HandError: If one cannot be read, or two have the same name.
 
     Attributes:
+        robots: Names of the robot hands that are installed.
         missing: Why each hand that is not installed cannot be opened, by name.
         two_handed: Names of the robots with two hands.
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
-        self._files = hand_files()
-        self._robots = robot_files()
+        hands = hand_files()
+        robots = robot_files()
         for name in HUMAN_HANDS:
-            del self._files[name]
+            del hands[name]
         self.missing = missing_hands()
         for file in files:
             has_hands = "hands" in read_document(file)
             name = (read_robot_spec if has_hands else read_hand_spec)(file).name
-            if name in {*self.robots, *self._robots}:
+            if name in {*hands, *robots} - self.missing.keys():
                 problem = f"there is already a hand {name!r}"
                 raise HandError(problem, file=file, key="name", value=name)
-            (self._robots if has_hands else self._files)[name] = file
+            (robots if has_hands else hands)[name] = file
             self.missing.pop(name, None)
-        self.two_handed = tuple(self._robots)
+        self.robots = tuple(name for name in hands if name not in self.missing)
+        self.two_handed = tuple(robots)
+        self._files = hands | robots
         self._load = lru_cache(maxsize=_CACHED_HANDS)(load_hand)
         self._load_robot = lru_cache(maxsize=_CACHED_HANDS)(load_robot)
-
-    @property
-    def robots(self) -> tuple[str, ...]:
-        """Names of the robot hands that are installed."""
-        return tuple(name for name in self._files if name not in self.missing)
 
     def robot_of(self, request: Open) -> Robot:
         """Return the robot of a request; a hand of its own is one without a name.
@@ -190,14 +188,14 @@ class HandCache:
         Raises:
             RefusedError: As of `robot`, or if a field is not for a robot.
         """
-        if (file := self._robots.get(request.robot)) is None:
+        if request.robot not in self.two_handed:
             hand = self.robot(request.robot, request.robot_points, request.mount)
             return Robot("", {request.side: hand})
         for field, only in _OF_ROBOT.items():
             message = f"expected {only or 'none'} for a robot with two hands"
             refuse_if(getattr(request, field) != only, message, field)
         with naming_field("robot"):
-            return self._load_robot(file)
+            return self._load_robot(self._files[request.robot])
 
     def robot(self, name: str, points: str | None, mount: Mount | None) -> Hand:
         """Return a robot hand.
@@ -237,8 +235,6 @@ class Hands:
         lengths: The measured human hand, of two one of them; None for the model's own.
         calibration: Measures the human hand from the first landmarks, if it is not known; until
             then it is the model's own.
-        pairs: Human and robot hands, matched for teleoperation; kept so that `configure` finds them
-            at once. Those whose fingers do not correspond are missing.
     """
 
     mapper: HandMapper | RobotMapper
@@ -247,7 +243,6 @@ class Hands:
     choice: Choice
     lengths: HumanLengths | None
     calibration: Calibration | None = None
-    pairs: Sequence[HandPair] = ()
 
 
 def prepare_hands(
@@ -299,16 +294,16 @@ def prepare_hands(
         mapping, following = partial(RobotMapper, robot, humans), RobotFollower
     with naming_option(hand, choice):
         mapper = mapping(choice.method, ik=choice.ik)
-    pairs = []
     # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
     with suppress(HandmapError):
-        pairs = [hand_pair(humans[side], robot.hands[side]) for side in humans]
+        for side in humans:
+            hand_pair(humans[side], robot.hands[side])
     rejoins = request.resume == "clutch"
     follower = following(mapper, rejoin="clutch" if rejoins else "glide")
     calibration = None
     if has_landmarks and lengths is None and defer is not None:
         calibration = Calibration(request, cache, defer)
-    return Hands(mapper, follower, hand, choice, lengths, calibration, pairs)
+    return Hands(mapper, follower, hand, choice, lengths, calibration)
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:
