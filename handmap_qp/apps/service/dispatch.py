@@ -326,11 +326,7 @@ class Dispatcher:
         return Done(seq=sample.seq)
 
     def _subscribe(self, request: Subscribe, subscribe: Subscriber | None) -> AnyReply:
-        """Subscribe a connection to the stream of a session, as everyone may.
-
-        Raises:
-            RefusedError: If there is no such session, or the transport has no such streams.
-        """
+        """Subscribe a connection to the stream of a session, as everyone may."""
         self.sessions.named(request.name)
         if subscribe is None:
             message = "connect a SUB socket to the stream's port instead"
@@ -339,12 +335,7 @@ class Dispatcher:
         return Done(seq=request.seq)
 
     def _answer(self, request: AnyRequest, payload: bytes, now: float) -> AnyReply:
-        """Answer a request at once; repeat the last answer if a session's client repeats itself.
-
-        Raises:
-            RefusedError: If there is no such session, or the request is older than the last one, or
-                the client may not do that.
-        """
+        """Answer a request at once; repeat the last answer if a session's client repeats itself."""
         if isinstance(request, Named) and request.name is not None:
             return self._by_name(request, now)
         if isinstance(request, Status | Stop) and not request.session:
@@ -364,9 +355,6 @@ class Dispatcher:
 
         Everyone may ask for the status, and stop robots; other requests need `is_shared`. The
         owner's key and supervisor may clear a stop too.
-
-        Raises:
-            RefusedError: If the client may not do that.
         """
         session = self.sessions.named(request.name or "")
         by = self._who()
@@ -407,11 +395,7 @@ class Dispatcher:
             return self._failure(request.seq, error)
 
     def _act(self, request: Request, session: Session, now: float) -> AnyReply:
-        """Carry out a request for a session.
-
-        Raises:
-            RefusedError: If it cannot be carried out.
-        """
+        """Carry out a request for a session."""
         match request:
             case Step():
                 return self._step(request, session, now)

@@ -476,11 +476,7 @@ class Session:
     def _start(
         self, q: np.ndarray, wrist: np.ndarray | None, request: Open | Reset
     ) -> Posture:
-        """Return a posture with the parts that a request gives.
-
-        Raises:
-            RefusedError: If the robot cannot be there, or its wrist is fixed.
-        """
+        """Return a posture with the parts that a request gives, which the robot must reach."""
         if request.robot_q is not None:
             with naming_field("robot_q"):
                 q, _ = check_joints(
@@ -575,8 +571,7 @@ class Session:
     def _choose(self, hands: Hands, wanted: Open) -> None:
         """Make these the hands of the session, with the options of a request.
 
-        Raises:
-            RefusedError: With the option at fault. Nothing has changed then.
+        If an option is at fault, nothing has changed.
         """
         mapper = hands.mapper
         human = mapper.human

@@ -269,11 +269,7 @@ class _Outbox:
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
-    """Read the certificate and its key.
-
-    Raises:
-        InvalidInputError: If a file cannot be read, or they are not a certificate and its key.
-    """
+    """Read the certificate and its key, which must be such."""
     for file in (certificate, key):
         with naming(file, "cannot be read"):
             file.read_bytes()
