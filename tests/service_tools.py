@@ -239,8 +239,8 @@ def skip(server: Server, seconds: float) -> None:
     dispatcher = server.dispatcher
 
     def act() -> None:
-        before = dispatcher.clock
-        dispatcher.clock = dispatcher.sessions.clock = lambda: before() + seconds
+        before = dispatcher.sessions.clock
+        dispatcher.sessions.clock = lambda: before() + seconds
         dispatcher.tick()
 
     in_loop(server, act)

@@ -104,7 +104,9 @@ class World:
         supervisors = ("b",) if self.setting.has_supervisor else ()
         caps = Settings(rate=1e9, opens=1e9, idle=1e9, supervisor=supervisors)
         self.dispatcher = Dispatcher(
-            caps, CACHE, Metrics(), store=self.store, clock=self._clock
+            sessions.Sessions(
+                caps, CACHE, Metrics(), store=self.store, clock=self._clock
+            )
         )
         self.dispatcher.sessions._submit = run_now
         # No limit of rates, which a copy would share.
@@ -116,7 +118,7 @@ class World:
     def fork(self) -> World:
         """Return a copy that goes on by itself. What does not change is shared."""
         there, session = self.dispatcher.sessions, self.session
-        shared: list[Any] = [self._loop, CACHE, self.dispatcher.metrics]
+        shared: list[Any] = [self._loop, CACHE, self.dispatcher.sessions.metrics]
         shared += there._executor, there._works, there.settings
         if session is not None:
             hands: Any = session._hands

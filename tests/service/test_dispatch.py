@@ -28,7 +28,7 @@ from service_tools import (
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.logs import JsonLines, Metrics, log
 from handmap_qp.apps.service.session import Session
-from handmap_qp.apps.service.sessions import LEASE, Caller
+from handmap_qp.apps.service.sessions import LEASE, Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import PROTOCOL, Command, Request, Status
@@ -46,14 +46,14 @@ class Desk:
         self.now = 0.0
         self.published: list[dict[str, Any]] = []
         self.metrics, self.store = Metrics(), store or PostureStore(None)
-        self.dispatcher = Dispatcher(
+        self.sessions = Sessions(
             Settings(**caps),
             CACHE,
             self.metrics,
             store=self.store,
             clock=lambda: self.now,
         )
-        self.sessions = self.dispatcher.sessions
+        self.dispatcher = Dispatcher(self.sessions)
         self.sessions.publish.append(
             lambda name, payload: self.published.append(msgspec.msgpack.decode(payload))
         )

@@ -9,10 +9,8 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-import time
 from bisect import bisect_left
 from collections.abc import Callable, Hashable, Iterator
-from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, INFO
@@ -20,13 +18,10 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp.apps.service.logs import BUCKETS, AuditLog, Metrics, Throttle
-from handmap_qp.apps.service.opening import HandCache
+from handmap_qp.apps.service.logs import BUCKETS, Throttle
 from handmap_qp.apps.service.safety import Bucket, refuse_if
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.sessions import Caller, Sessions
-from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.client import messages
 from handmap_qp.client.messages import (
     LARGEST,
@@ -165,46 +160,36 @@ def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
             yield f"{name}.position", message
 
 
-@dataclass(eq=False)
 class Dispatcher:
     """Answer messages.
 
-    Attributes:
-        settings: Limits of what clients may do.
-        cache: The hands that clients may open.
-        metrics: Counters.
-        store: Record of the postures commanded; in memory if omitted.
-        audit: Record of who did what; none if omitted.
-        clock: Monotonic clock [s].
+    Args:
         sessions: The open sessions.
+
+    Attributes:
+        sessions: As given.
         stream_port: Port of the stream, as `opened` reports it.
     """
 
-    settings: Settings
-    cache: HandCache
-    metrics: Metrics
-    store: PostureStore = field(default_factory=lambda: PostureStore(None))
-    audit: AuditLog = field(default_factory=AuditLog)
-    clock: Callable[[], float] = time.monotonic
-
-    def __post_init__(self) -> None:
-        """Begin without sessions."""
-        self._who = Caller
-        self.sessions = Sessions(
-            self.settings, self.cache, self.metrics, self.store, self.clock, self.audit
-        )
+    def __init__(self, sessions: Sessions) -> None:
+        self.sessions = sessions
         self.stream_port = 0
-        self._started = self.clock()
+        self._settings = sessions.settings
+        self._metrics = sessions.metrics
+        self._who = Caller
+        self._started = self.sessions.clock()
         self._version = version("handmap-qp")
-        self._configures = Bucket(self.settings.configures, self.clock())
+        self._configures = Bucket(self._settings.configures, self.sessions.clock())
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending: dict[str, tuple[Sample, Send]] = {}
         self._opening: dict[bytes, asyncio.Task[AnyReply]] = {}
         self._refusals = Throttle()
         self._bugs = Throttle()
-        self.metrics.gauges["sessions"] = lambda: len(self.sessions.by_secret)
-        self.metrics.gauges["uptime_seconds"] = lambda: self.clock() - self._started
+        self._metrics.gauges["sessions"] = lambda: len(self.sessions.by_secret)
+        self._metrics.gauges["uptime_seconds"] = lambda: (
+            self.sessions.clock() - self._started
+        )
 
     def receive(
         self,
@@ -234,11 +219,11 @@ class Dispatcher:
             answer(encode_reply(reply))
 
         samples, errors = self._rates(peer)
-        now = self.clock()
+        now = self.sessions.clock()
         self._who = who
-        self.metrics.counts["requests"] += 1
+        self._metrics.counts["requests"] += 1
         if not samples.take(now):
-            self.metrics.refusals["rate"] += 1
+            self._metrics.refusals["rate"] += 1
             if errors.take(now):
                 send(Error(code="rate", message="too many messages"))
             return False
@@ -250,7 +235,7 @@ class Dispatcher:
             if not self._pending:
                 asyncio.get_running_loop().call_soon(self.flush)
             elif request.session in self._pending:
-                self.metrics.counts["replaced"] += 1
+                self._metrics.counts["replaced"] += 1
             self._pending[request.session] = request, send
         elif isinstance(request, Open):
             self._receive_open(request, payload, send)
@@ -275,10 +260,10 @@ class Dispatcher:
         Returns:
             Time until a watchdog is due, or a while; at most 0 for at once [s].
         """
-        now = self.clock()
+        now = self.sessions.clock()
         due = now + _LONGEST_TICK
         for secret, session in list(self.sessions.by_secret.items()):
-            is_idle = now - session.last_request > self.settings.idle
+            is_idle = now - session.last_request > self._settings.idle
             if is_idle and not session.will_move:
                 reason = "closed: its client was silent too long"
                 self.sessions.end(secret, "no_session", reason)
@@ -302,13 +287,13 @@ class Dispatcher:
 
     def _new_rates(self, _peer: Hashable) -> tuple[Bucket, Bucket]:
         """Return the limits of a connection: of its messages, and of the errors that say so."""
-        now = self.clock()
-        return Bucket(self.settings.rate, now), Bucket(_ERRORS_PER_SECOND, now, 1.0)
+        now = self.sessions.clock()
+        return Bucket(self._settings.rate, now), Bucket(_ERRORS_PER_SECOND, now, 1.0)
 
     def _tick(self, session: Session, now: float) -> None:
         trips = session.counts["watchdog"]
         command = session.tick(now)
-        self.metrics.counts["watchdog"] += session.counts["watchdog"] - trips
+        self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
         if command is not None:
             self._send(session, command)
 
@@ -320,7 +305,7 @@ class Dispatcher:
         else:
             session.seq = sample.seq
             session.payload = b""
-            reply = self._attempt(self._act, sample, session, self.clock())
+            reply = self._attempt(self._act, sample, session, self.sessions.clock())
             if isinstance(reply, Error):
                 self.sessions.send(session.name, encode_reply(reply))
         return Done(seq=sample.seq)
@@ -359,7 +344,7 @@ class Dispatcher:
         session = self.sessions.named(request.name or "")
         by = self._who()
         refuse_if(request.session, "give session or name, not both", "name")
-        may_clear = by.key in self.settings.supervisor or by.owner("") == session.owner
+        may_clear = by.key in self._settings.supervisor or by.owner("") == session.owner
         free = Status | Stop | Clear if may_clear else Status | Stop
         is_alien = not (session.request.is_shared or isinstance(request, free))
         message = f"session {request.name!r} was not opened with is_shared: only its owner may"
@@ -374,13 +359,13 @@ class Dispatcher:
                 version=self._version,
                 uptime=now - self._started,
                 names=self.sessions.names,
-                counts=dict(self.metrics.counts),
-                robots=self.cache.robots,
-                missing=self.cache.missing,
-                two_handed=self.cache.two_handed,
+                counts=dict(self._metrics.counts),
+                robots=self.sessions.cache.robots,
+                missing=self.sessions.cache.missing,
+                two_handed=self.sessions.cache.two_handed,
                 stream_port=self.stream_port,
             )
-        self.audit.note("stop", self._who(), **_changes(request))
+        self.sessions.audit.note("stop", self._who(), **_changes(request))
         for session in list(self.sessions.by_secret.values()):
             self._attempt(self._act, request, session, now)
         return Done(seq=request.seq)
@@ -407,7 +392,7 @@ class Dispatcher:
                 self.sessions.end(request.session, "no_session", reason, by=by)
                 return Done(seq=request.seq)
             case Configure():
-                limit = f"more than {self.settings.configures:g} changes of options a second"
+                limit = f"more than {self._settings.configures:g} changes of options a second"
                 is_due = self._configures.take(now)
                 refuse_if(not is_due, f"{limit}: try again later", code="rate")
                 session.configure(request)
@@ -424,7 +409,9 @@ class Dispatcher:
                 # The stream must not wait for the next tick.
                 self._tick(session, now)
         event = type(request).__name__.lower()
-        self.audit.note(event, self._who(), session=session.name, **_changes(request))
+        self.sessions.audit.note(
+            event, self._who(), session=session.name, **_changes(request)
+        )
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
         return Done(seq=request.seq)
@@ -432,10 +419,10 @@ class Dispatcher:
     def _step(self, sample: Step, session: Session, now: float) -> Command:
         """Map a sample, and publish its command."""
         command = session.step(sample, now)
-        self.metrics.counts["steps"] += 1
-        spent = self.clock() - now
-        self.metrics.steps[bisect_left(BUCKETS, spent)] += 1
-        self.metrics.seconds += spent
+        self._metrics.counts["steps"] += 1
+        spent = self.sessions.clock() - now
+        self._metrics.steps[bisect_left(BUCKETS, spent)] += 1
+        self._metrics.seconds += spent
         self._send(session, command)
         return command
 
@@ -482,7 +469,7 @@ class Dispatcher:
 
     def _counted(self, error: Error) -> Error:
         """Return an error, counted and logged."""
-        self.metrics.refusals[error.code] += 1
+        self._metrics.refusals[error.code] += 1
         self._refusals.report(
             INFO, "refused", code=error.code, field=error.field, message=error.message
         )

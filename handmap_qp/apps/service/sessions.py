@@ -8,9 +8,10 @@ import hmac
 import itertools
 import math
 import secrets
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from logging import INFO
 from typing import Any, NamedTuple, TypeVar
 from weakref import WeakSet
@@ -76,9 +77,9 @@ class Sessions:
         settings: Limits of what clients may do.
         cache: The hands that clients may open.
         metrics: Counters.
-        store: Records of former sessions.
+        store: Records of former sessions; in memory if omitted.
+        audit: Record of who did what; none if omitted.
         clock: Monotonic clock [s].
-        audit: Record of who did what.
         by_secret: Sessions by their secrets.
         publish: Callbacks that receive the messages of all streams.
     """
@@ -86,9 +87,9 @@ class Sessions:
     settings: Settings
     cache: HandCache
     metrics: Metrics
-    store: PostureStore
-    clock: Callable[[], float]
-    audit: AuditLog
+    store: PostureStore = field(default_factory=lambda: PostureStore(None))
+    audit: AuditLog = field(default_factory=AuditLog)
+    clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
         """Begin without sessions."""
