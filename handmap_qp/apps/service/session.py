@@ -514,10 +514,10 @@ class Session:
     def _map(self, humans: Humans, sample: Step, now: float) -> MapStep:
         """Map a sample within the time granted."""
         mapper: Any = self._hands.mapper
-        wrist = to_matrix(sample.wrist)
-        if sample.points is not None:
-            return mapper.map_points(sample.points, wrist, dt=self._dt)
-        if sample.q is not None:
+        if self.request.input != "landmarks":
+            wrist = to_matrix(sample.wrist)
+            if sample.points is not None:
+                return mapper.map_points(sample.points, wrist, dt=self._dt)
             return mapper.map_step(np.array(sample.q), wrist, dt=self._dt)
         arrival = now if self.request.time_from == "server" else None
         follower: Any = self._hands.follower
