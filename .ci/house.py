@@ -361,6 +361,7 @@ def measure_samples(root: Path) -> dict[str, float]:
     from handmap_qp.apps.service.dispatch import Dispatcher
     from handmap_qp.apps.service.logs import Metrics
     from handmap_qp.apps.service.opening import HandCache
+    from handmap_qp.apps.service.sessions import Sessions
     from handmap_qp.apps.service.settings import Settings
     from handmap_qp.client.messages import PROTOCOL, Open, Step
 
@@ -379,9 +380,8 @@ def measure_samples(root: Path) -> dict[str, float]:
     plain, other = (HandMapper(human, load_hand("three_finger")) for _ in range(2))
     guarded = Follower(other)
     now, answers = 0.0, []
-    dispatcher = Dispatcher(
-        Settings(rate=1e6), HandCache(), Metrics(), clock=lambda: now
-    )
+    sessions = Sessions(Settings(rate=1e6), HandCache(), Metrics(), clock=lambda: now)
+    dispatcher = Dispatcher(sessions)
 
     def send(request: Open | Step) -> None:
         dispatcher.receive(msgspec.msgpack.encode(request), "house", answers.append)

@@ -29,6 +29,7 @@ from service_process import ServiceProcess, echoing, serving
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.logs import Metrics
 from handmap_qp.apps.service.opening import HandCache
+from handmap_qp.apps.service.sessions import Sessions
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client import AsyncClient, Client
 
@@ -51,7 +52,7 @@ def landmarks_at_90_hz(
     # Forth and back, so that the hand never jumps.
     rows = [tuple(map(tuple, each.tolist())) for each in (*landmarks, *landmarks[::-1])]
     answers: list[bytes] = []
-    dispatcher = Dispatcher(Settings(rate=1e6), HandCache(), Metrics())
+    dispatcher = Dispatcher(Sessions(Settings(rate=1e6), HandCache(), Metrics()))
 
     def in_process(message: bytes) -> None:
         dispatcher.receive(message, "benchmark", answers.append)

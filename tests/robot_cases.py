@@ -27,7 +27,7 @@ _TURNING = ("roll", "hand")
 
 
 def write_robot(folder: Path) -> Path:
-    """Write the description of the robot `g1` and of both hands; return that of the robot."""
+    """Write the description of the robot `twin` and of both hands; return that of the robot."""
     text = hand_files()["g1_arm_left"].read_text(encoding="utf-8")
     left = yaml.safe_load(text)
     swapped = text.replace("left", "LEFT").replace("right", "left")
@@ -44,7 +44,7 @@ def write_robot(folder: Path) -> Path:
         (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
     file = folder / "robot.yaml"
     hands = "{left: {hand: left.yaml}, right: {hand: right.yaml}}"
-    file.write_text(f"name: g1\nhands: {hands}\n", encoding="utf-8")
+    file.write_text(f"name: twin\nhands: {hands}\n", encoding="utf-8")
     return file
 
 

@@ -19,7 +19,7 @@ from patience import PATIENCE, wait_until
 from zmq.auth import load_certificate
 from zmq.utils.monitor import recv_monitor_message
 
-from handmap_qp.apps.service.opening import Calibration, HandCache, Hands, prepare_hands
+from handmap_qp.apps.service.opening import HandCache, Hands, prepare_hands
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.session import Posture, Session
 from handmap_qp.apps.service.settings import Settings
@@ -96,13 +96,8 @@ def make_session(
 ) -> Session:
     """Make a session without a server."""
     request = opening(robot, **choices)
-    return Session(
-        request,
-        prepare_hands(request, CACHE),
-        "test",
-        now,
-        calibration=Calibration(request, CACHE, run_now),
-    )
+    hands = prepare_hands(request, CACHE, defer=run_now)
+    return Session(request, hands, "test", now)
 
 
 class Sampler:
@@ -232,9 +227,9 @@ def lose_sessions(server: Server) -> None:
     sessions = server.dispatcher.sessions
 
     def lose() -> None:
-        for entry in sessions.entries.values():
-            sessions.store.note(entry.session.record)
-        sessions.entries.clear()
+        for session in sessions.by_secret.values():
+            sessions.store.note(session.record)
+        sessions.by_secret.clear()
 
     in_loop(server, lose)
 
@@ -244,8 +239,8 @@ def skip(server: Server, seconds: float) -> None:
     dispatcher = server.dispatcher
 
     def act() -> None:
-        before = dispatcher.clock
-        dispatcher.clock = dispatcher.sessions.clock = lambda: before() + seconds
+        before = dispatcher.sessions.clock
+        dispatcher.sessions.clock = lambda: before() + seconds
         dispatcher.tick()
 
     in_loop(server, act)

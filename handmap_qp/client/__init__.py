@@ -22,11 +22,11 @@ import math
 import secrets
 import time as clock
 from collections import defaultdict
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -56,15 +56,16 @@ Use = Literal["requests", "samples", "stream"]
 Turn = Literal["call", "stream"]
 R = TypeVar("R", bound=Reply)
 T = TypeVar("T")
+Call = Coroutine[Any, Any, T]
 
 
-class Command(messages.Command, frozen=True):
+class Command(messages.Command):
     """A command for the robot's driver; its `detail` is a dict, as the server sent it."""
 
     detail: dict[str, Any] | None = None  # ty: ignore[incompatible-attribute-override]
 
 
-class State(messages.State, frozen=True):
+class State(messages.State):
     """The state of a session or of the server; its `about` is a dict, as the server sent it."""
 
     about: dict[str, Any] | None = None  # ty: ignore[incompatible-attribute-override]
@@ -84,21 +85,6 @@ class ServiceTimeoutError(TimeoutError):
     """No answer arrived in time."""
 
 
-class _Io(NamedTuple):
-    """Send a payload, or receive a message if it is None, before a time [s, monotonic].
-
-    The result is the message, empty for a payload that was sent, or None if it was too late.
-    """
-
-    socket: Any
-    payload: bytes | None
-    until: float
-
-
-Steps = Generator[_Io, bytes | None, T]
-"""A call as steps of input and output, which end with its result."""
-
-
 def _plain(value: Any) -> Any:
     """Convert an array, scalar or sequence of numpy's to lists and numbers."""
     plain = np.asarray(value)
@@ -111,11 +97,6 @@ _ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
 _OPTIONS = ("options", *messages.former_names(messages.Open), "ik")
 _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
-
-
-def _request(kind: str, message: type[messages.Request], given: Request) -> Request:
-    """Return a request; arguments and errors as of `_fields`."""
-    return {"type": kind} | _fields(kind, message, given)
 
 
 def _fields(kind: str, message: type[msgspec.Struct], given: Request) -> Request:
@@ -149,7 +130,7 @@ def _field(name: str, value: Any) -> Any:
 
 
 class _Core:
-    """Calls as steps of input and output, written once for both clients."""
+    """Calls, written once for both clients; those of `Client` block and never suspend."""
 
     _context: type[zmq.Context[Any]] = zmq.Context
 
@@ -186,30 +167,55 @@ class _Core:
         self._released_at = 0  # number of the last request that changed `is_released`
 
     def _sample(self, kind: str, human: Request) -> Request:
-        return {"time": clock.monotonic()} | _request(kind, messages.Step, human)
+        fields = _fields(kind, messages.Step, human)
+        return {"type": kind, "time": clock.monotonic()} | fields
 
-    def _do(self, request: Request) -> Steps[None]:
-        yield from self._call(request, Done)
+    async def _is_ready(self, socket: Any, event: int, milliseconds: int) -> bool:
+        """Return whether a socket's event comes in time."""
+        raise NotImplementedError
 
-    def _send(self, sample: Request) -> Steps[None]:
+    async def _io(self, use: Use, payload: bytes | None, until: float) -> bytes | None:
+        """Send a payload, or receive a message if it is None, before a time [s, monotonic].
+
+        Returns:
+            The message, empty for a payload that was sent; None if it was too late.
+        """
+        socket = self._socket(use)
+        event = zmq.POLLIN if payload is None else zmq.POLLOUT
+        milliseconds = max(0, math.ceil(1e3 * (until - clock.monotonic())))
+        if not await self._is_ready(socket, event, milliseconds):
+            return None
+        # Another task may take the message between the event and the transfer.
+        with suppress(zmq.Again):
+            if payload is None:
+                done = socket.recv(zmq.NOBLOCK)
+            else:
+                done = socket.send(payload, zmq.NOBLOCK)
+            return (await done if isinstance(done, Awaitable) else done) or b""
+        return None
+
+    async def _do(self, kind: str, **fields: Any) -> None:
+        await self._call({"type": kind, **fields}, Done)
+
+    async def _send(self, sample: Request) -> None:
         if self.opened is None:
             raise RuntimeError("open a session first")
         # Only samples that could not be read, or that are of no session, are answered. The stream
         # reports samples that the mapping rejected.
-        answer = yield _Io(self._socket("samples"), None, 0.0)
+        answer = await self._io("samples", None, 0.0)
         if answer is not None and isinstance(error := self._read(answer), Error):
             if error.code != "no_session":
                 raise ServiceError(error)
-            yield from self._reopen(clock.monotonic() + self.timeout)
-        yield _Io(self._socket("samples"), _ENCODE(self._numbered(sample)), 0.0)
+            await self._reopen(clock.monotonic() + self.timeout)
+        await self._io("samples", _ENCODE(self._numbered(sample)), 0.0)
 
-    def _latest(self, timeout: float) -> Steps[Command | None]:
+    async def _latest(self, timeout: float) -> Command | None:
         if not self._stream_port:
             raise RuntimeError("open a session first, or watch one")
         until = clock.monotonic() + timeout
         # Another task may replace the stream by opening a session, or end it by closing.
         while self._stream_port:
-            payload = yield _Io(self._socket("stream"), None, until)
+            payload = await self._io("stream", None, until)
             if payload is not None:
                 reply = self._read_streamed(payload)
                 if isinstance(reply, Error) and reply.code not in (
@@ -222,40 +228,40 @@ class _Core:
                 break
         return None
 
-    def _watch(self, name: str) -> Steps[State]:
+    async def _watch(self, name: str) -> State:
         if self.opened is not None:
             raise RuntimeError(
                 "this client has a session of its own; watch with another one"
             )
-        state = yield from self._call({"type": "status", "name": name}, State)
+        state = await self._call({"type": "status", "name": name}, State)
         self._addressee = {"name": name}
         self._stream_name = name
         self._stream_port = state.stream_port
         self._socket("stream")
         return state
 
-    def _close(self) -> Steps[None]:
+    async def _close(self) -> None:
         try:
             if self.opened is not None:
                 with suppress(ServiceError, ServiceTimeoutError):
-                    yield from self._do({"type": "close"})
+                    await self._do("close")
         finally:
             self._forget()
             for use in tuple(self._sockets):
                 self._drop(use)
 
-    def _call(
+    async def _call(
         self, request: Request, kind: type[R], deadline: float | None = None
-    ) -> Steps[R]:
+    ) -> R:
         """Send a request; if the server has lost the session, reopen it and send it again."""
         until = clock.monotonic() + self.timeout if deadline is None else deadline
-        reply = yield from self._ask(request, until)
+        reply = await self._ask(request, until)
         if self._speaks_older(reply):
-            reply = yield from self._ask(request, until)
+            reply = await self._ask(request, until)
         is_lost = isinstance(reply, Error) and reply.code == "no_session"
         if is_lost and self.opened and request["type"] not in ("open", "close"):
-            yield from self._reopen(until)
-            reply = yield from self._ask(request, until)
+            await self._reopen(until)
+            reply = await self._ask(request, until)
         if isinstance(reply, Error):
             raise ServiceError(reply)
         if not isinstance(reply, kind):
@@ -263,17 +269,19 @@ class _Core:
         self._note(request, reply)
         return reply
 
-    def _ask(self, request: Request, deadline: float) -> Steps[Reply]:
+    async def _ask(self, request: Request, deadline: float) -> Reply:
         """Number a request, send it and wait for its answer, each attempt on a new connection."""
         request = self._numbered(request)
         payload = _ENCODE(request)
         for left in range(self.attempts, 0, -1):
             # Each attempt has an equal share of the time that is left.
             now = clock.monotonic()
-            socket = self._socket("requests")
             until = now + (deadline - now) / left
-            is_sent = (yield _Io(socket, payload, until)) is not None
-            while is_sent and (answer := (yield _Io(socket, None, until))) is not None:
+            is_sent = await self._io("requests", payload, until) is not None
+            while is_sent:
+                answer = await self._io("requests", None, until)
+                if answer is None:
+                    break
                 reply = self._read(answer)
                 # An error with number 0 says that the server did not read the request. Other
                 # numbers are of requests that timed out before.
@@ -286,12 +294,12 @@ class _Core:
             f"{self.address}: no answer to {request['type']!r} within {self.timeout:g} s"
         )
 
-    def _reopen(self, deadline: float) -> Steps[None]:
+    async def _reopen(self, deadline: float) -> None:
         """Open the lost session again, where its robot is."""
-        if (payload := (yield _Io(self._socket("stream"), None, 0.0))) is not None:
+        if (payload := await self._io("stream", None, 0.0)) is not None:
             self._read_streamed(payload)
         last = self._last_command
-        yield from self._call(self._reopen_request(), Opened, deadline)
+        await self._call(self._reopen_request(), Opened, deadline)
         self._last_command = last
         self.reopened += 1
 
@@ -336,11 +344,9 @@ class _Core:
             return False
         # Servers of version 1 do not say which versions they answer.
         theirs = reply.protocols or PROTOCOLS[:1]
-        common = {
-            version for version in PROTOCOLS if version < self._protocol
-        }.intersection(theirs)
-        self._protocol = max(common, default=self._protocol)
-        return bool(common)
+        older = [v for v in PROTOCOLS if v in theirs and v < self._protocol]
+        self._protocol = max(older, default=self._protocol)
+        return bool(older)
 
     def _note(self, request: Request, reply: Reply) -> None:
         """Note what a request that was carried out means for the next reopening."""
@@ -426,7 +432,7 @@ def _load_keys(files: KeyFiles) -> tuple[bytes, bytes, bytes]:
     return public, secret, server
 
 
-def _awaited(method: Callable[..., T]) -> Callable[..., Coroutine[Any, Any, T]]:
+def _awaited(method: Callable[..., T]) -> Callable[..., Call[T]]:
     """Return a method of `Client` for `AsyncClient`, where `_run` returns a coroutine."""
 
     @wraps(method)
@@ -434,19 +440,6 @@ def _awaited(method: Callable[..., T]) -> Callable[..., Coroutine[Any, Any, T]]:
         return await cast(Any, method(*values, **fields))
 
     return call
-
-
-def _wait(io: _Io) -> tuple[int, int]:
-    """Return the event to wait for, and the time left, at least 0 [ms]."""
-    milliseconds = max(0, math.ceil(1e3 * (io.until - clock.monotonic())))
-    return milliseconds, zmq.POLLIN if io.payload is None else zmq.POLLOUT
-
-
-def _transfer(io: _Io) -> Any:
-    """Send or receive at once; of an asyncio socket, return the future of it."""
-    if io.payload is None:
-        return io.socket.recv(zmq.NOBLOCK)
-    return io.socket.send(io.payload, zmq.NOBLOCK)
 
 
 class Client(_Core):
@@ -491,9 +484,9 @@ class Client(_Core):
         Returns:
             The session, also kept as `opened`.
         """
-        request = _request("open", messages.Open, choices | {"robot": robot})
-        request["session"] = secrets.token_urlsafe(24)
-        return self._run(self._call(request, Opened))
+        fields = _fields("open", messages.Open, choices | {"robot": robot})
+        own = {"type": "open", "session": secrets.token_urlsafe(24)}
+        return self._run(self._call(fields | own, Opened))
 
     def step(self, **human: Any) -> Command:
         """Map one sample and wait for its command.
@@ -554,11 +547,11 @@ class Client(_Core):
         The robot continues from where it is. With the presets `teleoperation` and `object`, its
         fingers then go to the human's posture.
         """
-        return self._run(self._do({"type": "clutch"}))
+        return self._run(self._do("clutch"))
 
     def release(self) -> None:
         """Disengage: the robot holds its posture until `clutch`."""
-        return self._run(self._do({"type": "release"}))
+        return self._run(self._do("release"))
 
     def stop(self, name: str | None = None, *, reason: str = "") -> None:
         """Stop the robot: it brakes and holds, whatever comes, until `clear`.
@@ -569,7 +562,7 @@ class Client(_Core):
             reason: Reason for the server's log.
         """
         addressee = {} if name is None else {"session": "", "name": name}
-        return self._run(self._do({"type": "stop", "reason": reason} | addressee))
+        return self._run(self._do("stop", reason=reason, **addressee))
 
     def clear(self, stop: int) -> None:
         """Clear an emergency stop on purpose; the robot is then released, and `clutch` engages it.
@@ -577,7 +570,7 @@ class Client(_Core):
         Args:
             stop: Its number, `status().stop`.
         """
-        return self._run(self._do({"type": "clear", "stop": stop}))
+        return self._run(self._do("clear", stop=stop))
 
     def reset(
         self,
@@ -594,7 +587,8 @@ class Client(_Core):
             robot_wrist: Pose of its wrist, as in `open`.
         """
         start = {"robot_q": robot_q, "robot_wrist": robot_wrist}
-        return self._run(self._do(_request("reset", messages.Reset, start)))
+        fields = _fields("reset", messages.Reset, start)
+        return self._run(self._do("reset", **fields))
 
     def configure(self, **changes: Any) -> None:
         """Change options; options that are not named, and the reference, stay as they are.
@@ -603,7 +597,8 @@ class Client(_Core):
             **changes: Fields of `messages.Configure`. With another `preset`, options that are not
                 named are the preset's own.
         """
-        return self._run(self._do(_request("configure", messages.Configure, changes)))
+        fields = _fields("configure", messages.Configure, changes)
+        return self._run(self._do("configure", **fields))
 
     def status(self) -> State:
         """Return the state of the session; of the server if no session is open."""
@@ -613,18 +608,17 @@ class Client(_Core):
         """End the session if the server can be reached, and close the sockets."""
         return self._run(self._close())
 
-    def _run(self, steps: Steps[T], turn: Turn = "call") -> T:
-        result: bytes | None = None
+    async def _is_ready(self, socket: Any, event: int, milliseconds: int) -> bool:
+        return socket.poll(milliseconds, event)
+
+    def _run(self, call: Call[T], turn: Turn = "call") -> T:
         try:
             while True:
-                io = steps.send(result)
-                result = None
-                if io.socket.poll(*_wait(io)):
-                    result = _transfer(io) or b""
+                call.send(None)
         except StopIteration as end:
             return end.value
         finally:
-            steps.close()
+            call.close()
 
 
 class AsyncClient(_Core):
@@ -655,33 +649,21 @@ class AsyncClient(_Core):
     status = _awaited(Client.status)
     close = _awaited(Client.close)
 
-    async def _run(self, steps: Steps[T], turn: Turn = "call") -> T:
-        result: bytes | None = None
-        async with self._turns[turn]:
-            try:
-                while True:
-                    io = steps.send(result)
-                    result = None
-                    # Another task may take the message between the event and the transfer.
-                    with suppress(zmq.Again):
-                        if await self._is_ready(io):
-                            result = await _transfer(io) or b""
-            except StopIteration as end:
-                return end.value
-            finally:
-                steps.close()
-
-    async def _is_ready(self, io: _Io) -> bool:
-        """Return whether the event comes in time; False if another task closes the socket."""
-        milliseconds, event = _wait(io)
-        if int(io.socket.EVENTS) & event:
+    async def _is_ready(self, socket: Any, event: int, milliseconds: int) -> bool:
+        if int(socket.EVENTS) & event:
             return True
         # Closing the socket cancels this future. `wait` keeps that apart from a cancelled task.
-        polled = asyncio.ensure_future(io.socket.poll(milliseconds, event))
+        polled = asyncio.ensure_future(socket.poll(milliseconds, event))
         try:
             await asyncio.wait([polled])
-            return not (polled.cancelled() or io.socket.closed) and bool(
-                polled.result()
-            )
+            is_closed = polled.cancelled() or socket.closed
+            return not is_closed and bool(polled.result())
         finally:
             polled.cancel()
+
+    async def _run(self, call: Call[T], turn: Turn = "call") -> T:
+        try:
+            async with self._turns[turn]:
+                return await call
+        finally:
+            call.close()

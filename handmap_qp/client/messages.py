@@ -8,7 +8,7 @@ SI and radians; poses are of the wrist frame. `handmap serve --schema` prints th
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, dataclass_transform
 
 import msgspec
 import numpy as np
@@ -155,6 +155,7 @@ class Lengths(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rolls: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
+@dataclass_transform(frozen_default=True)
 class Request(
     msgspec.Struct,
     frozen=True,
@@ -196,7 +197,7 @@ def _rename_options(request: Open | Configure) -> None:
                 force_setattr(request, "preset", preset)
 
 
-class Open(Request, frozen=True):
+class Open(Request):
     """Open a session: one human hand leads a robot hand, or both a robot. The answer is `opened`.
 
     Attributes:
@@ -292,7 +293,7 @@ class HandSample(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     confidence: Confidence = 1.0
 
 
-class Step(Request, frozen=True):
+class Step(Request):
     """One sample of the human hand: `q`, `landmarks` or `points`, as `open` chose; or of both.
 
     The answer is `command`.
@@ -324,14 +325,14 @@ class Step(Request, frozen=True):
     hands: dict[Side, HandSample] | None = None
 
 
-class Sample(Step, frozen=True):
+class Sample(Step):
     """A sample without an answer: its command is in the stream.
 
     If several samples wait, the newest is mapped.
     """
 
 
-class Named(Request, frozen=True, kw_only=True):
+class Named(Request, kw_only=True):
     """A request that clients other than the session's own may send too.
 
     It is idempotent, because such requests have no protection against repetition.
@@ -343,7 +344,7 @@ class Named(Request, frozen=True, kw_only=True):
     name: Name | None = None
 
 
-class Clutch(Named, frozen=True):
+class Clutch(Named):
     """Engage, or engage again: the next sample is the reference.
 
     The robot continues from where it is. With the presets teleoperation and object only the palm
@@ -351,11 +352,11 @@ class Clutch(Named, frozen=True):
     """
 
 
-class Release(Named, frozen=True):
+class Release(Named):
     """Disengage: the robot holds its posture until `clutch`."""
 
 
-class Stop(Named, frozen=True):
+class Stop(Named):
     """Emergency stop: the robot brakes and holds its posture, whatever comes, until `clear`.
 
     Every client that is admitted may stop every session by its name. Without name and session, all
@@ -369,7 +370,7 @@ class Stop(Named, frozen=True):
     reason: Annotated[str, Meta(max_length=200)] = ""
 
 
-class Clear(Named, frozen=True):
+class Clear(Named):
     """Clear an emergency stop on purpose. The robot is then released: `clutch` engages it.
 
     Attributes:
@@ -379,7 +380,7 @@ class Clear(Named, frozen=True):
     stop: Annotated[int, Meta(ge=1)]
 
 
-class Configure(Named, frozen=True):
+class Configure(Named):
     """Change options: the reference stays, and the robot continues from where it is.
 
     Attributes:
@@ -404,7 +405,7 @@ class Configure(Named, frozen=True):
         _rename_options(self)
 
 
-class Reset(Request, frozen=True):
+class Reset(Request):
     """Start again: the next sample is the reference.
 
     Attributes:
@@ -417,15 +418,15 @@ class Reset(Request, frozen=True):
     robot_wrist: Pose | None = None
 
 
-class Status(Named, frozen=True):
+class Status(Named):
     """Ask for the state of a session; of the server without one. The answer is `state`."""
 
 
-class Close(Request, frozen=True):
+class Close(Request):
     """End the session."""
 
 
-class Subscribe(Request, frozen=True):
+class Subscribe(Request):
     """Subscribe to the stream of a session (WebSocket only).
 
     Attributes:
@@ -435,6 +436,7 @@ class Subscribe(Request, frozen=True):
     name: Name
 
 
+@dataclass_transform(frozen_default=True)
 class Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
     """A reply of the server. Clients ignore fields that they do not know.
 
@@ -445,7 +447,7 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=str
     seq: int = 0
 
 
-class Opened(Reply, frozen=True):
+class Opened(Reply):
     """The session is open.
 
     Attributes:
@@ -528,7 +530,7 @@ class HandState(msgspec.Struct, frozen=True):
     arm_held_by: str
 
 
-class Command(Reply, frozen=True):
+class Command(Reply):
     """A command for the robot's driver.
 
     Attributes:
@@ -631,7 +633,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
         force_setattr(self, former, self.options)
 
 
-class State(Reply, frozen=True):
+class State(Reply):
     """The state of a session or of the server.
 
     Attributes:
@@ -668,11 +670,11 @@ class State(Reply, frozen=True):
     about: About | None = None
 
 
-class Done(Reply, frozen=True):
+class Done(Reply):
     """The server carried the request out."""
 
 
-class Error(Reply, frozen=True):
+class Error(Reply):
     """The server refused the request; the session is unchanged.
 
     Attributes:

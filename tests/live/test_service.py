@@ -84,7 +84,7 @@ def test_a_lost_hand_is_sent_as_such_and_the_robot_holds(
     server: Server, person: Person
 ) -> None:
     sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
-    session = next(iter(server.dispatcher.sessions.entries.values())).session
+    session = next(iter(server.dispatcher.sessions.by_secret.values()))
     summary = run(
         FaultyReplay(moving_hand(), parse_faults("dropout@0.3+0.4,silence@0.8+0.05")),
         [sink],

@@ -107,8 +107,9 @@ def show_hands(browser: Browser, *sides: str) -> None:
 
 
 def sessions(server: Server) -> dict[str, Session]:
-    entries = in_loop(server, lambda: list(server.dispatcher.sessions.entries.values()))
-    return {entry.session.name: entry.session for entry in entries}
+    sessions = server.dispatcher.sessions
+    found = in_loop(server, lambda: list(sessions.by_secret.values()))
+    return {session.name: session for session in found}
 
 
 def start(browser: Browser, server: Server, **choices: Any) -> None:

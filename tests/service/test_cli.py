@@ -45,7 +45,7 @@ def test_serve_ends_while_it_loads_a_hand() -> None:
     process = start(
         PORTS,
         "import time\nfrom handmap_qp.apps.service import sessions\n"
-        "def load(*_): print('loading', flush=True); time.sleep(1e6)\n"
+        "def load(*_, **__): print('loading', flush=True); time.sleep(1e6)\n"
         "sessions.prepare_hands = load",
     )
     try:

@@ -250,7 +250,7 @@ def test_a_session_that_is_lost_twice_keeps_the_last_posture(server: Server) -> 
         )
         for reopened in (1, 2):
             # As by a restart without --state.
-            in_loop(server, server.dispatcher.sessions.entries.clear)
+            in_loop(server, server.dispatcher.sessions.by_secret.clear)
             assert tracker.status().q == pytest.approx(last.q, abs=1e-9)
             assert tracker.reopened == reopened
         request = tracker._reopen_request()

@@ -104,7 +104,9 @@ class World:
         supervisors = ("b",) if self.setting.has_supervisor else ()
         caps = Settings(rate=1e9, opens=1e9, idle=1e9, supervisor=supervisors)
         self.dispatcher = Dispatcher(
-            caps, CACHE, Metrics(), store=self.store, clock=self._clock
+            sessions.Sessions(
+                caps, CACHE, Metrics(), store=self.store, clock=self._clock
+            )
         )
         self.dispatcher.sessions._submit = run_now
         # No limit of rates, which a copy would share.
@@ -116,12 +118,12 @@ class World:
     def fork(self) -> World:
         """Return a copy that goes on by itself. What does not change is shared."""
         there, session = self.dispatcher.sessions, self.session
-        shared: list[Any] = [self._loop, CACHE, self.dispatcher.metrics]
+        shared: list[Any] = [self._loop, CACHE, self.dispatcher.sessions.metrics]
         shared += there._executor, there._works, there.settings
         if session is not None:
             hands: Any = session._hands
             mapper = hands.mapper
-            shared += hands.robot, hands.pairs, hands.follower, hands.choice
+            shared += hands.robot, hands.follower, hands.choice
             shared += mapper.human, mapper.robot, mapper._plan.bound, mapper._joints
             shared += mapper.method, session._commanded._placed, session.request
         return deepcopy(self, {id(thing): thing for thing in shared})
@@ -129,8 +131,7 @@ class World:
     @property
     def session(self) -> Session | None:
         """The running session; there is at most one."""
-        entries = self.dispatcher.sessions.entries.values()
-        running = [entry.session for entry in entries]
+        running = [*self.dispatcher.sessions.by_secret.values()]
         assert len(running) <= 1, "two sessions of one name"
         return running[0] if running else None
 
@@ -297,7 +298,7 @@ class World:
 
         return (
             tuple(
-                (secret in there.entries, there._ended.get(secret))
+                (secret in there.by_secret, there._ended.get(secret))
                 for secret in secrets
             ),
             running
@@ -325,7 +326,7 @@ def explore(monkeypatch: pytest.MonkeyPatch) -> Iterator[Search]:
     """Return the search, which takes a setting and returns what it has seen."""
     # Sessions of a world follow one another, and each resets the mapper.
     hands = prepare_hands(opening(), CACHE)
-    monkeypatch.setattr(sessions, "prepare_hands", lambda *_: hands)
+    monkeypatch.setattr(sessions, "prepare_hands", lambda *_, **__: hands)
     monkeypatch.setattr(sessions, "report", lambda *_, **__: None)
     monkeypatch.setattr(
         "handmap_qp.apps.service.dispatch.Throttle.report", lambda *_, **__: None
@@ -394,11 +395,11 @@ def _forgets_leases(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _renews_no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    def find(self: sessions.Sessions, secret: str) -> sessions.Entry:
-        entry = self.entries.get(secret)
-        heard = 0.0 if entry is None else entry.session.last_request
+    def find(self: sessions.Sessions, secret: str) -> Session:
+        session = self.by_secret.get(secret)
+        heard = 0.0 if session is None else session.last_request
         found = whole(self, secret)
-        found.session.last_request = heard
+        found.last_request = heard
         return found
 
     whole = sessions.Sessions.find

@@ -28,7 +28,7 @@ from service_tools import (
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.logs import JsonLines, Metrics, log
 from handmap_qp.apps.service.session import Session
-from handmap_qp.apps.service.sessions import LEASE, Caller, Entry
+from handmap_qp.apps.service.sessions import LEASE, Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import PROTOCOL, Command, Request, Status
@@ -46,14 +46,14 @@ class Desk:
         self.now = 0.0
         self.published: list[dict[str, Any]] = []
         self.metrics, self.store = Metrics(), store or PostureStore(None)
-        self.dispatcher = Dispatcher(
+        self.sessions = Sessions(
             Settings(**caps),
             CACHE,
             self.metrics,
             store=self.store,
             clock=lambda: self.now,
         )
-        self.sessions = self.dispatcher.sessions
+        self.dispatcher = Dispatcher(self.sessions)
         self.sessions.publish.append(
             lambda name, payload: self.published.append(msgspec.msgpack.decode(payload))
         )
@@ -74,7 +74,7 @@ class Desk:
 def desk(caps: dict[str, Any], **choices: Any) -> Iterator[Desk]:
     """Make a dispatcher with an open session named `lab`."""
     made = Desk(**caps)
-    asyncio.run(made.sessions.open(opening(name="lab", **choices), b"", Caller()))
+    asyncio.run(made.sessions.open(opening(name="lab", **choices), Caller()))
     yield made
     made.sessions.close()
 
@@ -156,9 +156,9 @@ def test_a_robot_on_its_way_to_rest_gets_there_before_its_session_is_closed() ->
         for i in range(10):
             here.now += PERIOD
             here.take(sample(i * PERIOD, human_q(0.2 * i)))
-        (entry,) = here.sessions.entries.values()
-        assert not np.array_equal(entry.session.posture[0], rest)
-        while here.sessions.entries:
+        (session,) = here.sessions.by_secret.values()
+        assert not np.array_equal(session.posture[0], rest)
+        while here.sessions.by_secret:
             here.wait(0.005)
             assert here.now < 60.0
         record = here.store.find("lab", "three_finger", 8)
@@ -187,7 +187,7 @@ def test_a_session_that_fails_leaves_the_others_their_watchdogs(
     for secret in ("another-secret-of-the-tests", SECRET):
         sessions.append(make_session(watchdog=0.2))
         sessions[-1].step(Sampler()(), 0.0)
-        here.sessions.entries[secret] = Entry(sessions[-1], 2, b"")
+        here.sessions.by_secret[secret] = sessions[-1]
     monkeypatch.setattr(sessions[0], "tick", burst)
     here.wait(0.3)
     assert sessions[1].mode == "hold"
@@ -218,7 +218,7 @@ def test_postures_are_noted_at_each_command_only_with_a_file(
     sample, secret = Sampler(), "another-secret-of-the-tests"
     with RecordingStore(tmp_path / file if file else None) as store:
         here = Desk(store)
-        asyncio.run(here.sessions.open(opening(name="lab"), b"", Caller()))
+        asyncio.run(here.sessions.open(opening(name="lab"), Caller()))
         last = [here.take(sample())[0] for _ in range(10)][-1]
         assert store.notes == (11 if file else 0)
         # The posture is known without a file too: at a takeover, and after the end.
@@ -226,8 +226,8 @@ def test_postures_are_noted_at_each_command_only_with_a_file(
         again = msgspec.structs.replace(
             opening(name="lab", restore=True), session=secret
         )
-        entry = asyncio.run(here.sessions.open(again, b"", Caller()))
-        assert entry.session.record.q == tuple(last["q"])
+        session = asyncio.run(here.sessions.open(again, Caller()))
+        assert session.record.q == tuple(last["q"])
         here.sessions.end(secret, "no_session", "test")
         found = store.find("lab", "three_finger", 8)
         assert found is not None

@@ -12,7 +12,6 @@ from service_tools import CACHE, Sampler, human_q, make_session, opening, run_no
 from handmap_qp import load_hand
 from handmap_qp.apps.service.opening import (
     CALIBRATION_SAMPLES,
-    Calibration,
     Hands,
     prepare_hands,
 )
@@ -120,12 +119,10 @@ def test_samples_without_a_hand_do_not_count_in_the_measurement() -> None:
 
 def test_a_known_hand_needs_no_measuring() -> None:
     request = opening(input="landmarks", hand_length=0.19)
-    hands: Hands = prepare_hands(request, CACHE)
-    assert not hands.needs_measuring
+    hands: Hands = prepare_hands(request, CACHE, defer=run_now)
+    assert hands.calibration is None
     assert hands.lengths is not None
-    session = Session(
-        request, hands, "test", 0.0, calibration=Calibration(request, CACHE, run_now)
-    )
+    session = Session(request, hands, "test", 0.0)
     landmarks = hands.mapper.human.with_points("landmarks").points(human_q())
     command = session.step(
         Sampler()(landmarks=tuple(map(tuple, landmarks.tolist()))), 0.1

@@ -42,7 +42,7 @@ def opened_with(**choices: Any) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The description of a robot."""
-    return write_robot(tmp_path_factory.mktemp("g1"))
+    return write_robot(tmp_path_factory.mktemp("twin"))
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def server(file: Path) -> Iterator[Server]:
 @pytest.fixture
 def client(server: Server) -> Iterator[Client]:
     """A client with a session of the robot, in simulated time."""
-    with connected(server, "g1", time_from="client", **OPEN) as client:
+    with connected(server, "twin", time_from="client", **OPEN) as client:
         yield client
 
 
@@ -218,11 +218,11 @@ def test_hands_in_other_units_are_refused_while_they_are_measured_and_held_else(
     server: Server,
 ) -> None:
     hands = {side: {"landmarks": 1e3 * landmarks_at(side, 0.0)} for side in SIDES}
-    with connected(server, "g1", **opened_with(hand_length=None)) as client:
+    with connected(server, "twin", **opened_with(hand_length=None)) as client:
         with pytest.raises(ServiceError) as raised:
             client.step(hands=hands)
         assert code_of(raised) == ("invalid", "hands.left.landmarks")
-    with connected(server, "g1", **OPEN) as client:
+    with connected(server, "twin", **OPEN) as client:
         command = client.step(hands=hands)
         assert (command.status, command.rule) == ("held", "size")
         assert {hand.rule for hand in command.hands.values()} == {"size"}
@@ -264,15 +264,15 @@ def test_what_a_robot_cannot_take_is_refused(
     server: Server, choices: dict[str, Any], field: str
 ) -> None:
     with client_of(server) as client, pytest.raises(ServiceError) as raised:
-        client.open("g1", **OPEN | choices)
+        client.open("twin", **OPEN | choices)
     assert code_of(raised) == ("invalid", field)
 
 
 def test_the_server_lists_its_robots(server: Server, file: Path) -> None:
     with client_of(server) as client:
-        assert "g1" in client.status().two_handed
-        assert "g1" not in client.status().robots
-        with pytest.raises(ServiceError, match=r"three_finger.*g1"):
+        assert "twin" in client.status().two_handed
+        assert "twin" not in client.status().robots
+        with pytest.raises(ServiceError, match=r"three_finger.*twin"):
             client.open("g2")
     with pytest.raises(HandError, match="already"):
         HandCache((file, file))
@@ -283,7 +283,7 @@ def test_a_restarted_session_goes_on_where_its_robot_is(
 ) -> None:
     state = tmp_path / "state"
     with serving(hand=(file,), state=state) as server:
-        with connected(server, "g1", name="lab", **OPEN) as client:
+        with connected(server, "twin", name="lab", **OPEN) as client:
             before = walk(client, 40)
             lose_sessions(server)
             again = walk(client, 1, 1.0)
@@ -291,17 +291,17 @@ def test_a_restarted_session_goes_on_where_its_robot_is(
             assert again.epoch == before.epoch
             assert np.abs(np.subtract(again.q, before.q)).max() < 0.2
         record = server.dispatcher.sessions.store.records["lab"]
-    assert record.robot == "g1"
+    assert record.robot == "twin"
     with serving(hand=(file,), state=state) as server, client_of(server) as client:
         skip(server, 3.0)
         start = [0.0] * len(record.q)
-        client.open("g1", name="lab", restore=True, robot_q=start, **OPEN)
+        client.open("twin", name="lab", restore=True, robot_q=start, **OPEN)
         assert client.opened is not None
         np.testing.assert_allclose(client.opened.q, record.q, atol=1e-9)
 
 
 def test_a_hand_that_was_never_seen_stays_where_the_robot_was(server: Server) -> None:
-    with connected(server, "g1", time_from="client", **OPEN) as client:
+    with connected(server, "twin", time_from="client", **OPEN) as client:
         assert client.opened is not None
         start = np.array(client.opened.q) + 0.15
         start = np.clip(start, client.opened.lower, client.opened.upper)
@@ -320,7 +320,7 @@ def test_a_hand_that_was_never_seen_stays_where_the_robot_was(server: Server) ->
 def test_the_first_landmarks_measure_each_hand(
     server: Server, sides: tuple[Side, ...]
 ) -> None:
-    with connected(server, "g1", **OPEN | {"hand_length": None}) as client:
+    with connected(server, "twin", **OPEN | {"hand_length": None}) as client:
         assert client.opened is not None
         time = 0.0
         command = client.step(time=time, hands=hands_at(time, *sides))

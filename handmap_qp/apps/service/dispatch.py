@@ -9,10 +9,8 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-import time
 from bisect import bisect_left
 from collections.abc import Callable, Hashable, Iterator
-from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, INFO
@@ -20,13 +18,10 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp.apps.service.logs import BUCKETS, AuditLog, Metrics, Throttle
-from handmap_qp.apps.service.opening import HandCache
+from handmap_qp.apps.service.logs import BUCKETS, Throttle
 from handmap_qp.apps.service.safety import Bucket, refuse_if
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.sessions import Caller, Sessions
-from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.client import messages
 from handmap_qp.client.messages import (
     LARGEST,
@@ -68,10 +63,16 @@ _LONGEST_TICK = 0.02
 
 
 class _Head(msgspec.Struct):
-    """The fields that identify a request which is invalid elsewhere."""
+    """The fields that identify a request, which may be invalid elsewhere."""
 
     protocol: Any = None
     seq: Any = 0
+
+    @property
+    def number(self) -> int:
+        """The number of the request; 0 if it is not one."""
+        is_number = type(self.seq) is int and 0 <= self.seq <= 2**53
+        return self.seq if is_number else 0
 
 
 # Invalid UTF-8 and excessive nesting raise errors other than msgspec's.
@@ -91,44 +92,31 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
         The request; or the error to answer with, which has the field at fault, and the number of
         the request if it can be read.
     """
+    head = _Head()
+    known = messages.PROTOCOLS
     try:
-        request = _decode(payload)
+        head = _decode_head(payload)
+        request = None
+        if type(head.protocol) is not int or head.protocol in known:
+            request = _decode(payload)
     except msgspec.ValidationError as error:
-        head = _head(payload)
-        if type(head.protocol) is int and head.protocol not in messages.PROTOCOLS:
-            return _wrong_protocol(head)
         message, path = _explain(error)
-        return Error(seq=head.seq, code="invalid", message=message, field=path)
+        return Error(seq=head.number, code="invalid", message=message, field=path)
     except _UNREADABLE as error:
         return Error(code="invalid", message=f"not a message: {error}"[:200])
     is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
-    if request.protocol not in messages.PROTOCOLS or is_newer:
-        return _wrong_protocol(request)
+    if request is None or is_newer:
+        versions = " or ".join(map(str, known))
+        return Error(
+            seq=head.number,
+            code="protocol",
+            field="protocol",
+            message=f"expected version {versions}, got {head.protocol}",
+            protocols=known,
+        )
     for place, message in _wrong_poses(request):
         return Error(seq=request.seq, code="invalid", message=message, field=place)
     return request
-
-
-def _head(payload: bytes) -> _Head:
-    """Return protocol and number of a request that is invalid elsewhere."""
-    try:
-        head = _decode_head(payload)
-    except _UNREADABLE:
-        return _Head()
-    is_number = type(head.seq) is int and 0 <= head.seq <= 2**53
-    return head if is_number else _Head(head.protocol)
-
-
-def _wrong_protocol(request: _Head | AnyRequest) -> Error:
-    known = messages.PROTOCOLS
-    message = f"expected version {' or '.join(map(str, known))}, got {request.protocol}"
-    return Error(
-        seq=request.seq,
-        code="protocol",
-        field="protocol",
-        message=message,
-        protocols=known,
-    )
 
 
 def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
@@ -172,46 +160,36 @@ def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
             yield f"{name}.position", message
 
 
-@dataclass(eq=False)
 class Dispatcher:
     """Answer messages.
 
-    Attributes:
-        settings: Limits of what clients may do.
-        cache: The hands that clients may open.
-        metrics: Counters.
-        store: Record of the postures commanded; in memory if omitted.
-        audit: Record of who did what; none if omitted.
-        clock: Monotonic clock [s].
+    Args:
         sessions: The open sessions.
+
+    Attributes:
+        sessions: As given.
         stream_port: Port of the stream, as `opened` reports it.
     """
 
-    settings: Settings
-    cache: HandCache
-    metrics: Metrics
-    store: PostureStore = field(default_factory=lambda: PostureStore(None))
-    audit: AuditLog = field(default_factory=AuditLog)
-    clock: Callable[[], float] = time.monotonic
-
-    def __post_init__(self) -> None:
-        """Begin without sessions."""
-        self._who = Caller
-        self.sessions = Sessions(
-            self.settings, self.cache, self.metrics, self.store, self.clock, self.audit
-        )
+    def __init__(self, sessions: Sessions) -> None:
+        self.sessions = sessions
         self.stream_port = 0
-        self._started = self.clock()
+        self._settings = sessions.settings
+        self._metrics = sessions.metrics
+        self._who = Caller
+        self._started = self.sessions.clock()
         self._version = version("handmap-qp")
-        self._configures = Bucket(self.settings.configures, self.clock())
+        self._configures = Bucket(self._settings.configures, self.sessions.clock())
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending: dict[str, tuple[Sample, Send]] = {}
-        self._opening: dict[str, tuple[bytes, asyncio.Task[AnyReply]]] = {}
+        self._opening: dict[bytes, asyncio.Task[AnyReply]] = {}
         self._refusals = Throttle()
         self._bugs = Throttle()
-        self.metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
-        self.metrics.gauges["uptime_seconds"] = lambda: self.clock() - self._started
+        self._metrics.gauges["sessions"] = lambda: len(self.sessions.by_secret)
+        self._metrics.gauges["uptime_seconds"] = lambda: (
+            self.sessions.clock() - self._started
+        )
 
     def receive(
         self,
@@ -241,11 +219,11 @@ class Dispatcher:
             answer(encode_reply(reply))
 
         samples, errors = self._rates(peer)
-        now = self.clock()
+        now = self.sessions.clock()
         self._who = who
-        self.metrics.counts["requests"] += 1
+        self._metrics.counts["requests"] += 1
         if not samples.take(now):
-            self.metrics.refusals["rate"] += 1
+            self._metrics.refusals["rate"] += 1
             if errors.take(now):
                 send(Error(code="rate", message="too many messages"))
             return False
@@ -257,12 +235,14 @@ class Dispatcher:
             if not self._pending:
                 asyncio.get_running_loop().call_soon(self.flush)
             elif request.session in self._pending:
-                self.metrics.counts["replaced"] += 1
+                self._metrics.counts["replaced"] += 1
             self._pending[request.session] = request, send
         elif isinstance(request, Open):
             self._receive_open(request, payload, send)
+        elif isinstance(request, Subscribe):
+            send(self._attempt(self._subscribe, request, subscribe))
         else:
-            send(self._attempt(self._answer, request, payload, now, subscribe))
+            send(self._attempt(self._answer, request, payload, now))
         return True
 
     def flush(self) -> None:
@@ -280,11 +260,10 @@ class Dispatcher:
         Returns:
             Time until a watchdog is due, or a while; at most 0 for at once [s].
         """
-        now = self.clock()
+        now = self.sessions.clock()
         due = now + _LONGEST_TICK
-        for secret, entry in list(self.sessions.entries.items()):
-            session = entry.session
-            is_idle = now - session.last_request > self.settings.idle
+        for secret, session in list(self.sessions.by_secret.items()):
+            is_idle = now - session.last_request > self._settings.idle
             if is_idle and not session.will_move:
                 reason = "closed: its client was silent too long"
                 self.sessions.end(secret, "no_session", reason)
@@ -300,7 +279,7 @@ class Dispatcher:
 
     async def close(self) -> None:
         """Close all sessions."""
-        tasks = [task for _, task in self._opening.values()]
+        tasks = [*self._opening.values()]
         for task in tasks:
             task.cancel()
         self.sessions.close()
@@ -308,81 +287,64 @@ class Dispatcher:
 
     def _new_rates(self, _peer: Hashable) -> tuple[Bucket, Bucket]:
         """Return the limits of a connection: of its messages, and of the errors that say so."""
-        now = self.clock()
-        return Bucket(self.settings.rate, now), Bucket(_ERRORS_PER_SECOND, now, 1.0)
+        now = self.sessions.clock()
+        return Bucket(self._settings.rate, now), Bucket(_ERRORS_PER_SECOND, now, 1.0)
 
     def _tick(self, session: Session, now: float) -> None:
         trips = session.counts["watchdog"]
         command = session.tick(now)
-        self.metrics.counts["watchdog"] += session.counts["watchdog"] - trips
+        self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
         if command is not None:
             self._send(session, command)
 
     def _for_stream(self, sample: Sample) -> AnyReply:
         """Map a streamed sample; its command, or why there is none, is in the stream."""
-        entry = self.sessions.find(sample.session)
-        if sample.seq <= entry.seq:
-            entry.session.counts["stale"] += 1
+        session = self.sessions.find(sample.session)
+        if sample.seq <= session.seq:
+            session.counts["stale"] += 1
         else:
-            entry.seq = sample.seq
-            entry.payload = b""
-            now = self.clock()
-            reply = self._attempt(self._act, sample, entry.session, now)
+            session.seq = sample.seq
+            session.payload = b""
+            reply = self._attempt(self._act, sample, session, self.sessions.clock())
             if isinstance(reply, Error):
-                self.sessions.send(entry.session.name, encode_reply(reply))
+                self.sessions.send(session.name, encode_reply(reply))
         return Done(seq=sample.seq)
 
-    def _answer(
-        self,
-        request: AnyRequest,
-        payload: bytes,
-        now: float,
-        subscribe: Subscriber | None,
-    ) -> AnyReply:
-        """Answer a request at once; repeat the last answer if a session's client repeats itself.
+    def _subscribe(self, request: Subscribe, subscribe: Subscriber | None) -> AnyReply:
+        """Subscribe a connection to the stream of a session, as everyone may."""
+        self.sessions.named(request.name)
+        if subscribe is None:
+            message = "connect a SUB socket to the stream's port instead"
+            raise RefusedError("invalid", message, field="type")
+        subscribe(request.name)
+        return Done(seq=request.seq)
 
-        Raises:
-            RefusedError: If there is no such session, or the request is older than the last one, or
-                the client may not do that.
-        """
-        if isinstance(request, Named | Subscribe) and request.name is not None:
-            return self._by_name(request, now, subscribe)
+    def _answer(self, request: AnyRequest, payload: bytes, now: float) -> AnyReply:
+        """Answer a request at once; repeat the last answer if a session's client repeats itself."""
+        if isinstance(request, Named) and request.name is not None:
+            return self._by_name(request, now)
         if isinstance(request, Status | Stop) and not request.session:
             return self._for_all(request, now)
-        entry = self.sessions.find(request.session)
-        if request.seq == entry.seq and payload == entry.payload:
-            return entry.answer
-        message = f"expected a number above {entry.seq}, got {request.seq}"
-        refuse_if(request.seq <= entry.seq, message, "seq", "stale")
-        entry.seq = request.seq
-        entry.payload = payload
-        entry.answer = self._attempt(self._act, request, entry.session, now)
-        return entry.answer
+        session = self.sessions.find(request.session)
+        if request.seq == session.seq and payload == session.payload:
+            return session.answer
+        message = f"expected a number above {session.seq}, got {request.seq}"
+        refuse_if(request.seq <= session.seq, message, "seq", "stale")
+        session.seq = request.seq
+        session.payload = payload
+        session.answer = self._attempt(self._act, request, session, now)
+        return session.answer
 
-    def _by_name(
-        self,
-        request: Named | Subscribe,
-        now: float,
-        subscribe: Subscriber | None,
-    ) -> AnyReply:
+    def _by_name(self, request: Named, now: float) -> AnyReply:
         """Answer a request by a session's public name.
 
-        Everyone may subscribe, ask for the status, and stop robots; other requests need
-        `is_shared`. The owner's key and supervisor may clear a stop too.
-
-        Raises:
-            RefusedError: If the client may not do that.
+        Everyone may ask for the status, and stop robots; other requests need `is_shared`. The
+        owner's key and supervisor may clear a stop too.
         """
         session = self.sessions.named(request.name or "")
         by = self._who()
-        if isinstance(request, Subscribe):
-            if subscribe is None:
-                message = "connect a SUB socket to the stream's port instead"
-                raise RefusedError("invalid", message, field="type")
-            subscribe(request.name)
-            return Done(seq=request.seq)
         refuse_if(request.session, "give session or name, not both", "name")
-        may_clear = by.key in self.settings.supervisor or by.owner("") == session.owner
+        may_clear = by.key in self._settings.supervisor or by.owner("") == session.owner
         free = Status | Stop | Clear if may_clear else Status | Stop
         is_alien = not (session.request.is_shared or isinstance(request, free))
         message = f"session {request.name!r} was not opened with is_shared: only its owner may"
@@ -397,15 +359,15 @@ class Dispatcher:
                 version=self._version,
                 uptime=now - self._started,
                 names=self.sessions.names,
-                counts=dict(self.metrics.counts),
-                robots=self.cache.robots,
-                missing=self.cache.missing,
-                two_handed=self.cache.two_handed,
+                counts=dict(self._metrics.counts),
+                robots=self.sessions.cache.robots,
+                missing=self.sessions.cache.missing,
+                two_handed=self.sessions.cache.two_handed,
                 stream_port=self.stream_port,
             )
-        self.audit.note("stop", self._who(), **_changes(request))
-        for entry in list(self.sessions.entries.values()):
-            self._attempt(self._act, request, entry.session, now)
+        self.sessions.audit.note("stop", self._who(), **_changes(request))
+        for session in list(self.sessions.by_secret.values()):
+            self._attempt(self._act, request, session, now)
         return Done(seq=request.seq)
 
     def _attempt(
@@ -418,33 +380,19 @@ class Dispatcher:
             return self._failure(request.seq, error)
 
     def _act(self, request: Request, session: Session, now: float) -> AnyReply:
-        """Carry out a request for a session.
-
-        Raises:
-            RefusedError: If it cannot be carried out.
-        """
-        if isinstance(request, Step):
-            command = session.step(request, now)
-            self.metrics.counts["steps"] += 1
-            spent = self.clock() - now
-            self.metrics.steps[bisect_left(BUCKETS, spent)] += 1
-            self.metrics.seconds += spent
-            self._send(session, command)
-            return command
-        if isinstance(request, Status):
-            return session.state(request.seq, self._version, self.stream_port, now)
-        if isinstance(request, Close):
-            reason = "closed by its client"
-            self.sessions.end(request.session, "no_session", reason, by=self._who())
-        else:
-            self._control(session, request, now)
-        return Done(seq=request.seq)
-
-    def _control(self, session: Session, request: Request, now: float) -> None:
-        """Engage, disengage, change or stop a session, or start it again."""
+        """Carry out a request for a session."""
         match request:
+            case Step():
+                return self._step(request, session, now)
+            case Status():
+                return session.state(request.seq, self._version, self.stream_port, now)
+            case Close():
+                reason = "closed by its client"
+                by = self._who()
+                self.sessions.end(request.session, "no_session", reason, by=by)
+                return Done(seq=request.seq)
             case Configure():
-                limit = f"more than {self.settings.configures:g} changes of options a second"
+                limit = f"more than {self._settings.configures:g} changes of options a second"
                 is_due = self._configures.take(now)
                 refuse_if(not is_due, f"{limit}: try again later", code="rate")
                 session.configure(request)
@@ -461,25 +409,33 @@ class Dispatcher:
                 # The stream must not wait for the next tick.
                 self._tick(session, now)
         event = type(request).__name__.lower()
-        self.audit.note(event, self._who(), session=session.name, **_changes(request))
+        self.sessions.audit.note(
+            event, self._who(), session=session.name, **_changes(request)
+        )
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
+        return Done(seq=request.seq)
+
+    def _step(self, sample: Step, session: Session, now: float) -> Command:
+        """Map a sample, and publish its command."""
+        command = session.step(sample, now)
+        self._metrics.counts["steps"] += 1
+        spent = self.sessions.clock() - now
+        self._metrics.steps[bisect_left(BUCKETS, spent)] += 1
+        self._metrics.seconds += spent
+        self._send(session, command)
+        return command
 
     def _receive_open(self, request: Open, payload: bytes, send: Send) -> None:
         """Open a session in a task; a repeated request gets the same answer."""
-        entry = self.sessions.entries.get(request.session)
-        if entry is not None and payload == entry.payload:
-            send(entry.answer)
+        session = self.sessions.by_secret.get(request.session)
+        if session is not None and payload == session.payload:
+            send(session.answer)
             return
-        first, task = self._opening.get(request.session, (payload, None))
-        is_full = task is None and len(self._opening) >= self.settings.sessions
-        if first != payload or is_full:
-            send(self._failure(request.seq, RefusedError("busy", "too many at once")))
-            return
-        if task is None:
+        if (task := self._opening.get(payload)) is None:
             opening = self._open(request, payload, self._who())
             task = asyncio.get_running_loop().create_task(opening)
-            self._opening[request.session] = payload, task
+            self._opening[payload] = task
         task.add_done_callback(
             lambda done: None if done.cancelled() else send(done.result())
         )
@@ -487,13 +443,14 @@ class Dispatcher:
     async def _open(self, request: Open, payload: bytes, by: Caller) -> AnyReply:
         """Open a session; return the answer."""
         try:
-            entry = await self.sessions.open(request, payload, by)
-            entry.answer = entry.session.opened(request.seq, self.stream_port)
-            return entry.answer
+            session = await self.sessions.open(request, by)
+            session.payload = payload
+            session.answer = session.opened(request.seq, self.stream_port)
+            return session.answer
         except Exception as error:
             return self._failure(request.seq, error)
         finally:
-            del self._opening[request.session]
+            del self._opening[payload]
 
     def _send(self, session: Session, command: Command) -> None:
         """Note and publish a command."""
@@ -512,7 +469,7 @@ class Dispatcher:
 
     def _counted(self, error: Error) -> Error:
         """Return an error, counted and logged."""
-        self.metrics.refusals[error.code] += 1
+        self._metrics.refusals[error.code] += 1
         self._refusals.report(
             INFO, "refused", code=error.code, field=error.field, message=error.message
         )

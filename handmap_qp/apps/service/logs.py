@@ -110,19 +110,30 @@ def logs_on_stderr(level: str) -> Iterator[None]:
 
 
 class Throttle:
-    """Pass one report per second, with the number of reports suppressed before it."""
+    """Lets so many reports pass per second, and counts those left out.
 
-    def __init__(self) -> None:
-        self._bucket = Bucket(1.0, time.monotonic())
-        self._suppressed = 0
+    Args:
+        rate: Reports per second.
+        burst: Reports at once.
+    """
+
+    def __init__(self, rate: float = 1.0, burst: float = 1.0) -> None:
+        self._bucket = Bucket(rate, time.monotonic(), burst)
+        self._left_out = 0
+
+    def passing(self, must: bool = False) -> int | None:
+        """Return how many reports were left out before this one; None if it is left out too."""
+        if not (self._bucket.take(time.monotonic()) or must):
+            self._left_out += 1
+            return None
+        left_out = self._left_out
+        self._left_out = 0
+        return left_out
 
     def report(self, level: int, event: str, **data: Any) -> None:
-        """Log an event as `report`; only count it if one was logged less than a second ago."""
-        if self._bucket.take(time.monotonic()):
-            report(level, event, **data, swallowed=self._suppressed)
-            self._suppressed = 0
-        else:
-            self._suppressed += 1
+        """Log an event as `report`, with the number of those left out before it."""
+        if (swallowed := self.passing()) is not None:
+            report(level, event, **data, swallowed=swallowed)
 
 
 class AuditLog:
@@ -137,8 +148,7 @@ class AuditLog:
 
     def __init__(self, path: Path | None = None) -> None:
         self._file = -1
-        self._bucket = Bucket(_RATE, time.monotonic(), _BURST)
-        self._omitted = 0
+        self._throttle = Throttle(_RATE, _BURST)
         if path is not None:
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
             with naming(path, "cannot be written"):
@@ -158,12 +168,9 @@ class AuditLog:
         """
         if self._file < 0:
             return
-        if not (self._bucket.take(time.monotonic()) or event == "stop"):
-            self._omitted += 1
+        if (omitted := self._throttle.passing(event == "stop")) is None:
             return
-        if self._omitted:
-            omitted = self._omitted
-            self._omitted = 0
+        if omitted:
             self._write({"event": "omitted", "count": omitted})
         self._write({"event": event, "session": session, "by": str(by), **data})
 

@@ -6,9 +6,9 @@ refusals that name a field of the request.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -25,7 +25,6 @@ from handmap_qp.errors import (
     InvalidInputError,
     InvalidOptionsError,
     RefusedError,
-    expect,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
@@ -38,7 +37,7 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample, Rule, human_name
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.alignment import found_alignment
-from handmap_qp.mapping.hand_pair import HandPair, hand_pair
+from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.mapper import HandMapper, LandmarkReader
 from handmap_qp.mapping.presets import (
     IK_NAMES,
@@ -74,7 +73,7 @@ _FIELDS = {"human_q": "q", "wrist_pose": "wrist", "method": "preset"} | {
 _OF_ROBOT = {"input": "landmarks", "mount": None, "robot_points": None}
 """The only values of fields that a robot with two hands may be opened with."""
 
-T = TypeVar("T")
+Defer = Callable[[Callable[[], "Hands"]], Future["Hands"]]
 Chosen = TypeVar("Chosen", bound=Options)
 
 
@@ -108,14 +107,15 @@ def _field_of(named: str) -> str:
     return _FIELDS[name] + bracket + index if name in _FIELDS else ""
 
 
-def with_field_errors(field: str, make: Callable[[], T]) -> T:
-    """Return what `make` returns, and raise its errors as refusals of a field.
+@contextmanager
+def naming_field(field: str) -> Iterator[None]:
+    """Raise errors of the library as refusals of a field.
 
     Raises:
         RefusedError: With the field that the error names, or else `field`.
     """
     try:
-        return make()
+        yield
     except HandmapError as error:
         raise refused(error, field) from error
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -123,22 +123,24 @@ def with_field_errors(field: str, make: Callable[[], T]) -> T:
         raise RefusedError("invalid", message, field=field) from error
 
 
-def with_option_errors(robot: Hand, choice: Choice, make: Callable[[], T]) -> T:
-    """Return what `make` returns, and raise its errors as refusals of options.
+@contextmanager
+def naming_option(robot: Hand, choice: Choice) -> Iterator[None]:
+    """Raise errors of a mapper that is made or configured as refusals of options.
 
     Args:
         robot: The robot hand.
         choice: The options.
-        make: Makes or configures a mapper.
 
     Raises:
         RefusedError: With the option at fault. If the error names none: `ik` if the QP alone cannot
             be set up; else `options`.
     """
     try:
-        return with_field_errors("options", make)
+        with naming_field("options"):
+            yield
     except RefusedError:
-        with_field_errors("ik", lambda: PointIk(robot, choice.ik))
+        with naming_field("ik"):
+            PointIk(robot, choice.ik)
         raise
 
 
@@ -155,32 +157,30 @@ class HandCache:
         HandError: If one cannot be read, or two have the same name.
 
     Attributes:
+        robots: Names of the robot hands that are installed.
         missing: Why each hand that is not installed cannot be opened, by name.
         two_handed: Names of the robots with two hands.
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
-        self._files = hand_files()
-        self._robots = robot_files()
+        hands = hand_files()
+        robots = robot_files()
         for name in HUMAN_HANDS:
-            del self._files[name]
+            del hands[name]
         self.missing = missing_hands()
         for file in files:
             has_hands = "hands" in read_document(file)
             name = (read_robot_spec if has_hands else read_hand_spec)(file).name
-            if name in {*self.robots, *self._robots}:
+            if name in {*hands, *robots} - self.missing.keys():
                 problem = f"there is already a hand {name!r}"
                 raise HandError(problem, file=file, key="name", value=name)
-            (self._robots if has_hands else self._files)[name] = file
+            (robots if has_hands else hands)[name] = file
             self.missing.pop(name, None)
-        self.two_handed = tuple(self._robots)
+        self.robots = tuple(name for name in hands if name not in self.missing)
+        self.two_handed = tuple(robots)
+        self._files = hands | robots
         self._load = lru_cache(maxsize=_CACHED_HANDS)(load_hand)
         self._load_robot = lru_cache(maxsize=_CACHED_HANDS)(load_robot)
-
-    @property
-    def robots(self) -> tuple[str, ...]:
-        """Names of the robot hands that are installed."""
-        return tuple(name for name in self._files if name not in self.missing)
 
     def robot_of(self, request: Open) -> Robot:
         """Return the robot of a request; a hand of its own is one without a name.
@@ -188,13 +188,14 @@ class HandCache:
         Raises:
             RefusedError: As of `robot`, or if a field is not for a robot.
         """
-        if (file := self._robots.get(request.robot)) is None:
+        if request.robot not in self.two_handed:
             hand = self.robot(request.robot, request.robot_points, request.mount)
             return Robot("", {request.side: hand})
         for field, only in _OF_ROBOT.items():
             message = f"expected {only or 'none'} for a robot with two hands"
             refuse_if(getattr(request, field) != only, message, field)
-        return with_field_errors("robot", lambda: self._load_robot(file))
+        with naming_field("robot"):
+            return self._load_robot(self._files[request.robot])
 
     def robot(self, name: str, points: str | None, mount: Mount | None) -> Hand:
         """Return a robot hand.
@@ -211,9 +212,8 @@ class HandCache:
         message = f"no hand {name!r:.80}; there are {known}"
         refuse_if(name not in self._files, message, "robot")
         file = self._files[name]
-        return with_field_errors(
-            "robot", lambda: self._load(file, points=points, mount=mount)
-        )
+        with naming_field("robot"):
+            return self._load(file, points=points, mount=mount)
 
     def human(
         self, side: Side, points: str | None, lengths: HumanLengths | None = None
@@ -233,10 +233,8 @@ class Hands:
         robot: The robot hand with the reference points of the request; of two, the first.
         choice: Preset and options of the mapper.
         lengths: The measured human hand, of two one of them; None for the model's own.
-        needs_measuring: Whether the first landmarks measure the human hand; until then it is the
-            model's own.
-        pairs: Human and robot hands, matched for teleoperation; kept so that `configure` finds them
-            at once. Those whose fingers do not correspond are missing.
+        calibration: Measures the human hand from the first landmarks, if it is not known; until
+            then it is the model's own.
     """
 
     mapper: HandMapper | RobotMapper
@@ -244,14 +242,14 @@ class Hands:
     robot: Hand
     choice: Choice
     lengths: HumanLengths | None
-    needs_measuring: bool
-    pairs: Sequence[HandPair] = ()
+    calibration: Calibration | None = None
 
 
 def prepare_hands(
     request: Open,
     cache: HandCache,
     measured: Mapping[Side, HumanLengths] = {},
+    defer: Defer | None = None,
 ) -> Hands:
     """Make the mapper of a session.
 
@@ -260,6 +258,8 @@ def prepare_hands(
         cache: The hands that clients may open.
         measured: The human hands as measured from landmarks, by side; one that is missing is as
             large as the other. The request decides if empty.
+        defer: Runs a measurement, which takes some 200 ms, in another thread; nothing is measured
+            if omitted.
 
     Returns:
         The mapper and the hands.
@@ -267,13 +267,12 @@ def prepare_hands(
     Raises:
         RefusedError: With the field at fault.
     """
-    has_both = request.hand_length is not None and request.lengths is not None
-    refuse_if(has_both, "give hand_length or lengths, not both", "lengths")
     robot = cache.robot_of(request)
     first, hand = next(iter(robot.hands.items()))
     lengths = next(iter(measured.values()), None)
     if lengths is None:
-        lengths = with_field_errors("lengths", lambda: _human_lengths(request))
+        with naming_field("lengths"):
+            lengths = _human_lengths(request)
     points = request.human_points
 
     def load(side: Side) -> Hand:
@@ -281,30 +280,30 @@ def prepare_hands(
         gap = request.contact_gap
         return human if gap is None else human.with_contact_gap(gap)
 
-    humans = with_field_errors(
-        "human_points", lambda: {side: load(side) for side in robot.hands}
-    )
-    human = humans[first]
     has_landmarks = request.input == "landmarks"
-    if has_landmarks:
-        # Reject reference points that are no landmarks now, not at the first sample.
-        with_field_errors("human_points", lambda: LandmarkReader(human))
+    with naming_field("human_points"):
+        humans = {side: load(side) for side in robot.hands}
+        human = humans[first]
+        if has_landmarks:
+            # Reject reference points that are no landmarks now, not at the first sample.
+            LandmarkReader(human)
     choice = read_choice(request, human, hand)
     mapping: Any = partial(HandMapper, human, hand)
     following: Any = Follower
     if robot.name:
         mapping, following = partial(RobotMapper, robot, humans), RobotFollower
-    mapper = with_option_errors(
-        hand, choice, lambda: mapping(choice.method, ik=choice.ik)
-    )
-    pairs = []
+    with naming_option(hand, choice):
+        mapper = mapping(choice.method, ik=choice.ik)
     # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
     with suppress(HandmapError):
-        pairs = [hand_pair(humans[side], robot.hands[side]) for side in humans]
+        for side in humans:
+            hand_pair(humans[side], robot.hands[side])
     rejoins = request.resume == "clutch"
     follower = following(mapper, rejoin="clutch" if rejoins else "glide")
-    is_new = has_landmarks and lengths is None
-    return Hands(mapper, follower, hand, choice, lengths, is_new, pairs)
+    calibration = None
+    if has_landmarks and lengths is None and defer is not None:
+        calibration = Calibration(request, cache, defer)
+    return Hands(mapper, follower, hand, choice, lengths, calibration)
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:
@@ -313,12 +312,10 @@ def _human_lengths(request: Open) -> HumanLengths | None:
     length = request.hand_length
     if given is None:
         return None if length is None else HumanLengths.from_hand_length(length)
+    refuse_if(length is not None, "give hand_length or lengths, not both", "lengths")
     bones = np.linalg.norm((given.bases, given.segments), axis=2)
-    expect(
-        ((bones > 0.0) & (bones < _LONGEST_BONE)).all(),
-        "lengths",
-        "lengths between 0 and 1 m",
-    )
+    is_hand = ((bones > 0.0) & (bones < _LONGEST_BONE)).all()
+    refuse_if(not is_hand, "expected lengths between 0 and 1 m", "lengths")
     return HumanLengths(*msgspec.structs.astuple(given))
 
 
@@ -334,7 +331,8 @@ def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
         RefusedError: With the field at fault.
     """
     name = request.preset or preset_with(request.options, human, robot)
-    start = with_field_errors("preset", lambda: preset_choice(name, human))
+    with naming_field("preset"):
+        start = preset_choice(name, human)
     found = found_alignment(start.method, robot, upright_of(request))
     method = _changed("options", start.method, found | request.options)
     ik = _changed("ik", start.ik, request.ik)
@@ -388,15 +386,12 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
 class Calibration:
     """Measure the human hands from landmarks, and prepare the hands of the session with them.
 
-    Attributes:
-        request: The request that opened the session.
-        cache: The hands that clients may open.
-        defer: Runs the measurement, which takes some 200 ms, in another thread.
+    Attributes are as of `prepare_hands`.
     """
 
     request: Open
     cache: HandCache
-    defer: Callable[[Callable[[], Hands]], Future[Hands]]
+    defer: Defer
 
     def __post_init__(self) -> None:
         """Begin without samples."""
@@ -421,7 +416,8 @@ class Calibration:
         if verdict.rule in ("missing", "zero"):
             return verdict.rule
         landmarks = sample.landmarks
-        with_field_errors("landmarks", lambda: check_length(landmarks[None]))
+        with naming_field("landmarks"):
+            check_length(landmarks[None])
         # The person may be much larger or smaller than the model.
         if verdict.is_held and verdict.rule != "size":
             return verdict.rule
@@ -459,7 +455,8 @@ def _measured(side: Side, landmarks: np.ndarray) -> HumanLengths:
     time = _PERIOD * np.arange(len(landmarks))
     is_valid = np.ones(len(landmarks), dtype=bool)
     recording = Recording("calibration", time, landmarks, is_valid, side)
-    lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
+    with naming_field("landmarks"):
+        lengths = measure_hand(recording)
     # Without a touch, nothing was measured: the preset's own gap is the better guess.
     smallest = smallest_gap(time, landmarks)
     if smallest < TOUCH_GAP:

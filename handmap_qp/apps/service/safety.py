@@ -55,20 +55,13 @@ class SessionState(Enum):
     # That of `Enum` runs in Python, in every sample.
     __hash__ = object.__hash__
 
-    WAITING = "waiting", False
-    """No sample has arrived yet."""
-    FOLLOWING = "following", False
-    """The robot follows the human."""
-    RELEASED = "released", True
-    """The robot holds its posture because a client released it."""
-    HOLDING = "hold", False
-    """The robot holds its posture because samples stay away; it follows the next one."""
-    HOLDING_RELEASED = "hold", True
-    """As `HOLDING`, but released: the next sample does not move the robot."""
-    RETURNING = "returning", False
-    """The robot moves to its rest posture because samples stay away."""
-    STOPPED = "stopped", True
-    """The robot holds its posture because of an emergency stop, which is latched."""
+    WAITING = "waiting", False  # no sample has arrived yet
+    FOLLOWING = "following", False  # the robot follows the human
+    RELEASED = "released", True  # it holds because a client released it
+    HOLDING = "hold", False  # it holds without samples, and follows the next one
+    HOLDING_RELEASED = "hold", True  # likewise, but the next one does not move it
+    RETURNING = "returning", False  # it moves to rest because samples stay away
+    STOPPED = "stopped", True  # it holds because of an emergency stop, which is latched
 
     def __init__(self, mode: str, is_released: bool) -> None:
         self.mode = mode
@@ -82,21 +75,15 @@ class Event(Enum):
 
     __hash__ = object.__hash__
 
-    SAMPLE = auto()
-    """A sample that can be used."""
+    SAMPLE = auto()  # a sample that can be used
     CLUTCH = auto()
     RELEASE = auto()
     RESET = auto()
-    SILENCE = auto()
-    """The watchdog: no sample for too long."""
-    RETURN = auto()
-    """The watchdog: the hold has lasted long enough."""
-    ARRIVAL = auto()
-    """The robot is at its rest posture."""
-    STOP = auto()
-    """An emergency stop."""
-    CLEAR = auto()
-    """The emergency stop is cleared on purpose."""
+    SILENCE = auto()  # the watchdog: no sample for too long
+    RETURN = auto()  # the watchdog: the hold has lasted long enough
+    ARRIVAL = auto()  # the robot is at its rest posture
+    STOP = auto()  # an emergency stop
+    CLEAR = auto()  # the emergency stop is cleared on purpose
 
 
 _TRANSITIONS = {
@@ -236,12 +223,9 @@ class Watchdog:
 class MapperState(Enum):
     """How the posture of the mapper relates to the posture last commanded."""
 
-    ALIGNED = auto()
-    """They are the same."""
-    SLEWING = auto()
-    """The robot is on its way to the mapper's posture, within its speed limits."""
-    STALE = auto()
-    """The mapper must be reset to the robot's posture before the next sample."""
+    ALIGNED = auto()  # they are the same
+    SLEWING = auto()  # the robot is on its way there, within its speed limits
+    STALE = auto()  # the mapper must be reset to the robot before the next sample
 
 
 class CommandedRobot(Gate):

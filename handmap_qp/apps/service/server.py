@@ -49,7 +49,7 @@ from handmap_qp.apps.service.logs import (
 )
 from handmap_qp.apps.service.opening import HandCache
 from handmap_qp.apps.service.pages import serve_metrics
-from handmap_qp.apps.service.sessions import Caller
+from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.apps.service.websocket import WebSocketTransport
@@ -124,9 +124,8 @@ class Server:
         self._closing.callback(self._audit.close)
         # Acquire the file lock last, after everything that can fail.
         store = self._closing.enter_context(PostureStore(settings.state))
-        self.dispatcher = Dispatcher(
-            settings, cache, self.metrics, store=store, audit=self._audit
-        )
+        sessions = Sessions(settings, cache, self.metrics, store, self._audit)
+        self.dispatcher = Dispatcher(sessions)
         self._clients: ClientKeys | None = None
         self._keys: ServerKeys | None = None
         self._tasks: list[asyncio.Task[None]] = []
@@ -223,7 +222,7 @@ class Server:
         is_alive = self._tasks and not any(task.done() for task in self._tasks)
         return {
             "status": "ok" if is_alive else "stopped",
-            "sessions": len(self.dispatcher.sessions.entries),
+            "sessions": len(self.dispatcher.sessions.by_secret),
             "lag_seconds": max(self._lags),
         }
 

@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import astuple, replace
 from itertools import compress
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from msgspec import structs
@@ -25,12 +25,12 @@ from msgspec import structs
 from handmap_qp.apps.service.opening import (
     Calibration,
     Hands,
+    naming_field,
+    naming_option,
     read_choice,
     refused,
     upright_of,
     with_changes,
-    with_field_errors,
-    with_option_errors,
 )
 from handmap_qp.apps.service.safety import (
     START_TOLERANCE,
@@ -46,9 +46,11 @@ from handmap_qp.apps.service.safety import (
 from handmap_qp.apps.service.store import Posture, Record
 from handmap_qp.client.messages import (
     About,
+    AnyReply,
     Command,
     Configure,
     Detail,
+    Done,
     HandSample,
     HandState,
     Lengths,
@@ -61,37 +63,40 @@ from handmap_qp.client.messages import (
 )
 from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
+from handmap_qp.hands.spec import Side
 from handmap_qp.human.contact_gap import ContactGapMeter
 from handmap_qp.human.sample import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik.limits import Motion
 from handmap_qp.mapping.mapper import check_joints
 from handmap_qp.mapping.method import MapStep
-from handmap_qp.stream.robot_follower import RobotFollower
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.tables import load_layout
 
 Fields = dict[str, Any]
 """Values of a message or sample by the names of its fields."""
-Work = Callable[..., Any]
-"""What is done with the form of a hand and its part of a sample."""
+Humans = dict[Side, Any]
+"""Each hand of a sample, by side: a `HumanSample`; None if it has joint angles or points."""
+T = TypeVar("T")
 _FIELDS = ("hands", "q", "landmarks", "points", "values")
 _BARE = {"q": None, "points": None} | structs.asdict(HandSample())
 """Fields of a hand in a sample that has `hands`."""
 
 
 class SampleForm:
-    """What the samples of a session hold, or those of one hand of a robot.
+    """What the samples of a session hold: one hand, or the hands of a robot.
 
     Args:
         request: The request that opened the session.
+        robot: The robot hand, or the robot.
 
     Raises:
         RefusedError: If there is no such layout, or it is given with another kind of samples.
     """
 
-    def __init__(self, request: Open) -> None:
+    def __init__(self, request: Open, robot: Hand) -> None:
         self._kind = request.input
-        self._side = request.side
+        self._side: Side = request.side
+        self._sides = [hand.side for hand in robot.parts]
         name = request.layout
         self._layout = None
         self._field = self._wanted = self._kind
@@ -103,40 +108,44 @@ class SampleForm:
             self._layout = load_layout(name)
             self._field, self._wanted = "values", f"values of {name}"
 
-    def each(self, sample: Step, work: Work) -> list[Any]:
-        """Return what `work` makes of each hand of a sample, in a form of its own.
+    def each(self, sample: Step, work: Callable[[Side, Step], T]) -> dict[Side, T]:
+        """Return what `work` makes of each hand of a sample, by side.
 
         Raises:
             RefusedError: If the hands are not those of the robot.
-            HandmapError: As of `work`.
+            HandmapError: As of `work`; with the hand at fault if a robot has several.
         """
-        return [work(self, sample)]
+        if not self._sides:
+            return {self._side: work(self._side, sample)}
+        hands = sample.hands or {}
+        is_bare = sample == structs.replace(sample, **_BARE)
+        is_right = is_bare and hands and hands.keys() <= set(self._sides)
+        message = f"expected {' or '.join(self._sides)}, and nothing of a hand beside"
+        refuse_if(not is_right, message, "hands")
+        done = {}
+        for side, hand in hands.items():
+            part = structs.replace(sample, hands=None, **structs.asdict(hand))
+            try:
+                done[side] = work(side, part)
+            except HandmapError as error:
+                wrong = refused(error)
+                place = f"hands.{side}.{wrong.field}"
+                raise RefusedError(wrong.code, str(wrong), field=place) from error
+        return done
 
-    def check(self, sample: Step) -> None:
-        """Reject a sample of another kind than the session was opened for.
+    def read(self, side: Side, sample: Step) -> HumanSample | None:
+        """Return the landmarks of one hand of a sample; None if it has joint angles or points.
 
         Raises:
-            RefusedError: With the field that is missing or must be left out.
-        """
-        given = {field for field in _FIELDS if getattr(sample, field) is not None}
-        is_lost = not sample.valid and self._kind != "landmarks"
-        refuse_if(is_lost, "only landmarks may be invalid", "valid")
-        if sample.valid or given:
-            wrong = sorted(given ^ {self._field}, key=_FIELDS.index)
-            message = f"this session was opened for {self._wanted}"
-            refuse_if(wrong, message, next(iter(wrong), ""))
-        is_bare = self._kind == "q" and sample.wrist is None
-        refuse_if(is_bare, "missing; it must come with q", "wrist")
-
-    def human_sample(self, sample: Step) -> HumanSample:
-        """Convert a sample of landmarks that `check` accepted.
-
-        Raises:
+            RefusedError: If the session was opened for another kind, with the field at fault.
             HandmapError: If the numbers are not of the layout.
         """
+        self._check(sample)
+        if self._kind != "landmarks":
+            return None
         common: Fields = {
             "time": sample.time,
-            "side": self._side,
+            "side": side,
             "wrist": to_matrix(sample.wrist),
             "valid": sample.valid,
             "confidence": sample.confidence,
@@ -149,81 +158,17 @@ class SampleForm:
         make = HumanSample.of_checked if is_hand else HumanSample
         return make(landmarks=landmarks, **common)
 
-    def map(
-        self,
-        hands: Hands,
-        sample: Step,
-        dt: float,
-        arrival: float | None,
-    ) -> tuple[MapStep, np.ndarray | None]:
-        """Map a sample that `check` accepted.
-
-        Args:
-            hands: The hands of the session.
-            sample: The sample.
-            dt: Time that the command may account for [s].
-            arrival: When it arrived, on a monotonic clock [s]; None for simulated time.
-
-        Returns:
-            Every stage of the mapping, and the landmarks [m], shape (21, 3), if it had some of a
-            robot hand's session.
-
-        Raises:
-            HandmapError: If the sample cannot be used; the mapper is then unchanged.
-        """
-        if self._kind == "landmarks":
-            humans = self.each(sample, SampleForm.human_sample)
-            if isinstance(hands.follower, RobotFollower):
-                of = {human.side: human for human in humans}
-                return hands.follower.map_samples(of, dt=dt, arrival=arrival), None
-            (human,) = humans
-            step = hands.follower.map_sample(human, dt=dt, arrival=arrival)
-            if step.rule == "size":
-                # Other units than metres are a mistake of the client, which must know.
-                PalmShape(hands.mapper.human).check(human.landmarks)
-            return step, human.landmarks
-        mapper: Any = hands.mapper
-        wrist = to_matrix(sample.wrist)
-        if sample.points is not None:
-            return mapper.map_points(sample.points, wrist, dt=dt), None
-        return mapper.map_step(np.array(sample.q), wrist, dt=dt), None
-
-
-class RobotForm(SampleForm):
-    """What the samples of a robot with two hands hold.
-
-    Args:
-        request: The request that opened the session.
-        robot: The robot.
-
-    Raises:
-        RefusedError: As of `SampleForm`.
-    """
-
-    def __init__(self, request: Open, robot: Hand) -> None:
-        super().__init__(request)
-        self._forms = {
-            hand.side: SampleForm(structs.replace(request, side=hand.side))
-            for hand in robot.parts
-        }
-
-    def each(self, sample: Step, work: Work) -> list[Any]:
-        """Return what `work` makes of each hand; errors as of `SampleForm.each`."""
-        hands = sample.hands or {}
-        is_bare = sample == structs.replace(sample, **_BARE)
-        is_right = is_bare and hands and hands.keys() <= self._forms.keys()
-        message = f"expected {' or '.join(self._forms)}, and nothing of a hand beside"
-        refuse_if(not is_right, message, "hands")
-        done = []
-        for side, hand in hands.items():
-            part = structs.replace(sample, hands=None, **structs.asdict(hand))
-            try:
-                done.append(work(self._forms[side], part))
-            except HandmapError as error:
-                wrong = refused(error)
-                place = f"hands.{side}.{wrong.field}"
-                raise RefusedError(wrong.code, str(wrong), field=place) from error
-        return done
+    def _check(self, sample: Step) -> None:
+        """Reject a sample of another kind than the session was opened for."""
+        given = {field for field in _FIELDS if getattr(sample, field) is not None}
+        is_lost = not sample.valid and self._kind != "landmarks"
+        refuse_if(is_lost, "only landmarks may be invalid", "valid")
+        if sample.valid or given:
+            wrong = sorted(given ^ {self._field}, key=_FIELDS.index)
+            message = f"this session was opened for {self._wanted}"
+            refuse_if(wrong, message, next(iter(wrong), ""))
+        is_bare = self._kind == "q" and sample.wrist is None
+        refuse_if(is_bare, "missing; it must come with q", "wrist")
 
 
 class Session:
@@ -234,17 +179,19 @@ class Session:
         hands: The hands that `prepare_hands` made of the request.
         name: Public name.
         now: The present on a monotonic clock [s].
-        calibration: Measures the human hand, if `hands` needs that.
         former: Record of the session to continue; the request decides if omitted.
         owner: Its owner, see `Caller.owner`. The epoch of another owner ends.
         motion: How the robot of that session moves, if it is running; at rest if omitted.
 
     Attributes:
-        request: The request that opened it.
+        request: The request that opened it, with all changes of options since.
         name: Public name.
         robot: The robot hand.
         counts: Counts of what happened.
         last_request: Time of the last request with the session's secret [s].
+        seq: Number of that request.
+        payload: That request as received.
+        answer: Its answer, which is sent again if the same request arrives again.
         owner: Its owner.
 
     Raises:
@@ -258,7 +205,6 @@ class Session:
         name: str,
         now: float,
         *,
-        calibration: Calibration | None = None,
         former: Record | None = None,
         owner: str = "",
         motion: Motion | None = None,
@@ -269,11 +215,10 @@ class Session:
         self.robot = hands.mapper.robot
         self.counts: Counter[str] = Counter()
         self.last_request = self._opened_at = now
-        robot = self.robot
-        self._form = RobotForm(request, robot) if robot.parts else SampleForm(request)
-        # The request with all changes since.
-        self._wanted = request
-        self._calibration = calibration if hands.needs_measuring else None
+        self.seq = self._stamped = request.seq
+        self.payload = b""
+        self.answer: AnyReply = Done()
+        self._form = SampleForm(request, self.robot)
         self._adopt(hands)
         start = self._start(self.robot.rest.copy(), None, request)
         self._place(*(start if former is None else former.posture), motion)
@@ -284,7 +229,6 @@ class Session:
         self._state = SessionState.WAITING
         self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
         self._stamp = 0.0
-        self._seq = request.seq
         self._dt = 0.0
         self._stop = 0
         self._reset_mapper()
@@ -306,7 +250,7 @@ class Session:
     def mode(self) -> str:
         """What the robot does, as clients read it."""
         is_led = self._state is SessionState.FOLLOWING
-        return "calibrating" if self._calibration and is_led else self._state.mode
+        return "calibrating" if self._hands.calibration and is_led else self._state.mode
 
     @property
     def record(self) -> Record:
@@ -350,9 +294,10 @@ class Session:
         """Answer `status`."""
         choice = self._hands.choice
         measured = self._hands.lengths
-        wanted = {name: getattr(self._wanted, name) for name in About.__struct_fields__}
-        about: Fields = wanted | {
-            "upright": upright_of(self._wanted),
+        wanted = self.request
+        shared = {name: getattr(wanted, name) for name in About.__struct_fields__}
+        about: Fields = shared | {
+            "upright": upright_of(wanted),
             "robot": self.robot.name,
             "lengths": measured
             and Lengths(*(part.tolist() for part in astuple(measured)[:3])),
@@ -388,13 +333,12 @@ class Session:
             RefusedError: If the sample cannot be used. The robot and the watchdog then ignore it.
         """
         try:
-            self._form.each(sample, SampleForm.check)
-            if self._calibration is not None:
-                return self._calibrate(self._calibration, sample, now)
+            humans = self._form.each(sample, self._form.read)
+            if self._hands.calibration is not None:
+                return self._calibrate(self._hands.calibration, humans, sample, now)
             self._prepare_mapper()
             self._dt, flags = self._clock.grant(sample.time, now)
-            arrival = now if self.request.time_from == "server" else None
-            step, landmarks = self._form.map(self._hands, sample, self._dt, arrival)
+            step = self._map(humans, sample, now)
         except HandmapError as error:
             self.counts["refused"] += 1
             raise refused(error) from error
@@ -408,6 +352,8 @@ class Session:
             self._stay(step)
             flags.append(step.rule)
             return self._command(now, step.status, flags, sample, **_trust(step))
+        human = None if self.robot.parts else humans[self.request.side]
+        landmarks = None if human is None else human.landmarks
         flags = self._accept(now) + flags + [step.rule] * bool(step.rule)
         if self._state is SessionState.FOLLOWING:
             flags += self._follow(step)
@@ -500,7 +446,7 @@ class Session:
             RefusedError: With the option at fault. The session is then unchanged.
         """
         preset = self._hands.choice.preset
-        self._choose(self._hands, with_changes(self._wanted, preset, request))
+        self._choose(self._hands, with_changes(self.request, preset, request))
 
     def reset(self, request: Reset, now: float) -> None:
         """Start again.
@@ -530,16 +476,12 @@ class Session:
     def _start(
         self, q: np.ndarray, wrist: np.ndarray | None, request: Open | Reset
     ) -> Posture:
-        """Return a posture with the parts that a request gives.
-
-        Raises:
-            RefusedError: If the robot cannot be there, or its wrist is fixed.
-        """
+        """Return a posture with the parts that a request gives, which the robot must reach."""
         if request.robot_q is not None:
-            start = request.robot_q, "robot_q", START_TOLERANCE
-            q, _ = with_field_errors(
-                "robot_q", lambda: check_joints(self.robot, *start)
-            )
+            with naming_field("robot_q"):
+                q, _ = check_joints(
+                    self.robot, request.robot_q, "robot_q", START_TOLERANCE
+                )
         is_moved = request.robot_wrist is not None and not self.robot.is_floating
         message = f"{self.robot.name} has a fixed wrist: leave it out"
         refuse_if(is_moved, message, "robot_wrist")
@@ -569,11 +511,31 @@ class Session:
     def _handle(self, event: Event) -> None:
         self._state = next_state(self._state, event)
 
-    def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
+    def _map(self, humans: Humans, sample: Step, now: float) -> MapStep:
+        """Map a sample within the time granted."""
+        mapper: Any = self._hands.mapper
+        if self.request.input != "landmarks":
+            wrist = to_matrix(sample.wrist)
+            if sample.points is not None:
+                return mapper.map_points(sample.points, wrist, dt=self._dt)
+            return mapper.map_step(np.array(sample.q), wrist, dt=self._dt)
+        arrival = now if self.request.time_from == "server" else None
+        follower: Any = self._hands.follower
+        if self.robot.parts:
+            return follower.map_samples(humans, dt=self._dt, arrival=arrival)
+        (human,) = humans.values()
+        step = follower.map_sample(human, dt=self._dt, arrival=arrival)
+        if step.rule == "size":
+            # Other units than metres are a mistake of the client, which must know.
+            PalmShape(mapper.human).check(human.landmarks)
+        return step
+
+    def _calibrate(
+        self, calibration: Calibration, humans: Humans, sample: Step, now: float
+    ) -> Command:
         """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
-        rules = self._form.each(
-            sample, lambda form, part: calibration.add(form.human_sample(part))
-        )
+        added = self._form.each(sample, lambda side, _: calibration.add(humans[side]))
+        rules = [*added.values()]
         rule = rules[0] if all(rules) else ""
         hands = calibration.result()
         self._dt, _ = self._clock.grant(sample.time, now)
@@ -583,9 +545,8 @@ class Session:
         command = self._command(now, "calibrating", flags, sample, **trust)
         if hands is not None:
             # Options may have changed since the hands were prepared.
-            self._choose(hands, self._wanted)
+            self._choose(hands, self.request)
             self._adopt(self._hands)
-            self._calibration = None
             self._reset_mapper()
             if self._state.is_released:
                 hands.mapper.release()
@@ -594,7 +555,7 @@ class Session:
     def _adopt(self, hands: Hands) -> None:
         """Make these the hands of the session, and measure their contact gap if nobody gave it."""
         self._hands = hands
-        wanted = self._wanted
+        wanted = self.request
         is_known = wanted.contact_gap is not None or "contact_gap" in wanted.options
         gap = hands.choice.method.values.get("contact_gap")
         self._gap_meter = None if gap is None or is_known else ContactGapMeter(gap)
@@ -602,16 +563,15 @@ class Session:
     def _measure_gap(self, time: float, landmarks: np.ndarray | None) -> None:
         """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
         meter = self._gap_meter
-        if meter is None or landmarks is None or "contact_gap" in self._wanted.options:
+        if meter is None or landmarks is None or "contact_gap" in self.request.options:
             return
         if meter.add(time, landmarks):
-            self._choose(self._hands, self._wanted)
+            self._choose(self._hands, self.request)
 
     def _choose(self, hands: Hands, wanted: Open) -> None:
         """Make these the hands of the session, with the options of a request.
 
-        Raises:
-            RefusedError: With the option at fault. Nothing has changed then.
+        If an option is at fault, nothing has changed.
         """
         mapper = hands.mapper
         human = mapper.human
@@ -619,10 +579,9 @@ class Session:
             human = human.with_contact_gap(self._gap_meter.gap)
         choice = read_choice(wanted, human, hands.robot)
         method = None if choice.method == hands.choice.method else choice.method
-        with_option_errors(
-            hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik)
-        )
-        self._wanted = wanted
+        with naming_option(hands.robot, choice):
+            mapper.configure(method, ik=choice.ik)
+        self.request = wanted
         self._hands = replace(hands, choice=choice)
         self._commanded.obey(mapper.point_ik)
 
@@ -683,7 +642,7 @@ class Session:
         """Return the fields of a command that describe the mapping."""
         error, at_bound, residual, _ = step.stages.summary
         detail = None
-        if self._wanted.has_detail and "motion" in step.diagnostics:
+        if self.request.has_detail and "motion" in step.diagnostics:
             # Every stage of a step whose method has a T.
             names = "motion", "motion_rigid", "motion_deformation", "stretches"
             names += "human_points", "targets", "points"
@@ -719,11 +678,11 @@ class Session:
         """Return a command that answers a sample, or the last sample again if omitted."""
         if sample is not None:
             self._stamp = sample.time
-            self._seq = sample.seq
+            self._stamped = sample.seq
         state = self._state
         released = ["released"] * state.is_released + ["stopped"] * state.is_stopped
         return Command(
-            seq=self._seq,
+            seq=self._stamped,
             name=self.name,
             time=self._stamp,
             server_time=now,

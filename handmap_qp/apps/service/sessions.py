@@ -8,6 +8,7 @@ import hmac
 import itertools
 import math
 import secrets
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -18,12 +19,12 @@ from weakref import WeakSet
 import msgspec
 
 from handmap_qp.apps.service.logs import AuditLog, Metrics, report
-from handmap_qp.apps.service.opening import Calibration, HandCache, Hands, prepare_hands
+from handmap_qp.apps.service.opening import HandCache, prepare_hands
 from handmap_qp.apps.service.safety import Bucket, refuse_if
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore, Record
-from handmap_qp.client.messages import AnyReply, Done, Error, Open
+from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.hand import Hand
 
@@ -68,25 +69,6 @@ def refusal(owner: str, client: str, *, is_attended: bool, is_rival: bool) -> st
     return "busy" if is_attended and (is_rival or not is_owner) else ""
 
 
-@dataclass(slots=True, eq=False)
-class Entry:
-    """A session with its last request and answer.
-
-    The answer is sent again if the same request arrives again.
-
-    Attributes:
-        session: The session.
-        seq: Number of the request.
-        payload: The request as received.
-        answer: Its answer.
-    """
-
-    session: Session
-    seq: int
-    payload: bytes
-    answer: AnyReply = field(default_factory=Done)
-
-
 @dataclass(eq=False)
 class Sessions:
     """The open sessions.
@@ -95,30 +77,31 @@ class Sessions:
         settings: Limits of what clients may do.
         cache: The hands that clients may open.
         metrics: Counters.
-        store: Records of former sessions.
+        store: Records of former sessions; in memory if omitted.
+        audit: Record of who did what; none if omitted.
         clock: Monotonic clock [s].
-        audit: Record of who did what.
-        entries: Sessions by their secrets.
+        by_secret: Sessions by their secrets.
         publish: Callbacks that receive the messages of all streams.
     """
 
     settings: Settings
     cache: HandCache
     metrics: Metrics
-    store: PostureStore
-    clock: Callable[[], float]
-    audit: AuditLog
+    store: PostureStore = field(default_factory=lambda: PostureStore(None))
+    audit: AuditLog = field(default_factory=AuditLog)
+    clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
         """Begin without sessions."""
-        self.entries: dict[str, Entry] = {}
+        self.by_secret: dict[str, Session] = {}
         self.publish: list[Publish] = []
         self._works: WeakSet[Future[Any]] = WeakSet()
         # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
         most = self.settings.sessions
         self._opens = Bucket(self.settings.opens, self.clock(), burst=most)
-        self._names_opening: set[str] = set()
+        # Names of the sessions that are being opened, by their secrets.
+        self._opening: dict[str, str] = {}
         self._ended: dict[str, str] = {}
         # After a restart, owners are on their way back.
         self._last_heard = dict.fromkeys(self.store.records, self.clock())
@@ -127,23 +110,23 @@ class Sessions:
     @property
     def names(self) -> tuple[str, ...]:
         """Public names of the open sessions."""
-        return tuple(entry.session.name for entry in self.entries.values())
+        return tuple(session.name for session in self.by_secret.values())
 
     @property
     def is_preparing(self) -> bool:
         """Whether the opening thread loads a hand, which it does not stop on request."""
         return any(work.running() for work in self._works)
 
-    def find(self, secret: str) -> Entry:
+    def find(self, secret: str) -> Session:
         """Return the session of a secret, and renew its lease.
 
         Raises:
             RefusedError: `no_session` if there is none, `taken` if another client took it over.
         """
-        entry = self.entries.get(secret)
-        if entry is not None:
-            entry.session.last_request = self.clock()
-            return entry
+        session = self.by_secret.get(secret)
+        if session is not None:
+            session.last_request = self.clock()
+            return session
         is_taken = self._ended.get(secret) == "taken"
         refuse_if(is_taken, "another client took this session over", "session", "taken")
         raise RefusedError("no_session", "no such session; open one", field="session")
@@ -158,12 +141,11 @@ class Sessions:
             raise RefusedError("invalid", f"no session {name!r}", field="name")
         return session
 
-    async def open(self, request: Open, payload: bytes, by: Caller) -> Entry:
+    async def open(self, request: Open, by: Caller) -> Session:
         """Open a session.
 
         Args:
             request: The request.
-            payload: The request as received.
             by: The client.
 
         Raises:
@@ -172,10 +154,12 @@ class Sessions:
         self._check(request, by)
         # Else a name that is unique also over restarts, because others may watch it.
         name = request.name or f"session-{next(self._numbers)}-{secrets.token_hex(3)}"
-        self._names_opening.add(name)
+        self._opening[request.session] = name
         try:
-            work = self._submit(lambda: self._prepare(request))
-            hands, calibration = await asyncio.wrap_future(work)
+            work = self._submit(
+                lambda: prepare_hands(request, self.cache, defer=self._submit)
+            )
+            hands = await asyncio.wrap_future(work)
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
             self._check_owner(request, by)
@@ -186,13 +170,12 @@ class Sessions:
                 hands,
                 name,
                 self.clock(),
-                calibration=calibration,
                 former=former,
                 owner=by.owner(request.session),
                 motion=None if running is None else running.motion,
             )
         finally:
-            self._names_opening.discard(name)
+            del self._opening[request.session]
         # A stop also outlives a session that is not restored.
         if (last := self.store.records.get(name)) is not None and last.stop:
             session.stop(last.stop)
@@ -200,8 +183,7 @@ class Sessions:
             reason = "a client restored this session"
             self.end(running.request.session, "taken", reason, by=by)
         self._last_heard.pop(name, None)
-        entry = Entry(session, request.seq, payload)
-        self.entries[request.session] = entry
+        self.by_secret[request.session] = session
         self.note(session)
         self.metrics.counts["opened"] += 1
         event: dict[str, Any] = {
@@ -211,7 +193,7 @@ class Sessions:
         }
         self.audit.note("opened", by, **event)
         report(INFO, "opened", input=request.input, **event)
-        return entry
+        return session
 
     def note(self, session: Session) -> None:
         """Note where a session is, if that is to outlive the server.
@@ -232,7 +214,7 @@ class Sessions:
             reason: The reason for stream and log.
             by: Who ends it, for the audit log.
         """
-        session = self.entries.pop(secret).session
+        session = self.by_secret.pop(secret)
         self.store.note(session.record)
         self._ended[secret] = code
         if len(self._ended) > _REMEMBERED:
@@ -251,16 +233,9 @@ class Sessions:
 
     def close(self) -> None:
         """Close all sessions."""
-        for secret in list(self.entries):
+        for secret in list(self.by_secret):
             self.end(secret, "no_session", "the server stops")
         self._executor.shutdown(wait=False, cancel_futures=True)
-
-    def _prepare(self, request: Open) -> tuple[Hands, Calibration | None]:
-        """Load the hands of a session, and what measures the human hand if that is needed."""
-        hands = prepare_hands(request, self.cache)
-        if not hands.needs_measuring:
-            return hands, None
-        return hands, Calibration(request, self.cache, self._submit)
 
     def _submit(self, work: Callable[[], _T]) -> Future[_T]:
         """Run work in the opening thread."""
@@ -272,13 +247,13 @@ class Sessions:
         """Refuse requests that can be refused before hands are loaded."""
         name = request.name
         last = self._find_named(request.name)
-        held = self.entries.get(request.session)
+        held = self.by_secret.get(request.session)
         most = self.settings.sessions
         is_another = held is not None and not (
-            held.session is last and request.restore and request.seq > held.seq
+            held is last and request.restore and request.seq > held.seq
         )
         is_replacing = last is not None and request.restore
-        count = len(self.entries) + len(self._names_opening) - is_replacing
+        count = len(self.by_secret) + len(self._opening) - is_replacing
         refuse_if(
             len(request.session) < _SHORTEST_SECRET,
             f"expected at least {_SHORTEST_SECRET} random characters",
@@ -297,7 +272,9 @@ class Sessions:
             "denied",
         )
         opening = f"session {name!r} is being opened"
-        refuse_if(name in self._names_opening, opening, "name", "busy")
+        refuse_if(name in self._opening.values(), opening, "name", "busy")
+        opening = "a session with this secret is being opened"
+        refuse_if(request.session in self._opening, opening, code="busy")
         refuse_if(
             last is not None and not request.restore,
             f"session {name!r} exists: restore=true takes it over",
@@ -317,8 +294,8 @@ class Sessions:
 
     def _find_named(self, name: str | None) -> Session | None:
         """Return the open session of a name, if there is one."""
-        sessions = (entry.session for entry in self.entries.values())
-        return next((session for session in sessions if session.name == name), None)
+        named = (each for each in self.by_secret.values() if each.name == name)
+        return next(named, None)
 
     def _check_owner(self, request: Open, by: Caller) -> None:
         """Refuse a name to a client that must not have it, or must not yet."""
@@ -332,7 +309,7 @@ class Sessions:
         # Without `restore`, a name is free after the lease.
         if held is None or not (request.restore or is_attended):
             return
-        is_rival = running is not None and request.session not in self.entries
+        is_rival = running is not None and request.session not in self.by_secret
         client = by.owner(request.session)
         code = refusal(held.owner, client, is_attended=is_attended, is_rival=is_rival)
         busy = f"is in use until {LEASE:g} s after its owner's last request"

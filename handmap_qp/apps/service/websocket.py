@@ -147,20 +147,21 @@ class WebSocketTransport:
         try:
             async with asyncio.TaskGroup() as tasks:
                 writer = tasks.create_task(outbox.write())
-                timer = tasks.create_task(outbox.expire(self.settings.idle))
                 await self._read(connection, outbox)
                 writer.cancel()
-                timer.cancel()
         except* Exception as failures:
             report(ERROR, "failed", failure=failures)
         finally:
             self._connections.discard(outbox)
 
     async def _read(self, connection: ServerConnection, outbox: _Outbox) -> None:
-        """Pass messages to the dispatcher until the connection closes."""
+        """Pass messages to the dispatcher until the connection closes or is silent for too long."""
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             while True:
-                message = await connection.recv()
+                # A connection that reads a stream may be silent.
+                idle = None if outbox.streams else self.settings.idle
+                async with asyncio.timeout(idle):
+                    message = await connection.recv()
                 outbox.heard = time.monotonic()
                 form: _Form = bytes
                 if isinstance(message, str):
@@ -251,12 +252,6 @@ class _Outbox:
             self._newest[name] = payload
             self._has_work.set()
 
-    async def expire(self, idle: float) -> None:
-        """Close the connection once it is silent for too long [s]; with a stream, it may be."""
-        while (left := self.heard + idle - time.monotonic()) > 0.0 or self.streams:
-            await asyncio.sleep(max(left, _ACTIVE))
-        await self.connection.close()
-
     async def write(self) -> None:
         """Send waiting messages until the connection closes or accepts none for too long."""
         with contextlib.suppress(ConnectionClosed, TimeoutError):
@@ -274,11 +269,7 @@ class _Outbox:
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
-    """Read the certificate and its key.
-
-    Raises:
-        InvalidInputError: If a file cannot be read, or they are not a certificate and its key.
-    """
+    """Read the certificate and its key, which must be such."""
     for file in (certificate, key):
         with naming(file, "cannot be read"):
             file.read_bytes()
