@@ -13,6 +13,7 @@ import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -24,7 +25,6 @@ from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import sync, writing
-from handmap_qp.trackers.formats import SEPARATOR
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 
@@ -168,11 +168,6 @@ def _robot_names(hands: Robots) -> str:
     return " and ".join(hand.name for hand in hands.values())
 
 
-def _file_of(line: Line) -> str:
-    """Return the file of a recording, from its key."""
-    return line.key.rpartition(SEPARATOR)[0]
-
-
 def _episodes(
     lines: Sequence[Line],
     folder: Path,
@@ -180,8 +175,10 @@ def _episodes(
     hands: Robots,
 ) -> Iterator[Episode]:
     """Read the episodes one after the other, by the names of their files."""
-    known = [line for line in lines if line.side in hands]
-    for _, group in groupby(sorted(known, key=lambda line: line.key), key=_file_of):
+    known = sorted(
+        (line for line in lines if line.side in hands), key=attrgetter("key")
+    )
+    for _, group in groupby(known, key=lambda line: line.place[0]):
         pairs = [(line, read_episode(folder, line)) for line in group]
         sides = {line.side for line, _ in pairs}
         first = pairs[0][1]["time"]
@@ -213,7 +210,7 @@ def _episode(
         states.append(_as_float32(state, hand))
         valid.append(seen)
     whole = np.hstack(states)
-    folder = Path(_file_of(line)).parent.name
+    folder = Path(line.place[0]).parent.name
     return Episode(
         sources=", ".join(line.key for line, _ in pairs),
         task=folder.replace("_", " ") or "human hand motion",

@@ -6,19 +6,21 @@ import resource
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
 
+from msgspec import structs
+
 from handmap_qp.apps.datasets.engines import Asked, Engine
-from handmap_qp.apps.datasets.episodes import Job, JobOptions, is_intact
+from handmap_qp.apps.datasets.episodes import is_intact
 from handmap_qp.apps.datasets.manifest import (
     MOST_KILLS,
     Line,
     open_manifest,
     read_manifests,
 )
-from handmap_qp.apps.datasets.sources import find_files, tasks_of
+from handmap_qp.apps.datasets.sources import Job, JobOptions, find_files, list_jobs
 from handmap_qp.output_files import make_folder
 
 
@@ -30,7 +32,6 @@ class Plan:
         jobs: Recordings to map, the longest first.
         done: Lines of the recordings that are done already.
         left_alone: Lines of the recordings that are not tried again.
-        kills: How often the worker of a recording has died, by key.
         damaged: Lines of the episodes that are missing, or are not what was written; `jobs` has
             their recordings.
         repeated: Paths that lead to files and folders which others had led to.
@@ -39,7 +40,6 @@ class Plan:
     jobs: tuple[Job, ...]
     done: Sequence[Line]
     left_alone: Sequence[Line]
-    kills: dict[str, int] = field(default_factory=dict)
     damaged: Sequence[Line] = ()
     repeated: Sequence[Path] = ()
 
@@ -96,7 +96,7 @@ def plan_batch(
     digest = options.digest
     make_folder(folder / "episodes", "--out")
     files, repeated = find_files(inputs, folder)
-    tasks = tasks_of(files, shard)
+    listed = list_jobs(files, folder, options, digest, shard)
     state = read_manifests(folder)
     if shard == (1, 1):
         # What is torn was being written when a batch was killed; shards may be writing now.
@@ -106,25 +106,21 @@ def plan_batch(
     done = []
     damaged = []
     left_alone = []
-    kills = {}
-    for task in tasks:
-        line = state.get(task.key)
-        wanted = (task.file.size, task.file.mtime_ns, digest)
-        # Another file, or other options.
-        if line is None or (line.size, line.mtime_ns, line.options) != wanted:
-            pass
+    for job in listed:
+        line = state.get(job.line.key)
+        if line is None or line.version != job.line.version:
+            jobs.append(job)
         elif line.status == "done" and is_intact(folder, line):
             done.append(line)
-            continue
         elif line.status == "done":
             damaged.append(line)
+            jobs.append(job)
         elif line.kills >= MOST_KILLS:
             left_alone.append(line)
-            continue
-        elif line.kills:
-            kills[task.key] = line.kills
-        jobs.append(Job(task, options, digest, folder))
-    return Plan(tuple(jobs), done, left_alone, kills, damaged, repeated)
+        else:
+            tried = structs.replace(job.line, kills=line.kills)
+            jobs.append(replace(job, line=tried))
+    return Plan(tuple(jobs), done, left_alone, damaged, repeated)
 
 
 def run_batch(
@@ -157,7 +153,7 @@ def run_batch(
     useful = 0.0
     last: dict[str, Line] = {}
     with open_manifest(folder, shard) as append:
-        for line in engine.outcomes(plan.jobs, dict(plan.kills), is_stopped):
+        for line in engine.outcomes(plan.jobs, is_stopped):
             append(line)
             useful += line.cpu_s
             last[line.key] = line

@@ -24,8 +24,7 @@ from handmap_qp.apps.datasets.batch import (
     stopped_by_signals,
 )
 from handmap_qp.apps.datasets.convert import convert
-from handmap_qp.apps.datasets.engines import Engine, PoolEngine, RayEngine, SerialEngine
-from handmap_qp.apps.datasets.episodes import JobOptions
+from handmap_qp.apps.datasets.engines import SERIAL, Engine, pool_engine, ray_engine
 from handmap_qp.apps.datasets.manifest import Line
 from handmap_qp.apps.datasets.report import (
     assess,
@@ -33,6 +32,7 @@ from handmap_qp.apps.datasets.report import (
     worst_rows,
     write_report,
 )
+from handmap_qp.apps.datasets.sources import JobOptions
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_rows, print_table, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
@@ -206,7 +206,7 @@ class Batch:
         )
         counts = Counter[str]()
         # The time left is by samples, not by files.
-        frames = sum(job.task.frames for job in plan.jobs)
+        frames = sum(job.line.frames for job in plan.jobs)
         with (
             stopped_by_signals() as is_stopped,
             progress("mapping", frames or None) as show,
@@ -244,8 +244,8 @@ class Batch:
         number = "a number from 0 to 1024"
         expect(0 <= workers <= 1024, "--workers", number, value=workers)
         if self.engine == "ray":
-            return RayEngine(max(1, workers))
-        return PoolEngine(workers) if workers else SerialEngine()
+            return ray_engine(max(1, workers))
+        return pool_engine(workers) if workers else SERIAL
 
     def _assemble(self, options: JobOptions, plan: Plan, tally: Tally) -> Path | None:
         """Write the data set, unless something is left for other shards or another run."""

@@ -7,7 +7,6 @@ process, in any order.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import file_digest, sha256
 from io import BytesIO
@@ -15,18 +14,16 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
-from handmap_qp.apps.arguments import MappingArguments
-from handmap_qp.apps.datasets.manifest import Line, Status
+from handmap_qp.apps.datasets.manifest import Line
 from handmap_qp.apps.datasets.measures import measure_episode
-from handmap_qp.apps.datasets.sources import Task
+from handmap_qp.apps.datasets.sources import Job
 from handmap_qp.apps.datasets.workers import time_limit
-from handmap_qp.apps.offline.look_ahead import LookAhead, map_hand
+from handmap_qp.apps.offline.look_ahead import map_hand
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory
-from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import (
     DiskFullError,
     HandmapError,
@@ -36,8 +33,6 @@ from handmap_qp.errors import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.sources import urdf_path
-from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import read_archive
@@ -50,79 +45,21 @@ _COLUMNS = ("time", "q", "wrist", "valid")
 """What a data set for training is made of."""
 
 
-@dataclass(frozen=True)
-class JobOptions:
-    """What all jobs of a batch have in common.
+def run_group(jobs: Sequence[Job]) -> Sequence[Line]:
+    """Run jobs of one batch one after the other.
 
-    Attributes:
-        robots: Name of the robot hand for each human hand.
-        arguments: Reference points and options of the mapping.
-        smoother: How the whole recording is used to smooth and to fill gaps; None for a mapping
-            that knows the past only, as online.
+    Returns:
+        What happened, when the episodes are on the disk.
+
+    Raises:
+        DiskFullError: If the disk is full.
+        InvalidInputError: If they cannot be written for another reason.
     """
-
-    robots: dict[Side, str]
-    arguments: MappingArguments = field(default_factory=MappingArguments)
-    smoother: LookAhead | None = None
-
-    def load_robot(self, side: Side) -> Hand:
-        """Load the robot hand of a side, with its reference points.
-
-        Raises:
-            HandError: If there is no such hand.
-        """
-        return self.arguments.load_robot(self.robots[side])
-
-    @property
-    def digest(self) -> str:
-        """A short text that changes if the robots, their URDFs or the options do."""
-        digest = sha256(repr((self.arguments, self.smoother)).encode())
-        files = [self.arguments.options] if self.arguments.options else []
-        for side in sorted(self.robots):
-            robot = self.load_robot(side)
-            digest.update(side.encode() + msgspec.json.encode(robot.spec, enc_hook=str))
-            files.append(urdf_path(robot.spec))
-        for file in files:
-            with naming("--options", f"{file}: cannot be read"):
-                digest.update(file.read_bytes())
-        return digest.hexdigest()[:16]
-
-
-@dataclass(frozen=True)
-class Job:
-    """A task with what it needs.
-
-    Attributes:
-        task: The recording.
-        options: The options.
-        digest: Their digest.
-        folder: Folder of the batch.
-    """
-
-    task: Task
-    options: JobOptions
-    digest: str
-    folder: Path
-
-    def line(self, status: Status, **results: Any) -> Line:
-        """Return a line of the manifest about this job; results are its fields by name."""
-        task = self.task
-        file = task.file
-        side = task.side or ""
-        frames = results.pop("frames", task.frames)
-        return Line(
-            task.key,
-            status,
-            str(file.path),
-            file.size,
-            file.mtime_ns,
-            self.digest,
-            task.entries,
-            side,
-            self.options.robots.get(side, ""),
-            frames,
-            **results,
-        )
+    folder = jobs[0].folder
+    lines = [run_job(job) for job in jobs]
+    with writing(folder, "--out"):
+        sync_all([folder / line.out for line in lines if line.out])
+    return lines
 
 
 def run_job(job: Job) -> Line:
@@ -147,35 +84,35 @@ def run_job(job: Job) -> Line:
         results["error"] = reason_of(error)
     except Exception as error:  # a bug must not end the batch
         results["error"] = " ".join(f"{type(error).__name__}: {error}".split())
-    return job.line(**results, cpu_s=round(process_time() - started, 6))
+    cpu_s = round(process_time() - started, 6)
+    return replace(job.line, kills=0, cpu_s=cpu_s, **results)
 
 
 def _run(job: Job) -> dict[str, Any]:
     """Map one recording, write its episode, and return the results for its line."""
-    task = job.task
-    if task.source is None or task.side is None:
-        raise InvalidInputError(task.error)
+    if job.source is None:
+        raise InvalidInputError(job.line.error)
+    side = job.source.entry.side
     options = job.options
-    if task.side not in options.robots:
+    if side not in options.robots:
         raise InvalidInputError(
-            f"there is no robot for the {task.side} hand", argument="--robot"
+            f"there is no robot for the {side} hand", argument="--robot"
         )
     with time_limit(_READING):
-        recording = task.source.read()
+        recording = job.source.read()
     check_recording(recording)
-    robot = _robot(options.robots[task.side], points=options.arguments.robot_points)
+    robot = _robot(options.robots[side], points=options.arguments.robot_points)
     person = measure_person(recording)
     recording, trajectory, _ = map_hand(
         recording, robot, person, options.arguments, smoother=options.smoother
     )
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))
-    digest = save_episode(job.folder / task.out, trajectory, task.side)
     return {
         "status": "done",
         "frames": len(recording),
         "metrics": metrics,
-        "out": task.out,
-        "sha256": digest,
+        "out": job.out,
+        "sha256": save_episode(job.folder / job.out, trajectory, side),
     }
 
 
@@ -193,10 +130,10 @@ def _meter(robot: Hand) -> GapMeter | None:
 
 
 def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
-    """Write the columns of an episode, without those that a reader can compute again; see `synced`.
+    """Write the columns of an episode, without those that a reader can compute again.
 
-    They are not compressed: that would save a fifth of the space, and take as long as reading the
-    recording.
+    It is on the disk when its group is (`run_group`). Columns are not compressed: that would save a
+    fifth of the space, and take as long as reading the recording.
 
     Args:
         file: The file; its folder is made.
@@ -217,18 +154,6 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
     with replaced_file(file, "--out", is_synced=False) as stream:
         stream.write(archive.getbuffer())
     return sha256(archive.getbuffer()).hexdigest()
-
-
-def synced(folder: Path, lines: Sequence[Line]) -> Sequence[Line]:
-    """Return lines for the manifest when their episodes are on the disk.
-
-    Raises:
-        DiskFullError: If the disk is full.
-        InvalidInputError: If they cannot be written for another reason.
-    """
-    with writing(folder, "--out"):
-        sync_all([folder / line.out for line in lines if line.out])
-    return lines
 
 
 def read_episode(folder: Path, line: Line) -> dict[str, np.ndarray]:
