@@ -19,8 +19,7 @@ import pytest
 from batch_cases import OPTIONS, batch, episodes, write_pieces
 
 from handmap_qp import InvalidInputError
-from handmap_qp.apps.datasets import cli
-from handmap_qp.apps.datasets.batch import plan_batch
+from handmap_qp.apps.datasets.batch import Batch, plan_batch
 from handmap_qp.apps.datasets.episodes import is_intact, read_episode, run_group
 from handmap_qp.apps.datasets.manifest import open_manifest, read_manifests
 from handmap_qp.apps.datasets.sources import find_files
@@ -163,14 +162,14 @@ def test_an_episode_that_is_damaged_before_the_data_set_is_mapped_again(
     )
     before = [file.read_bytes() for file in files]
     capsys.readouterr()
-    assemble, left = cli.Batch._assemble, ["take0", "take2"]
+    assemble, left = Batch._assemble, ["take0", "take2"]
 
     def damaged(*values: object) -> object:
         if left:
             flip(out / f"episodes/{left.pop()}.npz.npz")
         return assemble(*values)  # ty: ignore[invalid-argument-type]
 
-    monkeypatch.setattr(cli.Batch, "_assemble", damaged)
+    monkeypatch.setattr(Batch, "_assemble", damaged)
     # Twice in one run is a disk that must not be trusted: an error, and the data set as it was.
     assert run(inputs, out, "--format", form) == 2
     lines = capsys.readouterr().err.splitlines()

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.hands.human import FINGERS
@@ -25,27 +26,9 @@ _CLOSED, _DEEP = 0.003, 0.001  # m
 _PINCHING = 0.004  # m above the contact gap
 
 
-class Measure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One number about an episode.
-
-    Attributes:
-        key: Name in the manifest.
-        title: Name with its unit.
-        worse: Whether `high` or `low` values are worse.
-        about: What it says.
-        enough: Values up to here are equally good.
-    """
-
-    key: str
-    title: str
-    worse: str
-    about: str
-    enough: float
-
-
-MEASURES: tuple[Measure, ...] = msgspec.yaml.decode(
+MEASURES: tuple[Metric, ...] = msgspec.yaml.decode(
     Path(__file__).with_suffix(".yaml").read_bytes(),
-    type=tuple[Measure, ...],
+    type=tuple[Metric, ...],
 )
 """All measures, in the order of the report."""
 

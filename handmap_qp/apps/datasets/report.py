@@ -1,18 +1,21 @@
-"""The quality of the episodes of a batch: distributions, the worst, a filter, and their files."""
+"""The command `handmap report`: distributions, the worst episodes, a filter, and their files."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+import tyro
 from scipy.stats import rankdata
 
 from handmap_qp.apps import datasets
 from handmap_qp.apps.datasets.manifest import Line, read_manifests
 from handmap_qp.apps.datasets.measures import MEASURES
-from handmap_qp.apps.tables import csv_text, markdown_table
+from handmap_qp.apps.offline.metrics import Metric
+from handmap_qp.apps.tables import csv_text, markdown_table, print_result
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.output_files import make_folder, replaced_file
 
@@ -22,25 +25,93 @@ _SUMMARY = "measure", "median", "worst 5 %", "worst", "episodes"
 _MOST_DRAWN, _MOST_FAILED = 8, 50
 
 
+@dataclass(frozen=True)
+class Report:
+    """Report the quality of the episodes of a batch, and write a filter.
+
+    Writes DIR/report: report.md with the distribution of every measure and the worst episodes,
+    distributions.png, worst_ROBOT.png (human and robot in the worst samples), episodes.csv with all
+    numbers, and keep.txt with the files of the episodes to keep, one a line.
+
+    No measure needs a reference: reach, saturation, pinches, jerk, valid samples, self-penetration
+    and the like. An episode is as bad as its worst rank among them.
+
+    Examples:
+        handmap report mapped
+        handmap report mapped --keep 0.9 --worst 20
+
+    Attributes:
+        folder: Folder of a batch.
+        keep: Share of the episodes that the filter keeps.
+        worst: How many of the worst episodes to list; the picture shows up to 8.
+        pictures: Draw pictures (extra `plot`).
+        json: Print one JSON object.
+    """
+
+    folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DIR")]]
+    keep: float = 0.95
+    worst: int = 10
+    pictures: bool = True
+    json: bool = False
+
+    def run(self) -> None:
+        """Read the manifest, rank, write, and print."""
+        expect(self.worst > 0, "--worst", "a number > 0", value=self.worst)
+        quality = assess(self.folder, self.keep)
+        files = write_report(self.folder, quality, self.worst, draws=self.pictures)
+        document = {
+            "episodes": len(quality.episodes),
+            "kept": quality.kept,
+            "failed": len(quality.failed),
+            "measures": summary_rows(quality),
+            "worst": worst_rows(quality, self.worst),
+            "files": list(map(str, files)),
+        }
+        tables = {
+            f"{document['episodes']} episodes, {quality.kept} kept": document[
+                "measures"
+            ],
+            "Worst episodes": document["worst"],
+        }
+        print_result(document, tables, as_json=self.json)
+        for file in () if self.json else files:
+            print(f"wrote {file}")
+
+
+class Ranked(NamedTuple):
+    """An episode among the others of its batch.
+
+    Attributes:
+        line: Its line in the manifest.
+        badness: The worst of its ranks among the measures, from 0 (best in everything) to 1 (worst
+            in something).
+        worst: The measure in which it is worst.
+        is_kept: Whether the filter keeps it.
+    """
+
+    line: Line
+    badness: float
+    worst: Metric
+    is_kept: bool
+
+
 class Quality(NamedTuple):
     """How the episodes of a batch are.
 
     Attributes:
-        lines: Lines of the episodes, the worst first.
+        episodes: The episodes, the worst first.
         failed: Lines of the recordings that failed.
-        values: Values of every measure (`MEASURES`), NaN where a question does not arise, (E, m).
-        badness: Of every episode, the worst of its ranks among the measures, from 0 (best in
-            everything) to 1 (worst in something), shape (E,).
-        worst_measure: Index of the measure in which an episode is worst, shape (E,).
-        is_kept: Episodes that the filter keeps, shape (E,).
+        values: Values of every measure, NaN where a question does not arise, shape (E,).
     """
 
-    lines: tuple[Line, ...]
+    episodes: tuple[Ranked, ...]
     failed: tuple[Line, ...]
-    values: np.ndarray
-    badness: np.ndarray
-    worst_measure: np.ndarray
-    is_kept: np.ndarray
+    values: dict[Metric, np.ndarray]
+
+    @property
+    def kept(self) -> int:
+        """Number of episodes that the filter keeps."""
+        return sum(episode.is_kept for episode in self.episodes)
 
 
 def assess(folder: Path, keep: float = 0.95) -> Quality:
@@ -75,19 +146,21 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     ranks = _ranks(values)
     badness = ranks.max(axis=1)
     order = np.lexsort((-ranks.mean(axis=1), -badness))
+    worst = ranks.argmax(axis=1)
+    left_out = round((1.0 - keep) * len(lines))
     return Quality(
-        lines=tuple(lines[i] for i in order),
+        episodes=tuple(
+            Ranked(lines[i], badness[i], MEASURES[worst[i]], place >= left_out)
+            for place, i in enumerate(order)
+        ),
         failed=tuple(line for _, line in state if line.status != "done"),
-        values=values[order],
-        badness=badness[order],
-        worst_measure=ranks.argmax(axis=1)[order],
-        is_kept=np.arange(len(lines)) >= round((1.0 - keep) * len(lines)),
+        values=dict(zip(MEASURES, values[order].T, strict=True)),
     )
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
     """Return the shares of episodes that are better, 0 where there is no value, shape (E, m)."""
-    signs = np.array([1.0 if measure.worse == "high" else -1.0 for measure in MEASURES])
+    signs = np.array([1.0 if measure.better == "low" else -1.0 for measure in MEASURES])
     # Values that are all good enough do not tell episodes apart.
     costs = np.maximum(signs * values, signs * [measure.enough for measure in MEASURES])
     better = rankdata(costs, method="min", axis=0, nan_policy="omit") - 1.0
@@ -98,30 +171,27 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 def summary_rows(quality: Quality) -> list[dict[str, str]]:
     """Return a table: of every measure the median, the worst 5 %, and the worst."""
     rows = []
-    for measure, column in zip(MEASURES, quality.values.T, strict=True):
+    for measure, column in quality.values.items():
         known = column[np.isfinite(column)]
         if len(known):
-            shares = (50, 95, 100) if measure.worse == "high" else (50, 5, 0)
+            shares = (50, 95, 100) if measure.better == "low" else (50, 5, 0)
             numbers = map(_text, np.percentile(known, shares))
-            cells = (measure.title, *numbers, str(len(known)))
+            cells = (measure.label, *numbers, str(len(known)))
             rows.append(dict(zip(_SUMMARY, cells, strict=True)))
     return rows
 
 
 def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
     """Return a table of the worst episodes, with the measure in which they are worst."""
-    worst = zip(
-        quality.lines[:count], quality.worst_measure, quality.values, strict=False
-    )
     return [
         {
             "#": str(rank),
             "episode": line.name,
-            "worst in": MEASURES[k].title,
-            "value": _text(values[k]),
+            "worst in": worst.label,
+            "value": _text(quality.values[worst][rank - 1]),
             "samples": str(line.frames),
         }
-        for rank, (line, k, values) in enumerate(worst, start=1)
+        for rank, (line, _, worst, _) in enumerate(quality.episodes[:count], start=1)
     ]
 
 
@@ -153,19 +223,16 @@ def write_report(
     if draws:
         drawing = datasets.report_pictures
         pictures = drawing.draw_report(folder, quality, min(worst, _MOST_DRAWN), out)
-    # The worst episode first.
     rows = [
         {
             "episode": line.key,
             "file": line.out,
-            "kept": int(kept),
+            "kept": int(is_kept),
             "badness": f"{badness:.4f}",
             "frames": line.frames,
             **{measure.key: line.metrics.get(measure.key) for measure in MEASURES},
         }
-        for line, kept, badness in zip(
-            quality.lines, quality.is_kept, quality.badness, strict=True
-        )
+        for line, badness, _, is_kept in quality.episodes
     ]
     texts = {
         "report.md": _markdown(quality, worst, [file.name for file in pictures]),
@@ -179,13 +246,15 @@ def write_report(
 
 
 def _markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
-    samples = sum(line.frames for line in quality.lines)
-    about = [f"- {m.title}: {m.about}; {m.worse} values are worse" for m in MEASURES]
+    samples = sum(episode.line.frames for episode in quality.episodes)
+    about = [
+        f"- {measure.label}: {measure.about}; {measure.hint}" for measure in MEASURES
+    ]
     parts = [
         "# Quality of the episodes",
-        f"{_counted(len(quality.lines), 'episode')}, {samples} samples; "
+        f"{_counted(len(quality.episodes), 'episode')}, {samples} samples; "
         f"{_counted(len(quality.failed), 'recording')} failed. "
-        f"The filter keeps {_counted(int(quality.is_kept.sum()), 'episode')}: `keep.txt`.",
+        f"The filter keeps {_counted(quality.kept, 'episode')}: `keep.txt`.",
         "## Measures",
         markdown_table(summary_rows(quality)),
         "\n".join(about),

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from handmap_qp.apps.datasets.manifest import Line
-from handmap_qp.apps.datasets.measures import MEASURES, Measure
 from handmap_qp.apps.datasets.report import Quality
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline.fidelity import SETTLING
+from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
@@ -51,36 +51,35 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     """Draw a histogram of every measure, with the episodes that the filter leaves out in red."""
     from matplotlib.figure import Figure
 
-    shown = [
-        pair
-        for pair in zip(MEASURES, quality.values.T, strict=True)
-        if np.isfinite(pair[1]).any()
-    ]
+    shown = {
+        m: found for m, found in quality.values.items() if np.isfinite(found).any()
+    }
+    is_kept = np.array([episode.is_kept for episode in quality.episodes])
     rows = -(-len(shown) // _COLUMNS)
     figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained")
     grid = figure.subplots(rows, _COLUMNS, squeeze=False)
     for axes in grid.flat[len(shown) :]:
         axes.set_axis_off()
-    for axes, (measure, values) in zip(grid.flat, shown, strict=False):
+    for axes, (measure, values) in zip(grid.flat, shown.items(), strict=False):
         low = np.nanmin(values)
         high = np.nanmax(values)
         # NaN is in no bin.
         axes.hist(
-            [values[quality.is_kept], values[~quality.is_kept]],
+            [values[is_kept], values[~is_kept]],
             bins=_BINS,
             range=(low, high) if high > low else (min(0.0, low), max(1.0, low)),
             stacked=True,
             color=[_KEPT, _LEFT_OUT],
         )
-        axes.set_title(measure.title)
+        axes.set_title(measure.label)
         axes.tick_params(labelsize=7)
         axes.yaxis.get_major_locator().set_params(integer=True)
         # Numbers that are nearly the same have long labels.
         axes.xaxis.get_major_locator().set_params(nbins=4)
     for axes in grid[:, 0]:
         axes.set_ylabel("episodes")
-    kept = int(quality.is_kept.sum())
-    figure.suptitle(f"{kept} episodes kept, {len(quality.lines) - kept} left out (red)")
+    left_out = len(is_kept) - quality.kept
+    figure.suptitle(f"{quality.kept} episodes kept, {left_out} left out (red)")
     figure.savefig(file)
 
 
@@ -92,12 +91,11 @@ def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[P
     the robot is still on its way to the hand.
     """
     rows: dict[str, list[SheetRow]] = {}
-    ranked = zip(quality.lines, quality.worst_measure, strict=True)
-    for rank, (line, k) in enumerate(ranked, start=1):
+    for rank, (line, _, worst, _) in enumerate(quality.episodes, start=1):
         own = rows.setdefault(line.robot, [])
         if len(own) < count:
             with suppress(HandmapError):
-                own.append(_worst_row(folder, line, rank, MEASURES[k]))
+                own.append(_worst_row(folder, line, rank, worst))
     files = []
     for name, own in rows.items():
         if own:
@@ -113,7 +111,7 @@ def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[P
     return files
 
 
-def _worst_row(folder: Path, line: Line, rank: int, measure: Measure) -> SheetRow:
+def _worst_row(folder: Path, line: Line, rank: int, measure: Metric) -> SheetRow:
     """Return the worst sample of an episode, with its rank, name and measure."""
     recording = read_recording(line.source)
     names = {"q", "point_error", "valid", "at_limit", "at_speed_limit"}
@@ -123,10 +121,10 @@ def _worst_row(folder: Path, line: Line, rank: int, measure: Measure) -> SheetRo
     name = line.name
     if len(name) > _LONGEST_NAME:
         name = f"...{name[3 - _LONGEST_NAME :]}"
-    return replace(row, note=f"{name}\n{measure.title}\n{row.note}")
+    return replace(row, note=f"{name}\n{measure.label}\n{row.note}")
 
 
-def _worst_sample(recording: Recording, columns: Arrays, measure: Measure) -> int:
+def _worst_sample(recording: Recording, columns: Arrays, measure: Metric) -> int:
     """Return the index of the sample that is worst in a measure, or in reach."""
     usable = columns["valid"] & recording.valid
     settled = usable & (recording.time >= recording.time[0] + SETTLING)

@@ -13,12 +13,12 @@ from pathlib import Path
 import msgspec
 from msgspec.structs import replace
 
-from handmap_qp.apps.arguments import MappingArguments
+from handmap_qp.apps.arguments import MappingArguments, check_names
 from handmap_qp.apps.datasets.manifest import Line
 from handmap_qp.apps.datasets.workers import each_apart
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.refusals import naming
-from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
+from handmap_qp.errors import HandmapError, InvalidInputError, reason_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
@@ -116,27 +116,27 @@ def find_files(
         InvalidInputError: If an input does not exist, a folder has no recordings, or two files have
             the same name below different folders.
     """
-    files: dict[str, Path] = {}
+    found: list[tuple[str, Path]] = []
     repeated: list[Path] = []
     own = out and _identity(out)
     seen: set[object] = set()
     for given in inputs:
-        before = len(files) + len(repeated)
-        for path in _paths_of(given, own, seen, repeated):
-            name = given.name if path is given else path.relative_to(given).as_posix()
-            expect(
-                name not in files,
-                "INPUT",
-                "files of different names",
-                got=f"{name} twice",
-                advice="name the folder above both",
-            )
-            files[name] = path
-        if len(files) + len(repeated) == before:
+        before = len(found) + len(repeated)
+        found += [
+            (given.name if path is given else path.relative_to(given).as_posix(), path)
+            for path in _paths_of(given, own, seen, repeated)
+        ]
+        if len(found) + len(repeated) == before:
             raise InvalidInputError(
                 f"{given}: has no files of a known form", argument="INPUT"
             )
-    return dict(sorted(files.items())), tuple(repeated)
+    check_names(
+        "INPUT",
+        [name for name, _ in found],
+        "files of different names",
+        advice="name the folder above both",
+    )
+    return dict(sorted(found)), tuple(repeated)
 
 
 def list_jobs(

@@ -19,6 +19,7 @@ from handmap_qp.apps.arguments import (
     InputFlags,
     PersonFile,
     Recordings,
+    check_names,
     hinted,
 )
 from handmap_qp.apps.drawing.hands import require_matplotlib
@@ -30,7 +31,6 @@ from handmap_qp.apps.offline.comparison import (
     Comparison,
     Progress,
     Take,
-    check_names,
     compare_methods,
     in_world_of,
     outside_methods,

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from handmap_qp.apps.arguments import check_names
 from handmap_qp.apps.offline.fidelity import (
     SETTLING,
     Fidelity,
@@ -318,17 +319,6 @@ def compare_methods(
         runs.append(_run(method, take, robot, workspace))
     progress("measured", total, total)
     return Comparison(robot, tuple(takes), names, tuple(runs))
-
-
-def check_names(
-    argument: str,
-    names: Sequence[str],
-    expected: str = "different names",
-) -> None:
-    """Reject an empty list and a name that occurs twice."""
-    expect(names, argument, "at least one", got="none")
-    twice = next((name for name in names if names.count(name) > 1), None)
-    expect(twice is None, argument, expected, got=f"{twice} twice")
 
 
 def own_methods() -> tuple[str, ...]:

@@ -99,6 +99,12 @@ class Trajectory:
             "all_joint_roles": np.array(robot.all_joint_roles),
             "all_q": robot.all_joints(self.q),
             "versions": np.array(package_versions()),
+            **{
+                f"wrist_{hand.spec.side}": np.array(
+                    [hand.frame_pose("wrist", q) for q in self.q]
+                )
+                for hand in robot.parts
+            },
         }
 
 
