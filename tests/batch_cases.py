@@ -65,13 +65,13 @@ def die_at_once() -> None:
     os._exit(1)
 
 
-def list_or_die(path: Path) -> tuple[Source, ...]:
+def list_or_die(path: Path) -> tuple[tuple[Source, ...], str]:
     """List a file, unless its name says to crash or to loop for ever."""
     if path.stem == "crash":
         os._exit(1)
     while path.stem == "hold":
         time.sleep(60.0)
-    return list_sources(path)
+    return list_sources(path), ""
 
 
 class KillingFormat(NpzFormat):

@@ -181,12 +181,10 @@ def _episodes(
     for _, group in groupby(known, key=lambda line: line.place[0]):
         pairs = [(line, read_episode(folder, line)) for line in group]
         sides = {line.side for line, _ in pairs}
-        first = pairs[0][1]["time"]
-        last = pairs[-1][1]["time"]
-        if len(pairs) == len(sides) == 2 and np.array_equal(first, last):
-            yield _episode(pairs, fps, hands)
-        else:
-            yield from (_episode([pair], fps, hands) for pair in pairs)
+        first, last = pairs[0][1]["time"], pairs[-1][1]["time"]
+        is_both = len(pairs) == len(sides) == 2 and np.array_equal(first, last)
+        for episode in [pairs] if is_both else [[pair] for pair in pairs]:
+            yield _episode(episode, fps, hands)
 
 
 def _episode(
@@ -224,15 +222,13 @@ def _resampled(
     columns: dict[str, np.ndarray], instants: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate joints and wrist; a frame is valid between two valid samples."""
-    time = columns["time"]
     wrist = columns["wrist"]
     quats = continuous_quats(wrist[:, :3, :3])
-    rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
-    state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)
+    rows = np.column_stack([columns["q"], wrist[:, :3, 3], quats, columns["valid"]])
+    found = [np.interp(instants, columns["time"], column) for column in rows.T]
+    state = np.stack(found[:-1], axis=1)
     state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)
-    before = np.maximum(np.searchsorted(time, instants, side="right") - 1, 0)
-    after = np.minimum(np.searchsorted(time, instants), len(time) - 1)
-    return state, columns["valid"][before] & columns["valid"][after]
+    return state, found[-1] == 1.0
 
 
 def _as_float32(state: np.ndarray, hand: Hand) -> np.ndarray:

@@ -255,14 +255,17 @@ class Tally:
     Attributes:
         lines: The last line of every recording of this run.
         is_complete: False if it was interrupted.
-        useful_cpu: CPU time inside the jobs [s].
         all_cpu: CPU time of this process and its workers [s].
     """
 
     lines: tuple[Line, ...]
     is_complete: bool
-    useful_cpu: float
     all_cpu: float
+
+    @property
+    def useful_cpu(self) -> float:
+        """CPU time inside the jobs [s]."""
+        return sum(line.cpu_s for line in self.lines)
 
     @property
     def done(self) -> list[Line]:
@@ -354,17 +357,15 @@ def run_batch(
         InvalidInputError: If the manifest cannot be written.
     """
     started = _cpu_time()
-    useful = 0.0
     last: dict[str, Line] = {}
     with open_manifest(folder, shard) as append:
         for line in engine.outcomes(plan.jobs, is_stopped):
             append(line)
-            useful += line.cpu_s
             last[line.key] = line
             progress(line)
     is_complete = len(last) == len(plan.jobs)
     is_complete &= all(line.status != "killed" for line in last.values())
-    return Tally(tuple(last.values()), is_complete, useful, _cpu_time() - started)
+    return Tally(tuple(last.values()), is_complete, _cpu_time() - started)
 
 
 @contextmanager

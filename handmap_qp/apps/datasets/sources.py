@@ -11,7 +11,6 @@ from itertools import filterfalse
 from pathlib import Path
 
 import msgspec
-from msgspec.structs import replace
 
 from handmap_qp.apps.arguments import MappingArguments, check_names
 from handmap_qp.apps.datasets.manifest import Line
@@ -165,48 +164,42 @@ def list_jobs(
     part, parts = shard
     own = [name for name in files if zlib.crc32(name.encode()) % parts == part - 1]
     risky = [name for name in own if files[name].suffix.lower() in hdf5.SUFFIXES]
-    listed = each_apart(_listing, [files[name] for name in risky], PATIENCE)
-    listings = dict(zip(risky, listed, strict=True))
+    apart = each_apart(_listing, [files[name] for name in risky], PATIENCE)
+    listings = dict(zip(risky, apart, strict=True))
     jobs = []
     for name in own:
         path = files[name]
         stats = [p.stat() for p in (path, *path.rglob("*")) if p.is_file()]
-        line = Line(
-            f"{name}{SEPARATOR}",
-            "listed",
-            str(path),
-            size=sum(stat.st_size for stat in stats),
-            mtime_ns=max((stat.st_mtime_ns for stat in stats), default=0),
-            options=digest,
+        problem = (
+            f"{path}: cannot be read: listing it crashed, or took {PATIENCE:.0f} s"
         )
         found = listings[name] if name in listings else _listing(path)
-        if not isinstance(found, tuple):
-            error = (
-                f"{path}: cannot be read: listing it crashed, or took {PATIENCE:.0f} s"
-            )
-            failed = replace(line, error=found or error)
-            jobs.append(Job(failed, None, options, folder))
-            continue
-        for source in found:
-            entry, side, frames = source.entry
-            one = replace(
-                line,
-                key=line.key + entry,
-                entries=len(found),
+        sources, error = found or ((), problem)
+        for source in sources or (None,):
+            entry, side, frames = source.entry if source else ("", "", 0)
+            line = Line(
+                f"{name}{SEPARATOR}{entry}",
+                "listed",
+                str(path),
+                size=sum(stat.st_size for stat in stats),
+                mtime_ns=max((stat.st_mtime_ns for stat in stats), default=0),
+                options=digest,
+                entries=max(1, len(sources)),
                 side=side,
                 robot=options.robots.get(side, ""),
                 frames=frames,
+                error=error,
             )
-            jobs.append(Job(one, source, options, folder))
+            jobs.append(Job(line, source, options, folder))
     return sorted(jobs, key=lambda job: (-job.line.frames, job.line.key))
 
 
-def _listing(path: Path) -> tuple[Source, ...] | str:
-    """Return the recordings of a file, or why it cannot be listed."""
+def _listing(path: Path) -> tuple[tuple[Source, ...], str]:
+    """Return the recordings of a file, and why it cannot be listed."""
     try:
-        return list_sources(path)
+        return list_sources(path), ""
     except HandmapError as error:
-        return reason_of(error)
+        return (), reason_of(error)
 
 
 def _paths_of(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,7 +24,6 @@ from handmap_qp.apps.arguments import (
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline import comparison_pictures
 from handmap_qp.apps.offline.comparison import (
-    LOOK_AHEAD,
     SMOOTH,
     ComparedMethod,
     Comparison,
@@ -238,22 +236,11 @@ def _methods(request: Compare) -> list[ComparedMethod]:
         folder = request.peers_from or checkout / "benchmarks" / "peers"
         found = outside_methods(folder, request.robot)
         outside = {method.name: method for method in found}
-    endings = product(own_methods(), ("", SMOOTH, LOOK_AHEAD))
-    known = {name: own_method(name) for name in map("".join, endings)} | outside
     first, *others = own_methods()
     names = request.methods or (first, first + SMOOTH, *others)
-    some = ", ".join([*own_methods(), *outside])
-    for name in names:
-        expect(
-            name in known,
-            "--methods",
-            f"some of {some}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
-            got=name,
-            advice="" if request.peers else "peers need --peers",
-        )
     if not outside.keys() & {*names}:
         names = (*names, *outside)
-    return [known[name] for name in names]
+    return [outside.get(name) or own_method(name, tuple(outside)) for name in names]
 
 
 def _takes(

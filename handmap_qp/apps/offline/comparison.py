@@ -87,7 +87,6 @@ class Take:
     Attributes:
         recording: The recording; mirrored if the robot is a hand of the other side.
         is_mirrored: Whether it is.
-        has_wrist: Whether the palm is the tracker's; otherwise it is fitted to its landmarks.
         human: The human hand, scaled to the person.
         trace: What the human did, by the raw landmarks. Samples that are not valid hold the one
             before.
@@ -97,7 +96,6 @@ class Take:
 
     recording: Recording
     is_mirrored: bool
-    has_wrist: bool
     human: Hand
     trace: HandTrace
     wrist: np.ndarray
@@ -107,6 +105,11 @@ class Take:
     def name(self) -> str:
         """Name of the recording."""
         return self.recording.name
+
+    @property
+    def has_wrist(self) -> bool:
+        """Whether the palm is the tracker's; otherwise it is fitted to its landmarks."""
+        return self.recording.wrist is not None
 
 
 class RobotMotion(NamedTuple):
@@ -254,7 +257,6 @@ def prepare_take(
     return Take(
         recording=recording,
         is_mirrored=is_mirrored,
-        has_wrist=poses is not None,
         human=human,
         trace=trace,
         wrist=trace.palm @ inverse_pose(human.wrist_to_palm),
@@ -327,19 +329,25 @@ def own_methods() -> tuple[str, ...]:
     return tuple(name for name in PRESETS if name != "fixed_wrist")
 
 
-def own_method(name: str) -> ComparedMethod:
+def own_method(name: str, outside: Sequence[str] = ()) -> ComparedMethod:
     """Return a method of the package.
 
     Args:
         name: Name of a preset; with `+smooth` for smoother motion, with `+look-ahead` for
             smoothing with the future too.
+        outside: Names of outside methods, for the message.
 
     Raises:
         InvalidInputError: If there is no such method.
     """
     known = own_methods()
-    expected = f"some of {', '.join(known)}"
-    expect(base_name(name) in known, "--methods", expected, value=name)
+    expect(
+        base_name(name) in known,
+        "--methods",
+        f"some of {', '.join((*known, *outside))}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
+        got=name,
+        advice="" if outside else "peers need --peers",
+    )
     return ComparedMethod(name, partial(_map_own, name))
 
 
