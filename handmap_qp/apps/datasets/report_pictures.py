@@ -72,7 +72,6 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
             color=[_KEPT, _LEFT_OUT],
         )
         axes.set_title(measure.label)
-        axes.tick_params(labelsize=7)
         axes.yaxis.get_major_locator().set_params(integer=True)
         # Numbers that are nearly the same have long labels.
         axes.xaxis.get_major_locator().set_params(nbins=4)

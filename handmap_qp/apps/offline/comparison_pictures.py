@@ -28,7 +28,6 @@ _COLUMNS = 8
 _OWN = "#c8452f"
 _OUTSIDE = "#3f6fb5"
 _SAMPLE = "#b8bec6"
-_INK = "#222831"
 _STYLE = Path(__file__).with_suffix(".mplstyle")
 _BAND = 6  # Methods side by side on the contact sheet; more are drawn below.
 _WIDEST = 6.0  # Values beyond this multiple of the median value are drawn at the edge.
@@ -59,8 +58,6 @@ def draw_metrics(file: Path, comparison: Comparison) -> Path:
         figure.suptitle(
             f"{comparison.robot.name}: mean over {len(comparison.takes)} recordings (large dots) "
             "and each recording (small dots); filled: best. Arrows: beyond the panel.",
-            fontsize=9.5,
-            color=_INK,
         )
         figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.985))
         figure.savefig(file)
@@ -182,7 +179,6 @@ def _draw_panel(
     panel.set_xlim(low, high + 0.02 * (high - low))
     panel.set_ylim(len(methods) - 0.4, -0.6)
     panel.set_yticks(range(len(methods)), methods if has_names else [""] * len(methods))
-    panel.tick_params(labelsize=7)
     panel.set_title(metric.label)
     panel.text(
         0.0,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +15,7 @@ from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline.look_ahead import map_hand
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.summary import summarise, table_rows
-from handmap_qp.apps.offline.trajectory import Trajectory
+from handmap_qp.apps.offline.trajectory import Told, Trajectory
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import require
 from handmap_qp.hands.library import load_hand
@@ -74,7 +73,7 @@ class Demo:
 def run_demo(
     name: str,
     directory: Path,
-    progress: Callable[[int], None] | None = None,
+    progress: Told = None,
 ) -> Trajectory:
     """Map the recording that comes with the package, and write `FILES`: all of them, or none.
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from scipy.stats import rankdata
+from scipy.stats import spearmanr
 
 from handmap_qp.apps.offline.hand_trace import (
     KNUCKLE,
@@ -210,7 +210,7 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
     r1, s1, c1 = _object_motion(human)
     r2, s2, c2 = _object_motion(robot)
     return {
-        "object_rotation_deg": np.degrees(_turns(r1, r2)).mean(),
+        "object_rotation_deg": np.degrees(_turns(r1.swapaxes(1, 2) @ r2)).mean(),
         "object_stretch": np.linalg.norm(s1 - s2, axis=(1, 2)).mean(),
         "object_translation_mm": _distance_mm(c1, c2),
     }
@@ -219,9 +219,11 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
 def palm_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """Compare the palms' motions since the first sample, each in its own axes there, as RMS."""
     one, other = (inverse_pose(hand.palm[0]) @ hand.palm for hand in (human, robot))
-    turns = _turns(one[:, :3, :3], other[:, :3, :3])
-    distances = lengths(one[:, :3, 3] - other[:, :3, 3])
-    return {"palm_deg": np.degrees(_rms(turns)), "palm_mm": 1e3 * _rms(distances)}
+    apart = inverse_pose(one) @ other
+    return {
+        "palm_deg": np.degrees(_rms(_turns(apart[:, :3, :3]))),
+        "palm_mm": 1e3 * _rms(lengths(apart[:, :3, 3])),
+    }
 
 
 def pinch_gaps(hand: HandTrace) -> ByFinger:
@@ -243,7 +245,7 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
     pairs = pairs[:, pairs[0] < NEAR]
     if pairs.shape[1] < 3 or not np.ptp(pairs, axis=1).all():
         return np.nan
-    return float(_correlations(*rankdata(pairs, axis=1)))
+    return float(spearmanr(*pairs).statistic)
 
 
 def gap_metrics(
@@ -349,11 +351,11 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """
     other = _palm_points(robot)
     both = np.array([_laid_on(_palm_points(human), other), other])
+    # The palm's origin comes first, then the tips; the first of them is the thumb's, if any.
     tips = [*range(1, 1 + len(human.names))]
     pairs = [(0, tip) for tip in tips]
     if THUMB in human.names:
-        thumb = 1 + human.names.index(THUMB)
-        pairs += [(thumb, tip) for tip in tips if tip != thumb]
+        pairs += [(1, tip) for tip in tips[1:]]
     starts, ends = np.transpose(pairs)
     a, b = both[:, :, ends] - both[:, :, starts]
     cosine = _cosines(a, b)
@@ -439,9 +441,9 @@ def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.clip(dots / np.where(norms > 0.0, norms, np.inf), -1.0, 1.0)
 
 
-def _turns(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Angles between rotations of shape (T, 3, 3) [rad], shape (T,)."""
-    return Rotation.from_matrix(one.swapaxes(1, 2) @ other).magnitude()
+def _turns(rotations: np.ndarray) -> np.ndarray:
+    """Angles of rotations of shape (T, 3, 3) [rad], shape (T,)."""
+    return Rotation.from_matrix(rotations).magnitude()
 
 
 def _distance_mm(a: np.ndarray, b: np.ndarray) -> np.ndarray:

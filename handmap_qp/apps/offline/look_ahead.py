@@ -16,13 +16,14 @@ smoothing (`SMOOTH_IK`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from handmap_qp.apps.offline.trajectory import (
+    Told,
     Trajectory,
     held_samples,
     map_recording,
@@ -168,7 +169,7 @@ def map_hand(
     arguments: MappingArguments,
     *,
     smoother: LookAhead | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Told = None,
 ) -> tuple[Recording, Trajectory, HandMapper]:
     """Map a recording of a person with the options of a command.
 
@@ -203,7 +204,7 @@ def map_hands(
     robot: Robot,
     person: Person,
     arguments: MappingArguments,
-    progress: Callable[[int], None] | None = None,
+    progress: Told = None,
 ) -> tuple[Trajectory, Any]:
     """Map a recording of each hand of a robot, in its order; arguments as of `map_hand`.
 

@@ -26,6 +26,9 @@ from handmap_qp.se3 import lengths
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
+Told = Callable[[int], None] | None
+"""Called after each sample with the number of samples done."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -118,7 +121,7 @@ def package_versions() -> tuple[str, ...]:
 def map_recording(
     mapper: HandMapper,
     recording: Recording,
-    progress: Callable[[int], None] | None = None,
+    progress: Told = None,
     *,
     wrist_poses: np.ndarray | None = None,
     is_guarded: bool = True,
@@ -161,7 +164,7 @@ def trajectory_of(
     robot: Hand,
     time: np.ndarray,
     mapped: Iterator[MapStep | None],
-    progress: Callable[[int], None] | None = None,
+    progress: Told = None,
 ) -> Trajectory:
     """Collect the steps of samples; None stands for one that is not valid.
 
