@@ -58,7 +58,7 @@ class Report:
         """Read the manifest, rank, write, and print."""
         expect(self.worst > 0, "--worst", "a number > 0", value=self.worst)
         quality = assess(self.folder, self.keep)
-        files = write_report(self.folder, quality, self.worst, draws=self.pictures)
+        files = self._write(quality)
         document = {
             "episodes": len(quality.episodes),
             "kept": quality.kept,
@@ -67,15 +67,45 @@ class Report:
             "worst": worst_rows(quality, self.worst),
             "files": list(map(str, files)),
         }
-        tables = {
-            f"{document['episodes']} episodes, {quality.kept} kept": document[
-                "measures"
-            ],
-            "Worst episodes": document["worst"],
-        }
+        title = f"{document['episodes']} episodes, {quality.kept} kept"
+        tables = {title: document["measures"], "Worst episodes": document["worst"]}
         print_result(document, tables, as_json=self.json)
         for file in () if self.json else files:
             print(f"wrote {file}")
+
+    def _write(self, quality: Quality) -> list[Path]:
+        """Write report, table, filter and pictures, and return the files."""
+        out = self.folder / FOLDER
+        make_folder(out, "DIR")
+        pictures: list[Path] = []
+        if self.pictures:
+            drawn = min(self.worst, _MOST_DRAWN)
+            pictures = datasets.report_pictures.draw_report(
+                self.folder, quality, drawn, out
+            )
+        rows = [
+            {
+                "episode": line.key,
+                "file": line.out,
+                "kept": int(is_kept),
+                "badness": f"{badness:.4f}",
+                "frames": line.frames,
+                **{measure.key: line.metrics.get(measure.key) for measure in MEASURES},
+            }
+            for line, badness, _, is_kept in quality.episodes
+        ]
+        kept = sorted(f"{row['file']}\n" for row in rows if row["kept"])
+        texts = {
+            "report.md": _markdown(
+                quality, self.worst, [file.name for file in pictures]
+            ),
+            "episodes.csv": csv_text(rows),
+            "keep.txt": "".join(kept),
+        }
+        for name, text in texts.items():
+            with replaced_file(out / name, "DIR") as file:
+                file.write(text.encode())
+        return [*(out / name for name in texts), *pictures]
 
 
 class Ranked(NamedTuple):
@@ -193,56 +223,6 @@ def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
         }
         for rank, (line, _, worst, _) in enumerate(quality.episodes[:count], start=1)
     ]
-
-
-def write_report(
-    folder: Path,
-    quality: Quality,
-    worst: int,
-    *,
-    draws: bool,
-) -> tuple[Path, ...]:
-    """Write report, table, filter and pictures.
-
-    Args:
-        folder: Folder of the batch.
-        quality: The ranking.
-        worst: How many of the worst episodes to list.
-        draws: Whether to draw pictures.
-
-    Returns:
-        The files.
-
-    Raises:
-        InvalidInputError: If the folder cannot be written.
-        MissingExtraError: If pictures are wanted, and matplotlib or trimesh is not installed.
-    """
-    out = folder / FOLDER
-    make_folder(out, "DIR")
-    pictures: list[Path] = []
-    if draws:
-        drawing = datasets.report_pictures
-        pictures = drawing.draw_report(folder, quality, min(worst, _MOST_DRAWN), out)
-    rows = [
-        {
-            "episode": line.key,
-            "file": line.out,
-            "kept": int(is_kept),
-            "badness": f"{badness:.4f}",
-            "frames": line.frames,
-            **{measure.key: line.metrics.get(measure.key) for measure in MEASURES},
-        }
-        for line, badness, _, is_kept in quality.episodes
-    ]
-    texts = {
-        "report.md": _markdown(quality, worst, [file.name for file in pictures]),
-        "episodes.csv": csv_text(rows),
-        "keep.txt": "".join(sorted(f"{row['file']}\n" for row in rows if row["kept"])),
-    }
-    for name, text in texts.items():
-        with replaced_file(out / name, "DIR") as file:
-            file.write(text.encode())
-    return (*(out / name for name in texts), *pictures)
 
 
 def _markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
