@@ -62,7 +62,7 @@ def assemble(
     fps: float,
     robots: Robots,
 ) -> Path:
-    """Write the data set of a batch; an earlier one is replaced at once.
+    """Write the data set of a batch, and return its folder or file; an earlier one is replaced.
 
     Args:
         lines: Lines of the episodes.
@@ -70,9 +70,6 @@ def assemble(
         form: LeRobot v3, as the folder `lerobot`; or robomimic, as the file `episodes.hdf5`.
         fps: Frames per second.
         robots: Robot hands by side.
-
-    Returns:
-        The folder or file.
 
     Raises:
         InvalidInputError: If it cannot be written.
@@ -87,11 +84,7 @@ def assemble(
 
 
 def state_names(hands: Robots) -> tuple[str, ...]:
-    """Return the names of the numbers of a state; with both hands, their side is in front.
-
-    Args:
-        hands: Robot hands by side.
-    """
+    """Return the names of the numbers of a state; with both hands, their side is in front."""
     return tuple(
         (f"{side}_" if len(hands) > 1 else "") + name
         for side, hand in hands.items()

@@ -46,10 +46,7 @@ _COLUMNS = ("time", "q", "wrist", "valid")
 
 
 def run_group(jobs: Sequence[Job]) -> Sequence[Line]:
-    """Run jobs of one batch one after the other.
-
-    Returns:
-        What happened, when the episodes are on the disk.
+    """Run jobs of one batch one after the other; return their lines when episodes are on the disk.
 
     Raises:
         DiskFullError: If the disk is full.
@@ -63,13 +60,9 @@ def run_group(jobs: Sequence[Job]) -> Sequence[Line]:
 
 
 def run_job(job: Job) -> Line:
-    """Map one recording and write its episode.
+    """Map one recording and write its episode; return what happened, for the manifest.
 
-    Args:
-        job: The job.
-
-    Returns:
-        What happened, for the manifest. An error of the recording is a line, never an exception.
+    An error of the recording is a line, never an exception.
 
     Raises:
         DiskFullError: If the disk is full: no other recording of the batch can be written either.
@@ -134,11 +127,6 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
 
     It is on the disk when its group is (`run_group`). Columns are not compressed: that would save a
     fifth of the space, and take as long as reading the recording.
-
-    Args:
-        file: The file; its folder is made.
-        trajectory: What the robot does.
-        side: Which hand.
 
     Returns:
         SHA-256 of the file, as `sha256sum` prints it.

@@ -145,19 +145,12 @@ class Quality(NamedTuple):
 
 
 def assess(folder: Path, keep: float = 0.95) -> Quality:
-    """Read the manifest of a batch, and rank its episodes.
+    """Read the manifest of a batch, and rank its episodes, of which a share is to be kept.
 
     Every measure gives an episode a rank, from 0 for the best to 1 for the worst; equal values have
     equal ranks. The filter leaves out the episodes that are worst in something, until the share is
     reached; of episodes that are equally bad in their worst measure, the one with the worse mean
     rank goes first.
-
-    Args:
-        folder: Folder of the batch.
-        keep: Share of the episodes to keep, from 0 to 1.
-
-    Returns:
-        The ranking.
 
     Raises:
         InvalidInputError: If the folder has no manifest or no episode, or the share is impossible.

@@ -27,16 +27,10 @@ _STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
 def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
-    """Draw distributions, and the worst episodes of each robot.
+    """Draw `distributions.png`, and the worst episodes of each robot, `worst_ROBOT.png`.
 
-    Args:
-        folder: Folder of the batch.
-        quality: The ranking.
-        count: How many episodes of each robot. Those whose recording has gone are left out.
-        out: Folder to write to.
-
-    Returns:
-        The files, `distributions.png` and `worst_ROBOT.png`.
+    Of each robot's episodes in the folder of the batch, the `count` worst ones are drawn. Those
+    whose recording has gone are left out.
 
     Raises:
         MissingExtraError: If matplotlib or trimesh is not installed.

@@ -50,11 +50,7 @@ class JobOptions:
     smoother: LookAhead | None = None
 
     def load_robot(self, side: Side) -> Hand:
-        """Load the robot hand of a side, with its reference points.
-
-        Raises:
-            HandError: If there is no such hand.
-        """
+        """Load the robot hand of a side, with its reference points; `HandError` without one."""
         return self.arguments.load_robot(self.robots[side])
 
     @property
@@ -208,13 +204,9 @@ def _paths_of(
     seen: set[object],
     repeated: list[Path],
 ) -> Iterator[Path]:
-    """Yield the path itself, or the files and data sets below it.
+    """Yield the path itself, or the files and data sets below it, except the folder `own`.
 
-    Args:
-        given: The path.
-        own: Identity of a folder to leave out.
-        seen: Identities of the paths found, which are added to.
-        repeated: Paths whose identity was seen before, which are added to.
+    Adds identities of the paths found to `seen`, and paths whose identity was there to `repeated`.
     """
     if not given.exists():
         raise InvalidInputError(f"{given}: no such file or folder", argument="INPUT")

@@ -362,14 +362,7 @@ class _Listed(msgspec.Struct):
 
 
 def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
-    """Ask an outside program for its methods.
-
-    Args:
-        folder: The folder of its `compare.py`.
-        hand: The robot hand, by name or path.
-
-    Returns:
-        Its methods for this hand.
+    """Ask the outside program in a folder for its methods for a hand, given by name or path.
 
     Raises:
         OutsideError: If there is no such program, or it cannot run.

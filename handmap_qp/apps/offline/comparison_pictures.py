@@ -34,14 +34,7 @@ _WIDEST = 6.0  # Values beyond this multiple of the median value are drawn at th
 
 
 def draw_metrics(file: Path, comparison: Comparison) -> Path:
-    """Draw a panel for every metric: a dot for every method, small ones for each recording.
-
-    Args:
-        file: A PNG file to write.
-        comparison: What was measured.
-
-    Returns:
-        The file.
+    """Draw a PNG file: a panel for every metric, with large dots for methods, small for recordings.
 
     Raises:
         MissingExtraError: If matplotlib is not installed.
@@ -71,12 +64,8 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
 
     Methods that failed on one of those recordings are left out.
 
-    Args:
-        file: A PNG file to write.
-        comparison: What was measured.
-
     Returns:
-        The file, or None if no recording shows a pose or no method could be drawn; names of the
+        The PNG file, or None if no recording shows a pose or no method could be drawn; names of the
         poses and methods that are not on it.
 
     Raises:

@@ -75,7 +75,7 @@ def run_demo(
     directory: Path,
     progress: Told = None,
 ) -> Trajectory:
-    """Map the recording that comes with the package, and write `FILES`: all of them, or none.
+    """Map the recording that comes with the package, and write all of `FILES`, or none.
 
     Args:
         name: Robot hand, by name or by the path of its hand.yaml; its side decides which of the two
@@ -83,9 +83,6 @@ def run_demo(
         directory: Folder to write to; created if it does not exist. Files of the same names are
             replaced.
         progress: Called after each sample with the number of samples done.
-
-    Returns:
-        The robot's trajectory.
 
     Raises:
         HandmapError: If the hand cannot be loaded, the folder cannot be written, or matplotlib or

@@ -201,11 +201,9 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """Compare the motions that both hands impose on an object between their fingers.
 
     T (eqs. 5-6, ridge 0.1) is estimated from each hand's tips and middle joints, from the first
-    sample to every other. Both are expressed in the hand's own palm axes at the first sample.
-
-    Returns:
-        Mean angle between the rotations [deg], mean Frobenius norm of the difference of the
-        log-stretches, mean distance between the centroids' displacements [mm].
+    sample to every other. Both are expressed in the hand's own palm axes at the first sample. Means
+    are of the angle between the rotations [deg], the Frobenius norm of the difference of the
+    log-stretches, and the distance between the centroids' displacements [mm].
     """
     r1, s1, c1 = _object_motion(human)
     r2, s2, c2 = _object_motion(robot)
@@ -234,11 +232,10 @@ def pinch_gaps(hand: HandTrace) -> ByFinger:
 
 
 def pinch_order(human: HandTrace, robot: HandTrace) -> float:
-    """Whether nearer tips of the human are nearer tips of the robot.
+    """Whether nearer tips of the human are nearer tips of the robot: Spearman's correlation.
 
-    Returns:
-        Spearman's correlation over all samples and thumb-finger pairs in which the human's tips are
-        less than 80 mm apart; NaN with fewer than three.
+    It is taken over all samples and thumb-finger pairs in which the human's tips are less than
+    80 mm apart; NaN with fewer than three.
     """
     pairs = np.array([[*pinch_gaps(hand).values()] for hand in (human, robot)])
     pairs = pairs.reshape(2, -1)
@@ -383,12 +380,7 @@ def workspace_share(robot: HandTrace, workspace: ByFinger) -> float:
 def sample_workspace(hand: Hand, *, count: int = 20_000) -> ByFinger:
     """Draw points that each fingertip can reach, joints uniform within their limits.
 
-    Args:
-        hand: The robot hand.
-        count: Number of postures.
-
-    Returns:
-        Points in the palm frame by finger [m], shape (count, 3) each.
+    They are in the palm frame, by finger [m], shape (count, 3) each.
     """
     random = np.random.default_rng(42)
     q = random.uniform(
