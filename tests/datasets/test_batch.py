@@ -42,7 +42,7 @@ from handmap_qp.apps.datasets.manifest import (
     read_manifests,
 )
 from handmap_qp.apps.datasets.measures import MEASURES
-from handmap_qp.apps.datasets.report_pictures import _worst_sample
+from handmap_qp.apps.datasets.report import _worst_sample
 from handmap_qp.apps.datasets.sources import Job, find_files, list_jobs
 from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.look_ahead import LookAhead

@@ -363,8 +363,8 @@ def run_batch(
             append(line)
             last[line.key] = line
             progress(line)
-    is_complete = len(last) == len(plan.jobs)
-    is_complete &= all(line.status != "killed" for line in last.values())
+    ended = [line for line in last.values() if line.status != "killed"]
+    is_complete = len(ended) == len(plan.jobs)
     return Tally(tuple(last.values()), is_complete, _cpu_time() - started)
 
 

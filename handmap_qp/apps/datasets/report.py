@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -11,18 +12,28 @@ import numpy as np
 import tyro
 from scipy.stats import rankdata
 
-from handmap_qp.apps import datasets
 from handmap_qp.apps.datasets.manifest import Line, read_manifests
 from handmap_qp.apps.datasets.measures import MEASURES
+from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
+from handmap_qp.apps.drawing.hands import require_matplotlib
+from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.tables import csv_text, markdown_table, print_result
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import HandmapError, InvalidInputError, expect
+from handmap_qp.hands.library import load_hand
+from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import make_folder, replaced_file
+from handmap_qp.trackers.formats import read_recording
+from handmap_qp.trackers.formats.archive import Arrays, read_archive
 
 FOLDER = "report"
 """Folder of the report, below that of the batch."""
 _SUMMARY = "measure", "median", "worst 5 %", "worst", "episodes"
 _MOST_DRAWN, _MOST_FAILED = 8, 50
+_COLUMNS, _BINS = 4, 40
+_LONGEST_NAME = 21  # characters beside a picture
+_KEPT, _LEFT_OUT = "#3d6fb4", "#d8472f"
+_STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
 @dataclass(frozen=True)
@@ -80,9 +91,7 @@ class Report:
         pictures: list[Path] = []
         if self.pictures:
             drawn = min(self.worst, _MOST_DRAWN)
-            pictures = datasets.report_pictures.draw_report(
-                self.folder, quality, drawn, out
-            )
+            pictures = draw_report(self.folder, quality, drawn, out)
         rows = [
             {
                 "episode": line.key,
@@ -249,3 +258,108 @@ def _counted(count: int, noun: str) -> str:
 def _text(value: float) -> str:
     """Write a number with three digits, and one from 1000 on without a power of ten."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+
+
+def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
+    """Draw `distributions.png`, and the worst episodes of each robot, `worst_ROBOT.png`.
+
+    Of each robot's episodes in the folder of the batch, the `count` worst ones are drawn. Those
+    whose recording has gone are left out.
+
+    Raises:
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    file = out / "distributions.png"
+    with require_matplotlib().rc_context(fname=_STYLE):
+        _draw_distributions(file, quality)
+    return [file, *_draw_worst(folder, quality, count, out)]
+
+
+def _draw_distributions(file: Path, quality: Quality) -> None:
+    """Draw a histogram of every measure, with the episodes that the filter leaves out in red."""
+    from matplotlib.figure import Figure
+
+    shown = {
+        m: found for m, found in quality.values.items() if np.isfinite(found).any()
+    }
+    is_kept = np.array([episode.is_kept for episode in quality.episodes])
+    rows = -(-len(shown) // _COLUMNS)
+    figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained")
+    grid = figure.subplots(rows, _COLUMNS, squeeze=False)
+    for axes in grid.flat[len(shown) :]:
+        axes.set_axis_off()
+    for axes, (measure, values) in zip(grid.flat, shown.items(), strict=False):
+        low = np.nanmin(values)
+        high = np.nanmax(values)
+        # NaN is in no bin.
+        axes.hist(
+            [values[is_kept], values[~is_kept]],
+            bins=_BINS,
+            range=(low, high) if high > low else (min(0.0, low), max(1.0, low)),
+            stacked=True,
+            color=[_KEPT, _LEFT_OUT],
+        )
+        axes.set_title(measure.label)
+        axes.locator_params("y", integer=True)
+        # Numbers that are nearly the same have long labels.
+        axes.locator_params("x", nbins=4)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("episodes")
+    left_out = len(is_kept) - quality.kept
+    figure.suptitle(f"{quality.kept} episodes kept, {left_out} left out (red)")
+    figure.savefig(file)
+
+
+def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
+    """Draw human and robot in the worst sample of the worst episodes, a picture for each robot.
+
+    The sample is the worst one in what the episode is worst in, and else the one with the largest
+    distance of a point from its target. The first half second counts only where there is no more:
+    the robot is still on its way to the hand.
+    """
+    rows: dict[str, list[SheetRow]] = {}
+    for rank, (line, _, worst, _) in enumerate(quality.episodes, start=1):
+        own = rows.setdefault(line.robot, [])
+        if len(own) < count:
+            with suppress(HandmapError):
+                own.append(_worst_row(folder, line, rank, worst))
+    files = []
+    for name, own in rows.items():
+        if own:
+            robot = load_hand(name)
+            figure = contact_sheet(
+                [(robot.name, robot)],
+                own,
+                side=robot.spec.side,
+                title="worst episodes",
+            )
+            files.append(out / f"worst_{robot.name}.png")
+            figure.savefig(files[-1], dpi=100)
+    return files
+
+
+def _worst_row(folder: Path, line: Line, rank: int, measure: Metric) -> SheetRow:
+    """Return the worst sample of an episode, with its rank, name and measure."""
+    recording = read_recording(line.source)
+    names = {"q", "point_error", "valid", "at_limit", "at_speed_limit"}
+    columns = read_archive(folder / line.out, names)
+    sample = _worst_sample(recording, columns, measure)
+    (row,) = sheet_rows(recording, {f"#{rank}": sample}, [columns["q"]])
+    name = line.name
+    if len(name) > _LONGEST_NAME:
+        name = f"...{name[3 - _LONGEST_NAME :]}"
+    return replace(row, note=f"{name}\n{measure.label}\n{row.note}")
+
+
+def _worst_sample(recording: Recording, columns: Arrays, measure: Metric) -> int:
+    """Return the index of the sample that is worst in a measure, or in reach."""
+    usable = columns["valid"] & recording.valid
+    settled = usable & (recording.time >= recording.time[0] + SETTLING)
+    usable = settled if settled.any() else usable
+    error = columns["point_error"].max(axis=1)
+    joints = {"saturation": "at_limit", "speed_limited": "at_speed_limit"}
+    if measure.key in joints:
+        # Less than one joint, so that it decides between samples of as many joints.
+        share = error / (1.0 + error)
+        error = columns[joints[measure.key]].sum(axis=1) + share
+    return int(np.argmax(np.where(usable, error, -1.0)))

@@ -202,7 +202,7 @@ def results_of(comparison: Comparison) -> dict[str, Any]:
             methods[run.method] = {"about": run.motion.about}
         runs[run.take.name][run.method] = {
             "values": run.values,
-            "fingers": run.fidelity.fingers if run.motion else None,
+            "fingers": run.fingers,
             "problem": run.problem,
         }
     return {
@@ -314,11 +314,7 @@ def _write(
 
 def _pinch_samples(comparison: Comparison) -> dict[str, int]:
     """Return how many samples the pinch metrics rest on, by recording; empty if nothing ran."""
-    return {
-        run.take.name: run.fidelity.pinch_samples
-        for run in comparison.runs
-        if run.motion
-    }
+    return {run.take.name: run.pinch_samples for run in comparison.runs if run.motion}
 
 
 def _tables(values: dict[str, Values]) -> list[str]:

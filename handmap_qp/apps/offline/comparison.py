@@ -30,7 +30,6 @@ import numpy as np
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.apps.offline.fidelity import (
     SETTLING,
-    Fidelity,
     assess_fidelity,
     sample_workspace,
 )
@@ -153,21 +152,20 @@ class Run(NamedTuple):
     Attributes:
         method: Name of the method.
         take: The take.
-        fidelity: What was measured; every metric is NaN if the method failed.
+        values: Every metric by its key; NaN where a question does not arise or the method failed.
+        fingers: As of `Fidelity`; None if the method failed.
+        pinch_samples: As of `Fidelity`.
         motion: What the method made of the take; None if it failed.
         problem: Why it failed; empty if it did not.
     """
 
     method: str
     take: Take
-    fidelity: Fidelity
+    values: Values
+    fingers: dict[str, Values] | None = None
+    pinch_samples: int = 0
     motion: RobotMotion | None = None
     problem: str = ""
-
-    @property
-    def values(self) -> Values:
-        """Every metric by its key; NaN where a question does not arise or the method failed."""
-        return self.fidelity.values
 
 
 class Comparison(NamedTuple):
@@ -461,8 +459,7 @@ def _run(
     try:
         motion = method.map_take(take, robot)
     except HandmapError as error:
-        unknown = Fidelity(mean_values([]), {}, 0)
-        return Run(method.name, take, unknown, problem=reason_of(error))
+        return Run(method.name, take, mean_values([]), problem=reason_of(error))
     wrist = motion.wrist_in(take, robot) if robot.is_floating else None
     fidelity = assess_fidelity(
         take.trace,
@@ -478,4 +475,4 @@ def _run(
     )
     if motion.wrist is None:
         fidelity.values.update(palm_deg=float("nan"), palm_mm=float("nan"))
-    return Run(method.name, take, fidelity, motion)
+    return Run(method.name, take, *fidelity, motion)
