@@ -25,6 +25,7 @@ from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import sync, writing
+from handmap_qp.se3 import unit
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 
@@ -220,7 +221,7 @@ def _resampled(
     rows = np.column_stack([columns["q"], wrist[:, :3, 3], quats, columns["valid"]])
     found = [np.interp(instants, columns["time"], column) for column in rows.T]
     state = np.stack(found[:-1], axis=1)
-    state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)
+    state[:, -4:] = unit(state[:, -4:])
     return state, found[-1] == 1.0
 
 

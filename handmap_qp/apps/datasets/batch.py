@@ -180,7 +180,12 @@ class Batch:
             return ray_engine(max(1, workers))
         return pool_engine(workers) if workers else SERIAL
 
-    def _assemble(self, options: JobOptions, plan: Plan, tally: Tally) -> Path | None:
+    def _assemble(
+        self,
+        options: JobOptions,
+        plan: Plan,
+        tally: Tally,
+    ) -> Path | None:
         """Write the data set, unless something is left for other shards or another run."""
         lines = [*plan.done, *tally.done]
         if (
@@ -192,7 +197,12 @@ class Batch:
         robots = {side: options.load_robot(side) for side in options.robots}
         return assemble(lines, self.out, self.format, self.fps, robots)
 
-    def _report(self, plan: Plan, tally: Tally, written: Path | None) -> None:
+    def _report(
+        self,
+        plan: Plan,
+        tally: Tally,
+        written: Path | None,
+    ) -> None:
         frames = sum(line.frames for line in tally.done)
         if self.json:
             result = {

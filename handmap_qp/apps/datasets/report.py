@@ -260,7 +260,12 @@ def _text(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
-def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
+def draw_report(
+    folder: Path,
+    quality: Quality,
+    count: int,
+    out: Path,
+) -> list[Path]:
     """Draw `distributions.png`, and the worst episodes of each robot, `worst_ROBOT.png`.
 
     Of each robot's episodes in the folder of the batch, the `count` worst ones are drawn. Those
@@ -310,7 +315,12 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     figure.savefig(file)
 
 
-def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
+def _draw_worst(
+    folder: Path,
+    quality: Quality,
+    count: int,
+    out: Path,
+) -> list[Path]:
     """Draw human and robot in the worst sample of the worst episodes, a picture for each robot.
 
     The sample is the worst one in what the episode is worst in, and else the one with the largest
@@ -338,7 +348,12 @@ def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[P
     return files
 
 
-def _worst_row(folder: Path, line: Line, rank: int, measure: Metric) -> SheetRow:
+def _worst_row(
+    folder: Path,
+    line: Line,
+    rank: int,
+    measure: Metric,
+) -> SheetRow:
     """Return the worst sample of an episode, with its rank, name and measure."""
     recording = read_recording(line.source)
     names = {"q", "point_error", "valid", "at_limit", "at_speed_limit"}

@@ -162,7 +162,12 @@ class Map:
             make_folder(out.parent, "--out")
         return check_output("--out", out, (".npz",))
 
-    def _map(self, robot: Hand | Robot, used: list[Recording], out: Path) -> Summary:
+    def _map(
+        self,
+        robot: Hand | Robot,
+        used: list[Recording],
+        out: Path,
+    ) -> Summary:
         """Map the recordings of a robot's hands, write its trajectory, and return the summary."""
         person = read_person(self.person) if self.person else measure_person(*used)
         with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:

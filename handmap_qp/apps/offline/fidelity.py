@@ -113,12 +113,13 @@ def assess_fidelity(
             finger in common.
     """
     shared = [name for name in human.names if name in robot.names]
-    seen = np.ones(len(time), dtype=bool) if valid is None else np.asarray(valid)
-    sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
-    for name, size in sizes.items():
-        expect(size == len(time), name, f"{len(time)} samples as in time", value=size)
+    seen = np.full(len(time), True) if valid is None else np.asarray(valid, dtype=bool)
+    wanted = f"{len(time)} samples as in time"
+    sized = {"human": human.palm, "robot": robot.palm, "valid": seen}
+    for name, rows in sized.items():
+        expect(len(rows) == len(time), name, wanted, value=len(rows))
     expect(shared, "robot", "a finger that the human has too", got="none")
-    counts = seen.astype(bool) & (time >= time[0] + SETTLING)
+    counts = seen & (time >= time[0] + SETTLING)
     expect(
         counts.any(), "time", "valid samples after the first half second", got="none"
     )
@@ -174,9 +175,8 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> ByFinger:
     one, other = both = np.array([human.extension, robot.extension])
     is_still = np.ptp(both, axis=1).min(axis=0) < _STILL
     low, high = np.percentile(one, (2.0, 98.0), axis=0)
-    points = np.array([human.local, robot.local])
-    tips = points[:, :, :, TIP]
-    knuckles = points[:, :, :, KNUCKLE]
+    # Points of a finger are its knuckle, middle joint and tip.
+    knuckles, _, tips = np.moveaxis(np.array([human.local, robot.local]), 3, 0)
     ratio = (robot.reach / human.reach).mean()
     # The thumb's knuckle does not count if there are others.
     others = [i for i, name in enumerate(human.names) if name != THUMB] or [0]
@@ -228,7 +228,7 @@ def pinch_gaps(hand: HandTrace) -> ByFinger:
     """Distances from the thumb's tip to the other fingertips [m], shape (T,) each."""
     tips = _tips_by_finger(hand)
     thumb = tips.pop(THUMB, None)
-    return {} if thumb is None else {f: lengths(tip - thumb) for f, tip in tips.items()}
+    return {f: lengths(tip - thumb) for f, tip in tips.items() if thumb is not None}
 
 
 def pinch_order(human: HandTrace, robot: HandTrace) -> float:
@@ -396,7 +396,7 @@ def _tips_by_finger(hand: HandTrace) -> ByFinger:
 
 def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotations (T, 3, 3), log-stretches (T, 3, 3) and centroid displacements (T, 3)."""
-    points = hand.points[:, :, [TIP, MIDDLE]].reshape(len(hand.points), -1, 3)
+    points = hand.points[:, :, MIDDLE:].reshape(len(hand.points), -1, 3)
     points = points @ hand.palm[0, :3, :3]
     estimator = MotionEstimator(points[0], ridge=OBJECT_RIDGE)
     factors = polar(estimator.estimate(points).motion[:, :3, :3])

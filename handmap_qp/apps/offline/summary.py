@@ -46,7 +46,7 @@ def summarise(trajectory: Trajectory) -> Summary:
     found = {
         "robot": robot.name,
         "samples": len(trajectory.time),
-        "held": int((~seen).sum()),
+        "held": (~seen).sum(),
         "rules": count_rules(trajectory),
         "events": find_holds(trajectory),
         "consistency_mm_mean": (1e3 * consistency).mean() if len(consistency) else None,
@@ -57,7 +57,7 @@ def summarise(trajectory: Trajectory) -> Summary:
         "point_error_mm_p95": np.percentile(points, 95),
         "point_error_mm_max": points.max(),
         "wrist_error_mm_mean": 1e3 * trajectory.wrist_error[seen].mean(),
-        "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
+        "samples_at_limit": trajectory.at_limit.any(axis=1).sum(),
         "limit_violation_max": trajectory.limit_violation,
         "speed_limited_share": is_slow.any(axis=1).mean(),
         # The joints that speed limits held most often.
