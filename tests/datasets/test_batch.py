@@ -35,13 +35,13 @@ from handmap_qp.apps.datasets import engines, sources, workers
 from handmap_qp.apps.datasets.assemble import assemble
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import SERIAL, _next_group, pool_engine
+from handmap_qp.apps.datasets.episodes import MEASURES
 from handmap_qp.apps.datasets.manifest import (
     MOST_KILLS,
     Line,
     open_manifest,
     read_manifests,
 )
-from handmap_qp.apps.datasets.measures import MEASURES
 from handmap_qp.apps.datasets.report import _worst_sample
 from handmap_qp.apps.datasets.sources import Job, find_files, list_jobs
 from handmap_qp.apps.offline.fidelity import SETTLING

@@ -356,8 +356,7 @@ def run_batch(
         engine: What runs the jobs.
         shard: Which part of how many.
         progress: Called with every line.
-        is_stopped: Asked now and then; after it said True, what is under way is finished, and
-            nothing more is begun.
+        is_stopped: As of `Asked`.
 
     Returns:
         What was done.

@@ -69,11 +69,6 @@ class Engine(NamedTuple):
     def outcomes(self, jobs: Sequence[Job], is_stopped: Asked) -> Iterator[Line]:
         """Run jobs, the first ones first.
 
-        Args:
-            jobs: The jobs.
-            is_stopped: Asked now and then; after it said True, what is under way is finished, and
-                nothing more is begun.
-
         Yields:
             A line for every job that has ended, and one before every try of a job whose worker may
             have died: a try that takes this process with it counts too.

@@ -44,7 +44,7 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         frames: Number of samples.
         cpu_s: CPU time [s].
         kills: How often the worker died over it.
-        metrics: Numbers about the episode, by name (`handmap_qp.apps.datasets.measures`).
+        metrics: Numbers about the episode, by name (`episodes.MEASURES`).
         out: The file written, below the folder of the batch.
         sha256: Its digest, as `sha256sum` prints it; empty in manifests up to version 0.2.
         error: Why it failed.

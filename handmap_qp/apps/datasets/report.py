@@ -12,8 +12,8 @@ import numpy as np
 import tyro
 from scipy.stats import rankdata
 
+from handmap_qp.apps.datasets.episodes import MEASURES
 from handmap_qp.apps.datasets.manifest import Line, read_manifests
-from handmap_qp.apps.datasets.measures import MEASURES
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline.fidelity import SETTLING

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 FILES = ("errors.png", "gestures.png", "joints.png", "trajectory.npz")
 """What the demo writes."""
 
-_INK, _PALE = "#222831", "#8a929c"
-_COLOURS = ("#c8452f", "#2f7d6b", "#3f6fb5", "#c48a1d", "#7a56a6")
+_INK, _PALE, _JOINT = "#222831", "#8a929c", "#3f6fb5"
+_MOST_POINTS = 5  # that are drawn: more would have the same colours
 _STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
@@ -117,10 +117,9 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     )
     time = trajectory.time
     cpu = 1e6 * trajectory.step_cpu
-    errors = 1e3 * trajectory.point_error.T
-    specs = trajectory.robot.reference_points
-    for spec, error, colour in zip(specs, errors, _COLOURS, strict=False):
-        points.plot(time, error, color=colour, label=spec.name.replace("_", " "))
+    names = [p.name.replace("_", " ") for p in trajectory.robot.reference_points]
+    shown = slice(_MOST_POINTS)
+    points.plot(time, 1e3 * trajectory.point_error[:, shown], label=names[shown])
     points.legend(loc="upper right", bbox_to_anchor=(1.0, 0.98))
     points.set(title="Reference points: distance from their targets", ylabel="mm")
     wrist.plot(time, 1e3 * trajectory.wrist_error, color=_INK)
@@ -150,7 +149,7 @@ def joints_figure(trajectory: Trajectory) -> Figure:
         room = 0.08 * (upper - lower)
         for start in (lower - room, upper):
             axes.axhspan(start, start + room, color="#f3d9d4", linewidth=0.0)
-        axes.plot(time, q, color=_COLOURS[2])
+        axes.plot(time, q, color=_JOINT)
         axes.set(
             xlim=(time[0], time[-1]),
             ylim=(lower - room, upper + room),
