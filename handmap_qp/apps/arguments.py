@@ -42,7 +42,10 @@ from handmap_qp.trackers.plausibility import check_recording
 
 
 def check_names(
-    argument: str, names: Sequence[str], expected: str = "different names", **more: str
+    argument: str,
+    names: Sequence[str],
+    expected: str = "different names",
+    **more: str,
 ) -> None:
     """Reject an empty list and a name that occurs twice."""
     expect(names, argument, "at least one", got="none")

@@ -108,25 +108,28 @@ class Batch:
         shard = _shard(self.shard)
         engine = self._engine()
         options = self._options()
-        plan, tally = self._map(options, engine, shard)
+        tally = self._map(options, engine, shard)
         try:
-            written = self._assemble(options, plan, tally)
+            written = self._assemble(options, tally)
         except RecordingError:
             # An episode was damaged after it had been verified: the second plan maps it again.
-            plan, tally = self._map(options, engine, shard)
-            written = self._assemble(options, plan, tally)
-        self._report(plan, tally, written)
+            tally = self._map(options, engine, shard)
+            written = self._assemble(options, tally)
+        self._report(tally, written)
         if not tally.is_complete:
             raise SystemExit(130)
-        failed = [line.name for line in (*tally.failed, *plan.left_alone)]
+        failed = [line.name for line in (*tally.failed, *tally.plan.left_alone)]
         if failed:
             reasons = f"failed; the reasons are in {self.out}/manifest*.jsonl"
             _warn(failed, "recordings", reasons)
             raise SystemExit(1)
 
     def _map(
-        self, options: JobOptions, engine: Engine, shard: tuple[int, int]
-    ) -> tuple[Plan, Tally]:
+        self,
+        options: JobOptions,
+        engine: Engine,
+        shard: tuple[int, int],
+    ) -> Tally:
         """List the recordings, say what is odd about them, and map those that are not done."""
         with progress("listing"):
             plan = plan_batch(self.inputs, self.out, options, shard)
@@ -153,7 +156,7 @@ class Batch:
                         f"{counts['done']} episodes, {counts['failed']} failed",
                     )
 
-            return plan, run_batch(plan, self.out, engine, shard, advance, is_stopped)
+            return run_batch(plan, self.out, engine, shard, advance, is_stopped)
 
     def _options(self) -> JobOptions:
         """Check the options, and collect what all jobs have in common."""
@@ -180,14 +183,9 @@ class Batch:
             return ray_engine(max(1, workers))
         return pool_engine(workers) if workers else SERIAL
 
-    def _assemble(
-        self,
-        options: JobOptions,
-        plan: Plan,
-        tally: Tally,
-    ) -> Path | None:
+    def _assemble(self, options: JobOptions, tally: Tally) -> Path | None:
         """Write the data set, unless something is left for other shards or another run."""
-        lines = [*plan.done, *tally.done]
+        lines = [*tally.plan.done, *tally.done]
         if (
             self.format == "npz"
             or self.shard is not None
@@ -197,12 +195,8 @@ class Batch:
         robots = {side: options.load_robot(side) for side in options.robots}
         return assemble(lines, self.out, self.format, self.fps, robots)
 
-    def _report(
-        self,
-        plan: Plan,
-        tally: Tally,
-        written: Path | None,
-    ) -> None:
+    def _report(self, tally: Tally, written: Path | None) -> None:
+        plan = tally.plan
         frames = sum(line.frames for line in tally.done)
         if self.json:
             result = {
@@ -263,14 +257,20 @@ class Tally:
     """What a run of a batch has done.
 
     Attributes:
+        plan: What it had to do.
         lines: The last line of every recording of this run.
-        is_complete: False if it was interrupted.
         all_cpu: CPU time of this process and its workers [s].
     """
 
+    plan: Plan
     lines: tuple[Line, ...]
-    is_complete: bool
     all_cpu: float
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all jobs have ended; False if the run was interrupted."""
+        ended = [line for line in self.lines if line.status != "killed"]
+        return len(ended) == len(self.plan.jobs)
 
     @property
     def useful_cpu(self) -> float:
@@ -372,9 +372,7 @@ def run_batch(
             append(line)
             last[line.key] = line
             progress(line)
-    ended = [line for line in last.values() if line.status != "killed"]
-    is_complete = len(ended) == len(plan.jobs)
-    return Tally(tuple(last.values()), is_complete, _cpu_time() - started)
+    return Tally(plan, tuple(last.values()), _cpu_time() - started)
 
 
 @contextmanager
