@@ -20,7 +20,8 @@ from common import ROOT, find_recordings, print_table
 from made_recordings import make_recordings
 
 from handmap_qp.apps.datasets.batch import plan_batch
-from handmap_qp.apps.datasets.episodes import JobOptions, run_job
+from handmap_qp.apps.datasets.episodes import run_job
+from handmap_qp.apps.datasets.sources import JobOptions
 
 
 def main() -> None:

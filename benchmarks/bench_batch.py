@@ -39,8 +39,9 @@ import handmap_qp.apps.datasets.episodes as job_module
 import handmap_qp.apps.offline.look_ahead as mapping_module
 from handmap_qp import Follower, HandMapper, load_hand
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
-from handmap_qp.apps.datasets.engines import PoolEngine
-from handmap_qp.apps.datasets.episodes import Job, JobOptions, run_job
+from handmap_qp.apps.datasets.engines import pool_engine
+from handmap_qp.apps.datasets.episodes import run_job
+from handmap_qp.apps.datasets.sources import Job, JobOptions
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, mirrored, sample_columns
@@ -246,7 +247,7 @@ def pool_run(inputs: Path, out: Path, given: Namespace) -> dict[str, Any]:
             shutil.copy(file, inputs / f"copy{i}_{file.name}")
     plan = plan_batch([inputs], out, options)
     started, cpu = perf_counter(), process_time()
-    tally = run_batch(plan, out, PoolEngine(2))
+    tally = run_batch(plan, out, pool_engine(2))
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     parent = process_time() - cpu
     return {

@@ -66,8 +66,9 @@ def meeting_hands() -> Hands:
     """Make recordings of palms that come from 285 mm to 60 mm, and of fingers that close."""
     time_ = np.arange(0.0, 10.0, 1.0 / _RATE)
     near = 0.5 - 0.5 * np.cos(2.0 * np.pi * time_ / time_[-1])
+    signs: dict[Side, float] = {"left": 1.0, "right": -1.0}
     found = {}
-    for side, sign in (("left", 1.0), ("right", -1.0)):
+    for side, sign in signs.items():
         human = load_hand(human_name(side), points="landmarks")
         # They are straight where the palms are near.
         share = (0.5 - 0.5 * np.cos(3.0 * time_ + sign)) * (1.0 - near)

@@ -62,9 +62,13 @@ _MODULES = {
         "from three reaches in a recording.",
         "calibrate": "Measure a person's hand in recordings, and keep it in a file.",
     },
-    "datasets.cli": {
+    "datasets.convert": {
         "convert": "Convert recordings of human hands between file formats.",
+    },
+    "datasets.batch": {
         "batch": "Map whole data sets of human hands to robot hands.",
+    },
+    "datasets.report": {
         "report": "Report the quality of the episodes of a batch, and write a filter.",
     },
     "offline.compare": {

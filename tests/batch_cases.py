@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from handmap_qp.apps.datasets.batch import Tally, plan_batch, run_batch
-from handmap_qp.apps.datasets.engines import Engine, SerialEngine
-from handmap_qp.apps.datasets.episodes import Job, JobOptions
+from handmap_qp.apps.datasets.engines import SERIAL, Engine
+from handmap_qp.apps.datasets.sources import Job, JobOptions
 from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats import (
     Source,
@@ -28,7 +28,7 @@ def batch(
     inputs: Path, out: Path, options: JobOptions = OPTIONS, engine: Engine | None = None
 ) -> Tally:
     """Map all recordings of a folder that are not done."""
-    return run_batch(plan_batch([inputs], out, options), out, engine or SerialEngine())
+    return run_batch(plan_batch([inputs], out, options), out, engine or SERIAL)
 
 
 def episodes(out: Path) -> dict[str, bytes]:
@@ -65,13 +65,13 @@ def die_at_once() -> None:
     os._exit(1)
 
 
-def list_or_die(path: Path) -> tuple[Source, ...]:
+def list_or_die(path: Path) -> tuple[tuple[Source, ...], str]:
     """List a file, unless its name says to crash or to loop for ever."""
     if path.stem == "crash":
         os._exit(1)
     while path.stem == "hold":
         time.sleep(60.0)
-    return list_sources(path)
+    return list_sources(path), ""
 
 
 class KillingFormat(NpzFormat):
@@ -85,7 +85,6 @@ class KillingFormat(NpzFormat):
 
 def with_format(job: Job, form: NpzFormat) -> Job:
     """Return the job with its recording read by another format."""
-    source = job.task.source
+    source = job.source
     assert source is not None
-    task = replace(job.task, source=Source(source.path, form, source.entry))
-    return replace(job, task=task)
+    return replace(job, source=source._replace(format=form))

@@ -5,6 +5,7 @@ A field added to `MappingArguments` becomes an option of every command that maps
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from functools import reduce
@@ -38,6 +39,18 @@ from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.layouts.files import layout_hint, read_with_layout
 from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import check_recording
+
+
+def check_names(
+    argument: str,
+    names: Sequence[str],
+    expected: str = "different names",
+    **more: str,
+) -> None:
+    """Reject an empty list and a name that occurs twice."""
+    expect(names, argument, "at least one", got="none")
+    ((name, count),) = Counter(names).most_common(1)
+    expect(count == 1, argument, expected, got=f"{name} twice", **more)
 
 
 def hinted(metavar: str, hint: str = "(default: none)") -> Any:

@@ -91,6 +91,24 @@ def test_map_writes_the_trajectory_and_prints_its_summary(
         np.testing.assert_allclose(replayed, columns["points"], atol=1e-9)
 
 
+@pytest.mark.slow
+def test_map_moves_a_robot_with_two_hands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.npz"
+    command = ["map", "demo", "--robot", "g1", "--out", str(out)]
+    assert cli.main(command) == 0
+    printed = capsys.readouterr().out
+    assert "demo_left and demo_right to g1" in printed
+    assert "alignment" in printed
+    with np.load(out, allow_pickle=False) as columns:
+        assert columns.keys() >= COLUMNS | {"wrist_left", "wrist_right"}
+        np.testing.assert_allclose(columns["wrist_left"], columns["wrist"], atol=1e-9)
+        assert columns["wrist_right"].shape == columns["wrist"].shape
+    assert cli.main([*command, "--mirror"]) == 2
+    assert "--mirror: has no effect on both hands" in capsys.readouterr().err
+
+
 def test_map_prints_a_table_and_names_the_file(
     recording: Path,
     tmp_path: Path,

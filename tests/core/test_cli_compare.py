@@ -208,9 +208,7 @@ def test_sheet_of_many_methods_has_bands(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     # Another test looks at the picture of the metrics, which takes half of the time.
-    monkeypatch.setattr(
-        "handmap_qp.apps.offline.comparison_pictures.draw_metrics", lambda *_: None
-    )
+    monkeypatch.setattr("handmap_qp.apps.offline.compare.draw_metrics", lambda *_: None)
     out = tmp_path / "out"
     words = ["compare", files[0], "--robot", "three_finger", "--out", str(out)]
     assert cli.main(words) == 0

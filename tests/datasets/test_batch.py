@@ -26,6 +26,7 @@ from batch_cases import (
     write_pieces,
 )
 from lerobot_tables import columns_of, episodes_of, feature_names
+from msgspec import structs
 from patience import wait_until
 
 from handmap_qp import InvalidInputError, load_hand
@@ -33,17 +34,16 @@ from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.datasets import engines, sources, workers
 from handmap_qp.apps.datasets.assemble import assemble
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
-from handmap_qp.apps.datasets.engines import PoolEngine, SerialEngine, _next_group
-from handmap_qp.apps.datasets.episodes import Job
+from handmap_qp.apps.datasets.engines import SERIAL, _next_group, pool_engine
+from handmap_qp.apps.datasets.episodes import MEASURES
 from handmap_qp.apps.datasets.manifest import (
     MOST_KILLS,
     Line,
     open_manifest,
     read_manifests,
 )
-from handmap_qp.apps.datasets.measures import MEASURES
-from handmap_qp.apps.datasets.report_pictures import _worst_sample
-from handmap_qp.apps.datasets.sources import find_files, tasks_of
+from handmap_qp.apps.datasets.report import _worst_sample
+from handmap_qp.apps.datasets.sources import Job, find_files, list_jobs
 from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.cli import main
@@ -90,19 +90,24 @@ def test_an_episode_has_what_a_reader_needs(serial: Path) -> None:
     assert line.metrics["valid"] == 1.0
 
 
-def test_tasks_come_longest_first_and_shards_share_nothing(inputs: Path) -> None:
+def test_jobs_come_longest_first_and_shards_share_nothing(inputs: Path) -> None:
     files = find_files([inputs])[0]
-    whole = tasks_of(files)
-    assert [task.frames for task in whole] == [14, 13, 12]
-    parts = [task.key for part in (1, 2, 3) for task in tasks_of(files, (part, 3))]
-    assert sorted(parts) == sorted(task.key for task in whole)
+
+    def lines(part: int, parts: int) -> list[Line]:
+        jobs = list_jobs(files, inputs, OPTIONS, shard=(part, parts))
+        return [job.line for job in jobs]
+
+    whole = lines(1, 1)
+    assert [line.frames for line in whole] == [14, 13, 12]
+    parts = [line.key for part in (1, 2, 3) for line in lines(part, 3)]
+    assert sorted(parts) == sorted(line.key for line in whole)
 
 
 def test_the_order_of_the_work_changes_no_byte(
     inputs: Path, serial: Path, tmp_path: Path
 ) -> None:
     plan = plan_batch([inputs], tmp_path, OPTIONS)
-    run_batch(replace(plan, jobs=plan.jobs[::-1]), tmp_path, SerialEngine())
+    run_batch(replace(plan, jobs=plan.jobs[::-1]), tmp_path, SERIAL)
     assert episodes(tmp_path) == episodes(serial)
 
 
@@ -169,14 +174,14 @@ def test_a_pool_writes_the_same_bytes_and_gives_up_what_kills(
     inputs: Path, serial: Path, tmp_path: Path
 ) -> None:
     plan = plan_batch([inputs], tmp_path, OPTIONS)
-    poison = plan.jobs[1].task.key
+    poison = plan.jobs[1].line.key
     jobs = [
-        with_format(job, KillingFormat()) if job.task.key == poison else job
+        with_format(job, KillingFormat()) if job.line.key == poison else job
         for job in plan.jobs
     ]
     seen: list[Line] = []
     tally = run_batch(
-        replace(plan, jobs=tuple(jobs)), tmp_path, PoolEngine(2), progress=seen.append
+        replace(plan, jobs=tuple(jobs)), tmp_path, pool_engine(2), progress=seen.append
     )
     assert [line.key for line in tally.failed] == [poison]
     assert tally.failed[0].kills == MOST_KILLS
@@ -197,7 +202,9 @@ def test_short_recordings_go_to_a_worker_together(tmp_path: Path) -> None:
     jobs = list(plan_batch([tmp_path / "in"], tmp_path / "out", OPTIONS).jobs)
 
     def of_frames(count: int) -> list[Job]:
-        return [replace(job, task=replace(job.task, frames=count)) for job in jobs]
+        return [
+            replace(job, line=structs.replace(job.line, frames=count)) for job in jobs
+        ]
 
     # At most a quarter of what is left, and at least one.
     for count in (len(jobs), 3):
@@ -236,23 +243,26 @@ def test_workers_that_never_start_end_the_batch_with_one_line(
     assert error.count("\n") == 1
     monkeypatch.undo()
     # No recording is blamed, nothing is lost.
-    assert not plan_batch([inputs], tmp_path / "out", OPTIONS).kills
+    jobs = plan_batch([inputs], tmp_path / "out", OPTIONS).jobs
+    assert not any(job.line.kills for job in jobs)
 
 
 def test_what_a_killed_batch_leaves_is_taken_away(inputs: Path, tmp_path: Path) -> None:
     job = plan_batch([inputs], tmp_path, OPTIONS).jobs[0]
-    file = tmp_path / job.task.out
+    file = tmp_path / job.out
     file.parent.mkdir(parents=True, exist_ok=True)
     torn = [file.with_name(f".{file.name}.{name * 8}.part") for name in ("a", "b")]
     for each in torn:
         each.write_bytes(b"torn")
     # It was alone when everything died, so that it counts as the one to blame.
     with open_manifest(tmp_path) as append:
-        append(job.line("killed", kills=1))
+        append(structs.replace(job.line, status="killed", kills=1))
     plan_batch([inputs], tmp_path, OPTIONS, (1, 2))
     assert all(each.exists() for each in torn), "another shard may be writing them"
     plan = plan_batch([inputs], tmp_path, OPTIONS)
-    assert plan.kills == {job.task.key: 1}
+    kills = {each.line.key: each.line.kills for each in plan.jobs}
+    assert {key for key, count in kills.items() if count} == {job.line.key}
+    assert kills[job.line.key] == 1
     assert not any(each.exists() for each in torn)
 
 
@@ -264,10 +274,11 @@ def test_a_file_that_crashes_or_holds_its_reader_holds_no_listing(
         write_recordings([piece(0, 12)], tmp_path / name, RobomimicFormat())
     monkeypatch.setattr(sources, "_listing", list_or_die)
     monkeypatch.setattr(sources, "PATIENCE", 1.0)
-    tasks = tasks_of(find_files([tmp_path])[0])
-    assert [task.frames for task in tasks] == [12, 12, 0, 0]
-    assert [task.key for task in tasks[2:]] == ["crash.hdf5::", "hold.hdf5::"]
-    assert all("crashed, or took 1 s" in task.error for task in tasks[2:])
+    jobs = list_jobs(find_files([tmp_path])[0], tmp_path, OPTIONS)
+    lines = [job.line for job in jobs]
+    assert [line.frames for line in lines] == [12, 12, 0, 0]
+    assert [line.key for line in lines[2:]] == ["crash.hdf5::", "hold.hdf5::"]
+    assert all("crashed, or took 1 s" in line.error for line in lines[2:])
 
 
 def start(inputs: Path, out: Path) -> subprocess.Popen[str]:
@@ -572,7 +583,7 @@ def test_a_stop_finishes_what_is_under_way_and_writes_it_down(
     tally = run_batch(
         plan,
         tmp_path,
-        SerialEngine(),
+        SERIAL,
         progress=seen.append,
         is_stopped=lambda: bool(seen),
     )

@@ -19,10 +19,8 @@ import pytest
 from batch_cases import OPTIONS, batch, episodes, write_pieces
 
 from handmap_qp import InvalidInputError
-from handmap_qp.apps.datasets import cli
-from handmap_qp.apps.datasets.batch import plan_batch
-from handmap_qp.apps.datasets.engines import run_group
-from handmap_qp.apps.datasets.episodes import is_intact, read_episode
+from handmap_qp.apps.datasets.batch import Batch, plan_batch
+from handmap_qp.apps.datasets.episodes import is_intact, read_episode, run_group
 from handmap_qp.apps.datasets.manifest import open_manifest, read_manifests
 from handmap_qp.apps.datasets.sources import find_files
 from handmap_qp.cli import main
@@ -164,14 +162,14 @@ def test_an_episode_that_is_damaged_before_the_data_set_is_mapped_again(
     )
     before = [file.read_bytes() for file in files]
     capsys.readouterr()
-    assemble, left = cli.Batch._assemble, ["take0", "take2"]
+    assemble, left = Batch._assemble, ["take0", "take2"]
 
     def damaged(*values: object) -> object:
         if left:
             flip(out / f"episodes/{left.pop()}.npz.npz")
         return assemble(*values)  # ty: ignore[invalid-argument-type]
 
-    monkeypatch.setattr(cli.Batch, "_assemble", damaged)
+    monkeypatch.setattr(Batch, "_assemble", damaged)
     # Twice in one run is a disk that must not be trusted: an error, and the data set as it was.
     assert run(inputs, out, "--format", form) == 2
     lines = capsys.readouterr().err.splitlines()
@@ -458,7 +456,7 @@ def test_every_file_is_listed_once(inputs: Path, tmp_path: Path) -> None:
     (own / "lost.npz").symlink_to(tmp_path / "absent.npz")
     files, repeated = find_files([own, own / "take2.npz", own / ".." / "in"])
     # A link that leads nowhere is a file that cannot be read.
-    assert [file.name for file in files] == [
+    assert list(files) == [
         "hard.npz",
         "lost.npz",
         "take0.npz",

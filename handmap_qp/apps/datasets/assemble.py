@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -22,7 +23,7 @@ from handmap_qp.apps.datasets.manifest import Line
 from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.formats import SEPARATOR
+from handmap_qp.se3 import unit
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 
@@ -60,7 +61,7 @@ def assemble(
     fps: float,
     robots: Robots,
 ) -> Path:
-    """Write the data set of a batch; an earlier one is replaced at once.
+    """Write the data set of a batch, and return its folder or file; an earlier one is replaced.
 
     Args:
         lines: Lines of the episodes.
@@ -68,9 +69,6 @@ def assemble(
         form: LeRobot v3, as the folder `lerobot`; or robomimic, as the file `episodes.hdf5`.
         fps: Frames per second.
         robots: Robot hands by side.
-
-    Returns:
-        The folder or file.
 
     Raises:
         InvalidInputError: If it cannot be written.
@@ -85,11 +83,7 @@ def assemble(
 
 
 def state_names(hands: Robots) -> tuple[str, ...]:
-    """Return the names of the numbers of a state; with both hands, their side is in front.
-
-    Args:
-        hands: Robot hands by side.
-    """
+    """Return the names of the numbers of a state; with both hands, their side is in front."""
     return tuple(
         (f"{side}_" if len(hands) > 1 else "") + name
         for side, hand in hands.items()
@@ -161,11 +155,6 @@ def _robot_names(hands: Robots) -> str:
     return " and ".join(hand.name for hand in hands.values())
 
 
-def _file_of(line: Line) -> str:
-    """Return the file of a recording, from its key."""
-    return line.key.rpartition(SEPARATOR)[0]
-
-
 def _episodes(
     lines: Sequence[Line],
     folder: Path,
@@ -173,16 +162,16 @@ def _episodes(
     hands: Robots,
 ) -> Iterator[Episode]:
     """Read the episodes one after the other, by the names of their files."""
-    known = [line for line in lines if line.side in hands]
-    for _, group in groupby(sorted(known, key=lambda line: line.key), key=_file_of):
+    known = sorted(
+        (line for line in lines if line.side in hands), key=attrgetter("key")
+    )
+    for _, group in groupby(known, key=lambda line: line.place[0]):
         pairs = [(line, read_episode(folder, line)) for line in group]
         sides = {line.side for line, _ in pairs}
-        first = pairs[0][1]["time"]
-        last = pairs[-1][1]["time"]
-        if len(pairs) == len(sides) == 2 and np.array_equal(first, last):
-            yield _episode(pairs, fps, hands)
-        else:
-            yield from (_episode([pair], fps, hands) for pair in pairs)
+        first, last = pairs[0][1]["time"], pairs[-1][1]["time"]
+        is_both = len(pairs) == len(sides) == 2 and np.array_equal(first, last)
+        for episode in [pairs] if is_both else [[pair] for pair in pairs]:
+            yield _episode(episode, fps, hands)
 
 
 def _episode(
@@ -206,7 +195,7 @@ def _episode(
         states.append(_as_float32(state, hand))
         valid.append(seen)
     whole = np.hstack(states)
-    folder = Path(_file_of(line)).parent.name
+    folder = Path(line.place[0]).parent.name
     return Episode(
         sources=", ".join(line.key for line, _ in pairs),
         task=folder.replace("_", " ") or "human hand motion",
@@ -220,15 +209,13 @@ def _resampled(
     columns: dict[str, np.ndarray], instants: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate joints and wrist; a frame is valid between two valid samples."""
-    time = columns["time"]
     wrist = columns["wrist"]
     quats = continuous_quats(wrist[:, :3, :3])
-    rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
-    state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)
-    state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)
-    before = np.maximum(np.searchsorted(time, instants, side="right") - 1, 0)
-    after = np.minimum(np.searchsorted(time, instants), len(time) - 1)
-    return state, columns["valid"][before] & columns["valid"][after]
+    rows = np.column_stack([columns["q"], wrist[:, :3, 3], quats, columns["valid"]])
+    found = [np.interp(instants, columns["time"], column) for column in rows.T]
+    state = np.stack(found[:-1], axis=1)
+    state[:, -4:] = unit(state[:, -4:])
+    return state, found[-1] == 1.0
 
 
 def _as_float32(state: np.ndarray, hand: Hand) -> np.ndarray:

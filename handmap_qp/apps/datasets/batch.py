@@ -1,25 +1,235 @@
-"""Map whole data sets: what is left to do, and what has been done."""
+"""The command `handmap batch`: what is left to do, and what has been done."""
 
 from __future__ import annotations
 
+import json
+import os
+import re
 import resource
 import signal
+import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import process_time
+from typing import Annotated, Literal
 
-from handmap_qp.apps.datasets.engines import Asked, Engine
-from handmap_qp.apps.datasets.episodes import Job, JobOptions, is_intact
+import tyro
+from msgspec import structs
+
+from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
+from handmap_qp.apps.datasets.assemble import assemble
+from handmap_qp.apps.datasets.engines import (
+    SERIAL,
+    Asked,
+    Engine,
+    pool_engine,
+    ray_engine,
+)
+from handmap_qp.apps.datasets.episodes import is_intact
 from handmap_qp.apps.datasets.manifest import (
     MOST_KILLS,
     Line,
     open_manifest,
     read_manifests,
 )
-from handmap_qp.apps.datasets.sources import find_files, tasks_of
+from handmap_qp.apps.datasets.sources import Job, JobOptions, find_files, list_jobs
+from handmap_qp.apps.offline.look_ahead import LookAhead
+from handmap_qp.apps.tables import print_table, progress
+from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import make_folder
+from handmap_qp.trackers.formats.base import first_of
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Map whole data sets of human hands to robot hands.
+
+    Every recording of every input becomes an episode: DIR/episodes/NAME.npz. A line in
+    DIR/manifest.jsonl says what became of it: frames, CPU time, quality, error. Run the same
+    command again to go on: it skips what is done, maps again what has changed, and retries what has
+    failed. A recording that kills its worker three times is left alone. Ctrl-C finishes what is
+    under way. An episode that is not what was written is mapped again. The exit code is 1 if a
+    recording failed or the disk is full.
+
+    With --format the episodes are also written as one data set for training, at a fixed rate, as
+    soon as none is left: DIR/lerobot (LeRobot v3) or DIR/episodes.hdf5 (robomimic).
+
+    Examples:
+        handmap batch recordings/ --robot allegro_right --out mapped
+        handmap batch egodex/part1 --robot allegro_left allegro_right --out mapped
+        handmap batch recordings/ --robot allegro_right --out mapped --look-ahead
+        handmap batch egodex/ --robot L.yaml R.yaml --out mapped --shard 3/16
+        handmap report mapped
+
+    Attributes:
+        inputs: Files, data sets, or folders of them; forms as of `handmap convert --help`.
+        robot: Robot hand; for both human hands a left and a right one. Recordings of a hand
+            without a robot fail.
+        out: Folder to write to.
+        format: Data set to write besides the episodes.
+        fps: Frames per second of that data set; episodes are interpolated to it.
+        look_ahead: Use each recording as a whole: smooth it, fill short gaps, and follow it without
+            lag. Limits hold exactly. Takes three times as long.
+        workers: Processes; 0 maps in this one.
+        engine: `pool` of processes on this machine, or `ray` (extra `cluster`).
+        shard: This part of so many, for a cluster's job array; each has a manifest of its own.
+        json: Print one JSON object.
+        arguments: Reference points and options.
+    """
+
+    inputs: tyro.conf.Positional[
+        Annotated[
+            tuple[Path, ...],
+            hinted("INPUT...", "(required)"),
+        ]
+    ]
+    robot: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HAND [HAND]")]
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    format: Literal["npz", "lerobot", "robomimic"] = "npz"
+    fps: float = 30.0
+    look_ahead: bool = False
+    workers: Annotated[
+        int | None, tyro.conf.arg(help_behavior_hint="(default: one for each CPU)")
+    ] = None
+    engine: Literal["pool", "ray"] = "pool"
+    shard: Annotated[
+        str | None,
+        hinted("I/N", "(default: everything)"),
+    ] = None
+    json: bool = False
+    arguments: MappingFlags = field(default_factory=MappingArguments)
+
+    def run(self) -> None:
+        """List, map, and say what was done."""
+        shard = _shard(self.shard)
+        engine = self._engine()
+        options = self._options()
+        tally = self._map(options, engine, shard)
+        try:
+            written = self._assemble(options, tally)
+        except RecordingError:
+            # An episode was damaged after it had been verified: the second plan maps it again.
+            tally = self._map(options, engine, shard)
+            written = self._assemble(options, tally)
+        self._report(tally, written)
+        if not tally.is_complete:
+            raise SystemExit(130)
+        failed = [line.name for line in (*tally.failed, *tally.plan.left_alone)]
+        if failed:
+            reasons = f"failed; the reasons are in {self.out}/manifest*.jsonl"
+            _warn(failed, "recordings", reasons)
+            raise SystemExit(1)
+
+    def _map(
+        self,
+        options: JobOptions,
+        engine: Engine,
+        shard: tuple[int, int],
+    ) -> Tally:
+        """List the recordings, say what is odd about them, and map those that are not done."""
+        with progress("listing"):
+            plan = plan_batch(self.inputs, self.out, options, shard)
+        damaged = [line.name for line in plan.damaged]
+        _warn(damaged, "episodes", "are damaged or missing, and are mapped again")
+        _warn(
+            plan.repeated,
+            "paths",
+            "lead to files that are listed already, and are left out",
+        )
+        counts = Counter[str]()
+        # The time left is by samples, not by files.
+        frames = sum(job.line.frames for job in plan.jobs)
+        with (
+            stopped_by_signals() as is_stopped,
+            progress("mapping", frames or None) as show,
+        ):
+
+            def advance(line: Line) -> None:
+                if line.status != "killed":
+                    counts.update({line.status: 1, "frames": line.frames})
+                    show(
+                        counts["frames"],
+                        f"{counts['done']} episodes, {counts['failed']} failed",
+                    )
+
+            return run_batch(plan, self.out, engine, shard, advance, is_stopped)
+
+    def _options(self) -> JobOptions:
+        """Check the options, and collect what all jobs have in common."""
+        rate = "a rate of at most 1000 per second, and > 0"
+        expect(0.0 < self.fps <= 1000.0, "--fps", rate, value=self.fps)
+        robots: dict[Side, str] = {}
+        for name in self.robot:
+            side = self.arguments.load_robot(name).spec.side
+            got = f"{robots.get(side)} and {name}, both {side}"
+            expect(side not in robots, "--robot", "one robot for each side", got=got)
+            robots[side] = name
+        if self.look_ahead and self.arguments.smooth:
+            problem = "has no effect with --look-ahead, which smooths itself"
+            raise InvalidInputError(problem, argument="--smooth")
+        return JobOptions(
+            robots, self.arguments, LookAhead() if self.look_ahead else None
+        )
+
+    def _engine(self) -> Engine:
+        workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers
+        number = "a number from 0 to 1024"
+        expect(0 <= workers <= 1024, "--workers", number, value=workers)
+        if self.engine == "ray":
+            return ray_engine(max(1, workers))
+        return pool_engine(workers) if workers else SERIAL
+
+    def _assemble(self, options: JobOptions, tally: Tally) -> Path | None:
+        """Write the data set, unless something is left for other shards or another run."""
+        lines = [*tally.plan.done, *tally.done]
+        if (
+            self.format == "npz"
+            or self.shard is not None
+            or not (tally.is_complete and lines)
+        ):
+            return None
+        robots = {side: options.load_robot(side) for side in options.robots}
+        return assemble(lines, self.out, self.format, self.fps, robots)
+
+    def _report(self, tally: Tally, written: Path | None) -> None:
+        plan = tally.plan
+        frames = sum(line.frames for line in tally.done)
+        if self.json:
+            result = {
+                "done": len(tally.done),
+                "failed": len(tally.failed),
+                "skipped": len(plan.done),
+                "left_alone": len(plan.left_alone),
+                "frames": frames,
+                "cpu_s": round(tally.useful_cpu, 3),
+                "all_cpu_s": round(tally.all_cpu, 3),
+                "complete": tally.is_complete,
+                "data_set": None if written is None else str(written),
+            }
+            print(json.dumps(result))
+            return
+        rows = {
+            "episodes": f"{len(tally.done)} mapped, {len(plan.done)} done before",
+            "failed": f"{len(tally.failed)}, {len(plan.left_alone)} more left alone",
+            "samples": f"{frames}",
+        }
+        if frames:
+            rows["CPU time of a sample"] = f"{1e6 * tally.useful_cpu / frames:.0f} us"
+        print_table(str(self.out), rows)
+        for line in tally.failed[:10]:
+            print(f"failed: {line.name}: {line.error}")
+        if written is not None:
+            print(f"wrote {written}")
+        if not tally.is_complete:
+            left = f"{len(plan.jobs) - len(tally.lines)} recordings are left"
+            print(
+                f"handmap: interrupted, {left}: run the same command to go on",
+                file=sys.stderr,
+            )
 
 
 @dataclass(frozen=True)
@@ -30,7 +240,6 @@ class Plan:
         jobs: Recordings to map, the longest first.
         done: Lines of the recordings that are done already.
         left_alone: Lines of the recordings that are not tried again.
-        kills: How often the worker of a recording has died, by key.
         damaged: Lines of the episodes that are missing, or are not what was written; `jobs` has
             their recordings.
         repeated: Paths that lead to files and folders which others had led to.
@@ -39,7 +248,6 @@ class Plan:
     jobs: tuple[Job, ...]
     done: Sequence[Line]
     left_alone: Sequence[Line]
-    kills: dict[str, int] = field(default_factory=dict)
     damaged: Sequence[Line] = ()
     repeated: Sequence[Path] = ()
 
@@ -49,16 +257,25 @@ class Tally:
     """What a run of a batch has done.
 
     Attributes:
+        plan: What it had to do.
         lines: The last line of every recording of this run.
-        is_complete: False if it was interrupted.
-        useful_cpu: CPU time inside the jobs [s].
         all_cpu: CPU time of this process and its workers [s].
     """
 
+    plan: Plan
     lines: tuple[Line, ...]
-    is_complete: bool
-    useful_cpu: float
     all_cpu: float
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all jobs have ended; False if the run was interrupted."""
+        ended = [line for line in self.lines if line.status != "killed"]
+        return len(ended) == len(self.plan.jobs)
+
+    @property
+    def useful_cpu(self) -> float:
+        """CPU time inside the jobs [s]."""
+        return sum(line.cpu_s for line in self.lines)
 
     @property
     def done(self) -> list[Line]:
@@ -96,7 +313,7 @@ def plan_batch(
     digest = options.digest
     make_folder(folder / "episodes", "--out")
     files, repeated = find_files(inputs, folder)
-    tasks = tasks_of(files, shard)
+    listed = list_jobs(files, folder, options, digest, shard)
     state = read_manifests(folder)
     if shard == (1, 1):
         # What is torn was being written when a batch was killed; shards may be writing now.
@@ -106,25 +323,21 @@ def plan_batch(
     done = []
     damaged = []
     left_alone = []
-    kills = {}
-    for task in tasks:
-        line = state.get(task.key)
-        wanted = (task.file.size, task.file.mtime_ns, digest)
-        # Another file, or other options.
-        if line is None or (line.size, line.mtime_ns, line.options) != wanted:
-            pass
+    for job in listed:
+        line = state.get(job.line.key)
+        if line is None or line.version != job.line.version:
+            jobs.append(job)
         elif line.status == "done" and is_intact(folder, line):
             done.append(line)
-            continue
         elif line.status == "done":
             damaged.append(line)
+            jobs.append(job)
         elif line.kills >= MOST_KILLS:
             left_alone.append(line)
-            continue
-        elif line.kills:
-            kills[task.key] = line.kills
-        jobs.append(Job(task, options, digest, folder))
-    return Plan(tuple(jobs), done, left_alone, kills, damaged, repeated)
+        else:
+            tried = structs.replace(job.line, kills=line.kills)
+            jobs.append(replace(job, line=tried))
+    return Plan(tuple(jobs), done, left_alone, damaged, repeated)
 
 
 def run_batch(
@@ -143,8 +356,7 @@ def run_batch(
         engine: What runs the jobs.
         shard: Which part of how many.
         progress: Called with every line.
-        is_stopped: Asked now and then; after it said True, what is under way is finished, and
-            nothing more is begun.
+        is_stopped: As of `Asked`.
 
     Returns:
         What was done.
@@ -154,17 +366,13 @@ def run_batch(
         InvalidInputError: If the manifest cannot be written.
     """
     started = _cpu_time()
-    useful = 0.0
     last: dict[str, Line] = {}
     with open_manifest(folder, shard) as append:
-        for line in engine.outcomes(plan.jobs, dict(plan.kills), is_stopped):
+        for line in engine.outcomes(plan.jobs, is_stopped):
             append(line)
-            useful += line.cpu_s
             last[line.key] = line
             progress(line)
-    is_complete = len(last) == len(plan.jobs)
-    is_complete &= all(line.status != "killed" for line in last.values())
-    return Tally(tuple(last.values()), is_complete, useful, _cpu_time() - started)
+    return Tally(plan, tuple(last.values()), _cpu_time() - started)
 
 
 @contextmanager
@@ -198,3 +406,24 @@ def _cpu_time() -> float:
     """CPU time of this process and of its children that have ended [s]."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return process_time() + children.ru_utime + children.ru_stime
+
+
+def _warn(names: Sequence[object], what: str, problem: str) -> None:
+    """Say in one line of stderr what is wrong with some of many, unless there are none."""
+    if names:
+        shown = f"{len(names)} {what} {problem}: {first_of(names, 3)}"
+        print(f"handmap: {shown}", file=sys.stderr)
+
+
+def _shard(text: str | None) -> tuple[int, int]:
+    """Read `I/N`.
+
+    Raises:
+        InvalidInputError: If it is not of this form, with 1 <= I <= N.
+    """
+    if text is None:
+        return (1, 1)
+    found = re.fullmatch(r"(\d{1,7})/(\d{1,7})", text)
+    part, parts = map(int, found.groups()) if found else (0, 0)
+    expect(1 <= part <= parts <= 10**6, "--shard", "I/N with 1 <= I <= N", value=text)
+    return (part, parts)

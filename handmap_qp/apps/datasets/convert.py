@@ -1,85 +1,117 @@
-"""Convert recordings between file formats."""
+"""The command `handmap convert`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Any
 
+import tyro
+
+from handmap_qp.apps.arguments import check_names, hinted
 from handmap_qp.errors import expect
 from handmap_qp.output_files import check_output, make_folder
-from handmap_qp.trackers.formats import Source, format_to_write, list_sources
+from handmap_qp.trackers.formats import FORMATS, Source, format_to_write, list_sources
 from handmap_qp.trackers.formats.mano import ManoFormat
 
 
-class Conversion(NamedTuple):
-    """What was converted.
+@dataclass(frozen=True)
+class Convert:
+    """Convert recordings of human hands between file formats.
+
+    The suffix of OUT tells its format; a name without suffix is a LeRobot data set. Says in one
+    line what the new format cannot hold.
+
+      npz        arrays of numpy by name; lossless, one of each hand
+      csv        a text table, numbers kept exactly; one of each hand
+      lerobot    a folder, LeRobot v3 (parquet); any number; written, not read
+      robomimic  HDF5 as of robomimic; lossless, any number
+      egodex     HDF5 as of EgoDex, poses of joints; one of each hand
+      mcap       ROS 2 bag, JointState and landmarks; one of each hand
+      mano       npz of MANO's joints; reads parameters with your model
+
+    All but npz, csv and mano need the extra `handmap-qp[files]`.
+
+    Examples:
+        handmap convert take.npz take.csv
+        handmap convert left.npz right.npz both.hdf5 --format egodex
+        handmap convert episode.hdf5 lerobot_set
+        handmap convert demos.hdf5 takes --format npz   (a file for each)
+        handmap convert demo demo.mcap
 
     Attributes:
-        recordings: Number of recordings.
-        samples: Number of samples in all.
-        files: Files or folders written.
-        not_read: What the files held besides recordings of hands.
-        lost: What the new format cannot hold.
+        paths: Files or data sets to read, then the file or folder to write. `FILE::NAME` is one
+            recording of several in a file, `demo` the one that comes with the package.
+        format: Format to write, where the suffix does not tell it.
+        mano: The licensed MANO model: MANO_RIGHT.pkl, or the folder that holds both hands.
+        json: Print one JSON object.
     """
 
-    recordings: int
-    samples: int
-    files: tuple[Path, ...]
-    not_read: tuple[str, ...]
-    lost: tuple[str, ...]
-
-
-def convert(
-    inputs: Sequence[Path | str],
-    out: Path,
-    form: str | None = None,
-    mano: Path | None = None,
-) -> Conversion:
-    """Read recordings from files of any format, and write them in another one.
-
-    Args:
-        inputs: Files or data sets, as of `list_sources`.
-        out: File or folder to write. A folder, that is a path without suffix, together with the
-            name of a format that has one file for each recording, gets such files.
-        form: Name of the new format; by the suffix of `out` if omitted.
-        mano: File of the licensed MANO model, or its folder, for MANO parameters.
-
-    Raises:
-        HandmapError: If a file cannot be read, or `out` cannot be written or cannot hold them.
-    """
-    target = format_to_write(out, form)
-    is_folder = bool(target.suffixes) and not out.suffix
-    if target.suffixes and not is_folder:
-        check_output("OUT", out, target.suffixes)
-    sources = [
-        source._replace(format=ManoFormat(mano))
-        if isinstance(source.format, ManoFormat)
-        else source
-        for source in chain.from_iterable(map(list_sources, inputs))
+    paths: tyro.conf.Positional[
+        Annotated[
+            tuple[Path, ...],
+            hinted("IN... OUT", "(required)"),
+        ]
     ]
-    unread = {source.path: source.format.unread(source.path) for source in sources}
-    recordings = list(map(Source.read, sources))
-    contents = {out: recordings}
-    if is_folder:
-        contents = {}
-        for source, recording in zip(sources, recordings, strict=True):
-            file = out / f"{source.name}{target.suffixes[0]}"
-            expect(
-                file not in contents,
-                "IN",
-                "recordings of different names",
-                got=f"{file.stem} twice",
-            )
-            contents[file] = [recording]
-        make_folder(out, "OUT")
-    for file, content in contents.items():
-        target.write(content, file)
-    return Conversion(
-        recordings=len(recordings),
-        samples=sum(map(len, recordings)),
-        files=tuple(contents),
-        not_read=tuple(dict.fromkeys(chain.from_iterable(unread.values()))),
-        lost=target.losses(recordings),
-    )
+    format: Annotated[
+        str | None,
+        tyro.conf.arg(
+            metavar=f"{{{','.join(FORMATS)}}}",
+            help_behavior_hint="(default: by the suffix of OUT)",
+        ),
+    ] = None
+    mano: Annotated[
+        Path | None,
+        hinted("FILE", "(default: $HANDMAP_MANO)"),
+    ] = None
+    json: bool = False
+
+    def run(self) -> None:
+        """Read, write, and say what was lost."""
+        inputs = self.paths[:-1]
+        expect(inputs, "IN OUT", "a file to read and one to write", got="one path")
+        out = self.paths[-1]
+        form = format_to_write(out, self.format)
+        has_files = bool(form.suffixes) and not out.suffix
+        if form.suffixes and not has_files:
+            check_output("OUT", out, form.suffixes)
+        sources = list(
+            map(self._with_model, chain.from_iterable(map(list_sources, inputs)))
+        )
+        unread = {source.path: source.format.unread(source.path) for source in sources}
+        recordings = list(map(Source.read, sources))
+        contents = {out: recordings}
+        if has_files:
+            names = [f"{source.name}{form.suffixes[0]}" for source in sources]
+            check_names("IN", names, "recordings of different names")
+            contents = {
+                out / name: [one] for name, one in zip(names, recordings, strict=True)
+            }
+            make_folder(out, "OUT")
+        for file, content in contents.items():
+            form.write(content, file)
+        self._report(
+            recordings=len(recordings),
+            samples=sum(map(len, recordings)),
+            files=list(map(str, contents)),
+            not_read=list(dict.fromkeys(chain.from_iterable(unread.values()))),
+            lost=form.losses(recordings),
+        )
+
+    def _with_model(self, source: Source) -> Source:
+        """Return a source with the model that the user named, if it needs one."""
+        is_mano = isinstance(source.format, ManoFormat)
+        return source._replace(format=ManoFormat(self.mano)) if is_mano else source
+
+    def _report(self, **done: Any) -> None:
+        """Print what was converted, and what was lost: not read, or not held by the format."""
+        if self.json:
+            print(json.dumps(done))
+            return
+        lost = [*done["not_read"], *done["lost"]]
+        print(f"{done['recordings']} recordings, {done['samples']} samples")
+        print(f"lost: {', '.join(lost)}" if lost else "nothing was lost")
+        for file in done["files"]:
+            print(f"wrote {file}")

@@ -8,18 +8,21 @@ that is to blame is found. A recording that kills its worker `MOST_KILLS` times 
 from __future__ import annotations
 
 import os
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import NamedTuple
 
-from handmap_qp.apps.datasets.episodes import Job, run_job, synced
+from msgspec import structs
+
+from handmap_qp.apps.datasets.episodes import run_group
 from handmap_qp.apps.datasets.manifest import MOST_KILLS, Line
+from handmap_qp.apps.datasets.sources import Job
 from handmap_qp.apps.datasets.workers import ONE_THREAD, started_pool
 from handmap_qp.errors import HandmapError, require
 from handmap_qp.output_files import remove_torn
@@ -52,30 +55,19 @@ class Workers(NamedTuple):
     death: type[Exception] = BrokenProcessPool
 
 
-class Engine(ABC):
-    """Runs jobs.
+class Engine(NamedTuple):
+    """Where jobs are run: `SERIAL`, `pool_engine` or `ray_engine`.
 
-    Args:
-        workers: Number of workers.
+    Attributes:
+        start: Starts so many workers for a block.
+        count: Number of workers.
     """
 
-    def __init__(self, workers: int = 1) -> None:
-        self._count = workers
+    start: Callable[[int], AbstractContextManager[Workers]]
+    count: int = 1
 
-    @abstractmethod
-    def start(self, count: int) -> AbstractContextManager[Workers]:
-        """Start workers for the block; see `Workers`."""
-
-    def outcomes(
-        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Asked
-    ) -> Iterator[Line]:
+    def outcomes(self, jobs: Sequence[Job], is_stopped: Asked) -> Iterator[Line]:
         """Run jobs, the first ones first.
-
-        Args:
-            jobs: The jobs.
-            kills: How often the worker of a recording has died before, by key; kept up to date.
-            is_stopped: Asked now and then; after it said True, what is under way is finished, and
-                nothing more is begun.
 
         Yields:
             A line for every job that has ended, and one before every try of a job whose worker may
@@ -85,20 +77,23 @@ class Engine(ABC):
             DiskFullError: If an episode cannot be written because the disk is full.
             InvalidInputError: If workers die again and again while they start.
         """
-        waiting = deque(job for job in jobs if not kills.get(job.task.key))
-        suspects = deque(job for job in jobs if kills.get(job.task.key))
+        waiting = deque(job for job in jobs if not job.line.kills)
+        suspects = deque(job for job in jobs if job.line.kills)
         while (waiting or suspects) and not is_stopped():
             if suspects:
-                yield from self._try_alone(suspects, kills, is_stopped)
+                yield from self._try_alone(suspects, is_stopped)
             else:
                 yield from self._share(waiting, suspects, is_stopped)
 
     def _share(
-        self, waiting: deque[Job], suspects: deque[Job], is_stopped: Asked
+        self,
+        waiting: deque[Job],
+        suspects: deque[Job],
+        is_stopped: Asked,
     ) -> Iterator[Line]:
         """Run jobs until all are done, or a worker dies: what was under way is suspect then."""
         flying: dict[Work, Group] = {}
-        with self.start(self._count) as workers:
+        with self.start(self.count) as workers:
             most = max(1, _IN_FLIGHT * workers.count)
 
             def has_room() -> bool:
@@ -121,88 +116,78 @@ class Engine(ABC):
                     else:
                         yield from lines
 
-    def _try_alone(
-        self,
-        suspects: deque[Job],
-        kills: dict[str, int],
-        is_stopped: Asked,
-    ) -> Iterator[Line]:
+    def _try_alone(self, suspects: deque[Job], is_stopped: Asked) -> Iterator[Line]:
         """Run jobs whose worker may have died over them one at a time, until one dies."""
         with self.start(1) as workers:
             while suspects and not is_stopped():
                 job = suspects.popleft()
-                count = kills.get(job.task.key, 0) + 1
-                remove_torn(job.folder / job.task.out)
-                yield job.line(
-                    "killed", kills=count, error=f"try {count} has not ended"
-                )
+                remove_torn(job.folder / job.out)
+                kills = job.line.kills + 1
+                line = structs.replace(job.line, status="killed", kills=kills)
+                yield structs.replace(line, error=f"try {kills} has not ended")
                 lines = _result(workers.submit((job,)), workers.death)
                 if lines is None:
                     break
                 yield from lines
             else:
                 return
-        kills[job.task.key] = count
-        remove_torn(job.folder / job.task.out)
-        if count < MOST_KILLS:
-            suspects.append(job)
+        remove_torn(job.folder / job.out)
+        if kills < MOST_KILLS:
+            suspects.append(replace(job, line=line))
         else:
-            error = f"given up: the worker died {count} times"
-            yield job.line("failed", kills=count, error=error)
+            error = f"given up: the worker died {kills} times"
+            yield structs.replace(line, status="failed", error=error)
 
 
-class SerialEngine(Engine):
-    """Runs jobs one after the other in this process."""
+@contextmanager
+def _here(_: int) -> Iterator[Workers]:
+    """Run each group at once, in this process."""
+
+    def submit(jobs: Group) -> Work:
+        future: Work = Future()
+        future.set_result(run_group(jobs))
+        return future
+
+    yield Workers(submit, 0)
+
+
+SERIAL = Engine(_here)
+"""Runs jobs one after the other in this process."""
+
+
+def pool_engine(count: int) -> Engine:
+    """Return what runs jobs in processes of their own on this machine, with one thread each."""
 
     @contextmanager
-    def start(self, count: int) -> Iterator[Workers]:
-        """Run each group at once."""
-
-        def submit(jobs: Group) -> Work:
-            future: Work = Future()
-            future.set_result(run_group(jobs))
-            return future
-
-        yield Workers(submit, 0)
-
-
-class PoolEngine(Engine):
-    """Runs jobs in processes of their own on this machine."""
-
-    @contextmanager
-    def start(self, count: int) -> Iterator[Workers]:
-        """Start spawned workers with one thread each."""
+    def start(count: int) -> Iterator[Workers]:
         with started_pool(count) as pool:
             yield Workers(partial(pool.submit, run_group), count)
 
+    return Engine(start, count)
 
-class RayEngine(Engine):
-    """Runs jobs as Ray tasks of one CPU each.
+
+def ray_engine(most: int) -> Engine:
+    """Return what runs jobs as Ray tasks of one CPU each.
 
     Ray is started on this machine unless `RAY_ADDRESS` names a cluster, and stays until this
     process ends. Inputs and the folder of the batch must be on a file system that all nodes share.
 
     Args:
-        workers: Number of CPUs of this machine that Ray may use; a cluster uses all of its own.
+        most: Number of CPUs of this machine that Ray may use; a cluster uses all of its own.
 
     Raises:
         MissingExtraError: If Ray is not installed.
     """
-
-    def __init__(self, workers: int) -> None:
-        super().__init__(workers)
-        self._ray = require("ray", "cluster")
+    ray = require("ray", "cluster")
 
     @contextmanager
-    def start(self, count: int) -> Iterator[Workers]:
-        """Start Ray, unless it runs."""
-        ray = self._ray
+    def start(count: int) -> Iterator[Workers]:
         if not ray.is_initialized():
             ray.init(
                 include_dashboard=False,
                 log_to_driver=False,
                 runtime_env={"env_vars": ONE_THREAD},
-                num_cpus=None if os.environ.get("RAY_ADDRESS") else self._count,
+                num_cpus=None if os.environ.get("RAY_ADDRESS") else most,
             )
         remote = ray.remote(num_cpus=1, max_retries=0)(run_group)
 
@@ -214,6 +199,8 @@ class RayEngine(Engine):
 
         cpus = int(ray.cluster_resources().get("CPU", count))
         yield Workers(submit, max(1, cpus), ray.exceptions.RayError)
+
+    return Engine(start, most)
 
 
 def _result(future: Work, death: type[Exception]) -> Sequence[Line] | None:
@@ -232,17 +219,8 @@ def _next_group(waiting: deque[Job], workers: int) -> Group:
     most = max(1, len(waiting) // (2 * workers)) if workers else 1
     count, frames = 0, 0
     for job in islice(waiting, most):
-        frames += job.task.frames
+        frames += job.line.frames
         if count and frames > GROUP_FRAMES:
             break
         count += 1
     return tuple(waiting.popleft() for _ in range(count))
-
-
-def run_group(jobs: Group) -> Sequence[Line]:
-    """Run jobs of one batch one after the other.
-
-    Returns:
-        What happened, when the episodes are on the disk.
-    """
-    return synced(jobs[0].folder, [run_job(job) for job in jobs])

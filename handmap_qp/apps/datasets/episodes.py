@@ -7,7 +7,6 @@ process, in any order.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import file_digest, sha256
 from io import BytesIO
@@ -17,16 +16,15 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
-from handmap_qp.apps.arguments import MappingArguments
-from handmap_qp.apps.datasets.manifest import Line, Status
-from handmap_qp.apps.datasets.measures import measure_episode
-from handmap_qp.apps.datasets.sources import Task
+from handmap_qp.apps.datasets.manifest import Line
+from handmap_qp.apps.datasets.sources import Job
 from handmap_qp.apps.datasets.workers import time_limit
-from handmap_qp.apps.offline.look_ahead import LookAhead, map_hand
+from handmap_qp.apps.offline.look_ahead import map_hand
+from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.apps.offline.trajectory import Trajectory
-from handmap_qp.apps.refusals import naming
+from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.errors import (
     DiskFullError,
     HandmapError,
@@ -35,10 +33,13 @@ from handmap_qp.errors import (
     reason_of,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.sources import urdf_path
-from handmap_qp.hands.spec import Side
+from handmap_qp.human.contact_gap import tip_gaps
+from handmap_qp.human.recording import Recording
+from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
+from handmap_qp.se3 import lengths
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.formats.base import reading
@@ -48,91 +49,35 @@ _READING = 120
 """Longest time for which a worker reads a recording [s]."""
 _COLUMNS = ("time", "q", "wrist", "valid")
 """What a data set for training is made of."""
+MOST_SURFACES = 60
+"""Surfaces are measured in at most this many samples, evenly spread."""
+_CLOSED, _DEEP = 0.003, 0.001  # m
+_PINCHING = 0.004  # m above the contact gap
+MEASURES: tuple[Metric, ...] = msgspec.yaml.decode(
+    Path(__file__).with_suffix(".yaml").read_bytes(),
+    type=tuple[Metric, ...],
+)
+"""All measures, in the order of the report."""
 
 
-@dataclass(frozen=True)
-class JobOptions:
-    """What all jobs of a batch have in common.
+def run_group(jobs: Sequence[Job]) -> Sequence[Line]:
+    """Run jobs of one batch one after the other; return their lines when episodes are on the disk.
 
-    Attributes:
-        robots: Name of the robot hand for each human hand.
-        arguments: Reference points and options of the mapping.
-        smoother: How the whole recording is used to smooth and to fill gaps; None for a mapping
-            that knows the past only, as online.
+    Raises:
+        DiskFullError: If the disk is full.
+        InvalidInputError: If they cannot be written for another reason.
     """
-
-    robots: dict[Side, str]
-    arguments: MappingArguments = field(default_factory=MappingArguments)
-    smoother: LookAhead | None = None
-
-    def load_robot(self, side: Side) -> Hand:
-        """Load the robot hand of a side, with its reference points.
-
-        Raises:
-            HandError: If there is no such hand.
-        """
-        return self.arguments.load_robot(self.robots[side])
-
-    @property
-    def digest(self) -> str:
-        """A short text that changes if the robots, their URDFs or the options do."""
-        digest = sha256(repr((self.arguments, self.smoother)).encode())
-        files = [self.arguments.options] if self.arguments.options else []
-        for side in sorted(self.robots):
-            robot = self.load_robot(side)
-            digest.update(side.encode() + msgspec.json.encode(robot.spec, enc_hook=str))
-            files.append(urdf_path(robot.spec))
-        for file in files:
-            with naming("--options", f"{file}: cannot be read"):
-                digest.update(file.read_bytes())
-        return digest.hexdigest()[:16]
-
-
-@dataclass(frozen=True)
-class Job:
-    """A task with what it needs.
-
-    Attributes:
-        task: The recording.
-        options: The options.
-        digest: Their digest.
-        folder: Folder of the batch.
-    """
-
-    task: Task
-    options: JobOptions
-    digest: str
-    folder: Path
-
-    def line(self, status: Status, **results: Any) -> Line:
-        """Return a line of the manifest about this job; results are its fields by name."""
-        task = self.task
-        file = task.file
-        side = task.side or ""
-        frames = results.pop("frames", task.frames)
-        return Line(
-            task.key,
-            status,
-            str(file.path),
-            file.size,
-            file.mtime_ns,
-            self.digest,
-            task.entries,
-            side,
-            self.options.robots.get(side, ""),
-            frames,
-            **results,
-        )
+    folder = jobs[0].folder
+    lines = [run_job(job) for job in jobs]
+    with writing(folder, "--out"):
+        sync_all([folder / line.out for line in lines if line.out])
+    return lines
 
 
 def run_job(job: Job) -> Line:
-    """Map one recording and write its episode.
+    """Map one recording and write its episode; return what happened, for the manifest.
 
-    Args:
-        job: The job.
-
-    Returns:
-        What happened, for the manifest. An error of the recording is a line, never an exception.
+    An error of the recording is a line, never an exception.
 
     Raises:
         DiskFullError: If the disk is full: no other recording of the batch can be written either.
@@ -147,35 +92,35 @@ def run_job(job: Job) -> Line:
         results["error"] = reason_of(error)
     except Exception as error:  # a bug must not end the batch
         results["error"] = " ".join(f"{type(error).__name__}: {error}".split())
-    return job.line(**results, cpu_s=round(process_time() - started, 6))
+    cpu_s = round(process_time() - started, 6)
+    return replace(job.line, kills=0, cpu_s=cpu_s, **results)
 
 
 def _run(job: Job) -> dict[str, Any]:
     """Map one recording, write its episode, and return the results for its line."""
-    task = job.task
-    if task.source is None or task.side is None:
-        raise InvalidInputError(task.error)
+    if job.source is None:
+        raise InvalidInputError(job.line.error)
+    side = job.source.entry.side
     options = job.options
-    if task.side not in options.robots:
+    if side not in options.robots:
         raise InvalidInputError(
-            f"there is no robot for the {task.side} hand", argument="--robot"
+            f"there is no robot for the {side} hand", argument="--robot"
         )
     with time_limit(_READING):
-        recording = task.source.read()
+        recording = job.source.read()
     check_recording(recording)
-    robot = _robot(options.robots[task.side], points=options.arguments.robot_points)
+    robot = _robot(options.robots[side], points=options.arguments.robot_points)
     person = measure_person(recording)
     recording, trajectory, _ = map_hand(
         recording, robot, person, options.arguments, smoother=options.smoother
     )
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))
-    digest = save_episode(job.folder / task.out, trajectory, task.side)
     return {
         "status": "done",
         "frames": len(recording),
         "metrics": metrics,
-        "out": task.out,
-        "sha256": digest,
+        "out": job.out,
+        "sha256": save_episode(job.folder / job.out, trajectory, side),
     }
 
 
@@ -192,16 +137,90 @@ def _meter(robot: Hand) -> GapMeter | None:
         return None
 
 
-def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
-    """Write the columns of an episode, without those that a reader can compute again; see `synced`.
-
-    They are not compressed: that would save a fifth of the space, and take as long as reading the
-    recording.
+def measure_episode(
+    recording: Recording,
+    trajectory: Trajectory,
+    contact_gap: float,
+    meter: GapMeter | None,
+) -> dict[str, float | None]:
+    """Measure an episode.
 
     Args:
-        file: The file; its folder is made.
+        recording: What the human did.
         trajectory: What the robot does.
-        side: Which hand.
+        contact_gap: Gap of tip landmarks where the skin touches [m].
+        meter: The robot's surfaces; None where it has none.
+
+    Returns:
+        Values by the keys of `MEASURES`, rounded to six digits; None where a question does not
+        arise.
+    """
+    measure = _measured if core is None else core.measure_episode
+    values = measure(recording, trajectory)
+    if meter is not None:
+        values |= _surfaces(recording, trajectory, contact_gap, meter)
+    found = ((each.key, values.get(each.key, np.nan)) for each in MEASURES)
+    return {
+        key: float(f"{value:.6g}") if np.isfinite(value) else None
+        for key, value in found
+    }
+
+
+def _measured(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
+    """Measure all but surfaces; see `MEASURES`."""
+    seen = trajectory.valid
+    errors = 1e3 * trajectory.point_error[seen]
+    fingers = recording.landmarks[recording.valid, 1:].reshape(-1, 5, 4, 3)
+    bones = lengths(np.diff(fingers, axis=2))
+    # The longest time between valid samples, beyond the usual step.
+    whole = recording.time
+    times = whole[recording.valid]
+    inside = np.diff(times).max(initial=0.0) - np.median(recording.steps)
+    gap = max(0.0, inside, times[0] - whole[0], whole[-1] - times[-1])
+    return {
+        "valid": recording.valid.mean(),
+        "longest_gap_s": gap,
+        "bone_variation": (bones.std(axis=0) / bones.mean(axis=0)).mean(),
+        "reach_mm": errors.mean(),
+        "reach_p95_mm": np.percentile(errors, 95),
+        "saturation": trajectory.at_limit[seen].mean(),
+        "speed_limited": trajectory.at_speed_limit[seen].any(axis=1).mean(),
+        "jerk": rms_derivative(trajectory.q, trajectory.time, seen, order=3),
+    }
+
+
+def _surfaces(
+    recording: Recording,
+    trajectory: Trajectory,
+    contact_gap: float,
+    meter: GapMeter,
+) -> dict[str, float]:
+    """Measure pinches and self-penetration in some of the samples."""
+    count = len(recording)
+    pinching = tip_gaps(recording.landmarks) < contact_gap + _PINCHING
+    pinching &= trajectory.valid[:, None]
+    pinches = np.flatnonzero(pinching.any(axis=1))
+    chosen = pinches[:: max(1, -(-len(pinches) // MOST_SURFACES))]
+    gaps = meter.pinches(trajectory.q[chosen]) if len(chosen) else {}
+    closed = [
+        gaps[finger][pinching[chosen, i]] < _CLOSED
+        for i, finger in enumerate(FINGERS[1:])
+        if finger in gaps
+    ]
+    spread = np.linspace(0, count - 1, min(MOST_SURFACES, count)).astype(int)
+    # Deeper overlaps than this are counted, and how deep they are is not asked.
+    nearest = meter.nearest(trajectory.q[spread], most=-_DEEP)
+    found = {"self_penetration": (nearest < -_DEEP).mean()}
+    if any(map(len, closed)):
+        found["pinch_closed"] = np.concatenate(closed).mean()
+    return found
+
+
+def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
+    """Write the columns of an episode, without those that a reader can compute again.
+
+    It is on the disk when its group is (`run_group`). Columns are not compressed: that would save a
+    fifth of the space, and take as long as reading the recording.
 
     Returns:
         SHA-256 of the file, as `sha256sum` prints it.
@@ -217,18 +236,6 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
     with replaced_file(file, "--out", is_synced=False) as stream:
         stream.write(archive.getbuffer())
     return sha256(archive.getbuffer()).hexdigest()
-
-
-def synced(folder: Path, lines: Sequence[Line]) -> Sequence[Line]:
-    """Return lines for the manifest when their episodes are on the disk.
-
-    Raises:
-        DiskFullError: If the disk is full.
-        InvalidInputError: If they cannot be written for another reason.
-    """
-    with writing(folder, "--out"):
-        sync_all([folder / line.out for line in lines if line.out])
-    return lines
 
 
 def read_episode(folder: Path, line: Line) -> dict[str, np.ndarray]:

@@ -21,21 +21,22 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers.formats import SEPARATOR
 
-Status = Literal["done", "failed", "killed"]
+Status = Literal["listed", "done", "failed", "killed"]
 MOST_KILLS = 3
 """A recording that kills its worker this often is left alone."""
 
 
 class Line(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What happened to one recording.
+    """What is known of one recording, and what happened to it.
 
     Attributes:
-        key: File and recording, `FILE::NAME`.
-        status: `done`; `failed`, with an error; or `killed`: the worker died, and it is tried again
-            unless `kills` is `MOST_KILLS`.
+        key: File and recording, `FILE::NAME`. FILE is its path below the folder that was named,
+            with `/`, or its own name if it was named; NAME is empty where it holds one recording.
+        status: `listed`, never written; `done`; `failed`, with an error; or `killed`: the worker
+            died, and it is tried again unless `kills` is `MOST_KILLS`.
         path: The file.
-        size: Its size [bytes].
-        mtime_ns: Its last change [ns].
+        size: Its size, of all files of a folder together [bytes].
+        mtime_ns: Its last change, of all files of a folder the last [ns].
         options: Digest of robot and options.
         entries: How many recordings the file has.
         side: Which hand.
@@ -43,7 +44,7 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         frames: Number of samples.
         cpu_s: CPU time [s].
         kills: How often the worker died over it.
-        metrics: Numbers about the episode, by name (`handmap_qp.apps.datasets.measures`).
+        metrics: Numbers about the episode, by name (`episodes.MEASURES`).
         out: The file written, below the folder of the batch.
         sha256: Its digest, as `sha256sum` prints it; empty in manifests up to version 0.2.
         error: Why it failed.
@@ -72,10 +73,20 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         return self.key.removesuffix(SEPARATOR)
 
     @property
+    def place(self) -> tuple[str, str]:
+        """FILE and NAME of the key."""
+        file, _, entry = self.key.rpartition(SEPARATOR)
+        return file, entry
+
+    @property
     def source(self) -> str:
         """What `read_recording` reads it from."""
-        _, _, entry = self.key.rpartition(SEPARATOR)
-        return f"{self.path}{SEPARATOR}{entry}" if entry else self.path
+        return SEPARATOR.join(filter(None, (self.path, self.place[1])))
+
+    @property
+    def version(self) -> tuple[int, int, str]:
+        """What differs where a file or an option has changed: the recording is mapped again."""
+        return self.size, self.mtime_ns, self.options
 
 
 _DECODER = msgspec.json.Decoder(Line)

@@ -1,62 +1,165 @@
-"""The quality of the episodes of a batch: distributions, the worst, a filter, and their files."""
+"""The command `handmap report`: distributions, the worst episodes, a filter, and their files."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+import tyro
 from scipy.stats import rankdata
 
-from handmap_qp.apps import datasets
+from handmap_qp.apps.datasets.episodes import MEASURES
 from handmap_qp.apps.datasets.manifest import Line, read_manifests
-from handmap_qp.apps.datasets.measures import MEASURES
-from handmap_qp.apps.tables import csv_text, markdown_table
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
+from handmap_qp.apps.drawing.hands import require_matplotlib
+from handmap_qp.apps.offline.fidelity import SETTLING
+from handmap_qp.apps.offline.metrics import Metric
+from handmap_qp.apps.tables import csv_text, markdown_table, print_result
+from handmap_qp.errors import HandmapError, InvalidInputError, expect
+from handmap_qp.hands.library import load_hand
+from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import make_folder, replaced_file
+from handmap_qp.trackers.formats import read_recording
+from handmap_qp.trackers.formats.archive import Arrays, read_archive
 
 FOLDER = "report"
 """Folder of the report, below that of the batch."""
 _SUMMARY = "measure", "median", "worst 5 %", "worst", "episodes"
 _MOST_DRAWN, _MOST_FAILED = 8, 50
+_COLUMNS, _BINS = 4, 40
+_LONGEST_NAME = 21  # characters beside a picture
+_KEPT, _LEFT_OUT = "#3d6fb4", "#d8472f"
+_STYLE = Path(__file__).with_suffix(".mplstyle")
+
+
+@dataclass(frozen=True)
+class Report:
+    """Report the quality of the episodes of a batch, and write a filter.
+
+    Writes DIR/report: report.md with the distribution of every measure and the worst episodes,
+    distributions.png, worst_ROBOT.png (human and robot in the worst samples), episodes.csv with all
+    numbers, and keep.txt with the files of the episodes to keep, one a line.
+
+    No measure needs a reference: reach, saturation, pinches, jerk, valid samples, self-penetration
+    and the like. An episode is as bad as its worst rank among them.
+
+    Examples:
+        handmap report mapped
+        handmap report mapped --keep 0.9 --worst 20
+
+    Attributes:
+        folder: Folder of a batch.
+        keep: Share of the episodes that the filter keeps.
+        worst: How many of the worst episodes to list; the picture shows up to 8.
+        pictures: Draw pictures (extra `plot`).
+        json: Print one JSON object.
+    """
+
+    folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DIR")]]
+    keep: float = 0.95
+    worst: int = 10
+    pictures: bool = True
+    json: bool = False
+
+    def run(self) -> None:
+        """Read the manifest, rank, write, and print."""
+        expect(self.worst > 0, "--worst", "a number > 0", value=self.worst)
+        quality = assess(self.folder, self.keep)
+        files = self._write(quality)
+        document = {
+            "episodes": len(quality.episodes),
+            "kept": quality.kept,
+            "failed": len(quality.failed),
+            "measures": summary_rows(quality),
+            "worst": worst_rows(quality, self.worst),
+            "files": list(map(str, files)),
+        }
+        title = f"{document['episodes']} episodes, {quality.kept} kept"
+        tables = {title: document["measures"], "Worst episodes": document["worst"]}
+        print_result(document, tables, as_json=self.json)
+        for file in () if self.json else files:
+            print(f"wrote {file}")
+
+    def _write(self, quality: Quality) -> list[Path]:
+        """Write report, table, filter and pictures, and return the files."""
+        out = self.folder / FOLDER
+        make_folder(out, "DIR")
+        pictures: list[Path] = []
+        if self.pictures:
+            drawn = min(self.worst, _MOST_DRAWN)
+            pictures = draw_report(self.folder, quality, drawn, out)
+        rows = [
+            {
+                "episode": line.key,
+                "file": line.out,
+                "kept": int(is_kept),
+                "badness": f"{badness:.4f}",
+                "frames": line.frames,
+                **{measure.key: line.metrics.get(measure.key) for measure in MEASURES},
+            }
+            for line, badness, _, is_kept in quality.episodes
+        ]
+        kept = sorted(f"{row['file']}\n" for row in rows if row["kept"])
+        texts = {
+            "report.md": _markdown(
+                quality, self.worst, [file.name for file in pictures]
+            ),
+            "episodes.csv": csv_text(rows),
+            "keep.txt": "".join(kept),
+        }
+        for name, text in texts.items():
+            with replaced_file(out / name, "DIR") as file:
+                file.write(text.encode())
+        return [*(out / name for name in texts), *pictures]
+
+
+class Ranked(NamedTuple):
+    """An episode among the others of its batch.
+
+    Attributes:
+        line: Its line in the manifest.
+        badness: The worst of its ranks among the measures, from 0 (best in everything) to 1 (worst
+            in something).
+        worst: The measure in which it is worst.
+        is_kept: Whether the filter keeps it.
+    """
+
+    line: Line
+    badness: float
+    worst: Metric
+    is_kept: bool
 
 
 class Quality(NamedTuple):
     """How the episodes of a batch are.
 
     Attributes:
-        lines: Lines of the episodes, the worst first.
+        episodes: The episodes, the worst first.
         failed: Lines of the recordings that failed.
-        values: Values of every measure (`MEASURES`), NaN where a question does not arise, (E, m).
-        badness: Of every episode, the worst of its ranks among the measures, from 0 (best in
-            everything) to 1 (worst in something), shape (E,).
-        worst_measure: Index of the measure in which an episode is worst, shape (E,).
-        is_kept: Episodes that the filter keeps, shape (E,).
+        values: Values of every measure, NaN where a question does not arise, shape (E,).
     """
 
-    lines: tuple[Line, ...]
+    episodes: tuple[Ranked, ...]
     failed: tuple[Line, ...]
-    values: np.ndarray
-    badness: np.ndarray
-    worst_measure: np.ndarray
-    is_kept: np.ndarray
+    values: dict[Metric, np.ndarray]
+
+    @property
+    def kept(self) -> int:
+        """Number of episodes that the filter keeps."""
+        return sum(episode.is_kept for episode in self.episodes)
 
 
 def assess(folder: Path, keep: float = 0.95) -> Quality:
-    """Read the manifest of a batch, and rank its episodes.
+    """Read the manifest of a batch, and rank its episodes, of which a share is to be kept.
 
     Every measure gives an episode a rank, from 0 for the best to 1 for the worst; equal values have
     equal ranks. The filter leaves out the episodes that are worst in something, until the share is
     reached; of episodes that are equally bad in their worst measure, the one with the worse mean
     rank goes first.
-
-    Args:
-        folder: Folder of the batch.
-        keep: Share of the episodes to keep, from 0 to 1.
-
-    Returns:
-        The ranking.
 
     Raises:
         InvalidInputError: If the folder has no manifest or no episode, or the share is impossible.
@@ -75,19 +178,21 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     ranks = _ranks(values)
     badness = ranks.max(axis=1)
     order = np.lexsort((-ranks.mean(axis=1), -badness))
+    worst = ranks.argmax(axis=1)
+    left_out = round((1.0 - keep) * len(lines))
     return Quality(
-        lines=tuple(lines[i] for i in order),
+        episodes=tuple(
+            Ranked(lines[i], badness[i], MEASURES[worst[i]], place >= left_out)
+            for place, i in enumerate(order)
+        ),
         failed=tuple(line for _, line in state if line.status != "done"),
-        values=values[order],
-        badness=badness[order],
-        worst_measure=ranks.argmax(axis=1)[order],
-        is_kept=np.arange(len(lines)) >= round((1.0 - keep) * len(lines)),
+        values=dict(zip(MEASURES, values[order].T, strict=True)),
     )
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
     """Return the shares of episodes that are better, 0 where there is no value, shape (E, m)."""
-    signs = np.array([1.0 if measure.worse == "high" else -1.0 for measure in MEASURES])
+    signs = np.array([1.0 if measure.better == "low" else -1.0 for measure in MEASURES])
     # Values that are all good enough do not tell episodes apart.
     costs = np.maximum(signs * values, signs * [measure.enough for measure in MEASURES])
     better = rankdata(costs, method="min", axis=0, nan_policy="omit") - 1.0
@@ -98,94 +203,40 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 def summary_rows(quality: Quality) -> list[dict[str, str]]:
     """Return a table: of every measure the median, the worst 5 %, and the worst."""
     rows = []
-    for measure, column in zip(MEASURES, quality.values.T, strict=True):
+    for measure, column in quality.values.items():
         known = column[np.isfinite(column)]
         if len(known):
-            shares = (50, 95, 100) if measure.worse == "high" else (50, 5, 0)
+            shares = (50, 95, 100) if measure.better == "low" else (50, 5, 0)
             numbers = map(_text, np.percentile(known, shares))
-            cells = (measure.title, *numbers, str(len(known)))
+            cells = (measure.label, *numbers, str(len(known)))
             rows.append(dict(zip(_SUMMARY, cells, strict=True)))
     return rows
 
 
 def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
     """Return a table of the worst episodes, with the measure in which they are worst."""
-    worst = zip(
-        quality.lines[:count], quality.worst_measure, quality.values, strict=False
-    )
     return [
         {
             "#": str(rank),
             "episode": line.name,
-            "worst in": MEASURES[k].title,
-            "value": _text(values[k]),
+            "worst in": worst.label,
+            "value": _text(quality.values[worst][rank - 1]),
             "samples": str(line.frames),
         }
-        for rank, (line, k, values) in enumerate(worst, start=1)
+        for rank, (line, _, worst, _) in enumerate(quality.episodes[:count], start=1)
     ]
-
-
-def write_report(
-    folder: Path,
-    quality: Quality,
-    worst: int,
-    *,
-    draws: bool,
-) -> tuple[Path, ...]:
-    """Write report, table, filter and pictures.
-
-    Args:
-        folder: Folder of the batch.
-        quality: The ranking.
-        worst: How many of the worst episodes to list.
-        draws: Whether to draw pictures.
-
-    Returns:
-        The files.
-
-    Raises:
-        InvalidInputError: If the folder cannot be written.
-        MissingExtraError: If pictures are wanted, and matplotlib or trimesh is not installed.
-    """
-    out = folder / FOLDER
-    make_folder(out, "DIR")
-    pictures: list[Path] = []
-    if draws:
-        drawing = datasets.report_pictures
-        pictures = drawing.draw_report(folder, quality, min(worst, _MOST_DRAWN), out)
-    # The worst episode first.
-    rows = [
-        {
-            "episode": line.key,
-            "file": line.out,
-            "kept": int(kept),
-            "badness": f"{badness:.4f}",
-            "frames": line.frames,
-            **{measure.key: line.metrics.get(measure.key) for measure in MEASURES},
-        }
-        for line, kept, badness in zip(
-            quality.lines, quality.is_kept, quality.badness, strict=True
-        )
-    ]
-    texts = {
-        "report.md": _markdown(quality, worst, [file.name for file in pictures]),
-        "episodes.csv": csv_text(rows),
-        "keep.txt": "".join(sorted(f"{row['file']}\n" for row in rows if row["kept"])),
-    }
-    for name, text in texts.items():
-        with replaced_file(out / name, "DIR") as file:
-            file.write(text.encode())
-    return (*(out / name for name in texts), *pictures)
 
 
 def _markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
-    samples = sum(line.frames for line in quality.lines)
-    about = [f"- {m.title}: {m.about}; {m.worse} values are worse" for m in MEASURES]
+    samples = sum(episode.line.frames for episode in quality.episodes)
+    about = [
+        f"- {measure.label}: {measure.about}; {measure.hint}" for measure in MEASURES
+    ]
     parts = [
         "# Quality of the episodes",
-        f"{_counted(len(quality.lines), 'episode')}, {samples} samples; "
+        f"{_counted(len(quality.episodes), 'episode')}, {samples} samples; "
         f"{_counted(len(quality.failed), 'recording')} failed. "
-        f"The filter keeps {_counted(int(quality.is_kept.sum()), 'episode')}: `keep.txt`.",
+        f"The filter keeps {_counted(quality.kept, 'episode')}: `keep.txt`.",
         "## Measures",
         markdown_table(summary_rows(quality)),
         "\n".join(about),
@@ -207,3 +258,123 @@ def _counted(count: int, noun: str) -> str:
 def _text(value: float) -> str:
     """Write a number with three digits, and one from 1000 on without a power of ten."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+
+
+def draw_report(
+    folder: Path,
+    quality: Quality,
+    count: int,
+    out: Path,
+) -> list[Path]:
+    """Draw `distributions.png`, and the worst episodes of each robot, `worst_ROBOT.png`.
+
+    Of each robot's episodes in the folder of the batch, the `count` worst ones are drawn. Those
+    whose recording has gone are left out.
+
+    Raises:
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    file = out / "distributions.png"
+    with require_matplotlib().rc_context(fname=_STYLE):
+        _draw_distributions(file, quality)
+    return [file, *_draw_worst(folder, quality, count, out)]
+
+
+def _draw_distributions(file: Path, quality: Quality) -> None:
+    """Draw a histogram of every measure, with the episodes that the filter leaves out in red."""
+    from matplotlib.figure import Figure
+
+    shown = {
+        m: found for m, found in quality.values.items() if np.isfinite(found).any()
+    }
+    is_kept = np.array([episode.is_kept for episode in quality.episodes])
+    rows = -(-len(shown) // _COLUMNS)
+    figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained")
+    grid = figure.subplots(rows, _COLUMNS, squeeze=False)
+    for axes in grid.flat[len(shown) :]:
+        axes.set_axis_off()
+    for axes, (measure, values) in zip(grid.flat, shown.items(), strict=False):
+        low = np.nanmin(values)
+        high = np.nanmax(values)
+        # NaN is in no bin.
+        axes.hist(
+            [values[is_kept], values[~is_kept]],
+            bins=_BINS,
+            range=(low, high) if high > low else (min(0.0, low), max(1.0, low)),
+            stacked=True,
+            color=[_KEPT, _LEFT_OUT],
+        )
+        axes.set_title(measure.label)
+        axes.locator_params("y", integer=True)
+        # Numbers that are nearly the same have long labels.
+        axes.locator_params("x", nbins=4)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("episodes")
+    left_out = len(is_kept) - quality.kept
+    figure.suptitle(f"{quality.kept} episodes kept, {left_out} left out (red)")
+    figure.savefig(file)
+
+
+def _draw_worst(
+    folder: Path,
+    quality: Quality,
+    count: int,
+    out: Path,
+) -> list[Path]:
+    """Draw human and robot in the worst sample of the worst episodes, a picture for each robot.
+
+    The sample is the worst one in what the episode is worst in, and else the one with the largest
+    distance of a point from its target. The first half second counts only where there is no more:
+    the robot is still on its way to the hand.
+    """
+    rows: dict[str, list[SheetRow]] = {}
+    for rank, (line, _, worst, _) in enumerate(quality.episodes, start=1):
+        own = rows.setdefault(line.robot, [])
+        if len(own) < count:
+            with suppress(HandmapError):
+                own.append(_worst_row(folder, line, rank, worst))
+    files = []
+    for name, own in rows.items():
+        if own:
+            robot = load_hand(name)
+            figure = contact_sheet(
+                [(robot.name, robot)],
+                own,
+                side=robot.spec.side,
+                title="worst episodes",
+            )
+            files.append(out / f"worst_{robot.name}.png")
+            figure.savefig(files[-1], dpi=100)
+    return files
+
+
+def _worst_row(
+    folder: Path,
+    line: Line,
+    rank: int,
+    measure: Metric,
+) -> SheetRow:
+    """Return the worst sample of an episode, with its rank, name and measure."""
+    recording = read_recording(line.source)
+    names = {"q", "point_error", "valid", "at_limit", "at_speed_limit"}
+    columns = read_archive(folder / line.out, names)
+    sample = _worst_sample(recording, columns, measure)
+    (row,) = sheet_rows(recording, {f"#{rank}": sample}, [columns["q"]])
+    name = line.name
+    if len(name) > _LONGEST_NAME:
+        name = f"...{name[3 - _LONGEST_NAME :]}"
+    return replace(row, note=f"{name}\n{measure.label}\n{row.note}")
+
+
+def _worst_sample(recording: Recording, columns: Arrays, measure: Metric) -> int:
+    """Return the index of the sample that is worst in a measure, or in reach."""
+    usable = columns["valid"] & recording.valid
+    settled = usable & (recording.time >= recording.time[0] + SETTLING)
+    usable = settled if settled.any() else usable
+    error = columns["point_error"].max(axis=1)
+    joints = {"saturation": "at_limit", "speed_limited": "at_speed_limit"}
+    if measure.key in joints:
+        # Less than one joint, so that it decides between samples of as many joints.
+        share = error / (1.0 + error)
+        error = columns[joints[measure.key]].sum(axis=1) + share
+    return int(np.argmax(np.where(usable, error, -1.0)))

@@ -1,16 +1,25 @@
-"""The tasks of a batch: every recording of every input file."""
+"""The jobs of a batch: every recording of every input file, with the options of all."""
 
 from __future__ import annotations
 
 import zlib
 from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
 from itertools import filterfalse
 from pathlib import Path
 
+import msgspec
+
+from handmap_qp.apps.arguments import MappingArguments, check_names
+from handmap_qp.apps.datasets.manifest import Line
 from handmap_qp.apps.datasets.workers import each_apart
-from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
+from handmap_qp.apps.offline.look_ahead import LookAhead
+from handmap_qp.apps.refusals import naming
+from handmap_qp.errors import HandmapError, InvalidInputError, reason_of
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats import (
     FORMATS,
@@ -25,60 +34,69 @@ PATIENCE = 30.0
 """Longest time for listing an HDF5 file [s]."""
 
 
-@dataclass(frozen=True, slots=True)
-class InputFile:
-    """A file or data set to map.
+@dataclass(frozen=True)
+class JobOptions:
+    """What all jobs of a batch have in common.
 
     Attributes:
-        name: Its path below the folder that was named, with `/`; its own name if it was named.
-        path: Where it is.
-        size: Size, of all files of a folder together [bytes].
-        mtime_ns: Time of the last change, of all files of a folder the last [ns].
+        robots: Name of the robot hand for each human hand.
+        arguments: Reference points and options of the mapping.
+        smoother: How the whole recording is used to smooth and to fill gaps; None for a mapping
+            that knows the past only, as online.
     """
 
-    name: str
-    path: Path
-    size: int
-    mtime_ns: int
+    robots: dict[Side, str]
+    arguments: MappingArguments = field(default_factory=MappingArguments)
+    smoother: LookAhead | None = None
 
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One recording of one hand.
-
-    Attributes:
-        file: The file.
-        source: The recording in it; None where the file could not be listed.
-        entry: Name of the recording in its file; empty where the file holds only one.
-        side: Which hand; None where the file could not be listed.
-        frames: Number of samples.
-        entries: How many recordings the file has.
-        error: Why the file could not be listed; empty if it could.
-    """
-
-    file: InputFile
-    source: Source | None = None
-    entry: str = ""
-    side: Side | None = None
-    frames: int = 0
-    entries: int = 1
-    error: str = ""
+    def load_robot(self, side: Side) -> Hand:
+        """Load the robot hand of a side, with its reference points; `HandError` without one."""
+        return self.arguments.load_robot(self.robots[side])
 
     @property
-    def key(self) -> str:
-        """Name of the file, `::`, and of the recording: its identity in the manifest."""
-        return f"{self.file.name}{SEPARATOR}{self.entry}"
+    def digest(self) -> str:
+        """A short text that changes if the robots, their URDFs or the options do."""
+        digest = sha256(repr((self.arguments, self.smoother)).encode())
+        files = [self.arguments.options] if self.arguments.options else []
+        for side in sorted(self.robots):
+            robot = self.load_robot(side)
+            digest.update(side.encode() + msgspec.json.encode(robot.spec, enc_hook=str))
+            files.append(urdf_path(robot.spec))
+        for file in files:
+            with naming("--options", f"{file}: cannot be read"):
+                digest.update(file.read_bytes())
+        return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording of one hand to map.
+
+    Attributes:
+        line: What is known of it; `error` says why its file could not be listed, and `kills` how
+            often its worker has died.
+        source: The recording in its file; None where the file could not be listed.
+        options: What it has in common with the others.
+        folder: Folder of the batch.
+    """
+
+    line: Line
+    source: Source | None
+    options: JobOptions
+    folder: Path
 
     @property
     def out(self) -> str:
         """File to write, below the folder of the batch, with `/`."""
-        tail = f".{self.entry.replace('/', '_')}" if self.entry else ""
-        return f"episodes/{self.file.name}{tail}.npz"
+        file, entry = self.line.place
+        return ".".join(
+            filter(None, (f"episodes/{file}", entry.replace("/", "_"), "npz"))
+        )
 
 
 def find_files(
     inputs: Sequence[Path], out: Path | None = None
-) -> tuple[tuple[InputFile, ...], tuple[Path, ...]]:
+) -> tuple[dict[str, Path], tuple[Path, ...]]:
     """Find the files to map: those named, and those of a known form below folders that are named.
 
     Args:
@@ -86,74 +104,98 @@ def find_files(
         out: Folder of the batch, which is left out where it is below a folder of these.
 
     Returns:
-        The files, by name, and the paths left out because they lead to files or folders that are
-        among them already, by links or because they were named twice.
+        The files by name (FILE of `Line.key`), sorted, and the paths left out because they lead to
+        files or folders that are among them already, by links or because they were named twice.
 
     Raises:
         InvalidInputError: If an input does not exist, a folder has no recordings, or two files have
             the same name below different folders.
     """
-    files: dict[str, InputFile] = {}
+    found: list[tuple[str, Path]] = []
     repeated: list[Path] = []
     own = out and _identity(out)
     seen: set[object] = set()
     for given in inputs:
-        before = len(files) + len(repeated)
-        for path in _paths_of(given, own, seen, repeated):
-            name = given.name if path is given else path.relative_to(given).as_posix()
-            expect(
-                name not in files,
-                "INPUT",
-                "files of different names",
-                got=f"{name} twice",
-                advice="name the folder above both",
-            )
-            stats = [p.stat() for p in (path, *path.rglob("*")) if p.is_file()]
-            latest = max((stat.st_mtime_ns for stat in stats), default=0)
-            size = sum(stat.st_size for stat in stats)
-            files[name] = InputFile(name, path, size, latest)
-        if len(files) + len(repeated) == before:
+        before = len(found) + len(repeated)
+        found += [
+            (given.name if path is given else path.relative_to(given).as_posix(), path)
+            for path in _paths_of(given, own, seen, repeated)
+        ]
+        if len(found) + len(repeated) == before:
             raise InvalidInputError(
                 f"{given}: has no files of a known form", argument="INPUT"
             )
-    return tuple(map(files.__getitem__, sorted(files))), tuple(repeated)
+    check_names(
+        "INPUT",
+        [name for name, _ in found],
+        "files of different names",
+        advice="name the folder above both",
+    )
+    return dict(sorted(found)), tuple(repeated)
 
 
-def tasks_of(files: Sequence[InputFile], shard: tuple[int, int] = (1, 1)) -> list[Task]:
+def list_jobs(
+    files: Mapping[str, Path],
+    folder: Path,
+    options: JobOptions,
+    digest: str = "",
+    shard: tuple[int, int] = (1, 1),
+) -> list[Job]:
     """List the recordings of files, the longest first.
 
     HDF5 files are listed in another process: on some damaged ones the library crashes, or loops for
     ever.
 
     Args:
-        files: The files.
+        files: The files by name.
+        folder: Folder of the batch.
+        options: What all jobs have in common.
+        digest: Digest of these options.
         shard: Which part of how many, counted from 1. A part has the files whose names fall to it,
             so that parts do not depend on each other.
 
     Returns:
-        The tasks. A file that cannot be listed is a task with an error.
+        The jobs. A file that cannot be listed is one without a source.
     """
     part, parts = shard
-    own = [file for file in files if zlib.crc32(file.name.encode()) % parts == part - 1]
-    risky = [file.path for file in own if file.path.suffix.lower() in hdf5.SUFFIXES]
-    listings = dict(zip(risky, each_apart(_listing, risky, PATIENCE), strict=True))
-    tasks = []
-    for file in own:
-        found = listings[file.path] if file.path in listings else _listing(file.path)
-        if isinstance(found, tuple):
-            tasks += [Task(file, one, *one.entry, len(found)) for one in found]
-        else:
-            error = f"{file.path}: cannot be read: listing it crashed, or took {PATIENCE:.0f} s"
-            tasks.append(Task(file, error=found or error))
-    return sorted(tasks, key=lambda task: (-task.frames, task.key))
+    own = [name for name in files if zlib.crc32(name.encode()) % parts == part - 1]
+    risky = [name for name in own if files[name].suffix.lower() in hdf5.SUFFIXES]
+    apart = each_apart(_listing, [files[name] for name in risky], PATIENCE)
+    listings = dict(zip(risky, apart, strict=True))
+    jobs = []
+    for name in own:
+        path = files[name]
+        stats = [p.stat() for p in (path, *path.rglob("*")) if p.is_file()]
+        problem = (
+            f"{path}: cannot be read: listing it crashed, or took {PATIENCE:.0f} s"
+        )
+        found = listings[name] if name in listings else _listing(path)
+        sources, error = found or ((), problem)
+        for source in sources or (None,):
+            entry, side, frames = source.entry if source else ("", "", 0)
+            line = Line(
+                f"{name}{SEPARATOR}{entry}",
+                "listed",
+                str(path),
+                size=sum(stat.st_size for stat in stats),
+                mtime_ns=max((stat.st_mtime_ns for stat in stats), default=0),
+                options=digest,
+                entries=max(1, len(sources)),
+                side=side,
+                robot=options.robots.get(side, ""),
+                frames=frames,
+                error=error,
+            )
+            jobs.append(Job(line, source, options, folder))
+    return sorted(jobs, key=lambda job: (-job.line.frames, job.line.key))
 
 
-def _listing(path: Path) -> tuple[Source, ...] | str:
-    """Return the recordings of a file, or why it cannot be listed."""
+def _listing(path: Path) -> tuple[tuple[Source, ...], str]:
+    """Return the recordings of a file, and why it cannot be listed."""
     try:
-        return list_sources(path)
+        return list_sources(path), ""
     except HandmapError as error:
-        return reason_of(error)
+        return (), reason_of(error)
 
 
 def _paths_of(
@@ -162,13 +204,9 @@ def _paths_of(
     seen: set[object],
     repeated: list[Path],
 ) -> Iterator[Path]:
-    """Yield the path itself, or the files and data sets below it.
+    """Yield the path itself, or the files and data sets below it, except the folder `own`.
 
-    Args:
-        given: The path.
-        own: Identity of a folder to leave out.
-        seen: Identities of the paths found, which are added to.
-        repeated: Paths whose identity was seen before, which are added to.
+    Adds identities of the paths found to `seen`, and paths whose identity was there to `repeated`.
     """
     if not given.exists():
         raise InvalidInputError(f"{given}: no such file or folder", argument="INPUT")

@@ -19,7 +19,6 @@ from handmap_qp.apps.arguments import (
     Recordings,
     fit_side,
     hinted,
-    person_of,
 )
 from handmap_qp.apps.offline.look_ahead import map_hand, map_hands
 from handmap_qp.apps.offline.summary import Summary, notes, summarise, table_rows
@@ -96,48 +95,53 @@ class Map:
     arguments: MappingFlags = field(default_factory=MappingArguments)
 
     def run(self) -> None:
-        """Read, measure and map each hand, write the trajectories, and print summaries."""
-        if self.robot is not None and is_robot(self.robot):
-            summaries = [self._map_robot(load_robot(self.robot))]
-        else:
-            pairs = [(*pair, self._out(*pair)) for pair in self._pairs()]
-            summaries = [self._map(*pair) for pair in pairs]
+        """Read, measure and map, write the trajectories, and print summaries."""
+        # Files are checked before any work is done.
+        moves = [
+            (robot, used, self._out(used[0], robot)) for robot, used in self._read()
+        ]
+        summaries = [self._map(*move) for move in moves]
         if self.json:
             found = summaries if self.robots else summaries[0]
             print(json.dumps(found, allow_nan=False))
             return
         for summary in summaries:
             title = f"{summary['recording']} to {summary['robot']}"
-            print_table(
-                title, table_rows(summary) | {"alignment": f"{summary['alignment']}"}
-            )
+            alignment = {"alignment": f"{summary['alignment']}"}
+            print_table(title, table_rows(summary) | alignment)
             for note in notes(summary):
                 print(note)
             print(f"wrote {summary['out']}")
 
-    def _pairs(self) -> list[tuple[Recording, Hand]]:
-        """Read each recording with its robot."""
+    def _read(self) -> list[tuple[Hand | Robot, list[Recording]]]:
+        """Read each robot with the recordings of its hands."""
         expect(
             (self.robot is None) != (self.robots is None),
             "--robot",
             "either --robot HAND or --robots LEFT RIGHT",
             advice="name hands of `handmap hands list`",
         )
-        if self.robot is not None:
-            expect(
-                len(self.recordings) == 1,
-                "RECORDING",
-                "one recording with --robot",
-                value=len(self.recordings),
-                advice="give --robots LEFT RIGHT for both hands",
-            )
-            robot = self.arguments.load_robot(self.robot)
-            recording = self.inputs.read(
-                self.recordings[0], robot.spec.side, self.person
-            )
-            return [(fit_side(recording, robot, mirror=self.mirror), robot)]
+        if self.robot is None or is_robot(self.robot):
+            return self._read_both()
+        expect(
+            len(self.recordings) == 1,
+            "RECORDING",
+            "one recording with --robot",
+            value=len(self.recordings),
+            advice="give --robots LEFT RIGHT for both hands",
+        )
+        robot = self.arguments.load_robot(self.robot)
+        recording = self.inputs.read(self.recordings[0], robot.spec.side, self.person)
+        return [(robot, [fit_side(recording, robot, mirror=self.mirror)])]
+
+    def _read_both(self) -> list[tuple[Hand | Robot, list[Recording]]]:
+        """Read a robot with two hands, or two robots, with recordings of both hands."""
         if self.mirror:
-            raise InvalidInputError("has no effect with --robots", argument="--mirror")
+            raise InvalidInputError("has no effect on both hands", argument="--mirror")
+        if self.robot is not None:
+            robot = load_robot(self.robot)
+            hands = self.inputs.read_both(self.recordings, self.person)
+            return [(robot, [hands[side] for side in robot.hands])]
         robots = [self.arguments.load_robot(name) for name in self.robots or ()]
         for robot, side in zip(robots, SIDES, strict=True):
             expect(
@@ -147,10 +151,10 @@ class Map:
                 got=f"{robot.name}, a {robot.spec.side} one",
             )
         hands = self.inputs.read_both(self.recordings, self.person)
-        return [(hands[robot.spec.side], robot) for robot in robots]
+        return [(robot, [hands[robot.spec.side]]) for robot in robots]
 
     def _out(self, recording: Recording, robot: Hand | Robot) -> Path:
-        """Check the file to write, before any work is done."""
+        """Check the file to write."""
         out = Path(f"{recording.name}_{robot.name}.npz")
         if self.out is not None:
             out = self.out / out if self.robots else self.out
@@ -158,51 +162,30 @@ class Map:
             make_folder(out.parent, "--out")
         return check_output("--out", out, (".npz",))
 
-    def _map_robot(self, robot: Robot) -> Summary:
-        """Map both hands to one robot; see `_map`."""
-        if self.mirror:
-            raise InvalidInputError("has no effect on both hands", argument="--mirror")
-        hands = self.inputs.read_both(self.recordings, self.person)
-        used = [hands[side] for side in robot.hands]
-        out = self._out(used[0], robot)
-        person = read_person(self.person) if self.person else measure_person(*used)
-        count = max(map(len, used))
-        with progress(f"mapping to {robot.name}", count) as advance:
-            trajectory = map_hands(
-                {each.side: each for each in used},
-                robot,
-                person,
-                self.arguments,
-                progress=advance,
-            )
-        wrists = {
-            f"wrist_{side}": np.array(
-                [hand.frame_pose("wrist", q) for q in trajectory.q]
-            )
-            for side, hand in robot.hands.items()
-        }
-        save_npz(out, trajectory.all_columns | wrists)
-        name = " and ".join(each.name for each in used)
-        found = {"recording": name, **summarise(trajectory), "out": str(out)}
-        return found | {"robot": robot.name}
-
     def _map(
         self,
-        recording: Recording,
-        robot: Hand,
+        robot: Hand | Robot,
+        used: list[Recording],
         out: Path,
     ) -> Summary:
-        """Map one hand, write its trajectory, and return the summary."""
-        person = person_of(recording, self.person)
-        with progress(f"mapping to {robot.name}", len(recording)) as advance:
-            _, trajectory, mapper = map_hand(
-                recording, robot, person, self.arguments, progress=advance
-            )
+        """Map the recordings of a robot's hands, write its trajectory, and return the summary."""
+        person = read_person(self.person) if self.person else measure_person(*used)
+        with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:
+            if isinstance(robot, Robot):
+                trajectory, method = map_hands(
+                    used, robot, person, self.arguments, advance
+                )
+            else:
+                _, trajectory, mapper = map_hand(
+                    used[0], robot, person, self.arguments, progress=advance
+                )
+                method = mapper.method
         save_npz(out, trajectory.all_columns)
         return {
-            "recording": recording.name,
+            "recording": " and ".join(each.name for each in used),
             **summarise(trajectory),
-            "alignment": getattr(mapper.method, "alignment", None),
+            "robot": robot.name,
+            "alignment": getattr(method, "alignment", None),
             "out": str(out),
         }
 

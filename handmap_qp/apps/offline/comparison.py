@@ -27,9 +27,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from handmap_qp.apps.arguments import check_names
 from handmap_qp.apps.offline.fidelity import (
     SETTLING,
-    Fidelity,
     assess_fidelity,
     sample_workspace,
 )
@@ -86,7 +86,6 @@ class Take:
     Attributes:
         recording: The recording; mirrored if the robot is a hand of the other side.
         is_mirrored: Whether it is.
-        has_wrist: Whether the palm is the tracker's; otherwise it is fitted to its landmarks.
         human: The human hand, scaled to the person.
         trace: What the human did, by the raw landmarks. Samples that are not valid hold the one
             before.
@@ -96,7 +95,6 @@ class Take:
 
     recording: Recording
     is_mirrored: bool
-    has_wrist: bool
     human: Hand
     trace: HandTrace
     wrist: np.ndarray
@@ -106,6 +104,11 @@ class Take:
     def name(self) -> str:
         """Name of the recording."""
         return self.recording.name
+
+    @property
+    def has_wrist(self) -> bool:
+        """Whether the palm is the tracker's; otherwise it is fitted to its landmarks."""
+        return self.recording.wrist is not None
 
 
 class RobotMotion(NamedTuple):
@@ -149,21 +152,20 @@ class Run(NamedTuple):
     Attributes:
         method: Name of the method.
         take: The take.
-        fidelity: What was measured; every metric is NaN if the method failed.
+        values: Every metric by its key; NaN where a question does not arise or the method failed.
+        fingers: As of `Fidelity`; None if the method failed.
+        pinch_samples: As of `Fidelity`.
         motion: What the method made of the take; None if it failed.
         problem: Why it failed; empty if it did not.
     """
 
     method: str
     take: Take
-    fidelity: Fidelity
+    values: Values
+    fingers: dict[str, Values] | None = None
+    pinch_samples: int = 0
     motion: RobotMotion | None = None
     problem: str = ""
-
-    @property
-    def values(self) -> Values:
-        """Every metric by its key; NaN where a question does not arise or the method failed."""
-        return self.fidelity.values
 
 
 class Comparison(NamedTuple):
@@ -253,7 +255,6 @@ def prepare_take(
     return Take(
         recording=recording,
         is_mirrored=is_mirrored,
-        has_wrist=poses is not None,
         human=human,
         trace=trace,
         wrist=trace.palm @ inverse_pose(human.wrist_to_palm),
@@ -320,36 +321,31 @@ def compare_methods(
     return Comparison(robot, tuple(takes), names, tuple(runs))
 
 
-def check_names(
-    argument: str,
-    names: Sequence[str],
-    expected: str = "different names",
-) -> None:
-    """Reject an empty list and a name that occurs twice."""
-    expect(names, argument, "at least one", got="none")
-    twice = next((name for name in names if names.count(name) > 1), None)
-    expect(twice is None, argument, expected, got=f"{twice} twice")
-
-
 def own_methods() -> tuple[str, ...]:
     """Return the names of the package's own methods, without `+smooth`."""
     # `fixed_wrist` is for hands that cannot follow a palm.
     return tuple(name for name in PRESETS if name != "fixed_wrist")
 
 
-def own_method(name: str) -> ComparedMethod:
+def own_method(name: str, outside: Sequence[str] = ()) -> ComparedMethod:
     """Return a method of the package.
 
     Args:
         name: Name of a preset; with `+smooth` for smoother motion, with `+look-ahead` for
             smoothing with the future too.
+        outside: Names of outside methods, for the message.
 
     Raises:
         InvalidInputError: If there is no such method.
     """
     known = own_methods()
-    expected = f"some of {', '.join(known)}"
-    expect(base_name(name) in known, "--methods", expected, value=name)
+    expect(
+        base_name(name) in known,
+        "--methods",
+        f"some of {', '.join((*known, *outside))}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
+        got=name,
+        advice="" if outside else "peers need --peers",
+    )
     return ComparedMethod(name, partial(_map_own, name))
 
 
@@ -364,14 +360,7 @@ class _Listed(msgspec.Struct):
 
 
 def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
-    """Ask an outside program for its methods.
-
-    Args:
-        folder: The folder of its `compare.py`.
-        hand: The robot hand, by name or path.
-
-    Returns:
-        Its methods for this hand.
+    """Ask the outside program in a folder for its methods for a hand, given by name or path.
 
     Raises:
         OutsideError: If there is no such program, or it cannot run.
@@ -470,8 +459,7 @@ def _run(
     try:
         motion = method.map_take(take, robot)
     except HandmapError as error:
-        unknown = Fidelity(mean_values([]), {}, 0)
-        return Run(method.name, take, unknown, problem=reason_of(error))
+        return Run(method.name, take, mean_values([]), problem=reason_of(error))
     wrist = motion.wrist_in(take, robot) if robot.is_floating else None
     fidelity = assess_fidelity(
         take.trace,
@@ -487,4 +475,4 @@ def _run(
     )
     if motion.wrist is None:
         fidelity.values.update(palm_deg=float("nan"), palm_mm=float("nan"))
-    return Run(method.name, take, fidelity, motion)
+    return Run(method.name, take, *fidelity, motion)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +15,7 @@ from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline.look_ahead import map_hand
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.summary import summarise, table_rows
-from handmap_qp.apps.offline.trajectory import Trajectory
+from handmap_qp.apps.offline.trajectory import Told, Trajectory
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import require
 from handmap_qp.hands.library import load_hand
@@ -31,8 +30,8 @@ if TYPE_CHECKING:
 FILES = ("errors.png", "gestures.png", "joints.png", "trajectory.npz")
 """What the demo writes."""
 
-_INK, _PALE = "#222831", "#8a929c"
-_COLOURS = ("#c8452f", "#2f7d6b", "#3f6fb5", "#c48a1d", "#7a56a6")
+_INK, _PALE, _JOINT = "#222831", "#8a929c", "#3f6fb5"
+_MOST_POINTS = 5  # that are drawn: more would have the same colours
 _STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
@@ -74,9 +73,9 @@ class Demo:
 def run_demo(
     name: str,
     directory: Path,
-    progress: Callable[[int], None] | None = None,
+    progress: Told = None,
 ) -> Trajectory:
-    """Map the recording that comes with the package, and write `FILES`: all of them, or none.
+    """Map the recording that comes with the package, and write all of `FILES`, or none.
 
     Args:
         name: Robot hand, by name or by the path of its hand.yaml; its side decides which of the two
@@ -84,9 +83,6 @@ def run_demo(
         directory: Folder to write to; created if it does not exist. Files of the same names are
             replaced.
         progress: Called after each sample with the number of samples done.
-
-    Returns:
-        The robot's trajectory.
 
     Raises:
         HandmapError: If the hand cannot be loaded, the folder cannot be written, or matplotlib or
@@ -121,10 +117,9 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     )
     time = trajectory.time
     cpu = 1e6 * trajectory.step_cpu
-    errors = 1e3 * trajectory.point_error.T
-    specs = trajectory.robot.reference_points
-    for spec, error, colour in zip(specs, errors, _COLOURS, strict=False):
-        points.plot(time, error, color=colour, label=spec.name.replace("_", " "))
+    names = [p.name.replace("_", " ") for p in trajectory.robot.reference_points]
+    shown = slice(_MOST_POINTS)
+    points.plot(time, 1e3 * trajectory.point_error[:, shown], label=names[shown])
     points.legend(loc="upper right", bbox_to_anchor=(1.0, 0.98))
     points.set(title="Reference points: distance from their targets", ylabel="mm")
     wrist.plot(time, 1e3 * trajectory.wrist_error, color=_INK)
@@ -154,7 +149,7 @@ def joints_figure(trajectory: Trajectory) -> Figure:
         room = 0.08 * (upper - lower)
         for start in (lower - room, upper):
             axes.axhspan(start, start + room, color="#f3d9d4", linewidth=0.0)
-        axes.plot(time, q, color=_COLOURS[2])
+        axes.plot(time, q, color=_JOINT)
         axes.set(
             xlim=(time[0], time[-1]),
             ylim=(lower - room, upper + room),

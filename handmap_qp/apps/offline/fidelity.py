@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from scipy.stats import rankdata
+from scipy.stats import spearmanr
 
 from handmap_qp.apps.offline.hand_trace import (
     KNUCKLE,
@@ -113,12 +113,13 @@ def assess_fidelity(
             finger in common.
     """
     shared = [name for name in human.names if name in robot.names]
-    seen = np.ones(len(time), dtype=bool) if valid is None else np.asarray(valid)
-    sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
-    for name, size in sizes.items():
-        expect(size == len(time), name, f"{len(time)} samples as in time", value=size)
+    seen = np.full(len(time), True) if valid is None else np.asarray(valid, dtype=bool)
+    wanted = f"{len(time)} samples as in time"
+    sized = {"human": human.palm, "robot": robot.palm, "valid": seen}
+    for name, rows in sized.items():
+        expect(len(rows) == len(time), name, wanted, value=len(rows))
     expect(shared, "robot", "a finger that the human has too", got="none")
-    counts = seen.astype(bool) & (time >= time[0] + SETTLING)
+    counts = seen & (time >= time[0] + SETTLING)
     expect(
         counts.any(), "time", "valid samples after the first half second", got="none"
     )
@@ -174,9 +175,8 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> ByFinger:
     one, other = both = np.array([human.extension, robot.extension])
     is_still = np.ptp(both, axis=1).min(axis=0) < _STILL
     low, high = np.percentile(one, (2.0, 98.0), axis=0)
-    points = np.array([human.local, robot.local])
-    tips = points[:, :, :, TIP]
-    knuckles = points[:, :, :, KNUCKLE]
+    # Points of a finger are its knuckle, middle joint and tip.
+    knuckles, _, tips = np.moveaxis(np.array([human.local, robot.local]), 3, 0)
     ratio = (robot.reach / human.reach).mean()
     # The thumb's knuckle does not count if there are others.
     others = [i for i, name in enumerate(human.names) if name != THUMB] or [0]
@@ -201,16 +201,14 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """Compare the motions that both hands impose on an object between their fingers.
 
     T (eqs. 5-6, ridge 0.1) is estimated from each hand's tips and middle joints, from the first
-    sample to every other. Both are expressed in the hand's own palm axes at the first sample.
-
-    Returns:
-        Mean angle between the rotations [deg], mean Frobenius norm of the difference of the
-        log-stretches, mean distance between the centroids' displacements [mm].
+    sample to every other. Both are expressed in the hand's own palm axes at the first sample. Means
+    are of the angle between the rotations [deg], the Frobenius norm of the difference of the
+    log-stretches, and the distance between the centroids' displacements [mm].
     """
     r1, s1, c1 = _object_motion(human)
     r2, s2, c2 = _object_motion(robot)
     return {
-        "object_rotation_deg": np.degrees(_turns(r1, r2)).mean(),
+        "object_rotation_deg": np.degrees(_turns(r1.swapaxes(1, 2) @ r2)).mean(),
         "object_stretch": np.linalg.norm(s1 - s2, axis=(1, 2)).mean(),
         "object_translation_mm": _distance_mm(c1, c2),
     }
@@ -219,31 +217,32 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
 def palm_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """Compare the palms' motions since the first sample, each in its own axes there, as RMS."""
     one, other = (inverse_pose(hand.palm[0]) @ hand.palm for hand in (human, robot))
-    turns = _turns(one[:, :3, :3], other[:, :3, :3])
-    distances = lengths(one[:, :3, 3] - other[:, :3, 3])
-    return {"palm_deg": np.degrees(_rms(turns)), "palm_mm": 1e3 * _rms(distances)}
+    apart = inverse_pose(one) @ other
+    return {
+        "palm_deg": np.degrees(_rms(_turns(apart[:, :3, :3]))),
+        "palm_mm": 1e3 * _rms(lengths(apart[:, :3, 3])),
+    }
 
 
 def pinch_gaps(hand: HandTrace) -> ByFinger:
     """Distances from the thumb's tip to the other fingertips [m], shape (T,) each."""
     tips = _tips_by_finger(hand)
     thumb = tips.pop(THUMB, None)
-    return {} if thumb is None else {f: lengths(tip - thumb) for f, tip in tips.items()}
+    return {f: lengths(tip - thumb) for f, tip in tips.items() if thumb is not None}
 
 
 def pinch_order(human: HandTrace, robot: HandTrace) -> float:
-    """Whether nearer tips of the human are nearer tips of the robot.
+    """Whether nearer tips of the human are nearer tips of the robot: Spearman's correlation.
 
-    Returns:
-        Spearman's correlation over all samples and thumb-finger pairs in which the human's tips are
-        less than 80 mm apart; NaN with fewer than three.
+    It is taken over all samples and thumb-finger pairs in which the human's tips are less than
+    80 mm apart; NaN with fewer than three.
     """
     pairs = np.array([[*pinch_gaps(hand).values()] for hand in (human, robot)])
     pairs = pairs.reshape(2, -1)
     pairs = pairs[:, pairs[0] < NEAR]
     if pairs.shape[1] < 3 or not np.ptp(pairs, axis=1).all():
         return np.nan
-    return float(_correlations(*rankdata(pairs, axis=1)))
+    return float(spearmanr(*pairs).statistic)
 
 
 def gap_metrics(
@@ -349,11 +348,11 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """
     other = _palm_points(robot)
     both = np.array([_laid_on(_palm_points(human), other), other])
+    # The palm's origin comes first, then the tips; the first of them is the thumb's, if any.
     tips = [*range(1, 1 + len(human.names))]
     pairs = [(0, tip) for tip in tips]
     if THUMB in human.names:
-        thumb = 1 + human.names.index(THUMB)
-        pairs += [(thumb, tip) for tip in tips if tip != thumb]
+        pairs += [(1, tip) for tip in tips[1:]]
     starts, ends = np.transpose(pairs)
     a, b = both[:, :, ends] - both[:, :, starts]
     cosine = _cosines(a, b)
@@ -381,12 +380,7 @@ def workspace_share(robot: HandTrace, workspace: ByFinger) -> float:
 def sample_workspace(hand: Hand, *, count: int = 20_000) -> ByFinger:
     """Draw points that each fingertip can reach, joints uniform within their limits.
 
-    Args:
-        hand: The robot hand.
-        count: Number of postures.
-
-    Returns:
-        Points in the palm frame by finger [m], shape (count, 3) each.
+    They are in the palm frame, by finger [m], shape (count, 3) each.
     """
     random = np.random.default_rng(42)
     q = random.uniform(
@@ -402,7 +396,7 @@ def _tips_by_finger(hand: HandTrace) -> ByFinger:
 
 def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotations (T, 3, 3), log-stretches (T, 3, 3) and centroid displacements (T, 3)."""
-    points = hand.points[:, :, [TIP, MIDDLE]].reshape(len(hand.points), -1, 3)
+    points = hand.points[:, :, MIDDLE:].reshape(len(hand.points), -1, 3)
     points = points @ hand.palm[0, :3, :3]
     estimator = MotionEstimator(points[0], ridge=OBJECT_RIDGE)
     factors = polar(estimator.estimate(points).motion[:, :3, :3])
@@ -439,9 +433,9 @@ def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.clip(dots / np.where(norms > 0.0, norms, np.inf), -1.0, 1.0)
 
 
-def _turns(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Angles between rotations of shape (T, 3, 3) [rad], shape (T,)."""
-    return Rotation.from_matrix(one.swapaxes(1, 2) @ other).magnitude()
+def _turns(rotations: np.ndarray) -> np.ndarray:
+    """Angles of rotations of shape (T, 3, 3) [rad], shape (T,)."""
+    return Rotation.from_matrix(rotations).magnitude()
 
 
 def _distance_mm(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -7,7 +7,8 @@ whatever mapping found those. So every mapping is measured in the same way.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -124,9 +125,8 @@ def trace_robot(
         The trace.
     """
     chains = fingers_of(hand)
-    wrists = [None] * len(q) if wrist is None else wrist
-    poses = [hand.frame_pose("palm", *pair) for pair in zip(q, wrists, strict=True)]
-    palm = np.array(poses)
+    wrists = repeat(None) if wrist is None else wrist
+    palm = np.array([*map(partial(hand.frame_pose, "palm"), q, wrists)])
     fingers = chains.values()
     places = [place for one in fingers for place in (one.knuckle, one.middle, one.tip)]
     local = PalmKinematics(hand).points(np.vstack([zero_posture(hand), q]), places)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +10,7 @@ import tyro
 
 from handmap_qp.apps.arguments import hinted
 from handmap_qp.apps.drawing.layout_pictures import save_layout_picture
-from handmap_qp.apps.tables import print_rows, print_table
+from handmap_qp.apps.tables import print_result, table_rows
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import check_new, check_output, replaced_file
 from handmap_qp.trackers.layouts import LAYOUTS
@@ -71,17 +70,16 @@ class Layouts:
             out = check_output("--picture", self.picture, (".png",))
             save_layout_picture(layout, out)
         facts = _facts(layout)
-        if self.json:
-            print(json.dumps({**facts, "entries": layout.rows()}))
-            return
         texts = {
             key: "; ".join(fact) if isinstance(fact, list) else fact
             for key, fact in facts.items()
         }
-        print_table(layout.name, texts)
-        print_rows("Order", layout.rows())
+        rows = layout.rows()
+        tables = {layout.name: table_rows(texts), "Order": rows}
+        print_result({**facts, "entries": rows}, tables, as_json=self.json)
         for written in filter(None, (self.template, self.picture)):
-            print(f"wrote {written}")
+            if not self.json:
+                print(f"wrote {written}")
 
     def _list(self) -> None:
         """Print all layouts."""
@@ -93,10 +91,7 @@ class Layouts:
                     advice="name one of `handmap layouts`",
                 )
         rows = list(map(_summary, LAYOUTS.values()))
-        if self.json:
-            print(json.dumps(rows))
-        else:
-            print_rows("Layouts", rows)
+        print_result(rows, {"Layouts": rows}, as_json=self.json)
 
 
 def _summary(layout: Layout) -> dict[str, Any]:

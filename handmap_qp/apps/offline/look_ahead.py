@@ -16,13 +16,14 @@ smoothing (`SMOOTH_IK`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from handmap_qp.apps.offline.trajectory import (
+    Told,
     Trajectory,
     held_samples,
     map_recording,
@@ -32,7 +33,6 @@ from handmap_qp.apps.offline.trajectory import (
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.robot import Robot
-from handmap_qp.hands.spec import Side
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording
@@ -169,7 +169,7 @@ def map_hand(
     arguments: MappingArguments,
     *,
     smoother: LookAhead | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Told = None,
 ) -> tuple[Recording, Trajectory, HandMapper]:
     """Map a recording of a person with the options of a command.
 
@@ -200,31 +200,32 @@ def map_hand(
 
 
 def map_hands(
-    recordings: Mapping[Side, Recording],
+    recordings: Sequence[Recording],
     robot: Robot,
     person: Person,
     arguments: MappingArguments,
-    *,
-    progress: Callable[[int], None] | None = None,
-) -> Trajectory:
-    """Map recordings of both hands of a person to one robot; arguments as of `map_hand`.
+    progress: Told = None,
+) -> tuple[Trajectory, Any]:
+    """Map a recording of each hand of a robot, in its order; arguments as of `map_hand`.
 
     Returns:
-        The motion of the whole robot at the instants of the longest recording; points are of all
-        hands, one after the other, and wrist poses of the first.
+        The motion of the whole robot at the instants of the longest recording, and the method;
+        points are of all hands, one after the other, and wrist poses of the first.
     """
     points = arguments.human_points
+    used = {recording.side: recording for recording in recordings}
     humans = {
         side: scaled_human(recording, points=points, lengths=person.lengths)
-        for side, recording in recordings.items()
+        for side, recording in used.items()
     }
     side = next(iter(robot.hands))
-    upright = recordings[side].upright
+    upright = used[side].upright
     choice = arguments.preset_for(humans[side], robot.hands[side], upright)
     follower = RobotFollower(RobotMapper(robot, humans, choice.method, ik=choice.ik))
-    steps = map(follower.map_samples, paired(recordings))
-    time = max(recordings.values(), key=len).time
-    return trajectory_of(follower.mapper.robot, time, steps, progress)
+    steps = map(follower.map_samples, paired(used))
+    time = max(recordings, key=len).time
+    trajectory = trajectory_of(follower.mapper.robot, time, steps, progress)
+    return trajectory, choice.method
 
 
 def continuous_quats(rotations: np.ndarray) -> np.ndarray:

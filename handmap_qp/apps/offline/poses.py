@@ -56,13 +56,9 @@ class Posture(NamedTuple):
 
 
 def measure_posture(landmarks: np.ndarray) -> Posture:
-    """Flexion, gaps and spread of a hand.
+    """Flexion, gaps and spread of a right or left hand; NaN where landmarks are NaN or coincide.
 
-    Args:
-        landmarks: Landmarks of a right or left hand [m], shape (T, 21, 3).
-
-    Returns:
-        The measures of every sample; NaN where landmarks are NaN or coincide.
+    Landmarks are in metres, shape (T, 21, 3).
 
     Raises:
         InvalidInputError: On a wrong shape.

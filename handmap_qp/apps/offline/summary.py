@@ -25,20 +25,16 @@ Summary = dict[str, Any]
 
 
 def summarise(trajectory: Trajectory) -> Summary:
-    """Summarise a mapped motion.
+    """Summarise a mapped motion by numbers, with the unit in their name.
 
-    Args:
-        trajectory: The robot's trajectory.
-
-    Returns:
-        Numbers by name, with the unit in the name. Errors and times are taken over the samples
-        that the robot followed, `samples_at_limit` over all. `held` counts the others, `rules` how
-        many samples broke each rule, and `events` lists the holds. `consistency_mm_mean` is the
-        mean RMS difference of bones and palm from the person's. `speed_limited_share` is the share
-        of the followed samples in which a speed limit held a joint; `speed_limited_joints` has the
-        joints held most often, with share and limit [rad/s or m/s]. `arm_out_of_reach` has the
-        share of samples, what holds the arm in them (`arm_held_by`), the largest error, the extent
-        of the motion and a scale to try, of an arm that does not follow; None if it does.
+    Errors and times are taken over the samples that the robot followed, `samples_at_limit` over
+    all. `held` counts the others, `rules` how many samples broke each rule, and `events` lists the
+    holds. `consistency_mm_mean` is the mean RMS difference of bones and palm from the person's.
+    `speed_limited_share` is the share of the followed samples in which a speed limit held a joint;
+    `speed_limited_joints` has the joints held most often, with share and limit [rad/s or m/s].
+    `arm_out_of_reach` has the share of samples, what holds the arm in them (`arm_held_by`), the
+    largest error, the extent of the motion and a scale to try, of an arm that does not follow; None
+    if it does.
     """
     robot = trajectory.robot
     seen = trajectory.valid
@@ -50,7 +46,7 @@ def summarise(trajectory: Trajectory) -> Summary:
     found = {
         "robot": robot.name,
         "samples": len(trajectory.time),
-        "held": int((~seen).sum()),
+        "held": (~seen).sum(),
         "rules": count_rules(trajectory),
         "events": find_holds(trajectory),
         "consistency_mm_mean": (1e3 * consistency).mean() if len(consistency) else None,
@@ -61,7 +57,7 @@ def summarise(trajectory: Trajectory) -> Summary:
         "point_error_mm_p95": np.percentile(points, 95),
         "point_error_mm_max": points.max(),
         "wrist_error_mm_mean": 1e3 * trajectory.wrist_error[seen].mean(),
-        "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
+        "samples_at_limit": trajectory.at_limit.any(axis=1).sum(),
         "limit_violation_max": trajectory.limit_violation,
         "speed_limited_share": is_slow.any(axis=1).mean(),
         # The joints that speed limits held most often.
@@ -81,12 +77,11 @@ def summarise(trajectory: Trajectory) -> Summary:
 
 
 def find_holds(trajectory: Trajectory) -> list[dict[str, Any]]:
-    """Find the holds of a mapped motion.
+    """Find the holds of a mapped motion, in the order of time.
 
-    Returns:
-        The holds in the order of time: `rule` that began it (`trackers.guard.RULES`); `start`, the
-        time of its first sample from the first sample of all on [s]; `duration` to the first sample
-        that is followed again, or to the end [s]; `samples` that were not followed.
+    Each has the `rule` that began it (`human.sample.RULES`); `start`, the time of its first sample
+    from the first sample of all on [s]; `duration` to the first sample that is followed again, or
+    to the end [s]; `samples` that were not followed.
     """
     time = trajectory.time - trajectory.time[0]
     return [
@@ -107,11 +102,7 @@ def count_rules(trajectory: Trajectory) -> dict[str, int]:
 
 
 def notes(summary: Summary) -> list[str]:
-    """Return a line if speed limits, and one if a short arm, kept the robot from following.
-
-    Args:
-        summary: Result of `summarise`.
-    """
+    """Return a line if speed limits, and one if a short arm, kept the robot from following."""
     lines = []
     share = summary["speed_limited_share"]
     if share > SLOW_SHARE:
@@ -138,14 +129,7 @@ def notes(summary: Summary) -> list[str]:
 
 
 def table_rows(summary: Summary) -> dict[str, str]:
-    """Format a summary as table rows.
-
-    Args:
-        summary: Result of `summarise`.
-
-    Returns:
-        Formatted values, with their units, by label.
-    """
+    """Return the values of a summary as text, with their units, by label."""
     events = summary["events"]
     holds = [
         f"{event['rule']} at {event['start']:.2f} s for {event['duration']:.2f} s"

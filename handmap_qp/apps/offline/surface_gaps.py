@@ -41,12 +41,8 @@ def measure_gaps(hand: Hand, q: np.ndarray) -> SurfaceGaps:
     Pairs of shapes on one joint, on neighbouring joints, or that overlap at rest or with the hand
     stretched are not counted as self-penetration.
 
-    Args:
-        hand: The robot hand.
-        q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
-
-    Returns:
-        The gaps. Fingers whose distal links have no shapes are left out.
+    Joint angles q are in the order of `hand.joint_names` [rad], shape (T, n). Fingers whose distal
+    links have no shapes are left out.
 
     Raises:
         HandError: If a shape cannot be read.
@@ -59,9 +55,6 @@ class GapMeter:
     """Measures gaps of one robot hand, whose shapes are read once.
 
     The same motion gives the same numbers each time.
-
-    Args:
-        hand: The robot hand.
 
     Raises:
         HandError: If a shape cannot be read.
@@ -84,11 +77,7 @@ class GapMeter:
                 self._geometry.addCollisionPair(pin.CollisionPair(*pair))
 
     def pinches(self, q: np.ndarray) -> ByFinger:
-        """Measure the gaps between the thumb and the other fingers; see `SurfaceGaps.pinches`.
-
-        Args:
-            q: Joint angles [rad], shape (T, n).
-        """
+        """Measure the gaps between thumb and fingers at q [rad], (T, n); see `SurfaceGaps`."""
         starts = list(self._groups.values())
         if not starts:
             return {}
@@ -98,9 +87,7 @@ class GapMeter:
     def nearest(self, q: np.ndarray, most: float = FAR) -> np.ndarray:
         """Measure the smallest distance between any two links that can collide [m], shape (T,).
 
-        Args:
-            q: Joint angles [rad], shape (T, n).
-            most: Distance up to which it is measured, and that stands for larger ones [m].
+        Joint angles q are of shape (T, n) [rad]; `most` stands for larger distances [m].
         """
         return self._smallest(self._colliding, q, [0], most)[:, 0]
 
@@ -115,16 +102,9 @@ class GapMeter:
         starts: list[int],
         most: float,
     ) -> np.ndarray:
-        """Measure the smallest distance within each group of pairs, at most `most` [m].
+        """Measure the smallest distance, at most `most`, in each of g groups of pairs [m], (T, g).
 
-        Args:
-            geometry: Shapes and pairs.
-            q: Joint angles [rad], shape (T, n).
-            starts: First pair of each of g groups.
-            most: As of `nearest`.
-
-        Returns:
-            Shape (T, g).
+        A group begins at its pair in `starts`, and ends before the next one.
         """
         hand = self._hand
         if (tree := core_tree(hand)) is not None:

@@ -26,6 +26,9 @@ from handmap_qp.se3 import lengths
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
+Told = Callable[[int], None] | None
+"""Called after each sample with the number of samples done."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -99,6 +102,12 @@ class Trajectory:
             "all_joint_roles": np.array(robot.all_joint_roles),
             "all_q": robot.all_joints(self.q),
             "versions": np.array(package_versions()),
+            **{
+                f"wrist_{hand.spec.side}": np.array(
+                    [hand.frame_pose("wrist", q) for q in self.q]
+                )
+                for hand in robot.parts
+            },
         }
 
 
@@ -112,7 +121,7 @@ def package_versions() -> tuple[str, ...]:
 def map_recording(
     mapper: HandMapper,
     recording: Recording,
-    progress: Callable[[int], None] | None = None,
+    progress: Told = None,
     *,
     wrist_poses: np.ndarray | None = None,
     is_guarded: bool = True,
@@ -155,7 +164,7 @@ def trajectory_of(
     robot: Hand,
     time: np.ndarray,
     mapped: Iterator[MapStep | None],
-    progress: Callable[[int], None] | None = None,
+    progress: Told = None,
 ) -> Trajectory:
     """Collect the steps of samples; None stands for one that is not valid.
 

@@ -1,1 +1,0 @@
-from . import report_pictures as report_pictures
