@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, tostring
@@ -29,6 +30,7 @@ from handmap_qp.hands.urdf import (
     MOVABLE,
     check_tree,
     cut_subtree,
+    edges,
     fix_free_joints,
     joints_by_name,
     mimics_of,
@@ -138,6 +140,7 @@ class Robot:
         self._rules = read_mimic_rules(robot)
         self.active = [name for name in movable if name not in self._rules]
         self._elements = {link.get("name", ""): link for link in robot.iterfind("link")}
+        self._parents = {child: parent for _, parent, child in edges(robot)}
         self._build(tostring(robot, encoding="unicode"))
         self.joints = [self.model.getJointId(name) for name in movable]
 
@@ -200,22 +203,17 @@ class Robot:
 
     def ends(self, body: int) -> list[str]:
         """Return the links of a body, but its first one, that carry no other link."""
-        inner = {frame.parentFrame for frame in self.model.frames}
-        links = self.links[body][1:]
-        return [link for link in links if self.model.getBodyId(link) not in inner]
+        inner = {*self._parents.values()}
+        return [link for link in self.links[body][1:] if link not in inner]
 
     def carriers(self, joint: int) -> list[str]:
         """Return the links of a body out to the one that carries a joint."""
-        frames = self.model.frames
-        body = self.model.parents[joint]
-        index = self.model.getFrameId(self.model.names[joint], pin.FrameType.JOINT)
-        passed = list[pin.Frame]()
-        while (index := frames[index].parentFrame) and frames[
-            index
-        ].parentJoint == body:
-            passed.insert(0, frames[index])
-        # Between two links is the frame of their joint.
-        return [frame.name for frame in passed if frame.type == pin.FrameType.BODY]
+        body = self.links[self.model.parents[joint]]
+        link = self._parents[self.links[joint][0]]
+        passed = [link]
+        while (link := self._parents.get(link, "")) in body:
+            passed.insert(0, link)
+        return passed
 
     def driver(self, joint: str) -> str:
         """Return the active joint that moves a joint: itself, or its mimic leader."""
@@ -278,14 +276,11 @@ class Robot:
 
     def _points(self, link: str, kind: str) -> list[np.ndarray]:
         """Return points of each shape of a link in its frame, at most some of each mesh."""
-
-        def note(name: str) -> None:
-            self._remark(f"the mesh {name}", "cannot be read")
-
+        miss = partial(self._remark, what="is a mesh that cannot be read")
         return [
             np.array(mesh.vertices[:: max(1, len(mesh.vertices) // _MOST_POINTS)])
             for shape in self._elements[link].iterfind(kind)
-            for mesh in shape_meshes(shape, self.file.parent, note)
+            for mesh in shape_meshes(shape, self.file.parent, miss)
         ]
 
     # -- assumptions
