@@ -117,8 +117,9 @@ def check_robot(robot: WholeRobot, *, has_motion: bool = True) -> Report:
     report = Report(robot.name)
     report.add([("Hands", palm_rows(robot))])
     for side, hand in robot.hands.items():
-        found = check_hand(str(hand.spec.file), has_motion=has_motion).findings
-        report.add(one._replace(key=f"{side}: {one.key}") for one in found)
+        found = check_hand(str(hand.spec.file), has_motion=has_motion)
+        report.error = report.error or found.error
+        report.add(one._replace(key=f"{side}: {one.key}") for one in found.findings)
     hands = [*robot.hands.values()]
     whole = hands[0]
     wrists = [carrier_of(whole, hand.spec.wrist.link) for hand in hands]
@@ -142,42 +143,32 @@ def _list_joints(hand: Hand) -> Found:
     yield "Joints", rows_of(columns)
 
 
-def _check_joints(hand: Hand) -> Found:
-    """Check limits, rest angles, speeds and followers."""
+def _check_limits(hand: Hand) -> Found:
+    """Check rest angles, ranges and speeds; joints of an arm may turn twice."""
     change = "correct the URDF, or give the rule in `mimic` or the limits in `limits`"
     yield from (warning("mimic", note, change) for note in hand.notes)
-    columns = (hand.rest, hand.lower_limits, hand.upper_limits, hand.velocity_limits)
-    for joint, rest, lower, upper, speed in zip(
-        hand.joint_names, *columns, strict=True
-    ):
-        width = upper - lower
-        if min(rest - lower, upper - rest) < 0.01 * width:
-            what = "rests at its limit, so it can move in one direction only"
-            yield advice(f"rest.{joint}", what, "move it inwards")
-        if width < 0.002:
-            what = f"{joint} has a range of {width:.2g}"
-            yield warning("limits", what, "give its true limits, or lock it")
+    names = hand.joint_names
+    width = hand.upper_limits - hand.lower_limits
+    inside = np.minimum(hand.rest - hand.lower_limits, hand.upper_limits - hand.rest)
+    for i in np.flatnonzero(inside < 0.01 * width):
+        what = "rests at its limit, so it can move in one direction only"
+        yield advice(f"rest.{names[i]}", what, "move it inwards")
+    for i in np.flatnonzero(width < 0.002):
+        what = f"{names[i]} has a range of {width[i]:.2g}"
+        yield warning("limits", what, "give its true limits, or lock it")
+    for i, speed in enumerate(hand.velocity_limits):
         if not 0.02 <= speed <= 60.0:
             what = f"a speed of {speed:.3g} per second is unusual"
-            yield advice(f"limits.{joint}", what, "check its unit")
-
-
-def _check_ranges(hand: Hand) -> Found:
-    """Find ranges in degrees or millimetres; joints of an arm may turn twice."""
-    width = np.where(hand.moves_wrist, 0.0, hand.upper_limits - hand.lower_limits)
-    joints = [hand.model.getJointId(joint) for joint in hand.joint_names]
-    turns = PalmKinematics(hand).axes(hand.rest, joints)[0].any(axis=1)
-    for kind, largest, unit in (
-        (turns, _LARGEST_TURN, "degrees"),
-        (~turns, _LARGEST_SLIDE, "millimetres"),
-    ):
-        wide = np.flatnonzero((width > largest) & kind)
-        if len(wide):
-            have = (
-                f"{len(wide)} joints have ranges" if len(wide) > 1 else "it has a range"
-            )
+            yield advice(f"limits.{names[i]}", what, "check its unit")
+    turns = PalmKinematics(hand).axes(hand.rest, [*map(hand.model.getJointId, names)])
+    largest = np.where(turns[0].any(axis=1), _LARGEST_TURN, _LARGEST_SLIDE)
+    is_wide = ~hand.moves_wrist & (width > largest)
+    for limit, unit in ((_LARGEST_TURN, "degrees"), (_LARGEST_SLIDE, "millimetres")):
+        wide = np.flatnonzero(is_wide & (largest == limit))
+        if count := len(wide):
+            have = f"{count} joints have ranges" if count > 1 else "it has a range"
             what = f"{have} of up to {width[wide].max():.3g}: in {unit}?"
-            where = f"limits.{hand.joint_names[wide[0]]}"
+            where = f"limits.{names[wide[0]]}"
             yield warning(where, what, "give limits in rad and m")
 
 
@@ -368,8 +359,7 @@ def _overlap(pairs: list[tuple[str, str]], change: str) -> Finding:
 
 _CHECKS = (
     _list_joints,
-    _check_joints,
-    _check_ranges,
+    _check_limits,
     _check_speeds,
     _check_followers,
     _check_points,

@@ -23,7 +23,6 @@ from handmap_qp.apps.onboarding.structure import (
     find_structure,
 )
 from handmap_qp.errors import HandError, reason_of
-from handmap_qp.hands.fingers import PalmKinematics
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import ball_in
 from handmap_qp.hands.spec import (
@@ -297,9 +296,7 @@ class _FoundHand:
             zero,
         )
         q = np.clip(q.round(4) + 0.0, lower, upper)
-        places = [finger.tip for finger in self.structure.fingers]
-        tips = PalmKinematics(robot).points(q, places)
-        heights = (tips - flexion.tips_open) @ self.anatomy.dorsal
+        heights = (flexion.tips(q) - flexion.tips_open) @ self.anatomy.dorsal
         sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
         how = (
             f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
@@ -414,7 +411,7 @@ def _positions(robot: Robot, q: np.ndarray, joints: Iterable[str]) -> dict[str, 
 
 def _locked(robot: Robot, joints: Sequence[str]) -> dict[str, float]:
     """Return positions of all joints but some: where they are locked, else at zero [rad or m]."""
-    locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
+    locked = {j: round(q, 6) for j, q in robot.locked.items() if j not in joints}
     still = [joint for joint in robot.active if joint not in joints]
     return locked | _positions(robot, robot.zero, still)
 

@@ -64,6 +64,8 @@ _WAYS = ("forward", "left", "up", "back", "right", "down")
 _ASTRAY = 30.0
 # So is a shorter way for one of 50 mm [mm].
 _SHORT = 25.0
+# Last joints flex by this share of the others' angle.
+_SHARES = {"DIP_flexion": 0.8, "IP_flexion": -0.6}
 # Thumb and finger meet in this part of a fist.
 _PINCHED = 0.65
 # Contacts move a joint aside by more than this part of its range.
@@ -191,14 +193,13 @@ def check_size(hand: Hand) -> Found:
 
 def check_motion(hand: Hand) -> Found:
     """Map a standard motion of a human hand: from rest to each of `standard_postures`."""
-    human = load_hand(human_name(hand.side), hand_length=HUMAN_LENGTH)
     rigid = "wrist" if hand.has_moving_wrist else "none"
     # A floating hand can turn as a whole; a hand that is held cannot, and its world's axes need not
     # be the human's.
     alignment = "world" if hand.is_floating else "palm"
-    mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
+    mapper = _mapper(hand, rigid_from=rigid, alignment=alignment)
     rows = []
-    for name, posture in standard_postures(human).items():
+    for name, posture in standard_postures(mapper.human).items():
         *_, last = _follow(mapper, posture)
         point = hand.reference_points[np.argmax(last.point_error)].name
         error = 1e3 * float(last.point_error.max())
@@ -232,12 +233,11 @@ def check_directions(hand: Hand, upright: str = "+y up, -z forward") -> Found:
     turn = rotation_onto(hand, upright)
     if turn is None:
         return
-    human = load_hand(human_name(hand.side), hand_length=HUMAN_LENGTH)
-    mapper = HandMapper(human, hand, alignment=turn, dt=_DT)
+    mapper = _mapper(hand, alignment=turn)
     rows = []
     for name, way in zip(_WAYS, [*np.eye(3), *-np.eye(3)], strict=True):
         place = 0.05 * way @ upright_axes(upright)
-        q = _follow(mapper, human.rest, place=place)[-1].command.q
+        q = _follow(mapper, mapper.human.rest, place=place)[-1].command.q
         start, end = (hand.frame_pose("palm", each)[:3, 3] for each in (hand.rest, q))
         moved = 1e3 * (end - start)
         seen = upright_axes(hand.spec.upright) @ moved
@@ -255,6 +255,12 @@ def check_directions(hand: Hand, upright: str = "+y up, -z forward") -> Found:
             far = f"{off:.0f} degrees off and {lengths(moved):.0f} of 50 mm"
             yield advice("reach", f"{direction}, {far}: the arm cannot go there")
     yield "Directions", rows
+
+
+def _mapper(hand: Hand, points: str | None = None, **options: Any) -> HandMapper:
+    """Return a mapper from a person's hand with some points, or those of the standard set."""
+    human = load_hand(human_name(hand.side), points=points, hand_length=HUMAN_LENGTH)
+    return HandMapper(human, hand, dt=_DT, **options)
 
 
 def _follow(
@@ -284,14 +290,11 @@ def check_contacts(hand: Hand) -> Found:
     """
     joined = joined_notes(all_pairs(hand, find_fingers(hand)))
     yield from map(partial(fine, "collision"), joined)
-    human = load_hand(
-        human_name(hand.side), points="landmarks", hand_length=HUMAN_LENGTH
-    )
-    mapper = HandMapper(human, hand, dt=_DT)
+    mapper = _mapper(hand, points="landmarks")
     method: Any = mapper.method
     if not getattr(method, "avoids_contact", False):
         return
-    pairs = gestures(human).reshape(-1, 2, len(human.rest))
+    pairs = gestures(mapper.human).reshape(-1, 2, len(mapper.human.rest))
     tours = []
     steps = list[MapStep]()
     # A detour would lead around what locks.
@@ -333,25 +336,24 @@ def gestures(human: Hand) -> np.ndarray:
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:
     """Return common postures of the human hand, inside its limits [rad], shape (20,) each."""
 
-    def posture(spread: float = 1.0, **flexions: float) -> np.ndarray:
+    def posture(*flexions: float, spread: float = 1.0) -> np.ndarray:
+        """Flex fingers from the thumb onwards; the others rest."""
+        flexed = dict(zip(FINGERS, flexions, strict=False))
         q = human.rest.copy()
         for i, name in enumerate(human.joint_names):
             finger, _, joint = name.partition("_")
-            if finger in flexions and "flexion" in joint:
-                share = {"DIP_flexion": 0.8, "IP_flexion": -0.6}.get(joint, 1.0)
-                q[i] = share * flexions[finger]
+            if finger in flexed and "flexion" in joint:
+                q[i] = flexed[finger] * _SHARES.get(joint, 1.0)
             elif joint == "MCP_abduction":
                 q[i] *= spread
         return np.clip(q, human.lower_limits, human.upper_limits)
 
-    fingers = dict.fromkeys(FINGERS[1:], 0.05)
-    fist = dict.fromkeys(fingers, 1.4)
     return {
-        "flat hand": posture(thumb=0.1, **fingers),
-        "spread": posture(thumb=0.0, spread=3.0, **fingers),
-        "fist": posture(thumb=0.7, **fist),
-        "pointing": posture(thumb=0.7, **{**fist, "index": 0.05}),
-        "pinch": posture(thumb=0.6, index=0.9),
+        "flat hand": posture(0.1, 0.05, 0.05, 0.05, 0.05),
+        "spread": posture(0.0, 0.05, 0.05, 0.05, 0.05, spread=3.0),
+        "fist": posture(0.7, 1.4, 1.4, 1.4, 1.4),
+        "pointing": posture(0.7, 0.05, 1.4, 1.4, 1.4),
+        "pinch": posture(0.6, 0.9),
     }
 
 

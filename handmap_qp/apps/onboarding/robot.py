@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, tostring
@@ -29,6 +29,7 @@ from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf import (
     MOVABLE,
     check_tree,
+    child_of,
     cut_subtree,
     edges,
     fix_free_joints,
@@ -72,6 +73,8 @@ class Robot:
         model: Pinocchio model of the movable joints, which sorts them by name.
         frames: Frame of the model for each link.
         links: Links of each body, its first one first.
+        surface: Points of a body's visuals, else of its collision shapes, by its number, in its
+            frame [m], shape (k, 3); a `HandError` if a shape lacks its numbers.
         palm_frame_id: Frame of the palm's link, once it is found; before that, of the world.
         joints: Movable joints of the model, in the order of the file.
         active: Names of the n joints that are not mimic joints, in the order of the file.
@@ -97,7 +100,7 @@ class Robot:
     ) -> None:
         self.file = file
         self._remarks = dict[str, list[str]]()
-        self._surfaces: dict[int, np.ndarray] = {}
+        self.surface = cache(self._surface)
         try:
             robot = parse_urdf(text)
             check_tree(robot)
@@ -124,11 +127,10 @@ class Robot:
         leaders = {name: rules[name].joint for name in given if name in rules}
         lost = {n: leader for n, leader in leaders.items() if leader not in given}
         self.dropped_rules = dict.fromkeys(lost)
-        if lost:
-            missing = ", ".join(dict.fromkeys(lost.values()))
+        for name, leader in lost.items():
             self._remark(
-                ", ".join(lost),
-                f"would mimic {missing}, missing or fixed here: taken as independent; couple what "
+                f"{name} (mimics {leader})",
+                "has a leader that is missing or fixed here: taken as independent; couple what "
                 "belongs together under `mimic` in the hand.yaml",
             )
         equal = self._assume_limits(given, leaders.keys() - lost)
@@ -161,12 +163,12 @@ class Robot:
         self.upper_limits = model.upperPositionLimit[at]
         self.zero = zero_posture(self)
         self.palm_frame_id = 0
-        self.frames: dict[str, pin.Frame] = {}
-        self.links: list[list[str]] = [[] for _ in model.names]
-        for frame in model.frames:
-            if frame.type == pin.FrameType.BODY:
-                self.frames[frame.name] = frame
-                self.links[frame.parentJoint].append(frame.name)
+        bodies = [f for f in model.frames if f.type == pin.FrameType.BODY]
+        self.frames = {frame.name: frame for frame in bodies}
+        self.links = [
+            [frame.name for frame in bodies if frame.parentJoint == body]
+            for body in range(model.njoints)
+        ]
         self._data = model.createData()
         vector = self.configuration_vector(self.zero)
         pin.framesForwardKinematics(model, self._data, vector)
@@ -230,11 +232,6 @@ class Robot:
         frame = self.frames[link]
         return frame.parentJoint, frame.placement.act(xyz)
 
-    def origins(self, bodies: list[int]) -> np.ndarray:
-        """Return the origins of k bodies at `zero` [m], shape (k, 3)."""
-        found = [self._data.oMi[body].translation for body in bodies]
-        return np.array(found).reshape(-1, 3)
-
     def pose_in(self, link: str, other: str) -> np.ndarray:
         """Return a link's pose in another link's frame at `zero`, shape (4, 4)."""
         pose, frame = (self._data.oMf[self.model.getBodyId(n)] for n in (link, other))
@@ -259,20 +256,14 @@ class Robot:
         ]
         return np.array(found).reshape(-1, 3)
 
-    def surface(self, body: int) -> np.ndarray:
-        """Return points of a body's visuals, else of its collision shapes, in its frame [m].
-
-        Raises:
-            HandError: If a shape lacks its numbers.
-        """
-        if body not in self._surfaces:
-            clouds = [np.zeros((0, 3))]
-            for link in self.links[body]:
-                placement = self.frames[link].placement.homogeneous
-                points = self._points(link, "visual") or self._points(link, "collision")
-                clouds += [transform_points(placement, cloud) for cloud in points]
-            self._surfaces[body] = np.concatenate(clouds)
-        return self._surfaces[body]
+    def _surface(self, body: int) -> np.ndarray:
+        """Read what `surface` keeps."""
+        clouds = [np.zeros((0, 3))]
+        for link in self.links[body]:
+            placement = self.frames[link].placement.homogeneous
+            points = self._points(link, "visual") or self._points(link, "collision")
+            clouds += [transform_points(placement, cloud) for cloud in points]
+        return np.concatenate(clouds)
 
     def _points(self, link: str, kind: str) -> list[np.ndarray]:
         """Return points of each shape of a link in its frame, at most some of each mesh."""
@@ -333,8 +324,7 @@ class _Limits(NamedTuple):
 def _limits(joint: Element) -> _Limits:
     """Return the limits that a joint has in the URDF."""
     kind = joint.get("type", "")
-    limit = joint.find("limit")
-    given = {} if limit is None else limit.attrib
+    given = child_of(joint, "limit").attrib
     lower, upper, speed = (
         float(given.get(key, 0.0)) for key in ("lower", "upper", "velocity")
     )

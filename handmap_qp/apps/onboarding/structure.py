@@ -16,7 +16,7 @@ import pinocchio as pin
 from handmap_qp.apps.onboarding.anatomy import Clue
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError
-from handmap_qp.hands.fingers import Finger, ends_of, zero_posture
+from handmap_qp.hands.fingers import Finger, PalmKinematics, ends_of, zero_posture
 from handmap_qp.se3 import lengths, transform_points, unit
 
 LONGEST_FINGER = 0.3
@@ -73,7 +73,7 @@ class RobotFinger(Finger):
         self.links = [robot.links[joint][0] for joint in joints]
         self.names = [*self.joint_names, *self.links]
         self.carriers = robot.carriers(joints[0])
-        steps = [*np.diff(robot.origins(joints), axis=0), self.tip[1]]
+        steps = [*np.diff(_origins(robot, joints), axis=0), self.tip[1]]
         self.length = lengths(np.array(steps)).sum()
 
 
@@ -185,7 +185,7 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     Raises:
         HandError: If there are two; the message names their links for `root`.
     """
-    roots = robot.origins([finger.joints[0] for finger in fingers])
+    roots = _origins(robot, [finger.joints[0] for finger in fingers])
     near = lengths(roots[:, None] - roots[None]) < _APART
     group = np.linalg.matrix_power(near.astype(float), len(fingers))[0] > 0.0
     if min(group.sum(), (~group).sum()) < 2:
@@ -200,6 +200,11 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
         file=robot.file,
         value=links,
     )
+
+
+def _origins(robot: Robot, joints: list[int]) -> np.ndarray:
+    """Return the origins of k joints at zero [m], shape (k, 3)."""
+    return PalmKinematics(robot).axes(robot.zero, joints)[1]
 
 
 def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
