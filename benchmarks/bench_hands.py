@@ -30,7 +30,8 @@ from handmap_qp.apps.offline.comparison import (
     prepare_take,
 )
 from handmap_qp.apps.offline.metrics import METRICS, Metric
-from handmap_qp.apps.onboarding.measure import measure_pinches
+from handmap_qp.apps.onboarding.findings import Report
+from handmap_qp.apps.onboarding.measure import check_pinches
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
@@ -117,7 +118,10 @@ def measure(hand: Hand, takes: list[Take]) -> dict[str, Any]:
     comparison = compare_methods(takes, hand, [own_method(method)])
     overall = comparison.overall(comparison.methods[0])
     failed = [run for run in comparison.runs if run.problem]
-    touched = [pinch.finger for pinch in measure_pinches(hand) if pinch.touch == "yes"]
+    report = Report(hand.name)
+    report.add(check_pinches(hand))
+    pinches = report.measured.get("Pinches", [])
+    touched = [pinch["thumb and"] for pinch in pinches if pinch["touch"] == "yes"]
     return {
         "hand": hand.name,
         "joints": len(hand.joint_names),

@@ -15,10 +15,6 @@ import yaml
 
 from handmap_qp import HandError, load_hand
 from handmap_qp.apps.onboarding.check import (
-    Finding,
-    Report,
-    _check_arm,
-    _check_contacts,
     _check_wrist,
     _compare_detection,
     check_hand,
@@ -29,12 +25,14 @@ from handmap_qp.apps.onboarding.collision_pairs import (
     with_collision_pairs,
 )
 from handmap_qp.apps.onboarding.detect import detect, detect_text
+from handmap_qp.apps.onboarding.findings import Found, Report
 from handmap_qp.apps.onboarding.measure import (
-    make_fist,
+    check_arm,
+    check_contacts,
+    check_fist,
+    check_motion,
+    check_pinches,
     measure_arm,
-    measure_pinches,
-    tour_gestures,
-    try_motion,
 )
 from handmap_qp.apps.onboarding.picture import _Scene
 from handmap_qp.apps.onboarding.write import write_hand
@@ -72,11 +70,18 @@ def described(tmp_path: Path, urdf: str, **changes: Any) -> Path:
     return tmp_path / "hand.yaml"
 
 
+def found_by(check: Found) -> Report:
+    """Return what one check finds."""
+    report = Report("hand")
+    report.add(check)
+    return report
+
+
 def warnings_of(report: Report) -> dict[str, str]:
     found: dict[str, str] = {}
     for f in report.findings:
         if f.level == "warning":
-            found[f.where] = f"{found.get(f.where, '')}{f.what}; {f.change}\n"
+            found[f.key] = f"{found.get(f.key, '')}{f.found}; {f.change}\n"
     return found
 
 
@@ -88,8 +93,8 @@ def test_a_right_description_has_no_warning(made: MadeHand, tmp_path: Path) -> N
     report = check(described(tmp_path, made.urdf))
     assert warnings_of(report) == {}
     assert report.measured["Pinches"]
-    assert any("thumb can touch" in f.what for f in report.findings)
-    assert {"Pads", "Pinches", "Fingers", "Size"} <= report.tables().keys()
+    assert any("thumb can touch" in f.found for f in report.findings)
+    assert {"Pads", "Pinches", "Fingers", "Size"} <= report.measured.keys()
 
 
 def test_a_palm_turned_over_is_found(made: MadeHand, tmp_path: Path) -> None:
@@ -110,9 +115,11 @@ def test_a_palm_turned_about_distal_is_found(
     turned = np.cos(np.radians(angle)) * dorsal
     turned = turned + np.sin(np.radians(angle)) * np.cross(distal, dorsal)
     palm["dorsal"] = (turned / np.linalg.norm(turned)).tolist()
-    fist = make_fist(load_hand(described(tmp_path, made.urdf, palm=palm)))
-    assert fist is not None
-    assert fist.across_deg == pytest.approx(angle, abs=8.0)
+    (fist,) = found_by(
+        check_fist(load_hand(described(tmp_path, made.urdf, palm=palm)))
+    ).findings
+    (across,) = re.findall(r"(\d+) degrees off (?:its|the palm's) x axis", fist.found)
+    assert float(across) == pytest.approx(angle, abs=8.0)
     found = warnings_of(check(tmp_path / "hand.yaml"))
     assert ("palm.dorsal" in found) == is_wrong
 
@@ -133,11 +140,12 @@ def test_exchanged_fingers_are_found(made: MadeHand, tmp_path: Path) -> None:
 def test_axes_of_fingers_around_a_centre_are_compared_too() -> None:
     """Detection only guesses the palm of such a hand: a palm turned over differs enough."""
     spec = load_hand("three_finger").spec
-    assert not [*_compare_detection(load_hand(spec))]
+    assert not found_by(_compare_detection(load_hand(spec))).findings
     x, y, z = spec.palm.dorsal
     palm = msgspec.structs.replace(spec.palm, dorsal=(-x, -y, -z))
     turned = load_hand(msgspec.structs.replace(spec, palm=palm))
-    assert "palm.dorsal" in {found.where for found in _compare_detection(turned)}
+    findings = found_by(_compare_detection(turned)).findings
+    assert "palm.dorsal" in {found.key for found in findings}
 
 
 def test_limits_in_degrees_are_one_finding(made: MadeHand, tmp_path: Path) -> None:
@@ -218,16 +226,17 @@ def test_a_xacro_file_is_named_as_such(tmp_path: Path) -> None:
 
 
 def test_wrist_joints_above_the_root_are_advice() -> None:
-    (found,) = _check_wrist(load_hand("g1_right"))
-    assert found.where == "root"
-    assert "right_wrist_yaw_joint" in found.what
+    (found,) = found_by(_check_wrist(load_hand("g1_right"))).findings
+    assert found.key == "root"
+    assert "right_wrist_yaw_joint" in found.found
     assert "--base" in found.change
 
 
 def test_pads_meet_where_the_thumb_opposes() -> None:
     """Fingers 1 and 2 of the three-fingered hand close onto the thumb in a plane."""
     hand = load_hand("three_finger")
-    assert [pinch.touch for pinch in measure_pinches(hand)] == ["yes", "yes"]
+    pinches = found_by(check_pinches(hand)).measured["Pinches"]
+    assert [pinch["touch"] for pinch in pinches] == ["yes", "yes"]
 
 
 def test_a_thumb_that_opposes_nothing_is_found(made: MadeHand, tmp_path: Path) -> None:
@@ -242,11 +251,11 @@ def test_a_thumb_that_opposes_nothing_is_found(made: MadeHand, tmp_path: Path) -
 def test_an_arm_does_not_hide_what_the_hand_reaches() -> None:
     """The same hand alone and on its arm reaches the same postures."""
     alone, on_arm = (
-        try_motion(load_hand("g1_left")),
-        try_motion(load_hand("g1_arm_left")),
+        found_by(check_motion(load_hand(name))).measured["A standard motion"]
+        for name in ("g1_left", "g1_arm_left")
     )
     for one, other in zip(alone, on_arm, strict=True):
-        assert other.error_mm == pytest.approx(one.error_mm, abs=3.0)
+        assert other["error mm"] == pytest.approx(one["error mm"], abs=3.0)
 
 
 def test_the_picture_shows_all_points() -> None:
@@ -306,11 +315,11 @@ def test_contacts_leave_the_joints_of_right_hands_their_range(name: str) -> None
     if name in NAMES and SHARED is None:
         pytest.skip("set HANDMAP_HANDS")
     hand = load(name)
-    found = [each for each in _check_contacts(hand) if isinstance(each, Finding)]
-    assert {each.level for each in found} <= {"fine"}
-    rows = tour_gestures(hand)
-    assert [row.joint for row in rows] == [*hand.joint_names]
-    assert max(row.without_contacts for row in rows) > 0.5
+    report = found_by(check_contacts(hand))
+    assert {each.level for each in report.findings} <= {"fine"}
+    rows = report.measured["A tour of gestures"]
+    assert [row["joint"] for row in rows] == [*hand.joint_names]
+    assert max(row["without contacts"] for row in rows) > 0.5
 
 
 def test_a_joint_that_contacts_lock_is_found(tmp_path: Path) -> None:
@@ -328,13 +337,9 @@ def test_a_joint_that_contacts_lock_is_found(tmp_path: Path) -> None:
     urdf = tmp_path / "hand.urdf"
     urdf.write_text(hand.urdf_text.replace(link, link + ball))
     locked = load_hand(msgspec.structs.replace(hand.spec, urdf=str(urdf)))
-    found = [
-        each
-        for each in _check_contacts(locked)
-        if isinstance(each, Finding) and each.level == "warning"
-    ]
+    found = warnings_of(found_by(check_contacts(locked)))
     assert found
-    assert all("palm and finger3" in each.what for each in found)
+    assert all("palm and finger3" in line for line in found["urdf"].splitlines())
     report = check_hand("three_finger")
     assert "A tour of gestures" in report.measured
 
@@ -402,6 +407,6 @@ def test_the_reach_of_an_arm_is_a_line_with_a_scale() -> None:
     short = measure_arm(load_hand("g1_arm_left"))
     assert short is not None
     assert np.median(short) < np.median(reach)
-    (line,) = _check_arm(load_hand("g1_arm_left"))
+    (line,) = found_by(check_arm(load_hand("g1_arm_left"))).findings
     assert line.level == "advice"
-    assert "directions from rest" in line.what
+    assert "directions from rest" in line.found

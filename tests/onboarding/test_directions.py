@@ -8,10 +8,19 @@ import numpy as np
 import pytest
 
 from handmap_qp import cli, load_hand
-from handmap_qp.apps.onboarding.measure import measure_directions
+from handmap_qp.apps.onboarding.findings import Report, Rows
+from handmap_qp.apps.onboarding.measure import check_directions
 from handmap_qp.apps.onboarding.picture import _Scene
+from handmap_qp.hands.hand import Hand
 
 BARE = load_hand("allegro_right")
+
+
+def measure_directions(hand: Hand, *upright: str) -> Rows:
+    """Return the rows of the table; none without one."""
+    report = Report(hand.name)
+    report.add(check_directions(hand, *upright))
+    return report.measured.get("Directions", [])
 
 
 @pytest.mark.parametrize("name", ["ur5_allegro", "g1_arm_left"])

@@ -15,13 +15,14 @@ import yaml
 
 from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
 from handmap_qp.apps.onboarding import picture
-from handmap_qp.apps.onboarding.check import Report, _check_speeds, check_hand
+from handmap_qp.apps.onboarding.check import _check_speeds, check_hand
 from handmap_qp.apps.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
+from handmap_qp.apps.onboarding.findings import Found, Report
 from handmap_qp.apps.onboarding.measure import (
-    measure_reach,
-    measure_size,
+    check_reach,
+    check_size,
     standard_postures,
 )
 from handmap_qp.apps.onboarding.picture import draw_hand, picture_path
@@ -48,6 +49,13 @@ OWN = (
 def chained_mimics() -> Detection:
     """Detect a hand that many tests describe wrongly."""
     return detect(DATA / "chained_mimics.urdf")
+
+
+def tables_of(check: Found) -> dict[str, Any]:
+    """Return the tables of one check."""
+    report = Report("hand")
+    report.add(check)
+    return report.measured
 
 
 def levels(report: Report) -> list[str]:
@@ -131,7 +139,7 @@ def test_the_hands_of_the_package_pass_their_check(name: str) -> None:
     assert "warning" not in levels(report), [
         finding for finding in report.findings if finding.level == "warning"
     ]
-    assert {"point", "span mm"} <= report.tables()["Fingers"][0].keys()
+    assert {"point", "span mm"} <= report.measured["Fingers"][0].keys()
 
 
 WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
@@ -186,7 +194,7 @@ def test_a_mistake_is_found_with_advice(
     matching = [
         finding
         for finding in report.findings
-        if finding.where == where and finding.level in ("warning", "advice")
+        if finding.key == where and finding.level in ("warning", "advice")
     ]
     assert matching, report.findings
     assert any(advice in finding.change for finding in matching)
@@ -200,7 +208,7 @@ def test_fingers_in_the_wrong_order_are_found(tmp_path: Path) -> None:
         str(described(tmp_path, {"points": document["points"]})), has_motion=False
     )
     wrong = {
-        finding.where: finding.change
+        finding.key: finding.change
         for finding in report.findings
         if finding.level == "warning"
     }
@@ -214,7 +222,7 @@ def test_a_point_in_the_air_is_found(tmp_path: Path) -> None:
     report = check_hand(str(described(tmp_path, {"points": points})), has_motion=False)
     (found,) = (finding for finding in report.findings if finding.level == "warning")
     # The bone is 14 mm thick: 100 - 7 mm.
-    assert (found.where, "93 mm outside" in found.what) == ("points.index_tip", True)
+    assert (found.key, "93 mm outside" in found.found) == ("points.index_tip", True)
 
 
 @pytest.mark.parametrize(("speed", "count"), [(0.5, 8), (2.95, 3), (3.05, 0)])
@@ -229,15 +237,16 @@ def test_joints_too_slow_for_a_fist_are_found(speed: float, count: int) -> None:
         if "spread" in j
     }
     hand = load_hand(msgspec.structs.replace(spec, limits=limits | spread))
-    findings = [*_check_speeds(hand)]
+    report = Report("hand")
+    report.add(_check_speeds(hand))
     if count == 0:
-        assert findings == []
+        assert report.findings == []
         return
-    (found,) = findings
+    (found,) = report.findings
     assert found.level == "advice"
-    assert found.where.removeprefix("limits.") in spec.joints
-    assert f"at {speed:g} per second" in found.what
-    assert found.what.startswith(f"{count} joints are too slow")
+    assert found.key.removeprefix("limits.") in spec.joints
+    assert f"at {speed:g} per second" in found.found
+    assert found.found.startswith(f"{count} joints are too slow")
 
 
 def test_a_description_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:
@@ -245,7 +254,7 @@ def test_a_description_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:
     assert levels(report) == ["error"]
     assert report.hand is None
     with pytest.raises(HandError, match="wrist"):
-        report.raise_if_unusable()
+        report.print(None, as_json=False)
 
 
 def test_overlapping_links_are_found() -> None:
@@ -262,32 +271,35 @@ def test_overlapping_links_are_found() -> None:
 def test_reach_is_that_of_a_planar_finger() -> None:
     """Return finger 1 of the three-fingered hand: two links of 50 mm in a plane."""
     hand = load_hand("three_finger", points="fingertips")
-    first, second, _ = measure_reach(hand)
-    assert (first.moves_in[0], second.moves_in[0]) == ("2", "3")
+    first, second, _ = tables_of(check_reach(hand))["Fingers"]
+    assert (first["moves in"][0], second["moves in"][0]) == ("2", "3")
     # Yoshikawa's measure of a planar arm of two links is l1 l2 |sin q2|.
-    assert float(first.manipulability) == pytest.approx(
+    assert float(first["manipulability"]) == pytest.approx(
         0.05 * 0.05 * np.sin(hand.rest[1]), rel=5e-3
     )
     # Two positions of its tip are at most twice its length apart.
-    assert 150.0 < first.span_mm <= 200.0
+    assert 150.0 < first["span mm"] <= 200.0
 
 
 def test_reach_of_a_hand_on_an_arm_is_that_of_the_hand() -> None:
-    on_arm = measure_reach(load_hand("ur5_allegro", points="fingertips"))
-    alone = measure_reach(load_hand("allegro_right", points="fingertips"))
-    assert [row.moves_in for row in on_arm] == [row.moves_in for row in alone]
+    on_arm, alone = (
+        tables_of(check_reach(load_hand(name, points="fingertips")))["Fingers"]
+        for name in ("ur5_allegro", "allegro_right")
+    )
     for one, other in zip(on_arm, alone, strict=True):
-        assert one.manipulability == other.manipulability
+        assert one["moves in"] == other["moves in"]
+        assert one["manipulability"] == other["manipulability"]
         # Both spans are estimated from random postures; the arm would add a metre.
-        assert one.span_mm == pytest.approx(other.span_mm, rel=0.05)
+        assert one["span mm"] == pytest.approx(other["span mm"], rel=0.05)
 
 
 def test_a_human_hand_has_the_size_of_one() -> None:
     hand = load_hand("human", points="fingertips", hand_length=0.19)
-    size = measure_size(hand)
+    length, cloud, _ = (row["value"] for row in tables_of(check_size(hand))["Size"])
     # Bones are 0.990 of it, and straight fingers lean away from their metacarpals.
-    assert size.length == pytest.approx(0.19, abs=0.003)
-    assert size.cloud == pytest.approx(size.human_cloud, rel=1e-9)
+    assert float(length.split()[0]) == pytest.approx(190.0, abs=3.0)
+    own, humans = cloud.split("; a person's: ")
+    assert own == humans
 
 
 def test_the_standard_motion_is_inside_the_human_limits_and_moves() -> None:

@@ -47,7 +47,7 @@ def test_the_example_by_hand_loads_and_passes_its_check(tmp_path: Path) -> None:
     wrong = [
         finding for finding in report.findings if finding.level in ("error", "warning")
     ]
-    assert [finding for finding in wrong if finding.where != "points"] == []
+    assert [finding for finding in wrong if finding.key != "points"] == []
 
 
 def test_the_reference_is_that_of_the_code() -> None:

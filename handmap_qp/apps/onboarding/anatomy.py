@@ -68,24 +68,6 @@ class Clue(NamedTuple):
         return "likely" if self.confidence >= 0.6 else "a guess: check it"
 
 
-class Anatomy(NamedTuple):
-    """The hand's directions and the names of its fingers.
-
-    Attributes:
-        distal: Direction of the stretched fingers, in the palm link's coordinates, shape (3,).
-        dorsal: Direction out of the back of the hand, at right angles to it, shape (3,).
-        side: `right` or `left`.
-        fingers: Anatomical name of every finger by its index, the thumb first.
-        clues: Evidence for each of these.
-    """
-
-    distal: np.ndarray
-    dorsal: np.ndarray
-    side: Side
-    fingers: dict[int, str]
-    clues: tuple[Clue, ...]
-
-
 class _Found(NamedTuple):
     """A direction in the palm link's coordinates, and the evidence for it.
 
@@ -106,14 +88,8 @@ class _Found(NamedTuple):
         return Clue(what, _shown(self.direction), self.how, self.confidence)
 
 
-def find_anatomy(
-    flexion: HandFlexion,
-    names: list[list[str]],
-    hints: Iterable[str],
-    side: Side | None,
-    thumb: int | None,
-) -> Anatomy:
-    """Name the fingers, and find the palm's directions.
+class Anatomy:
+    """The hand's directions and the names of its fingers, by what flexion, places and names say.
 
     Args:
         flexion: How the fingers flex.
@@ -121,64 +97,66 @@ def find_anatomy(
         hints: Names that may contain a side: of the robot, its file and its palm.
         side: The side, if known.
         thumb: Index of the thumb, if known.
-    """
-    hand = _Evidence(flexion, names, thumb)
-    distal = hand.find_distal()
-    dorsal = hand.find_dorsal(distal)
-    across = np.cross(distal.direction, dorsal.direction)
-    radial = hand.find_radial(across)
-    named = named_side(chain(hints, *names))
-    turned, clue = _find_side(across, dorsal, radial, hand.thumb_clue, side, named)
-    found: Side = "right" if clue.answer == "right" else "left"
-    # The thumb's side orders the fingers; only without it the side does.
-    if radial.confidence == 0.0:
-        outwards = -across if found == "right" else across
-        radial = radial._replace(direction=outwards, confidence=0.2)
-    fingers, order = hand.name_fingers(radial)
-    clues = (hand.thumb_clue, distal.clue("distal"), turned.clue("dorsal"), clue, order)
-    return Anatomy(distal.direction, turned.direction, found, fingers, clues)
-
-
-class _Evidence:
-    """What flexion, places and names say of a hand's thumb, directions and fingers.
 
     Attributes:
-        thumb: Index of the thumb; None if there is one finger only.
-        thumb_clue: Evidence for it.
-        rest: Indices of the other fingers.
-        axis: Mean axis of their flexion, disregarding its sense; zero without a common one.
+        distal: Direction of the stretched fingers, in the palm link's coordinates, shape (3,).
+        dorsal: Direction out of the back of the hand, at right angles to it, shape (3,).
+        side: `right` or `left`.
+        fingers: Anatomical name of every finger by its index, the thumb first.
+        clues: Evidence for each of these.
     """
 
     def __init__(
         self,
         flexion: HandFlexion,
         names: list[list[str]],
+        hints: Iterable[str],
+        side: Side | None,
         thumb: int | None,
     ) -> None:
-        self.flexion = flexion
-        self.names = names
-        self.labels = named_fingers(names)
-        self.thumb, self.thumb_clue = self._find_thumb(thumb)
-        self.rest = [i for i in range(len(names)) if i != self.thumb]
-        axes = flexion.axes[self.rest]
+        self._flexion = flexion
+        self._names = names
+        self._labels = named_fingers(names)
+        # The thumb, if there are several fingers, and the other ones.
+        self._thumb, self._thumb_clue = self._find_thumb(thumb)
+        self._rest = [i for i in range(len(names)) if i != self._thumb]
+        axes = flexion.axes[self._rest]
         values, vectors = np.linalg.eigh(axes.T @ axes)
-        # Jaws and hands with fingers all around have no common axis.
+        # Jaws and hands with fingers all around have no common axis of flexion.
         has_axis = axes.any() and values[-1] >= 0.8 * values.sum()
-        self.axis = has_axis * vectors[:, -1]
+        self._axis = has_axis * vectors[:, -1]
+        distal = self._find_distal()
+        dorsal = self._find_dorsal(distal)
+        across = np.cross(distal.direction, dorsal.direction)
+        radial = self._find_radial(across)
+        named = named_side(chain(hints, *names))
+        turned, found = _find_side(
+            across, dorsal, radial, self._thumb_clue, side, named
+        )
+        self.side: Side = "right" if found.answer == "right" else "left"
+        # The thumb's side orders the fingers; only without it the side does.
+        if radial.confidence == 0.0:
+            outwards = -across if self.side == "right" else across
+            radial = radial._replace(direction=outwards, confidence=0.2)
+        self.fingers, order = self._name_fingers(radial)
+        self.distal = distal.direction
+        self.dorsal = turned.direction
+        directions = distal.clue("distal"), turned.clue("dorsal")
+        self.clues = (self._thumb_clue, *directions, found, order)
 
     def _find_thumb(self, given: int | None) -> tuple[int | None, Clue]:
         """Find the finger that differs from the others, or that the names call a thumb."""
-        names = self.names
+        names = self._names
         count = len(names)
         if given is not None:
             return given, Clue("thumb", names[given][-1], "as given", 1.0)
         if count < 2:
             return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
-        peaks = [_stands_out(part) for part in _differences(self.flexion)]
+        peaks = [_stands_out(part) for part in _differences(self._flexion)]
         # A different number of joints counts, but less than any of the others; a name counts as
         # much as a clear margin.
         sizes = np.array([*map(len, names)])
-        is_named = np.array(self.labels) == "thumb"
+        is_named = np.array(self._labels) == "thumb"
         scores = 0.5 * sum(peaks) + 0.15 * _stands_out(sizes[:, None] != sizes)
         scores += _CLEAR * is_named
         best = int(np.argmax(scores))
@@ -198,12 +176,12 @@ class _Evidence:
             sure = _DISPUTED
         return best, Clue("thumb", names[best][-1], how, sure)
 
-    def find_distal(self) -> _Found:
+    def _find_distal(self) -> _Found:
         """Find the direction of the stretched fingers."""
-        flexion = self.flexion
-        axis = self.axis
+        flexion = self._flexion
+        axis = self._axis
         # Two jaws lean to opposite sides: take the middle of both.
-        chosen = self.rest if len(flexion.bases) > 2 else slice(None)
+        chosen = self._rest if len(flexion.bases) > 2 else slice(None)
         mean = flexion.directions[chosen].mean(axis=0)
         knuckles = flexion.bases[chosen]
         agreement = lengths(mean)
@@ -224,30 +202,30 @@ class _Evidence:
             else:
                 confidence = _LIKELY
         # Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
-        if len(self.rest) > 1 and flexion.directions[self.thumb] @ mean < _OPPOSED:
+        if len(self._rest) > 1 and flexion.directions[self._thumb] @ mean < _OPPOSED:
             how += (
                 "; the thumb points the other way: the palm's direction may be better"
             )
             confidence = _DISPUTED
         return _Found(mean, how, confidence)
 
-    def find_dorsal(self, distal: _Found) -> _Found:
+    def _find_dorsal(self, distal: _Found) -> _Found:
         """Find the back of the hand: opposite to the way in which the fingertips flex."""
-        flexion = self.flexion
-        rest = self.rest
+        flexion = self._flexion
+        rest = self._rest
         ahead = distal.direction
         mean = flexion.ways[rest].mean(axis=0)
         agreement = lengths(mean)
         palmar = _beside(mean, ahead)
         how = f"opposite to the fingertips' motion in flexion (agreement {agreement:.2f} of 1)"
         sign = float(np.median(flexion.certainty[rest]))
-        upright = np.cross(self.axis, ahead)
+        upright = np.cross(self._axis, ahead)
         if abs(palmar @ upright) > 0.2:
             # The axes of flexion are exact; the way of the tips depends on the posture.
             palmar = np.sign(palmar @ upright) * upright
-        if lengths(palmar) < 0.2 and self.thumb is not None:
+        if lengths(palmar) < 0.2 and self._thumb is not None:
             tips = flexion.tips_open
-            palmar = _beside(tips[self.thumb] - tips[rest].mean(axis=0), ahead)
+            palmar = _beside(tips[self._thumb] - tips[rest].mean(axis=0), ahead)
             sign = 0.5
             how = "away from the thumb, because the other fingertips flex in different directions"
         if lengths(palmar) < 1e-6:
@@ -274,29 +252,29 @@ class _Evidence:
 
         Without such a row it is one that tells nothing.
         """
-        across = _beside(_widest(self.flexion.bases[self.rest]), distal)
-        if len(self.rest) < 3 or lengths(across) < 0.5:
+        across = _beside(_widest(self._flexion.bases[self._rest]), distal)
+        if len(self._rest) < 3 or lengths(across) < 0.5:
             return 1.5 * _AGREEING
         return abs(angle_between(across, dorsal) - 90.0)
 
     def _thumb_height(self, dorsal: np.ndarray) -> float:
         """Return how far before the knuckles the thumb closes, in lengths of the fingers."""
-        flexion = self.flexion
-        thumb = self.thumb
+        flexion = self._flexion
+        thumb = self._thumb
         if thumb is None or flexion.certainty[thumb] <= 0.6:
             return 0.0
-        before = flexion.bases[self.rest].mean(axis=0) - flexion.tips_closed[thumb]
-        return float(before @ dorsal / flexion.reach[self.rest].mean())
+        before = flexion.bases[self._rest].mean(axis=0) - flexion.tips_closed[thumb]
+        return float(before @ dorsal / flexion.reach[self._rest].mean())
 
-    def find_radial(self, across: np.ndarray) -> _Found:
+    def _find_radial(self, across: np.ndarray) -> _Found:
         """Find the thumb's side of the palm: by its place, or by the other fingers' names.
 
         Returns:
             The direction across the palm towards the thumb; confidence 0 if the thumb is central.
         """
-        flexion = self.flexion
-        rest = self.rest
-        bases = {self.labels[i]: flexion.bases[i] @ across for i in rest}
+        flexion = self._flexion
+        rest = self._rest
+        bases = {self._labels[i]: flexion.bases[i] @ across for i in rest}
         steps = -np.diff([bases[label] for label in FINGERS if label in bases])
         # Names count if all steps are to one side, and none is too small to tell.
         named = np.sign(steps.sum())
@@ -307,7 +285,7 @@ class _Evidence:
         if len(rest) > 1:
             row = flexion.bases[rest] @ across
             width = max(0.5 * np.ptp(row), 0.25 * flexion.reach[rest].mean())
-            points = flexion.roots[self.thumb], flexion.tips_open[self.thumb]
+            points = flexion.roots[self._thumb], flexion.tips_open[self._thumb]
             ends = (np.array(points) @ across - row.mean()) / width
         place = ends.mean()
         is_outside = abs(place) > 2.0 * _CLEAR and (ends * place > 0.0).all()
@@ -326,15 +304,15 @@ class _Evidence:
         # Names count as much as a clear place.
         return _Found(np.sign(place + _CLEAR * named) * across, how, confidence)
 
-    def name_fingers(self, radial: _Found) -> tuple[dict[int, str], Clue]:
+    def _name_fingers(self, radial: _Found) -> tuple[dict[int, str], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""
-        flexion = self.flexion
-        labels = self.labels
-        sure = self.thumb_clue.confidence
+        flexion = self._flexion
+        labels = self._labels
+        sure = self._thumb_clue.confidence
         # Order fingers by base and tip: fingers spread towards their tips, and bases may lie one
         # behind the other.
         places = (0.7 * flexion.bases + 0.3 * flexion.tips_open) @ radial.direction
-        order = sorted(self.rest, key=lambda i: -places[i])
+        order = sorted(self._rest, key=lambda i: -places[i])
         apart = -np.diff(places[order]).max(initial=-np.inf)
         how = "ordered by position across the palm, from the thumb's side"
         confidence = min(radial.confidence, _CERTAIN if apart > _NARROW else 0.4, sure)
@@ -358,8 +336,8 @@ class _Evidence:
             else:
                 how += f"; the names say {', '.join(own.values())}"
                 confidence = min(confidence, _DISPUTED)
-        if self.thumb is not None:
-            named = {self.thumb: "thumb", **named}
+        if self._thumb is not None:
+            named = {self._thumb: "thumb", **named}
         return named, Clue("fingers", ", ".join(named.values()), how, confidence)
 
 

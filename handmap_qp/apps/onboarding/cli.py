@@ -13,16 +13,12 @@ import numpy as np
 import tyro
 
 from handmap_qp.apps.arguments import HandName, InputArguments, hinted
-from handmap_qp.apps.onboarding.check import (
-    Report,
-    Rows,
-    check_hand,
-    check_robot,
-    palm_rows,
-)
+from handmap_qp.apps.onboarding.check import check_hand, check_robot
 from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
 from handmap_qp.apps.onboarding.detect import Detection, detect_hands
+from handmap_qp.apps.onboarding.findings import Rows
 from handmap_qp.apps.onboarding.match import match_hand
+from handmap_qp.apps.onboarding.measure import palm_rows
 from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
 from handmap_qp.apps.onboarding.picture import (
     draw_hand,
@@ -51,7 +47,6 @@ from handmap_qp.hands.library import (
     HUMAN_HANDS,
     hand_files,
     load_hand,
-    missing_hands,
     why_missing,
 )
 from handmap_qp.hands.robot import (
@@ -63,7 +58,7 @@ from handmap_qp.hands.robot import (
     robot_files,
 )
 from handmap_qp.hands.sources import urdf_path
-from handmap_qp.hands.spec import Side, read_hand_spec
+from handmap_qp.hands.spec import HandSpec, Side, read_hand_spec
 from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.output_files import check_output
 
@@ -105,8 +100,7 @@ def list_hands() -> Rows:
         Name, side, number of joints, mount, point sets of each, and whether it is installed, or
         what installs it.
     """
-    missing = missing_hands()
-    specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
+    specs = map(read_hand_spec, hand_files().values())
     return [
         {
             "name": name,
@@ -114,10 +108,30 @@ def list_hands() -> Rows:
             "joints": len(spec.joints),
             "wrist": spec.wrist.mount,
             "point sets": ", ".join(spec.sets),
-            "available": f"no: {missing[name]}" if name in missing else "yes",
+            "available": _available(spec),
         }
-        for name, spec in specs.items()
+        for name, spec in zip(hand_files(), specs, strict=True)
     ]
+
+
+def list_robots() -> Rows:
+    """List the robots of the package.
+
+    Returns:
+        Name and hands of each, and whether all are installed, or what installs the missing one.
+    """
+    rows = []
+    for name, file in robot_files().items():
+        hands = read_hands(read_robot_spec(file)).values()
+        names = ", ".join(hand.name for hand in hands)
+        rows.append({"name": name, "hands": names, "available": _available(*hands)})
+    return rows
+
+
+def _available(*hands: HandSpec) -> str:
+    """Return whether hands are installed, or what installs the first that is missing."""
+    missing = [*filter(None, map(why_missing, hands))]
+    return f"no: {missing[0]}" if missing else "yes"
 
 
 def describe_hand(hand: str | Path) -> dict[str, Any]:
@@ -145,26 +159,6 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
             for point in found.spec.points
         ],
     }
-
-
-def list_robots() -> Rows:
-    """List the robots of the package.
-
-    Returns:
-        Name and hands of each, and whether all are installed, or what installs the missing one.
-    """
-    rows = []
-    for name, file in robot_files().items():
-        hands = read_hands(read_robot_spec(file)).values()
-        missing = [*filter(None, map(why_missing, hands))]
-        rows.append(
-            {
-                "name": name,
-                "hands": ", ".join(hand.name for hand in hands),
-                "available": f"no: {missing[0]}" if missing else "yes",
-            }
-        )
-    return rows
 
 
 def describe_robot(robot: str | Path) -> dict[str, Any]:
@@ -219,18 +213,6 @@ def print_description(said: dict[str, Any], *, as_json: bool) -> None:
     }
     facts = {key: fact for key, fact in said.items() if not isinstance(fact, list)}
     print_result(said, {said["name"]: table_rows(facts)} | tables, as_json=as_json)
-
-
-def print_report(report: Report, picture: Path | None, *, as_json: bool) -> None:
-    """Print the findings of a check.
-
-    Raises:
-        HandError: If there is an error among them.
-    """
-    print_result(report.document(picture), report.tables(), as_json=as_json)
-    if picture is not None and not as_json:
-        print(f"wrote {picture}")
-    report.raise_if_unusable()
 
 
 @dataclass(frozen=True)
@@ -458,13 +440,10 @@ class HandsCheck:
         """Check the hand, draw it, and print the findings."""
         with progress("checking"):
             report = check_hand(self.hand, has_motion=self.motion)
-        if report.hand is None and not self.json:
-            # A table of one error would say it twice.
-            report.raise_if_unusable()
         picture = self.picture or picture_path(self.hand)
         if picture is not None and report.hand is not None:
             draw_hand(report.hand, picture, *report.measured.get("Directions", []))
-        print_report(report, picture, as_json=self.json)
+        report.print(picture, as_json=self.json)
 
 
 @dataclass(frozen=True)
@@ -597,7 +576,7 @@ class RobotsCheck:
         picture = self.picture or picture_path(self.robot, "robot")
         if picture is not None:
             draw_robot(robot, picture)
-        print_report(report, picture, as_json=self.json)
+        report.print(picture, as_json=self.json)
         # The worst is first; an error is raised.
         if report.findings[0].level == "warning":
             raise SystemExit(1)

@@ -81,6 +81,7 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
         HandError: If a collision shape cannot be read.
     """
     fingers = find_fingers(hand)
+    owners = _owners(hand, fingers)
     others = [finger for finger in fingers if finger != THUMB]
     beside = [{THUMB, other} for other in ("palm", *others)]
     beside += map(set, pairwise(others))
@@ -94,7 +95,7 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
     wanted = [
         links
         for links in dict.fromkeys(compress(named, is_near))
-        if {_owner(hand, fingers, link) for link in links} in beside
+        if {owners.get(carrier_of(hand, link)) for link in links} in beside
         and links not in by_design
     ]
     # A link has several shapes: its pair is left out if one pair of them touches at rest.
@@ -105,19 +106,16 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
     return CollisionSpec(found, MARGIN) if found else None
 
 
-def _owner(
-    hand: Hand,
-    fingers: dict[str, Finger],
-    link: str,
-) -> str:
-    """Return the finger that a link is on; `palm`, or `bar` of a linkage, which is on none."""
-    model = hand.model
-    joint = carrier_of(hand, link)
-    palm = model.frames[hand.palm_frame_id].parentJoint
-    owners = [name for name, finger in fingers.items() if joint in finger.joints]
-    if not owners and joint != palm:
-        return "bar"
-    return owners[0] if len(owners) == 1 else "palm"
+def _owners(hand: Hand, fingers: dict[str, Finger]) -> dict[int, str]:
+    """Return the finger of each joint; the palm's is `palm`, as is one that several fingers share.
+
+    A bar of a linkage is on none of them.
+    """
+    owners = {hand.model.frames[hand.palm_frame_id].parentJoint: "palm"}
+    for name, finger in fingers.items():
+        for joint in finger.joints:
+            owners[joint] = "palm" if joint in owners else name
+    return owners
 
 
 def colliding_links(

@@ -8,14 +8,13 @@ answer has its evidence and its confidence.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 
-from handmap_qp.apps.onboarding.anatomy import Clue, find_anatomy
+from handmap_qp.apps.onboarding.anatomy import Anatomy, Clue
 from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.apps.onboarding.structure import (
@@ -24,7 +23,6 @@ from handmap_qp.apps.onboarding.structure import (
     find_structure,
 )
 from handmap_qp.errors import HandError, reason_of
-from handmap_qp.hands.fingers import PalmKinematics
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import ball_in
 from handmap_qp.hands.spec import (
@@ -143,7 +141,7 @@ def detect_text(
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
     robot = Robot(text, urdf, root=root)
-    palm = find_structure(robot).palm
+    palm = find_structure(robot).palm.answer
     joints, above = left_out_wrist(robot, palm)
     notes = []
     if root is None and palm != robot.root:
@@ -152,11 +150,16 @@ def detect_text(
             what = f"wrist joints are left out, and the wrist floats: {joints}"
             notes = [f"{what}; keep them with --base {above}"]
     hand = _FoundHand(robot, side, thumb)
-    spec = hand.describe(name)
+    part = robot if base is None else Robot(text, urdf, root=base)
+    spec = hand.describe(name, part)
     notes += [*hand.structure.notes, *robot.notes]
     if base is not None:
-        spec, more = _on_arm(text, urdf, spec, base)
-        notes += more
+        arm = [joint for joint in spec.joints if joint not in robot.active]
+        others = {*part.active} - {*spec.joints}
+        notes += [
+            f"the arm from {base} to {robot.root} moves the wrist: {', '.join(arm)}",
+            f"{len(others)} other joints are locked",
+        ]
     chains = {
         finger.name: (*map(robot.driver, finger.joint_names), *finger.joint_names)
         for finger in hand.fingers
@@ -173,6 +176,7 @@ class _FoundHand:
         thumb: A link or joint of the thumb; found if None.
 
     Attributes:
+        palm: Link of the palm.
         fingers: The fingers, the thumb first, additional ones last.
         clues: Evidence for each part of the description; complete after `describe`.
     """
@@ -186,15 +190,15 @@ class _FoundHand:
         self.robot = robot
         self.structure = find_structure(robot)
         fingers = self.structure.fingers
-        palm = self.structure.palm
         names = [finger.names for finger in fingers]
         given = next((i for i, group in enumerate(names) if thumb in group), None)
         if thumb is not None and given is None:
             problem = f"no finger has a link or joint {thumb!r}"
             raise HandError(problem, file=robot.file, value=thumb)
         flexion = HandFlexion(robot, fingers)
-        hints = (robot.name, robot.file.stem, palm)
-        self.anatomy = find_anatomy(flexion, names, hints, side, given)
+        self.palm = self.structure.palm.answer
+        hints = (robot.name, robot.file.stem, self.palm)
+        self.anatomy = Anatomy(flexion, names, hints, side, given)
         for i, called in self.anatomy.fingers.items():
             fingers[i].name = called
         self.fingers = [fingers[i] for i in self.anatomy.fingers]
@@ -204,40 +208,46 @@ class _FoundHand:
             flexion = HandFlexion(robot, fingers, palmar=-self.anatomy.dorsal)
         self.flexion = flexion
         self._sure = {clue.what: clue.confidence for clue in self.anatomy.clues}
-        shown = Clue("palm", palm, self.structure.how, self.structure.confidence)
-        self.clues = [shown, *self.anatomy.clues]
+        self.clues = [self.structure.palm, *self.anatomy.clues]
 
-    def describe(self, name: str | None) -> HandSpec:
-        """Return the description; without a name it is called as the robot."""
+    def describe(self, name: str | None, part: Robot) -> HandSpec:
+        """Return the description.
+
+        Args:
+            name: Its name; that of the robot if omitted.
+            part: The robot from the base of the arm that moves the wrist; that of the hand itself
+                if the wrist floats.
+        """
         robot = self.robot
         anatomy = self.anatomy
         names = [joint for finger in self.fingers for joint in finger.joint_names]
-        joints = (*dict.fromkeys(map(robot.driver, names)),)
+        own = (*dict.fromkeys(map(robot.driver, names)),)
+        arm = () if part is robot else _arm(part, robot.root)
+        joints = (*arm, *own)
+        rest = _positions(part, _arm_rest(part, self.palm), arm) if arm else {}
         origin = self._palm_origin()
         tips = [self._tip(finger) for finger in self.fingers]
         points, sets = point_sets([*tips, *self._middles()])
-        still = [joint for joint in robot.active if joint not in joints]
-        locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
-        locked |= _positions(robot, robot.zero, still)
+        rest |= _positions(robot, self._rest(), own)
         return HandSpec(
             name=name or self._name(),
             urdf=str(robot.file),
             side=anatomy.side,
             palm=PalmSpec(
-                self.structure.palm,
+                self.palm,
                 _vector(anatomy.distal, 9),
                 _vector(anatomy.dorsal, 9),
                 _vector(origin, 4),
             ),
-            wrist=WristSpec(robot.root, "floating"),
+            wrist=WristSpec(robot.root, "fixed" if arm else "floating"),
             joints=joints,
-            rest=_positions(robot, self._rest(), joints),
+            rest=rest,
             points=points,
             sets=sets,
             reference="fingertips",
-            root=None if robot.is_whole else robot.root,
-            locked=locked,
-            limits=_assumed(robot, joints),
+            root=None if part.is_whole else part.root,
+            locked=_locked(robot, joints) | _locked(part, joints),
+            limits=_assumed(part, arm) | _assumed(robot, own),
             mimic=robot.dropped_rules,
         )
 
@@ -286,9 +296,7 @@ class _FoundHand:
             zero,
         )
         q = np.clip(q.round(4) + 0.0, lower, upper)
-        places = [finger.tip for finger in self.structure.fingers]
-        tips = PalmKinematics(robot).points(q, places)
-        heights = (tips - flexion.tips_open) @ self.anatomy.dorsal
+        heights = (flexion.tips(q) - flexion.tips_open) @ self.anatomy.dorsal
         sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
         how = (
             f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
@@ -300,11 +308,11 @@ class _FoundHand:
 
     def _tip(self, finger: RobotFinger) -> PointSpec:
         """Return a fingertip."""
-        tip = finger.end
+        end = finger.end
         sure = max(self._sure["thumb" if finger.name == THUMB else "fingers"], 0.3)
-        sure = min(tip.confidence, sure)
-        self.clues.append(Clue(f"{finger.name}_tip", tip.link, tip.how, sure))
-        return _point(finger, "tip", tip.link, tip.xyz, self._pad(finger))
+        sure = min(end.confidence, sure)
+        self.clues.append(end._replace(what=f"{finger.name}_tip", confidence=sure))
+        return _point(finger, "tip", end.answer, finger.xyz, self._pad(finger))
 
     def _pad(self, finger: RobotFinger) -> PadSpec | None:
         """Return the pad of a finger whose surface is visual only; the mapping finds all others."""
@@ -313,13 +321,13 @@ class _FoundHand:
         if not len(cloud) or self.robot.has_collision_shapes(body):
             return None
         centre, radius = ball_in(cloud, tip)
-        pose = self.robot.pose_in(finger.links[-1], finger.end.link)
+        pose = self.robot.pose_in(finger.links[-1], finger.end.answer)
         return PadSpec(round(radius, 4), _vector(transform_points(pose, centre), 4))
 
     def _palm_origin(self) -> np.ndarray:
         """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
         robot = self.robot
-        palm = self.structure.palm
+        palm = self.palm
         distal = self.anatomy.distal
         chosen = ~self._thumbs | self._thumbs.all()
         knuckles = self.flexion.bases[chosen].mean(axis=0)
@@ -366,40 +374,19 @@ def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
     return names, robot.carriers(near[0])[-1] if near else ""
 
 
-def _on_arm(
-    text: str | bytes,
-    urdf: Path,
-    spec: HandSpec,
-    base: str,
-) -> tuple[HandSpec, list[str]]:
-    """Return the hand with the arm from `base` to it; all other joints are locked."""
-    robot = Robot(text, urdf, root=base)
-    hand = spec.wrist.link
-    if hand not in robot.frames:
-        problem = f"the hand {hand!r} does not hang from the base {base!r}"
-        raise HandError(problem, file=urdf, value=base)
-    above = [robot.model.names[joint] for joint in robot.path(robot.body(hand), 0)]
-    arm = tuple(joint for joint in robot.active if joint in above)
-    if not arm:
-        problem = f"no joint moves between {base!r} and the hand {hand!r}"
-        raise HandError(problem, file=urdf, value=base)
-    rest = _positions(robot, _arm_rest(robot, spec.palm.link), arm)
-    joints = (*arm, *spec.joints)
-    still = [joint for joint in robot.active if joint not in joints]
-    changed = replace(
-        spec,
-        root=None if robot.is_whole else base,
-        wrist=WristSpec(hand, "fixed"),
-        joints=joints,
-        rest=rest | spec.rest,
-        locked=spec.locked | _positions(robot, robot.zero, still),
-        limits=_assumed(robot, arm) | spec.limits,
-    )
-    notes = [
-        f"the arm from {base} to {hand} moves the wrist: {', '.join(arm)}",
-        f"{len(still)} other joints are locked",
-    ]
-    return changed, notes
+def _arm(robot: Robot, hand: str) -> tuple[str, ...]:
+    """Return the active joints between the root of a robot and the link of a hand.
+
+    Raises:
+        HandError: If the link does not hang from the root, or no joint is between them.
+    """
+    problem = f"the hand {hand!r} does not hang from the base {robot.root!r}"
+    if hand in robot.frames:
+        above = [robot.model.names[joint] for joint in robot.path(robot.body(hand), 0)]
+        if arm := tuple(joint for joint in robot.active if joint in above):
+            return arm
+        problem = f"no joint moves between {robot.root!r} and the hand {hand!r}"
+    raise HandError(problem, file=robot.file, value=robot.root)
 
 
 def _arm_rest(robot: Robot, palm: str) -> np.ndarray:
@@ -420,6 +407,13 @@ def _positions(robot: Robot, q: np.ndarray, joints: Iterable[str]) -> dict[str, 
     """Return positions of some active joints by name [rad or m]."""
     positions = dict(zip(robot.active, q.tolist(), strict=True))
     return {joint: positions[joint] for joint in joints}
+
+
+def _locked(robot: Robot, joints: Sequence[str]) -> dict[str, float]:
+    """Return positions of all joints but some: where they are locked, else at zero [rad or m]."""
+    locked = {j: round(q, 6) for j, q in robot.locked.items() if j not in joints}
+    still = [joint for joint in robot.active if joint not in joints]
+    return locked | _positions(robot, robot.zero, still)
 
 
 def _assumed(robot: Robot, joints: Iterable[str]) -> dict[str, LimitSpec]:

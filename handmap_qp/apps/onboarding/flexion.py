@@ -70,9 +70,8 @@ class HandFlexion:
         self._fingers = fingers
         self._view = PalmKinematics(robot)
         self._tips = [finger.tip for finger in fingers]
-        roots = [(finger.joints[0], np.zeros(3)) for finger in fingers]
         zero = zero_posture(robot)
-        self.roots = self._view.points(zero, roots)
+        _, self.roots = self._view.axes(zero, [each.joints[0] for each in fingers])
         self.bases = self.roots.copy()
         self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)
         straight = np.ma.masked_all(self.moves.shape)
@@ -105,12 +104,16 @@ class HandFlexion:
         jaws = (self.sign != 0.0) & self.slides
         self.q_open = np.where(jaws, start, self.q_open)
         postures = np.array([self.q_open, self.q_closed])
-        self.tips_open, self.tips_closed = self._view.points(postures, self._tips)
+        self.tips_open, self.tips_closed = self.tips(postures)
         lines = self.tips_open - self.bases
         self.reach = lengths(lines)
         for i in np.flatnonzero(self._curls.any(axis=1)):
             lines[i] = self._line(i)
         self.directions = unit(lines)
+
+    def tips(self, q: np.ndarray) -> np.ndarray:
+        """Return the fingertips in postures of shape (..., n) [m], shape (..., F, 3)."""
+        return self._view.points(q, self._tips)
 
     def _ways(self) -> np.ndarray:
         """Return the directions in which the curling joints move the tips, shape (F, 3)."""
@@ -148,7 +151,7 @@ class HandFlexion:
             vote, confidence = next(pair for pair in votes if abs(pair[0]) > clear)
             self.certainty[alike] = confidence
             for own in np.sign(vote) * signs:
-                self.sign = np.where(self.sign == 0.0, own, self.sign)
+                self.sign += own * (self.sign == 0.0)
 
     def _close_jaws(self) -> None:
         """Flex fingers without curling joints towards the other tips."""
@@ -189,7 +192,7 @@ class HandFlexion:
         """
         if len(mine) < 2 or len(mine) == len(self.roots):
             return 0.0
-        tips = self._view.points(self.q_open, self._tips)
+        tips = self.tips(self.q_open)
         places = 0.5 * (self.roots + tips)
         others = np.delete(places, mine, axis=0).mean(axis=0)
         own = places[mine].mean(axis=0)

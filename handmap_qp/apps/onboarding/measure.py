@@ -1,16 +1,26 @@
-"""Measure a hand: reach, size, fist, pinches, self-collisions, and a standard motion."""
+"""Checks that measure a hand: reach, size, fist, pinches, an arm, contacts and motions."""
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import compress, pairwise, product
 from statistics import mode
-from typing import Any, NamedTuple
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from handmap_qp.apps.onboarding.anatomy import angle_between
+from handmap_qp.apps.onboarding.collision_pairs import joined_notes
+from handmap_qp.apps.onboarding.findings import (
+    MOST_NAMES,
+    Found,
+    Rows,
+    advice,
+    fine,
+    warning,
+)
 from handmap_qp.apps.onboarding.flexion import HandFlexion
+from handmap_qp.apps.tables import rows_of, table_rows
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.fingers import (
     Finger,
@@ -22,13 +32,15 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
-from handmap_qp.hands.shape_pairs import random_postures
+from handmap_qp.hands.robot import Robot
+from handmap_qp.hands.shape_pairs import all_pairs, random_postures
 from handmap_qp.human.recording import upright_axes
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.alignment import rotation_onto
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.se3 import affine, lengths, unit
+from handmap_qp.trackers.formats.base import first_of
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
@@ -39,132 +51,47 @@ _SAMPLES = 200
 _ARM_SAMPLES = 1500
 _DIRECTIONS = unit(np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 _CONE = np.cos(np.radians(25.0))
+# A person's hand moves this far to all sides in front of the body [m]; an arm follows if it reaches
+# that far in this share of the directions.
+_ARM_MOTION = 0.25
+_MOST_DIRECTIONS = 0.8
 _DT = 1.0 / 60.0
+# A point this far from its target is out of reach [mm].
+_OUT_OF_REACH = 20.0
 # The axes of `upright_axes`, and those against them.
 _WAYS = ("forward", "left", "up", "back", "right", "down")
+# A direction of the hand that an arm misses by more is worth saying [deg].
+_ASTRAY = 30.0
+# So is a shorter way for one of 50 mm [mm].
+_SHORT = 25.0
+# Last joints flex by this share of the others' angle.
+_SHARES = {"DIP_flexion": 0.8, "IP_flexion": -0.6}
 # Thumb and finger meet in this part of a fist.
 _PINCHED = 0.65
 # Contacts move a joint aside by more than this part of its range.
 _ASIDE = 0.25
+# A joint moves if its range is more than this [rad or m].
+_MOVES = 0.2
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
+# Largest angles of the axis of flexion and of the straight fingers to the palm's axes [deg].
+_ACROSS = 25.0
+_DISTAL = 35.0
 # Random postures in which the search for a pinch starts.
 _STARTS = 6
 # Surfaces that come this near touch [m].
 _TOUCHING = 0.002
+# A thumb whose pad stays farther than this from every other opposes none of them [m].
+_OPPOSING = 0.015
 # Radius of a pad without shapes [m].
 _RADIUS = 0.006
 
 
-class _Row(msgspec.Struct, rename=lambda name: name.replace("_", " ")):
-    """A row of a table, whose columns are its fields."""
+def check_reach(hand: Hand) -> Found:
+    """Measure how each finger's reference point with the largest span moves; an arm stays at rest.
 
-
-class FingerReach(_Row):
-    """How the reference point of a finger with the largest span moves.
-
-    Attributes:
-        point: Its name.
-        span_mm: Largest distance between two positions that it reaches [mm].
-        moves_in: Number of directions in which it can move at rest, of three.
-        slowest: Smallest singular value of its Jacobian among these directions [mm per rad or m].
-        manipulability: Yoshikawa's measure at rest, the product of these singular values
-            [(m/rad)^directions].
-    """
-
-    point: str
-    span_mm: float
-    moves_in: str
-    slowest: float = msgspec.field(name="slowest direction, mm per rad or m")
-    manipulability: str
-
-
-class Size(NamedTuple):
-    """Size of a hand.
-
-    Attributes:
-        length: Distance from the palm's origin to the farthest fingertip, with the fingers straight
-            or at rest, whichever is longer [m].
-        cloud: RMS distance of the fingertips from their mean at rest [m].
-        human_cloud: The same for a human hand of length `HUMAN_LENGTH` [m].
-    """
-
-    length: float
-    cloud: float
-    human_cloud: float
-
-    @property
-    def ratio(self) -> float:
-        """Length of the hand divided by a human hand's."""
-        return self.length / HUMAN_LENGTH
-
-
-class MotionPart(_Row):
-    """How well a robot follows one part of the standard motion.
-
-    Attributes:
-        posture: What the human hand does.
-        worst_point: The point farthest from its target at the end of the part.
-        error_mm: Its distance from the target [mm].
-        joints_at_a_position_limit: Their names.
-    """
-
-    posture: str
-    worst_point: str
-    error_mm: float
-    joints_at_a_position_limit: str
-
-
-class JointRange(_Row):
-    """How far a joint moves in a tour of gestures.
-
-    Attributes:
-        joint: Its name.
-        without_contacts: Its range without contacts [rad or m].
-        with_contacts: Its range with contacts [rad or m].
-        held_by: Links that hold the hand most often where contacts move the joint aside.
-    """
-
-    joint: str
-    without_contacts: float
-    with_contacts: float
-    held_by: str
-
-
-class Fist(NamedTuple):
-    """Where the fingertips go as the hand closes, in palm axes.
-
-    Attributes:
-        across_deg: Angle between the fingers' common axis of flexion and the palm's x axis, 0 in a
-            hand whose axes are right, 180 if the fingers close to the back [deg].
-        distal_deg: Angle between the mean direction of the stretched fingers and distal [deg].
-        fingers: Fingers that close.
-    """
-
-    across_deg: float
-    distal_deg: float
-    fingers: tuple[str, ...]
-
-
-class Pinch(_Row):
-    """How near the thumb's pad comes to a finger's.
-
-    Attributes:
-        finger: The finger.
-        gap: Smallest distance between the surfaces of both pads [mm]; 0 if they overlap.
-        touch: Whether they touch: `yes` or `no`.
-    """
-
-    finger: str = msgspec.field(name="thumb and")
-    gap: float = msgspec.field(name="nearest, mm between pads")
-    touch: str
-
-
-def measure_reach(hand: Hand) -> list[FingerReach]:
-    """Measure reach and manipulability of each finger's reference point with the largest span.
-
-    Args:
-        hand: The hand; an arm stays at rest.
+    The slowest direction is the smallest singular value of its Jacobian, manipulability Yoshikawa's
+    measure at rest, the product of these singular values [(m/rad)^directions].
     """
     own = ~hand.moves_wrist
     generator = np.random.default_rng(0)
@@ -176,22 +103,29 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
     gaps = places[:, None] - places[:: max(1, len(places) // 100)]
     spans = 1e3 * lengths(gaps).max(axis=(0, 1))
     jacobians = hand.point_jacobian(hand.rest)[:, own].reshape(len(spans), 3, -1)
-    best: dict[str, FingerReach] = {}
-    for point, span, jacobian in zip(
-        hand.reference_points, spans.tolist(), jacobians, strict=True
-    ):
-        finger = point.finger
-        if finger and (finger not in best or span > best[finger].span_mm):
-            motions = np.linalg.svd(jacobian, compute_uv=False)
-            motions = motions[motions > _LEAST_MOTION]
-            best[finger] = FingerReach(
-                point=point.name,
-                span_mm=span,
-                moves_in=f"{len(motions)} of 3 directions",
-                slowest=1e3 * min(motions.tolist(), default=0.0),
-                manipulability=f"{motions.prod() * motions.any():.2e}",
-            )
-    return [*best.values()]
+    best: dict[str, int] = {}
+    for i, point in enumerate(hand.reference_points):
+        if point.finger and spans[i] > spans[best.setdefault(point.finger, i)]:
+            best[point.finger] = i
+    rows = []
+    for i in best.values():
+        point = hand.reference_points[i].name
+        motions = np.linalg.svd(jacobians[i], compute_uv=False)
+        motions = motions[motions > _LEAST_MOTION]
+        slowest = 1e3 * min(motions.tolist(), default=0.0)
+        rows.append(
+            {
+                "point": point,
+                "span mm": float(spans[i]),
+                "moves in": f"{len(motions)} of 3 directions",
+                "slowest direction, mm per rad or m": slowest,
+                "manipulability": f"{motions.prod() * motions.any():.2e}",
+            }
+        )
+        if not len(motions):
+            change = "put it on a link that moves, or leave it out"
+            yield warning("points", f"no joint moves {point}", change)
+    yield "Fingers", rows
 
 
 def measure_arm(hand: Hand) -> np.ndarray | None:
@@ -211,82 +145,122 @@ def measure_arm(hand: Hand) -> np.ndarray | None:
     return (near * lengths(moved)).max(axis=1)
 
 
-def measure_size(hand: Hand) -> Size:
-    """Measure the size of a hand relative to a person's.
+def check_arm(hand: Hand) -> Found:
+    """Compare the reach of an arm with that of a person's hand in front of the body."""
+    if (reach := measure_arm(hand)) is None:
+        return
+    far = (reach >= _ARM_MOTION).sum()
+    what = (
+        f"the arm moves the wrist by {1e3 * _ARM_MOTION:.0f} mm in {far} of {len(reach)} "
+        f"directions from rest, and by {1e3 * np.median(reach):.0f} mm in half of them"
+    )
+    if far >= _MOST_DIRECTIONS * len(reach):
+        yield fine("rest", what)
+        return
+    change = "rest in the middle of the arm's range"
+    scale = np.floor(20.0 * min(1.0, np.quantile(reach, 0.2) / _ARM_MOTION)) / 20.0
+    if scale >= 0.05:
+        what += f"; a scale of {scale:.2g} fits"
+        change += f", or map with --scale {scale:.2g}"
+    yield advice("rest", what, change)
 
-    Args:
-        hand: The hand, with fingertips as reference points.
-    """
+
+def check_size(hand: Hand) -> Found:
+    """Compare with a person's hand: palm to fingertip, straight or at rest, and the fingertips."""
     human = load_hand("human", points="fingertips", hand_length=HUMAN_LENGTH)
-    sizes = [
-        lengths(hand.points(q) - hand.frame_pose("palm", q)[:3, 3]).max()
-        for q in (hand.rest, zero_posture(hand))
-    ]
-    clouds = [
-        float(np.sqrt(one.points(one.rest).var(axis=0).sum())) for one in (hand, human)
-    ]
-    return Size(max(sizes), *clouds)
+    tips = hand.with_points("fingertips") if "fingertips" in hand.spec.sets else hand
+    length = max(
+        lengths(tips.points(q) - tips.frame_pose("palm", q)[:3, 3]).max()
+        for q in (tips.rest, zero_posture(tips))
+    )
+    cloud, human_cloud = (
+        1e3 * np.sqrt(one.points(one.rest).var(axis=0).sum()) for one in (tips, human)
+    )
+    ratio = length / HUMAN_LENGTH
+    sizes = {
+        "length, palm to fingertip": f"{1e3 * length:.0f} mm, {ratio:.2f} of a human hand",
+        "RMS distance of fingertips from their mean": f"{cloud:.0f} mm; a person's: "
+        f"{human_cloud:.0f} mm",
+        "suggested scale": "1 (translations as the human's), or "
+        f"{ratio:.2f} (in proportion to the hand)",
+    }
+    yield "Size", table_rows(sizes)
+    if not 0.3 < ratio < 4.0:
+        what = f"palm to fingertip is {length:.3g} m, {ratio:.2g} of a human hand"
+        change = "check the URDF's unit (metres) and the palm's origin"
+        yield warning("palm.xyz", what, change)
 
 
-def try_motion(hand: Hand) -> list[MotionPart]:
+def check_motion(hand: Hand) -> Found:
     """Map a standard motion of a human hand: from rest to each of `standard_postures`."""
-    human = load_hand(human_name(hand.side), hand_length=HUMAN_LENGTH)
     rigid = "wrist" if hand.has_moving_wrist else "none"
     # A floating hand can turn as a whole; a hand that is held cannot, and its world's axes need not
     # be the human's.
     alignment = "world" if hand.is_floating else "palm"
-    parts = []
-    mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
-    for name, posture in standard_postures(human).items():
+    mapper = _mapper(hand, rigid_from=rigid, alignment=alignment)
+    rows = []
+    for name, posture in standard_postures(mapper.human).items():
         *_, last = _follow(mapper, posture)
-        error = last.point_error
-        worst = np.argmax(error)
-        limited = compress(hand.joint_names, hand.at_position_limit(last.command.q))
-        parts.append(
-            MotionPart(
-                name,
-                hand.reference_points[worst].name,
-                1e3 * float(error[worst]),
-                ", ".join(limited),
-            )
+        point = hand.reference_points[np.argmax(last.point_error)].name
+        error = 1e3 * float(last.point_error.max())
+        stops = [*compress(hand.joint_names, hand.at_position_limit(last.command.q))]
+        rows.append(
+            {
+                "posture": name,
+                "worst point": point,
+                "error mm": error,
+                "joints at a position limit": ", ".join(stops),
+            }
         )
-    return parts
+        if error > _OUT_OF_REACH:
+            what = f"{name}: {point} stays {error:.0f} mm from its target"
+            if stops:
+                what += f", {first_of(stops, MOST_NAMES)} at a position limit"
+            yield advice("reach", what)
+    yield "A standard motion", rows
 
 
-def measure_directions(
-    hand: Hand, upright: str = "+y up, -z forward"
-) -> list[dict[str, Any]]:
+def check_directions(hand: Hand, upright: str = "+y up, -z forward") -> Found:
     """Move a person's hand by 5 cm in six directions, and measure where an arm takes the robot's.
+
+    The table has for each direction the robot's nearest one, the angle between both [deg], and how
+    far the robot's hand goes in its world [mm]. There is none without an arm.
 
     Args:
         hand: The robot hand.
         upright: The axes of the tracker's world; a headset's if omitted.
-
-    Returns:
-        For each direction the robot's nearest one, the angle between both [deg], and how far the
-        robot's hand goes in its world [mm]; none without an arm.
     """
     turn = rotation_onto(hand, upright)
     if turn is None:
-        return []
-    human = load_hand(human_name(hand.side), hand_length=HUMAN_LENGTH)
-    mapper = HandMapper(human, hand, alignment=turn, dt=_DT)
+        return
+    mapper = _mapper(hand, alignment=turn)
     rows = []
     for name, way in zip(_WAYS, [*np.eye(3), *-np.eye(3)], strict=True):
         place = 0.05 * way @ upright_axes(upright)
-        q = _follow(mapper, human.rest, place=place)[-1].command.q
+        q = _follow(mapper, mapper.human.rest, place=place)[-1].command.q
         start, end = (hand.frame_pose("palm", each)[:3, 3] for each in (hand.rest, q))
-        moved = end - start
+        moved = 1e3 * (end - start)
         seen = upright_axes(hand.spec.upright) @ moved
         nearest = _WAYS[np.argmax([*seen, *-seen])] if seen.any() else "nowhere"
+        direction = f"hand {name} -> robot {nearest}"
+        off = round(angle_between(seen, way), 1)
         rows.append(
             {
-                "direction": f"hand {name} -> robot {nearest}",
-                "degrees off": round(angle_between(seen, way), 1),
-                "robot moved, mm": [*map(round, 1e3 * moved)],
+                "direction": direction,
+                "degrees off": off,
+                "robot moved, mm": [*map(round, moved)],
             }
         )
-    return rows
+        if off > _ASTRAY or lengths(moved) < _SHORT:
+            far = f"{off:.0f} degrees off and {lengths(moved):.0f} of 50 mm"
+            yield advice("reach", f"{direction}, {far}: the arm cannot go there")
+    yield "Directions", rows
+
+
+def _mapper(hand: Hand, points: str | None = None, **options: Any) -> HandMapper:
+    """Return a mapper from a person's hand with some points, or those of the standard set."""
+    human = load_hand(human_name(hand.side), points=points, hand_length=HUMAN_LENGTH)
+    return HandMapper(human, hand, dt=_DT, **options)
 
 
 def _follow(
@@ -307,36 +281,46 @@ def _follow(
     ]
 
 
-def tour_gestures(hand: Hand) -> list[JointRange]:
-    """Map gestures after one another, two of them from rest each time, with and without contacts.
+def check_contacts(hand: Hand) -> Found:
+    """Find joints that links lock by lying on each other, in a tour of gestures.
 
-    Returns:
-        The range of each joint; none if the hand's preset avoids no contacts.
+    Gestures are mapped after one another, two of them from rest each time, with and without
+    contacts. The table has the range of each joint [rad or m], and the links that hold the hand
+    most often where contacts move the joint aside; none if the hand's preset avoids no contacts.
     """
-    human = load_hand(
-        human_name(hand.side), points="landmarks", hand_length=HUMAN_LENGTH
-    )
-    mapper = HandMapper(human, hand, dt=_DT)
+    joined = joined_notes(all_pairs(hand, find_fingers(hand)))
+    yield from map(partial(fine, "collision"), joined)
+    mapper = _mapper(hand, points="landmarks")
     method: Any = mapper.method
     if not getattr(method, "avoids_contact", False):
-        return []
-    pairs = gestures(human).reshape(-1, 2, len(human.rest))
+        return
+    pairs = gestures(mapper.human).reshape(-1, 2, len(mapper.human.rest))
     tours = []
+    steps = list[MapStep]()
     # A detour would lead around what locks.
     plain = mapper.ik.replaced(takes_detours=False)
     for avoids in (False, True):
         mapper.configure(method.replaced(avoids_contact=avoids), ik=plain)
-        tours.append([step for pair in pairs for step in _follow(mapper, *pair)])
-    q = np.array([[step.command.q for step in tour] for tour in tours])
-    ranges = np.ptp(q, axis=1).T
-    is_aside = np.abs(q[1] - q[0]) > _ASIDE * ranges[:, 0]
-    links = [" and ".join(step.held_by) for step in tours[1]]
-    return [
-        JointRange(joint, *ends, mode([*filter(None, compress(links, aside)), ""]))
-        for joint, ends, aside in zip(
-            hand.joint_names, ranges.tolist(), is_aside.T, strict=True
+        steps = [step for pair in pairs for step in _follow(mapper, *pair)]
+        tours.append([step.command.q for step in steps])
+    q = np.array(tours)
+    free, held = np.ptp(q, axis=1)
+    is_aside = np.abs(q[1] - q[0]) > _ASIDE * free
+    links = [" and ".join(step.held_by) for step in steps]
+    held_by = [mode([*filter(None, compress(links, at)), ""]) for at in is_aside.T]
+    columns = {
+        "joint": hand.joint_names,
+        "without contacts": free.tolist(),
+        "with contacts": held.tolist(),
+        "held by": held_by,
+    }
+    yield "A tour of gestures", rows_of(columns)
+    for i in np.flatnonzero((free > _MOVES) & (held < 0.5 * free)):
+        what = (
+            f"contacts narrow the range of {hand.joint_names[i]} in a tour of gestures from "
+            f"{free[i]:.2g} to {held[i]:.2g}: {held_by[i] or 'some links'} meet"
         )
-    ]
+        yield warning("urdf", what, "correct the collision shapes of these links")
 
 
 def gestures(human: Hand) -> np.ndarray:
@@ -352,78 +336,102 @@ def gestures(human: Hand) -> np.ndarray:
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:
     """Return common postures of the human hand, inside its limits [rad], shape (20,) each."""
 
-    def posture(spread: float = 1.0, **flexions: float) -> np.ndarray:
+    def posture(*flexions: float, spread: float = 1.0) -> np.ndarray:
+        """Flex fingers from the thumb onwards; the others rest."""
+        flexed = dict(zip(FINGERS, flexions, strict=False))
         q = human.rest.copy()
         for i, name in enumerate(human.joint_names):
             finger, _, joint = name.partition("_")
-            if finger in flexions and "flexion" in joint:
-                share = {"DIP_flexion": 0.8, "IP_flexion": -0.6}.get(joint, 1.0)
-                q[i] = share * flexions[finger]
+            if finger in flexed and "flexion" in joint:
+                q[i] = flexed[finger] * _SHARES.get(joint, 1.0)
             elif joint == "MCP_abduction":
                 q[i] *= spread
         return np.clip(q, human.lower_limits, human.upper_limits)
 
-    fingers = dict.fromkeys(FINGERS[1:], 0.05)
-    fist = dict.fromkeys(fingers, 1.4)
     return {
-        "flat hand": posture(thumb=0.1, **fingers),
-        "spread": posture(thumb=0.0, spread=3.0, **fingers),
-        "fist": posture(thumb=0.7, **fist),
-        "pointing": posture(thumb=0.7, **{**fist, "index": 0.05}),
-        "pinch": posture(thumb=0.6, index=0.9),
+        "flat hand": posture(0.1, 0.05, 0.05, 0.05, 0.05),
+        "spread": posture(0.0, 0.05, 0.05, 0.05, 0.05, spread=3.0),
+        "fist": posture(0.7, 1.4, 1.4, 1.4, 1.4),
+        "pointing": posture(0.7, 0.05, 1.4, 1.4, 1.4),
+        "pinch": posture(0.6, 0.9),
     }
 
 
-def make_fist(hand: Hand) -> Fist | None:
-    """Compare the way in which the fingers, but the thumb, close with the palm's axes.
+def check_fist(hand: Hand) -> Found:
+    """Close the fingers, but the thumb: their tips must go to the palm, about an axis across it.
 
-    Returns:
-        The directions; None if fewer than two fingers close, or they close about different axes.
+    Nothing is found if fewer than two of them close, or they close about different axes.
     """
-    fingers = {
-        name: finger
-        for name, finger in find_fingers(hand).items()
-        if name != THUMB and (found := finger.flexion) and found.curls and found.sense
-    }
+    chains = find_fingers(hand)
+    chains.pop(THUMB, None)
+    fingers = [
+        finger
+        for finger in chains.values()
+        if (found := finger.flexion) and found.curls and found.sense
+    ]
     if len(fingers) < 2:
-        return None
-    flexion = HandFlexion(hand, [*fingers.values()])
-    axis = flexion.axes.mean(axis=0)
-    direction = flexion.directions.mean(axis=0)
-    if min(lengths(axis), lengths(direction)) < _COMMON:
-        return None
+        return
+    flexion = HandFlexion(hand, fingers)
+    means = np.mean([flexion.axes, flexion.directions], axis=1)
+    if lengths(means).min() < _COMMON:
+        return
     # Flexion turns distal (y) towards palmar (-z), about -x.
     across, distal, _ = np.eye(3)
-    turn = angle_between(axis, -across)
-    return Fist(turn, angle_between(direction, distal), tuple(fingers))
+    turn, tilt = map(angle_between, means, (-across, distal))
+    off = f"{turn:.0f} degrees off"
+    if turn > 180.0 - _ACROSS:
+        what = "a fist brings the fingertips to the back of the hand"
+        yield warning("palm.dorsal", what, "turn dorsal over, or change side")
+    elif turn > _ACROSS:
+        what = f"the fingers close about an axis {off} the palm's x axis"
+        yield warning("palm.dorsal", what, "correct distal and dorsal")
+    elif tilt > _DISTAL:
+        what = f"the straight fingers point {tilt:.0f} degrees off it"
+        yield warning("palm.distal", what, "correct distal")
+    else:
+        what = f"{len(fingers)} fingers close to the palm, {off} its x axis"
+        yield fine("palm", what)
 
 
-def measure_pinches(hand: Hand) -> list[Pinch]:
-    """Find how near the thumb's pad can come to every other finger's, within the joint limits.
-
-    Args:
-        hand: The hand; an arm stays at rest.
-
-    Returns:
-        One entry per finger; none if the hand has no thumb or no second finger.
-    """
+def check_pinches(hand: Hand) -> Found:
+    """Find how near the thumb's pad can come to every other finger's; an arm stays at rest."""
     fingers = find_fingers(hand)
+    pads = _fingertip_pads(hand, fingers)
+    rows: Rows = [
+        {
+            "finger": finger,
+            "on the link of": hand.model.names[pad.joint],
+            "centre, mm": _joined(1e3 * pad.offset, 1),
+            "radius, mm": round(1e3 * pad.radius, 1),
+        }
+        for finger, pad in pads.items()
+    ]
+    yield "Pads", rows
     if THUMB not in fingers:
-        return []
-    pads = fingertip_pads(hand, fingers)
-    thumb = pads.pop(THUMB)
-    pinches = []
-    for name, pad in pads.items():
-        columns = np.union1d(fingers[THUMB].columns, fingers[name].columns)
-        radii = thumb.radius + pad.radius
-        gap = _nearest(hand, (thumb, pad), columns, radii) - radii
-        touch = "yes" if gap < _TOUCHING else "no"
-        nearest = max(0.0, round(1e3 * gap, 1))
-        pinches.append(Pinch(finger=name, gap=nearest, touch=touch))
-    return pinches
+        yield advice("points", "no point is on a thumb: pinches are not mapped")
+        return
+    thumb = fingers.pop(THUMB)
+    gaps = [_gap(hand, finger, thumb, pads) for finger in fingers.values()]
+    touched = [*compress(fingers, np.array(gaps) < _TOUCHING)]
+    rows = [
+        {
+            "thumb and": name,
+            "nearest, mm between pads": round(1e3 * max(0.0, gap), 1),
+            "touch": "yes" if name in touched else "no",
+        }
+        for name, gap in zip(fingers, gaps, strict=True)
+    ]
+    yield "Pinches", rows
+    if touched:
+        yield fine("points", f"the thumb can touch {', '.join(touched)}")
+    elif gaps:
+        gap, nearest = min(zip(gaps, fingers, strict=True))
+        what = f"the thumb touches no finger; nearest is the {nearest}, {1e3 * gap:.0f} mm away"
+        finding = warning if gap > _OPPOSING else advice
+        yield finding("points", what, "check the thumb, the tips, and the limits")
 
 
-def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
+def _fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
     """Return the pad of each fingertip; a ball of 6 mm around it if the shapes cannot be read."""
     try:
         return find_pads(hand, chains)
@@ -431,20 +439,21 @@ def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
         return {name: Pad(*chain.tip, _RADIUS) for name, chain in chains.items()}
 
 
-def _nearest(
-    hand: Hand,
-    pads: tuple[Pad, Pad],
-    columns: np.ndarray,
-    near: float,
-) -> float:
-    """Return the smallest distance of two pads' centres, or one below `near` [m]."""
+def _gap(hand: Hand, finger: Finger, thumb: Finger, pads: dict[str, Pad]) -> float:
+    """Return the least distance between the pads of finger and thumb, negative if they overlap [m].
+
+    The search is over once they do.
+    """
     from scipy.optimize import least_squares
 
     view = PalmKinematics(hand)
-    places = [(pad.joint, pad.offset) for pad in pads]
+    both = [pads[each.name] for each in (finger, thumb)]
+    places = [(pad.joint, pad.offset) for pad in both]
+    radii = sum(pad.radius for pad in both)
+    columns = np.union1d(finger.columns, thumb.columns)
     q = hand.rest.copy()
 
-    def gap(positions: np.ndarray) -> np.ndarray:
+    def between(positions: np.ndarray) -> np.ndarray:
         q[columns] = positions
         return np.subtract(*view.points(q, places))
 
@@ -452,9 +461,31 @@ def _nearest(
     first = [hand.rest, limits.mean(axis=0), zero_posture(hand)]
     best = np.inf
     for start in np.vstack([first, random_postures(hand, _STARTS)])[:, columns]:
-        if best >= near:
+        if best >= radii:
             found = least_squares(
-                gap, start, bounds=limits[:, columns], ftol=1e-4, xtol=1e-4
+                between, start, bounds=limits[:, columns], ftol=1e-4, xtol=1e-4
             )
             best = min(best, float(lengths(found.fun)))
-    return best
+    return best - radii
+
+
+def palm_rows(robot: Robot) -> Rows:
+    """Return a row for each hand: its palm at rest in the robot's base, and its wrist's reach."""
+    rows = []
+    for side, hand in robot.hands.items():
+        pose = hand.frame_pose("palm", hand.rest)
+        reach = measure_arm(hand)
+        rows.append(
+            {
+                "side": side,
+                "palm": hand.spec.palm.link,
+                "at, m": _joined(pose[:3, 3], 3),
+                "fingers point": _joined(pose[:3, 1], 2),
+                "reach, m": 0.0 if reach is None else float(np.median(reach)),
+            }
+        )
+    return rows
+
+
+def _joined(values: np.ndarray, digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" for value in values)

@@ -76,7 +76,7 @@ def draw_hand(hand: Hand, path: Path, *directions: Any) -> None:
     Args:
         hand: The hand.
         path: Picture to write; its suffix sets the format.
-        *directions: Where an arm takes the hand: rows of `measure_directions`.
+        *directions: Where an arm takes the hand: rows of the table of `check_directions`.
 
     Raises:
         InvalidInputError: If the file cannot be written.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, tostring
@@ -28,7 +29,9 @@ from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf import (
     MOVABLE,
     check_tree,
+    child_of,
     cut_subtree,
+    edges,
     fix_free_joints,
     joints_by_name,
     mimics_of,
@@ -70,6 +73,8 @@ class Robot:
         model: Pinocchio model of the movable joints, which sorts them by name.
         frames: Frame of the model for each link.
         links: Links of each body, its first one first.
+        surface: Points of a body's visuals, else of its collision shapes, by its number, in its
+            frame [m], shape (k, 3); a `HandError` if a shape lacks its numbers.
         palm_frame_id: Frame of the palm's link, once it is found; before that, of the world.
         joints: Movable joints of the model, in the order of the file.
         active: Names of the n joints that are not mimic joints, in the order of the file.
@@ -95,7 +100,7 @@ class Robot:
     ) -> None:
         self.file = file
         self._remarks = dict[str, list[str]]()
-        self._surfaces: dict[int, np.ndarray] = {}
+        self.surface = cache(self._surface)
         try:
             robot = parse_urdf(text)
             check_tree(robot)
@@ -122,11 +127,10 @@ class Robot:
         leaders = {name: rules[name].joint for name in given if name in rules}
         lost = {n: leader for n, leader in leaders.items() if leader not in given}
         self.dropped_rules = dict.fromkeys(lost)
-        if lost:
-            missing = ", ".join(dict.fromkeys(lost.values()))
+        for name, leader in lost.items():
             self._remark(
-                ", ".join(lost),
-                f"would mimic {missing}, missing or fixed here: taken as independent; couple what "
+                f"{name} (mimics {leader})",
+                "has a leader that is missing or fixed here: taken as independent; couple what "
                 "belongs together under `mimic` in the hand.yaml",
             )
         equal = self._assume_limits(given, leaders.keys() - lost)
@@ -138,6 +142,7 @@ class Robot:
         self._rules = read_mimic_rules(robot)
         self.active = [name for name in movable if name not in self._rules]
         self._elements = {link.get("name", ""): link for link in robot.iterfind("link")}
+        self._parents = {child: parent for _, parent, child in edges(robot)}
         self._build(tostring(robot, encoding="unicode"))
         self.joints = [self.model.getJointId(name) for name in movable]
 
@@ -158,12 +163,12 @@ class Robot:
         self.upper_limits = model.upperPositionLimit[at]
         self.zero = zero_posture(self)
         self.palm_frame_id = 0
-        self.frames: dict[str, pin.Frame] = {}
-        self.links: list[list[str]] = [[] for _ in model.names]
-        for frame in model.frames:
-            if frame.type == pin.FrameType.BODY:
-                self.frames[frame.name] = frame
-                self.links[frame.parentJoint].append(frame.name)
+        bodies = [f for f in model.frames if f.type == pin.FrameType.BODY]
+        self.frames = {frame.name: frame for frame in bodies}
+        self.links = [
+            [frame.name for frame in bodies if frame.parentJoint == body]
+            for body in range(model.njoints)
+        ]
         self._data = model.createData()
         vector = self.configuration_vector(self.zero)
         pin.framesForwardKinematics(model, self._data, vector)
@@ -200,22 +205,17 @@ class Robot:
 
     def ends(self, body: int) -> list[str]:
         """Return the links of a body, but its first one, that carry no other link."""
-        inner = {frame.parentFrame for frame in self.model.frames}
-        links = self.links[body][1:]
-        return [link for link in links if self.model.getBodyId(link) not in inner]
+        inner = {*self._parents.values()}
+        return [link for link in self.links[body][1:] if link not in inner]
 
     def carriers(self, joint: int) -> list[str]:
         """Return the links of a body out to the one that carries a joint."""
-        frames = self.model.frames
-        body = self.model.parents[joint]
-        index = self.model.getFrameId(self.model.names[joint], pin.FrameType.JOINT)
-        passed = list[pin.Frame]()
-        while (index := frames[index].parentFrame) and frames[
-            index
-        ].parentJoint == body:
-            passed.insert(0, frames[index])
-        # Between two links is the frame of their joint.
-        return [frame.name for frame in passed if frame.type == pin.FrameType.BODY]
+        body = self.links[self.model.parents[joint]]
+        link = self._parents[self.links[joint][0]]
+        passed = [link]
+        while (link := self._parents.get(link, "")) in body:
+            passed.insert(0, link)
+        return passed
 
     def driver(self, joint: str) -> str:
         """Return the active joint that moves a joint: itself, or its mimic leader."""
@@ -231,11 +231,6 @@ class Robot:
         """Return a point on a link as one on a joint of the model."""
         frame = self.frames[link]
         return frame.parentJoint, frame.placement.act(xyz)
-
-    def origins(self, bodies: list[int]) -> np.ndarray:
-        """Return the origins of k bodies at `zero` [m], shape (k, 3)."""
-        found = [self._data.oMi[body].translation for body in bodies]
-        return np.array(found).reshape(-1, 3)
 
     def pose_in(self, link: str, other: str) -> np.ndarray:
         """Return a link's pose in another link's frame at `zero`, shape (4, 4)."""
@@ -261,31 +256,22 @@ class Robot:
         ]
         return np.array(found).reshape(-1, 3)
 
-    def surface(self, body: int) -> np.ndarray:
-        """Return points of a body's visuals, else of its collision shapes, in its frame [m].
-
-        Raises:
-            HandError: If a shape lacks its numbers.
-        """
-        if body not in self._surfaces:
-            clouds = [np.zeros((0, 3))]
-            for link in self.links[body]:
-                placement = self.frames[link].placement.homogeneous
-                points = self._points(link, "visual") or self._points(link, "collision")
-                clouds += [transform_points(placement, cloud) for cloud in points]
-            self._surfaces[body] = np.concatenate(clouds)
-        return self._surfaces[body]
+    def _surface(self, body: int) -> np.ndarray:
+        """Read what `surface` keeps."""
+        clouds = [np.zeros((0, 3))]
+        for link in self.links[body]:
+            placement = self.frames[link].placement.homogeneous
+            points = self._points(link, "visual") or self._points(link, "collision")
+            clouds += [transform_points(placement, cloud) for cloud in points]
+        return np.concatenate(clouds)
 
     def _points(self, link: str, kind: str) -> list[np.ndarray]:
         """Return points of each shape of a link in its frame, at most some of each mesh."""
-
-        def note(name: str) -> None:
-            self._remark(f"the mesh {name}", "cannot be read")
-
+        miss = partial(self._remark, what="is a mesh that cannot be read")
         return [
             np.array(mesh.vertices[:: max(1, len(mesh.vertices) // _MOST_POINTS)])
             for shape in self._elements[link].iterfind(kind)
-            for mesh in shape_meshes(shape, self.file.parent, note)
+            for mesh in shape_meshes(shape, self.file.parent, miss)
         ]
 
     # -- assumptions
@@ -338,8 +324,7 @@ class _Limits(NamedTuple):
 def _limits(joint: Element) -> _Limits:
     """Return the limits that a joint has in the URDF."""
     kind = joint.get("type", "")
-    limit = joint.find("limit")
-    given = {} if limit is None else limit.attrib
+    given = child_of(joint, "limit").attrib
     lower, upper, speed = (
         float(given.get(key, 0.0)) for key in ("lower", "upper", "velocity")
     )

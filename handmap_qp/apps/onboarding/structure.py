@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.apps.onboarding.anatomy import Clue
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError
-from handmap_qp.hands.fingers import Finger, ends_of, zero_posture
+from handmap_qp.hands.fingers import Finger, PalmKinematics, ends_of, zero_posture
 from handmap_qp.se3 import lengths, transform_points, unit
 
 LONGEST_FINGER = 0.3
@@ -41,22 +42,6 @@ _PIVOT_SHARE = 0.4
 _APART = 0.16
 
 
-class Tip(NamedTuple):
-    """The end of a finger.
-
-    Attributes:
-        link: Link that carries it.
-        xyz: Position in the link's frame [m], shape (3,).
-        how: How it was found.
-        confidence: From 0 to 1.
-    """
-
-    link: str
-    xyz: np.ndarray
-    how: str
-    confidence: float
-
-
 class RobotFinger(Finger):
     """A chain of a robot's bodies, which may be a finger.
 
@@ -66,7 +51,8 @@ class RobotFinger(Finger):
         palm: The body that it starts from.
 
     Attributes:
-        end: Its fingertip.
+        end: Link that carries its fingertip, and the evidence for it.
+        xyz: The fingertip in that link's frame [m], shape (3,).
         joint_names: Movable joints from the palm outwards.
         links: First link of the body on each joint.
         names: All of these, from which the finger's own name may be read.
@@ -81,13 +67,13 @@ class RobotFinger(Finger):
         palm: int,
     ) -> None:
         joints = robot.path(leaf, palm)
-        self.end = find_tip(robot, joints)
-        super().__init__(robot, joints, robot.place_of(self.end.link, self.end.xyz))
+        self.end, self.xyz = find_tip(robot, joints)
+        super().__init__(robot, joints, robot.place_of(self.end.answer, self.xyz))
         self.joint_names = [robot.model.names[joint] for joint in joints]
         self.links = [robot.links[joint][0] for joint in joints]
         self.names = [*self.joint_names, *self.links]
         self.carriers = robot.carriers(joints[0])
-        steps = [*np.diff(robot.origins(joints), axis=0), self.tip[1]]
+        steps = [*np.diff(_origins(robot, joints), axis=0), self.tip[1]]
         self.length = lengths(np.array(steps)).sum()
 
 
@@ -95,17 +81,13 @@ class Structure(NamedTuple):
     """Palm and fingers of a robot.
 
     Attributes:
-        palm: Link of the palm's body from which all fingers branch.
+        palm: Link of the palm's body from which all fingers branch, and the evidence for it.
         fingers: The fingers, in the order of the file.
-        how: How the palm was found.
-        confidence: From 0 to 1.
         notes: Chains that were ignored, and why.
     """
 
-    palm: str
+    palm: Clue
     fingers: list[RobotFinger]
-    how: str
-    confidence: float
     notes: list[str]
 
 
@@ -127,7 +109,7 @@ def find_structure(robot: Robot) -> Structure:
             value=links,
         )
     structure = _hand(robot, *palms) if palms else _one_finger(robot)
-    robot.palm_frame_id = robot.model.getBodyId(structure.palm)
+    robot.palm_frame_id = robot.model.getBodyId(structure.palm.answer)
     return structure
 
 
@@ -175,7 +157,7 @@ def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
     _check_one_hand(robot, fingers)
     how = f"the only link from which {len(fingers)} chains of at most {LONGEST_FINGER:g} m branch"
     sure = 0.95 if len(fingers) > 2 else 0.85
-    return Structure(_palm_link(fingers), fingers, how, sure, notes)
+    return Structure(Clue("palm", _palm_link(fingers), how, sure), fingers, notes)
 
 
 def _one_finger(robot: Robot) -> Structure:
@@ -193,7 +175,8 @@ def _one_finger(robot: Robot) -> Structure:
         raise HandError(problem, file=robot.file, value=robot.root)
     note = "there is only one finger, so the dorsal direction and the side are guesses"
     how = "the link from which the only chain starts"
-    return Structure(_palm_link([finger]), [finger], how, 0.5, [note])
+    palm = Clue("palm", _palm_link([finger]), how, 0.5)
+    return Structure(palm, [finger], [note])
 
 
 def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
@@ -202,7 +185,7 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     Raises:
         HandError: If there are two; the message names their links for `root`.
     """
-    roots = robot.origins([finger.joints[0] for finger in fingers])
+    roots = _origins(robot, [finger.joints[0] for finger in fingers])
     near = lengths(roots[:, None] - roots[None]) < _APART
     group = np.linalg.matrix_power(near.astype(float), len(fingers))[0] > 0.0
     if min(group.sum(), (~group).sum()) < 2:
@@ -217,6 +200,11 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
         file=robot.file,
         value=links,
     )
+
+
+def _origins(robot: Robot, joints: list[int]) -> np.ndarray:
+    """Return the origins of k joints at zero [m], shape (k, 3)."""
+    return PalmKinematics(robot).axes(robot.zero, joints)[1]
 
 
 def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
@@ -242,12 +230,15 @@ def _palm_link(fingers: list[RobotFinger]) -> str:
     return shared[-1]
 
 
-def find_tip(robot: Robot, joints: list[int]) -> Tip:
+def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, np.ndarray]:
     """Find the end of a finger: an end frame of its last body, or else the end of its surface.
 
     Args:
         robot: The robot.
         joints: The finger's joints.
+
+    Returns:
+        The link that carries it, with the evidence, and its position in the link's frame [m], (3,).
     """
     leaf = joints[-1]
     link = robot.links[leaf][0]
@@ -261,7 +252,7 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
     )
     if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, ends[far]):
         how = f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint"
-        return Tip(far, np.zeros(3), how, 0.95)
+        return Clue("tip", far, how, 0.95), np.zeros(3)
     if size > _LEAST_TIP:
         # The centre of the outermost slice lies on the finger's axis, not on its skin.
         middle = cloud[sizes > 0.95 * size].mean(axis=0)
@@ -271,14 +262,14 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
             middle = 0.5 * (outermost.min(axis=0) + outermost.max(axis=0))
         middle *= (cloud @ middle).max() / (middle @ middle)
         how = f"the far end of the surface of {link}, {1e3 * size:.0f} mm from the last joint"
-        return Tip(link, middle, how, 0.8)
+        return Clue("tip", link, how, 0.8), middle
     how = f"{link} has no surface and no end frame"
     if len(joints) > 1:
         before = robot.pose_in(robot.links[joints[-2]][0], link)[:3, 3]
         if lengths(before) > _LEAST_TIP:
             how += ": 0.8 of the previous link's length"
-            return Tip(link, -0.8 * before, how, 0.3)
-    return Tip(link, np.zeros(3), f"{how}: its origin", 0.1)
+            return Clue("tip", link, how, 0.3), -0.8 * before
+    return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)
 
 
 def _is_at_end(
@@ -352,20 +343,19 @@ def _linkage(bar: RobotFinger, fingers: list[RobotFinger]) -> str:
 def _is_hinged(bar: RobotFinger, poses: np.ndarray) -> bool:
     """Return whether the last body of a bar stays at rest on a body, or turns about a point of it.
 
-    The pivot p in the bar and c in the body solve `R p + t = c` for the bar's poses (R, t).
+    The pivot p in the bar and c in the body solve `R p + t = c` for the bar's poses (R, t), so that
+    c is the mean of `R p + t`.
     """
     rotations = poses[:, :3, :3]
-    shifts = -poses[:, :3, 3].ravel()
     turned = np.linalg.norm(rotations - rotations[0], axis=(1, 2))
     if turned.max() < _LEAST_PIVOT:
         return _travel(bar, poses) < _LINKAGE_SLACK
-    pivots = np.tile(-np.eye(3), (len(poses), 1))
-    matrix = np.hstack([rotations.reshape(-1, 3), pivots])
-    # All points on the pivot's axis fit: the shortest solution is the one nearest to both origins.
-    solution = np.linalg.lstsq(matrix, shifts, rcond=1e-6)[0]
-    residuals = lengths((matrix @ solution - shifts).reshape(-1, 3))
+    turns, shifts = np.split(poses[:, :3] - poses[:, :3].mean(axis=0), [3], axis=2)
+    # All points on the pivot's axis fit: the shortest solution is the one nearest to the origin.
+    pivot = np.linalg.lstsq(turns.reshape(-1, 3), -shifts.ravel(), rcond=1e-6)[0]
+    residuals = lengths(turns @ pivot + shifts[..., 0])
     axis = pin.log3(rotations[0].T @ rotations[-1])
-    off_axis = lengths(np.cross(unit(axis), solution[:3]))
+    off_axis = lengths(np.cross(unit(axis), pivot))
     length = lengths(bar.tip[1])
     is_off = _PIVOT_SHARE * length < off_axis < length + _LINKAGE_SLACK
     return bool(residuals.max() < _LINKAGE_SLACK and is_off)
