@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, lru_cache
+from functools import cached_property, lru_cache, partial
 from operator import attrgetter
 from typing import (
     TYPE_CHECKING,
+    Any,
     Literal,
     NamedTuple,
     Protocol,
@@ -83,10 +84,9 @@ class RobotPosture(NamedTuple):
 
 
 class Diagnostics(Mapping[str, np.ndarray]):
-    """Intermediate results of a method for one sample: arrays by name.
+    """Intermediate results of a method for one sample: arrays by name, computed when asked for.
 
-    The names are the public attributes and properties of a subclass. These names mean the same in
-    every method that has them:
+    These names mean the same in every method that has them:
 
         motion              T from the reference to now, in the human's world, shape (4, 4)
         motion_rigid        T_rb, shape (4, 4)
@@ -94,27 +94,30 @@ class Diagnostics(Mapping[str, np.ndarray]):
         stretches           stretches of T before clamping, shape (3,)
         pivot_image         where T takes the point that T_def acts about [m], shape (3,)
         residual_norms      distance of human points from where T takes them [m], shape (n,)
+
+    Args:
+        compute: Returns all results by name.
+        *parts: Its arguments.
     """
 
+    def __init__(
+        self, compute: Callable[..., dict[str, np.ndarray]], *parts: Any
+    ) -> None:
+        self._compute = partial(compute, *parts)
+
+    @cached_property
+    def _results(self) -> dict[str, np.ndarray]:
+        return self._compute()
+
     def __getitem__(self, name: str) -> np.ndarray:
-        """Compute one result."""
-        if name in iter(self):
-            return getattr(self, name)
-        raise KeyError(name)
+        """Return one result."""
+        return self._results[name]
 
     def __iter__(self) -> Iterator[str]:
-        yield from _properties(type(self))
-        yield from (name for name in self.__dict__ if not name.startswith("_"))
+        return iter(self._results)
 
     def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-
-@cache
-def _properties(kind: type[Diagnostics]) -> tuple[str, ...]:
-    return tuple(
-        name for name in dir(kind) if isinstance(getattr(kind, name), property)
-    )
+        return len(self._results)
 
 
 class Targets(msgspec.Struct, frozen=True, eq=False):

@@ -11,7 +11,6 @@ are the pivots, `Q` the rotation from the human's world axes to the robot's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -321,29 +320,19 @@ class HomogeneousMap(Compiled):
         wrist = affine(Q @ rotation @ Q.T, self._placed(rigid_image)).dot(
             self.robot_wrist
         )
-        results = estimate, linear, rotation, rigid_image, image, factors.stretches
-        return self._asked(points, wrist, is_clamped, *results)
+        fit = estimate.linear, estimate.centroid_after, sample.points
+        results = linear, rotation, rigid_image, image, factors.stretches
+        numbers = self._parts.joined(points, wrist, *fit, *results)
+        return self.asked(numbers, is_clamped)
 
     def asked(self, numbers: np.ndarray, is_clamped: bool) -> Targets:
-        """Return the targets that the core computed."""
+        """Return the targets that `targets` or the core computed."""
         points, wrist, first, centroid, seen, *results = self._parts.of(numbers)
         estimate = self.estimator.estimate_of(first, centroid, seen)
-        return self._asked(points, wrist, is_clamped, estimate, *results)
-
-    def _asked(
-        self,
-        points: np.ndarray,
-        wrist: np.ndarray,
-        is_clamped: bool,
-        estimate: MotionEstimate,
-        linear: np.ndarray,
-        rotation: np.ndarray,
-        *results: np.ndarray,
-    ) -> Targets:
         return Targets(
             points,
             wrist,
-            HomogeneousDiagnostics(estimate, linear, rotation, self.pivot, *results),
+            Diagnostics(_results, estimate, self.pivot, *results),
             flags=("stretch_clamped",) if is_clamped else (),
         )
 
@@ -364,44 +353,24 @@ class HomogeneousMap(Compiled):
         return self.origin + self.options.scale * self.alignment.dot(image)
 
 
-@dataclass(frozen=True, eq=False)
-class HomogeneousDiagnostics(Diagnostics):
-    """Results of one sample; see `Diagnostics`.
-
-    Attributes:
-        pivot_image: Where T takes the pivot [m], shape (3,).
-        stretches: Eigenvalues of the stretch U before clamping, shape (3,).
-    """
-
-    _estimate: MotionEstimate
-    _linear: np.ndarray
-    _rotation: np.ndarray
-    _pivot: np.ndarray
-    _rigid_image: np.ndarray
-    pivot_image: np.ndarray
-    stretches: np.ndarray
-
-    @property
-    def motion(self) -> np.ndarray:
-        """T from the reference to now (eqs. 5-6), shape (4, 4)."""
-        return self._estimate.motion
-
-    @property
-    def motion_rigid(self) -> np.ndarray:
-        """T_rb (eq. 2), shape (4, 4)."""
-        return about(self._rotation, self._pivot, self._rigid_image)
-
-    @property
-    def motion_deformation(self) -> np.ndarray:
-        """T_def (eq. 2), after clamping and gain, shape (4, 4)."""
-        return about(
-            self._linear @ self._rotation.T, self._rigid_image, self.pivot_image
-        )
-
-    @property
-    def residual_norms(self) -> np.ndarray:
-        """Distance of each human point from where T takes it [m], shape (n_h,)."""
-        return self._estimate.residual_norms
+def _results(
+    estimate: MotionEstimate,
+    pivot: np.ndarray,
+    linear: np.ndarray,
+    rotation: np.ndarray,
+    rigid_image: np.ndarray,
+    image: np.ndarray,
+    stretches: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Return the results of one sample; see `Diagnostics`. T_def has clamping and gain."""
+    return {
+        "motion": estimate.motion,
+        "motion_rigid": about(rotation, pivot, rigid_image),
+        "motion_deformation": about(linear @ rotation.T, rigid_image, image),
+        "residual_norms": estimate.residual_norms,
+        "pivot_image": image,
+        "stretches": stretches,
+    }
 
 
 def _residual_share(

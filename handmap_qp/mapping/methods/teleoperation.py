@@ -10,7 +10,6 @@ extended, and that thumb and finger touch. Contact rows keep links apart.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Self
 
@@ -141,57 +140,42 @@ PRESETS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class TeleoperationDiagnostics(Diagnostics):
-    """Results of one sample; see `Diagnostics`.
+def _results(
+    estimate: MotionEstimate,
+    palm_before: np.ndarray,
+    palm: np.ndarray,
+    gaps: np.ndarray,
+    pinching: np.ndarray,
+    extensions: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Return the results of one sample; see `Diagnostics`.
 
     T is estimated in palm axes, from the human's rest posture. In the world, that posture lies at
-    the palm of the reference, and T_rb is the motion of the palm.
+    the palm of the reference, T_rb is the motion of the palm, and T_def all the rest.
 
-    Attributes:
-        palm: The human's palm now, shape (4, 4).
+    Args:
+        estimate: T in palm axes; its residuals are those of tips and middle joints.
+        palm_before: The human's palm at the reference, shape (4, 4).
+        palm: The same now.
         gaps: Human distance from the thumb tip to each finger's tip [m], shape (p,).
         pinching: Weight of each pinch row as a share of its full weight, shape (p,).
         extensions: Human knuckle-to-tip distance of each common finger as a share of its reach,
             shape (f,).
     """
-
-    _estimate: MotionEstimate
-    _palm_before: np.ndarray
-    palm: np.ndarray
-    gaps: np.ndarray
-    pinching: np.ndarray
-    extensions: np.ndarray
-
-    @property
-    def motion(self) -> np.ndarray:
-        """T in the human's world, shape (4, 4)."""
-        return self.motion_deformation @ self.motion_rigid
-
-    @property
-    def motion_rigid(self) -> np.ndarray:
-        """The motion of the palm, shape (4, 4)."""
-        return self.palm @ inverse_pose(self._palm_before)
-
-    @property
-    def motion_deformation(self) -> np.ndarray:
-        """All the rest of T, shape (4, 4)."""
-        return self.palm @ self._estimate.motion @ inverse_pose(self.palm)
-
-    @property
-    def stretches(self) -> np.ndarray:
-        """Stretches of T, shape (3,)."""
-        return polar(self._estimate.linear).stretches
-
-    @property
-    def pivot_image(self) -> np.ndarray:
-        """Centroid of the points now [m], shape (3,)."""
-        return transform_points(self.palm, self._estimate.centroid_after)
-
-    @property
-    def residual_norms(self) -> np.ndarray:
-        """Distance of tips and middle joints from where T takes them [m], shape (n,)."""
-        return self._estimate.residual_norms
+    rigid = palm @ inverse_pose(palm_before)
+    deformation = palm @ estimate.motion @ inverse_pose(palm)
+    return {
+        "motion": deformation @ rigid,
+        "motion_rigid": rigid,
+        "motion_deformation": deformation,
+        "stretches": polar(estimate.linear).stretches,
+        "pivot_image": transform_points(palm, estimate.centroid_after),
+        "residual_norms": estimate.residual_norms,
+        "palm": palm,
+        "gaps": gaps,
+        "pinching": pinching,
+        "extensions": extensions,
+    }
 
 
 @lru_cache(maxsize=32)
@@ -372,7 +356,7 @@ class TeleoperationMap(Compiled, PalmMap):
         vectors = now[pair.partners] - now[self.starts]
         led = self.bases + self.ratios[:, None] * vectors
         points += shares[:, None] * (led - points)
-        return self._asked(
+        numbers = self._parts.joined(
             *self.placed(palm, points),
             method.aims(distances),
             np.append(method.extension_weights, pinches),
@@ -385,29 +369,17 @@ class TeleoperationMap(Compiled, PalmMap):
             pinching,
             extensions / pair.human_reach,
         )
+        return self.asked(numbers)
 
-    def asked(self, numbers: np.ndarray, is_clamped: bool) -> Targets:
-        """Return the targets that the core computed."""
+    def asked(self, numbers: np.ndarray, is_clamped: bool = False) -> Targets:
+        """Return the targets that `targets` or the core computed; no stretch is clamped."""
         del is_clamped
-        return self._asked(*self._parts.of(numbers))
-
-    def _asked(
-        self,
-        points: np.ndarray,
-        wrist: np.ndarray,
-        aims: np.ndarray,
-        weights: np.ndarray,
-        margins: np.ndarray,
-        linear: np.ndarray,
-        centroid: np.ndarray,
-        shape: np.ndarray,
-        *results: np.ndarray,
-    ) -> Targets:
-        estimate = self.estimator.estimate_of(linear, centroid, shape)
+        points, wrist, aims, weights, margins, *rest = self._parts.of(numbers)
+        estimate = self.estimator.estimate_of(*rest[:3])
         return Targets(
             points,
             wrist,
-            TeleoperationDiagnostics(estimate, self.palm_before, *results),
+            Diagnostics(_results, estimate, self.palm_before, *rest[3:]),
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
         )
