@@ -124,8 +124,8 @@ class InputArguments:
             raise RecordingError(problem, file=error.file, array=error.array) from error
         if self.side is not None and recording.side != self.side:
             raise InvalidInputError(
+                f"{path} says that it is of a {recording.side} hand",
                 argument="--side",
-                problem=f"{path} says that it is of a {recording.side} hand",
                 advice="leave --side out, or correct the file",
             )
         check_recording(recording, name=str(path))
@@ -144,9 +144,7 @@ class InputArguments:
             HandmapError: As of `read`.
         """
         if self.side is not None:
-            raise InvalidInputError(
-                argument="--side", problem="has no effect on both hands"
-            )
+            raise InvalidInputError("has no effect on both hands", argument="--side")
         if self.layout is None:
             hands = read_hands(paths)
             for recording in hands.values():
@@ -191,16 +189,16 @@ def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
     fingers = {point.finger for point in robot.spec.points} & set(FINGERS)
     if mirror and side == own:
         raise InvalidInputError(
+            f"{recording.name} is of a {side} hand, as {robot.name} is",
             argument="--mirror",
-            problem=f"{recording.name} is of a {side} hand, as {robot.name} is",
             advice="leave it out",
         )
     if mirror:
         return mirrored(recording)
     if side != own and len(fingers) >= _HANDED:
         raise InvalidInputError(
+            f"is of a {side} hand, and {robot.name} is a {own} one",
             argument=recording.name,
-            problem=f"is of a {side} hand, and {robot.name} is a {own} one",
             advice=f"give --mirror to map its mirror image, or name a {side} robot",
         )
     return recording

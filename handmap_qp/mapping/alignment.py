@@ -65,8 +65,8 @@ class AlignedOptions(MethodOptions, frozen=True, kw_only=True):
             )
         if np.linalg.det(rotation) < 0.0:
             raise InvalidOptionsError(
+                "the matrix mirrors",
                 option="alignment",
-                problem="the matrix mirrors",
                 value=self.alignment,
                 advice="map a left hand with the URDF of a left hand",
             )

@@ -163,8 +163,8 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
     scales = np.diagonal(upper).copy()
     if not np.abs(scales).min() > 1e-12 * np.abs(scales).max():
         raise InvalidInputError(
+            f"its linear part is singular (scales {scales.tolist()}), no primitives exist",
             argument="motion",
-            problem=f"its linear part is singular (scales {scales.tolist()}), no primitives exist",
             value=motion,
         )
     # QR leaves the signs open: take the rotation proper and, where the motion mirrors, give all

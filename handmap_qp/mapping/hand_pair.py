@@ -136,8 +136,8 @@ class HandPair:
         self.has_jaws = measured.has_jaws
         if not self.fingers:
             raise InvalidOptionsError(
+                "this method needs fingers, and no point of the robot names one",
                 option="method",
-                problem="this method needs fingers, and no point of the robot names one",
                 advice="add `finger` to the points of its hand.yaml, or take the preset object",
             )
         needed = finger_landmarks(self.fingers)
@@ -307,9 +307,9 @@ def require_partners(
     ]
     if not pairs:
         raise InvalidOptionsError(
-            option=option,
-            problem=f"needs partner points, and no point of {robot.name} names one among "
+            f"needs partner points, and no point of {robot.name} names one among "
             f"{', '.join(names)}",
+            option=option,
             value=value,
             advice=f"add `partner` to its points{advice}",
         )

@@ -162,7 +162,7 @@ def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
     """
     if (palm := known_palm(sample, human)) is None:
         raise InvalidInputError(
-            argument="wrist_pose", problem="needed for the pose of the palm"
+            "needed for the pose of the palm", argument="wrist_pose"
         )
     return palm
 
@@ -193,8 +193,8 @@ def require_points(human: Hand, names: Iterable[str], user: str) -> np.ndarray:
     known = point_indices(human)
     if missing := [name for name in wanted if name not in known]:
         raise InvalidOptionsError(
+            f"{user} needs {', '.join(missing)} among the human's points",
             option="human_points",
-            problem=f"{user} needs {', '.join(missing)} among the human's points",
             advice="load the human with points='joints' or points='landmarks'",
         )
     return np.array([known[name] for name in wanted], dtype=int)

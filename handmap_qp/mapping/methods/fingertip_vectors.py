@@ -122,8 +122,8 @@ class BoundFingertipVectors(PalmMethod):
         leading = [str(human.reference_points[k].finger) for k in self.pairs[1]]
         if not led:
             raise InvalidOptionsError(
+                f"'knuckle' needs named fingers, and {robot.name} has none",
                 option="origin",
-                problem=f"'knuckle' needs named fingers, and {robot.name} has none",
                 value="knuckle",
                 advice="add `finger` to the points of its hand.yaml",
             )

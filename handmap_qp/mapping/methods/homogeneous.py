@@ -113,15 +113,15 @@ class Homogeneous(AlignedOptions, frozen=True):
         super().check()
         if (self.pivot == "point") != (self.pivot_point is not None):
             raise InvalidOptionsError(
+                "goes together with pivot='point'",
                 option="pivot_point",
-                problem="goes together with pivot='point'",
                 value=self.pivot_point,
                 advice="give both or neither",
             )
         if self.deformation_gain != 1.0 and self.stretch_min == 0.0:
             raise InvalidOptionsError(
+                "needs positive stretches",
                 option="deformation_gain",
-                problem="needs positive stretches",
                 value=self.deformation_gain,
                 advice="give stretch_min > 0",
             )
@@ -213,7 +213,7 @@ class BoundHomogeneous:
             return HomogeneousMap(self, sample, robot)
         if sample.wrist is None:
             raise InvalidInputError(
-                argument="wrist_pose", problem="needed for reference='rest'"
+                "needed for reference='rest'", argument="wrist_pose"
             )
         hand = self.robot
         points = self.human.points(self.human.rest, sample.wrist)
@@ -229,8 +229,8 @@ class BoundHomogeneous:
         robot = self.robot
         if options.rigid_from != "none" and not robot.has_moving_wrist:
             raise InvalidOptionsError(
+                f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
                 option="rigid_from",
-                problem=f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
                 value=options.rigid_from,
                 advice="give rigid_from='none', or load the robot with mount='floating'",
             )
@@ -238,8 +238,8 @@ class BoundHomogeneous:
         needed = 4 if options.ridge == 0.0 else 3
         if count < needed and not (options.ridge > 0.0 and self.needs_wrist):
             raise InvalidOptionsError(
+                f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
                 option="ridge",
-                problem=f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
                 value=options.ridge,
                 advice="choose more points, or ridge > 0 with rigid_from='wrist'",
             )
@@ -344,7 +344,7 @@ class HomogeneousMap(Compiled):
         now = sample.wrist
         if before is None or now is None:
             raise InvalidInputError(
-                argument="wrist_pose", problem="needed for rigid_from='wrist'"
+                "needed for rigid_from='wrist'", argument="wrist_pose"
             )
         return now @ inverse_pose(before)
 

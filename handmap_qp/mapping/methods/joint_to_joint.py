@@ -107,8 +107,8 @@ class FingerAngles:
     def __init__(self, human: Hand, fingers: tuple[str, ...]) -> None:
         if human.joint_names != HUMAN_JOINTS:
             raise InvalidOptionsError(
+                f"{human.name} has other joints than the human hand",
                 option="human",
-                problem=f"{human.name} has other joints than the human hand",
                 advice="load_hand('human')",
             )
         needed = [name for finger in fingers for name in chain_landmarks(finger)]
@@ -240,8 +240,8 @@ class BoundJointToJoint(PalmMethod):
         self.chains = {name: chain for name, chain in found.items() if chain.joints}
         if not self.chains:
             raise InvalidOptionsError(
+                f"joints correspond by finger, and no point of {robot.name} names one",
                 option="method",
-                problem=f"joints correspond by finger, and no point of {robot.name} names one",
                 advice="add `finger` to the points of its hand.yaml",
             )
         self.fingers = tuple(self.chains)

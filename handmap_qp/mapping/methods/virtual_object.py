@@ -271,8 +271,8 @@ def _tips(hand: Hand, fewest: int) -> np.ndarray:
     chosen = [k for k, name in enumerate(names) if name in tips]
     if len(names) < fewest:
         raise InvalidOptionsError(
+            f"a virtual object needs {fewest} points, and {hand.name} has {len(names)}",
             option="method",
-            problem=f"a virtual object needs {fewest} points, and {hand.name} has {len(names)}",
             value=len(names),
             advice="choose more reference points",
         )
