@@ -24,18 +24,17 @@ from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.human.sample import landmarks_at_rest
+from handmap_qp.human.sample import LANDMARK_NAMES, landmarks_at_rest
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
-from handmap_qp.mapping.palm import chain_landmarks, point_indices, require_points
+from handmap_qp.mapping.palm import point_indices, require_points
 from handmap_qp.se3 import frozen, lengths, transform_points, unit
 
 KNUCKLES, _SECONDS, LASTS, TIPS = (
-    dict(zip(FINGERS, names, strict=True))
-    for names in zip(*map(chain_landmarks, FINGERS), strict=True)
+    dict(zip(FINGERS, LANDMARK_NAMES[first::4], strict=True)) for first in range(1, 5)
 )
 """Landmarks at the base, of the last joint and at the tip of each finger, by the finger's name."""
 MIDDLES = _SECONDS | {THUMB: LASTS[THUMB]}

@@ -9,7 +9,6 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
 from handmap_qp.mapping.alignment import AlignedOptions, in_robot_world, rotation_of
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.se3 import affine, frozen, inverse_pose, transform_points
@@ -165,12 +164,6 @@ def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
             "needed for the pose of the palm", argument="wrist_pose"
         )
     return palm
-
-
-def chain_landmarks(finger: str) -> list[str]:
-    """Return the names of a finger's landmarks from its base to its tip."""
-    joints = ("cmc", "mcp", "ip") if finger == THUMB else ("mcp", "pip", "dip")
-    return [f"{finger}_{joint}" for joint in (*joints, "tip")]
 
 
 def point_indices(human: Hand) -> dict[str, int]:

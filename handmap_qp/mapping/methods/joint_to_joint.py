@@ -36,6 +36,7 @@ from handmap_qp.hands.fingers import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS, THUMB
+from handmap_qp.human.sample import LANDMARK_NAMES
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.alignment import AlignedOptions
 from handmap_qp.mapping.hand_pair import points_in_palm
@@ -49,7 +50,6 @@ from handmap_qp.mapping.method import (
 from handmap_qp.mapping.palm import (
     PalmMap,
     PalmMethod,
-    chain_landmarks,
     require_points,
 )
 from handmap_qp.se3 import lengths, unit
@@ -111,12 +111,13 @@ class FingerAngles:
                 option="human",
                 advice="load_hand('human')",
             )
-        needed = [name for finger in fingers for name in chain_landmarks(finger)]
-        points = require_points(human, needed, "a mapping of joint angles")
-        self._points = points.reshape(-1, 4)
         self.columns = np.array(
             [4 * FINGERS.index(finger) + np.arange(4) for finger in fingers]
         )
+        # A finger has as many landmarks as joints.
+        needed = [LANDMARK_NAMES[1 + column] for column in self.columns.flat]
+        points = require_points(human, needed, "a mapping of joint angles")
+        self._points = points.reshape(-1, 4)
         found = find_fingers(human)
         self._fingers = [
             _FingerFrames(human, found[finger], columns)
