@@ -340,11 +340,9 @@ class MappingArguments:
 
     def changed(self) -> list[str]:
         """Return the options that were given, as `--ridge` or `--ik.damping`."""
-        usual = vars(MappingArguments())
         names = [*_given(self.method), *(f"ik.{name}" for name in _given(self.ik))]
-        for name in ("preset", "human_points", "robot_points", "options", "smooth"):
-            if vars(self)[name] != usual[name]:
-                names.append(name)
+        others = "preset", "human_points", "robot_points", "options", "smooth"
+        names += filter(vars(self).get, others)
         return [f"--{name.replace('_', '-')}" for name in names]
 
 

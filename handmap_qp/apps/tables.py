@@ -84,12 +84,7 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
         )
     for row in rows:
         # Text, because a plain string is markup, in which [robots] is a style.
-        table.add_row(
-            *(
-                Text(f"{value:.4g}" if isinstance(value, float) else str(value))
-                for value in row.values()
-            )
-        )
+        table.add_row(*(Text(_as_text(value)) for value in row.values()))
     console = Console()
     if not console.is_terminal and "COLUMNS" not in os.environ:
         # Programs that read a pipe need whole rows.
@@ -101,13 +96,12 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
 def markdown_table(rows: Sequence[dict[str, Any]]) -> str:
     """Format rows as a Markdown table; numbers have four significant digits."""
     rule = ["---:" if isinstance(v, int | float) else "---" for v in rows[0].values()]
-    lines = [rows[0], rule, *(map(_cell, row.values()) for row in rows)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    cells = [[_as_text(v).replace("|", "\\|") for v in row.values()] for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in [rows[0], rule, *cells])
 
 
-def _cell(value: Any) -> str:
-    text = f"{value:.4g}" if isinstance(value, float) else str(value)
-    return text.replace("|", "\\|")
+def _as_text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def csv_text(rows: Sequence[dict[str, Any]]) -> str:

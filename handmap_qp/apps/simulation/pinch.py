@@ -376,13 +376,10 @@ def _median(values: list[float]) -> float | str:
 
 def describe_trial(trial: PinchTrial) -> dict[str, Any]:
     """Describe an object and its place by plain values, in metres, kilograms and radians."""
-    return {
+    return trial._asdict() | {
         "shape": type(trial.shape).__name__.lower(),
         "width": trial.shape.width,
-        "mass": trial.mass,
-        "friction": trial.friction,
         "offset": list(trial.offset),
-        "yaw": trial.yaw,
     }
 
 

@@ -96,17 +96,17 @@ class BoundFingertipVectors(PalmMethod):
         self.pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
         # Human points that the vectors begin at, and places of the robot in its palm.
         self.human_origins: np.ndarray | None = None
-        self.robot_origins = np.zeros((len(pairs), 3))
+        self.robot_origins: np.ndarray | float = 0.0
         if method.origin == "palm":
             robot_size, human_size = (
                 lengths(points_in_palm(hand, hand.rest)[points]).mean()
                 for hand, points in zip((robot, human), self.pairs, strict=True)
             )
-            ratios = np.full(len(pairs), robot_size / human_size)
+            ratios = robot_size / human_size
         else:
             ratios = self._begin_at_knuckles()
-        self.scales = (
-            ratios if method.scale is None else np.full_like(ratios, method.scale)
+        self.scales = np.full(
+            len(pairs), ratios if method.scale is None else method.scale
         )
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> FingertipVectorMap:

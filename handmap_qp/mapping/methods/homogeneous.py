@@ -306,12 +306,11 @@ class HomogeneousMap(Compiled):
             )
         rotation = factors.rotation
         rigid_image = image
+        if options.rigid_from == "none":
+            moved = np.eye(4)
         if moved is not None:
             rotation = moved[:3, :3]
             rigid_image = transform_points(moved, pivot)
-        elif options.rigid_from == "none":
-            rotation = np.eye(3)
-            rigid_image = pivot
         points = self.robot_offsets @ (Q @ linear @ Q.T).T + self._placed(image)
         if self.share is not None:
             # The residual refers to the imposed motion, so it makes up for clamping and gain.
