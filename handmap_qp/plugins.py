@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from handmap_qp.errors import HandmapError
 
@@ -33,15 +33,21 @@ class Plugins(Mapping[str, T]):
     Args:
         group: Group of the entry points.
         own: Makes the package's own things, at the first use.
-        check: Rejects a thing of another package by raising `TypeError`.
+        is_one: Tells whether what another package offers is such a thing.
+        expected: What it must be, in words.
     """
 
     def __init__(
-        self, group: str, own: Callable[[], Mapping[str, T]], check: Callable[[T], None]
+        self,
+        group: str,
+        own: Callable[[], Mapping[str, T]],
+        is_one: Callable[[Any], bool],
+        expected: str,
     ) -> None:
         self._group = group
         self._make = own
-        self._check = check
+        self._is_one = is_one
+        self._expected = expected
 
     @cached_property
     def own(self) -> Mapping[str, T]:
@@ -75,7 +81,8 @@ class Plugins(Mapping[str, T]):
     def _load(self, point: EntryPoint) -> T:
         try:
             found = point.load()
-            self._check(found)
+            if not self._is_one(found):
+                raise TypeError(f"expected {self._expected}")
         except Exception as error:
             raise PluginError(
                 f"{self._group}: {point.name} ({point.value}): {error}"

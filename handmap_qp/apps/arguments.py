@@ -5,7 +5,7 @@ A field added to `MappingArguments` becomes an option of every command that maps
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, make_dataclass
 from functools import reduce
 from operator import or_
@@ -204,13 +204,13 @@ def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
     return recording
 
 
-def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
+def _flags(name: str, about: str, *, are_of_qp: bool) -> type:
     """Return a class with a command-line option for every option of a kind, None where not given.
 
     Args:
         name: Name of the class.
-        has: Whether it has the options of a preset, or of the QP (`ik`).
         about: What the options are for.
+        are_of_qp: Whether they are those of the QP, or those of the presets.
     """
     items: list[Any] = []
     for option, places in known_options().items():
@@ -218,7 +218,7 @@ def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
         said = {
             item.about: (preset, item)
             for preset, item in reversed(places)
-            if has(preset)
+            if (preset == "ik") == are_of_qp
         }
         if not said:
             continue
@@ -246,13 +246,13 @@ def _default(option: Any) -> str:
 
 MethodFlags = _flags(
     "MethodFlags",
-    lambda preset: preset != "ik",
     "Options of the method; each preset has its own.",
+    are_of_qp=False,
 )
 QpFlags = _flags(
     "QpFlags",
-    lambda preset: preset == "ik",
     "Weights and settings of the QP, per 10 mm, per 0.1 rad of the wrist, per rad of a joint.",
+    are_of_qp=True,
 )
 
 

@@ -80,13 +80,8 @@ class Goal(NamedTuple):
     tasks: Sequence[Task]
 
 
-def _check_maker(maker: Callable[[Hand], Task]) -> None:
-    if not callable(maker):
-        raise TypeError("expected a function from a hand to a task")
-
-
 TASKS: Mapping[str, Callable[[Hand], Task]] = Plugins(
-    "handmap_qp.tasks", dict, _check_maker
+    "handmap_qp.tasks", dict, callable, "a function from a hand to a task"
 )
 """Tasks of other packages by name: functions from a hand to its task."""
 

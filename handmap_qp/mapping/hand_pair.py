@@ -169,6 +169,9 @@ class HandPair:
         self.finger_ratio = float(self.reach_ratios[self._others].mean())
         knuckles = self.human_rest[self.knuckles[self._others]]
         self.human_knuckles = frozen(knuckles.mean(axis=0))
+        # With the package's own person, near whose matched posture all others' are.
+        usual = human.unscaled
+        self._usual = None if usual is None else hand_pair(usual, robot)
         given = robot.matched
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
@@ -185,9 +188,9 @@ class HandPair:
         self.robot_knuckles = frozen(points[self._others, 0].mean(axis=0))
         self.robot_bases = frozen(points[:, 0])
         self.thumb_likeness = 0.0
-        if (standard := self.human.unscaled) is not None:
+        if self._usual is not None:
             # It is the robot's, not a person's.
-            self.thumb_likeness = hand_pair(standard, self.measured.hand).thumb_likeness
+            self.thumb_likeness = self._usual.thumb_likeness
         elif THUMB in self.fingers and not self.has_jaws:
             resting = self.human_rest[self.tips[0]] - self.human_rest[self.knuckles[0]]
             robots = points[0, 1] - points[0, 0]
@@ -220,10 +223,7 @@ class HandPair:
         palm = self.measured.hand.frame_pose("palm", robot.rest)
         targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
-        start = robot.rest
-        if (standard := self.human.unscaled) is not None:
-            # Near the posture that matches the package's own person, all others' are.
-            start = hand_pair(standard, self.measured.hand).matched
+        start = robot.rest if self._usual is None else self._usual.matched
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, start)
 
     def _thumb_targets(self, knuckles: np.ndarray, human: np.ndarray) -> np.ndarray:

@@ -33,12 +33,9 @@ def _own() -> dict[str, Preset]:
     return dict(sorted(found, key=lambda item: item[1].rank))
 
 
-def _check(preset: Preset) -> None:
-    if not isinstance(preset, Preset):
-        raise TypeError("expected a Preset")
-
-
-PRESETS: Mapping[str, Preset] = Plugins("handmap_qp.presets", _own, _check)
+PRESETS: Mapping[str, Preset] = Plugins(
+    "handmap_qp.presets", _own, lambda each: isinstance(each, Preset), "a Preset"
+)
 """All presets, by name."""
 
 

@@ -49,16 +49,16 @@ def frames(
     turn = affine(turn_up(up), np.zeros(3))
     wrists = at.wrist if episode.hand.is_floating else [None] * len(at.time)
 
-    def hand(i: int) -> Triangles:
-        return shape.triangles(at.q[i], wrists[i])
+    def scene(i: int, of_object: int) -> Triangles:
+        hand = shape.triangles(at.q[i], wrists[i])
+        return merged([hand, held.moved(at.object_pose[of_object])]).moved(turn)
 
     # An object that is lost falls far, and must not make the hand small.
-    hands = [hand(i) for i in range(0, len(at.time), max(1, len(at.time) // 8))]
-    seen = merged([*hands, held.moved(at.object_pose[0])]).moved(turn)
-    camera = Camera.framing(seen.vertices.reshape(-1, 3)[::7], _SIZE)
+    some = range(0, len(at.time), max(1, len(at.time) // 8))
+    seen = merged([scene(i, 0) for i in some]).vertices.reshape(-1, 3)
+    camera = Camera.framing(seen[::7], _SIZE)
     for i in instants:
-        seen = merged([hand(i), held.moved(at.object_pose[i])]).moved(turn)
-        image = render(seen, camera, supersampling=supersampling)
+        image = render(scene(i, i), camera, supersampling=supersampling)
         colour = _PAPER + image[..., 3:] * (image[..., :3] - _PAPER)
         yield np.round(255.0 * colour).astype(np.uint8)
 

@@ -39,13 +39,11 @@ _OWN = (
 )
 
 
-def _check(form: RecordingFormat) -> None:
-    if not isinstance(form, RecordingFormat):
-        raise TypeError("expected an object of a subclass of RecordingFormat")
-
-
 FORMATS: Mapping[str, RecordingFormat] = Plugins(
-    "handmap_qp.formats", lambda: {form.name: form for form in _OWN}, _check
+    "handmap_qp.formats",
+    lambda: {form.name: form for form in _OWN},
+    lambda each: isinstance(each, RecordingFormat),
+    "an object of a subclass of RecordingFormat",
 )
 """All formats by name; where a suffix has several, the first one that recognises a file reads it,
 and the first one writes it."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from handmap_qp.plugins import Plugins
 
@@ -24,10 +24,11 @@ def _own() -> Mapping[str, Layout]:
     return import_module(f"{__name__}.tables").read_tables()
 
 
-def _check(layout: Layout) -> None:
-    if not isinstance(layout, import_module(f"{__name__}.base").Layout):
-        raise TypeError("expected a Layout")
+def _is_layout(found: Any) -> bool:
+    return isinstance(found, import_module(f"{__name__}.base").Layout)
 
 
-LAYOUTS: Mapping[str, Layout] = Plugins("handmap_qp.layouts", _own, _check)
+LAYOUTS: Mapping[str, Layout] = Plugins(
+    "handmap_qp.layouts", _own, _is_layout, "a Layout"
+)
 """All layouts by name."""
