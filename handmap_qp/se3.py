@@ -21,11 +21,13 @@ import numbers
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, describe_value, expect
 
+Array = np.ndarray
+"""An array of floats, where nothing else is said."""
 QuatOrder = Literal["wxyz", "xyzw"]
 
 # A rotation that came through float32 is orthogonal to about 1e-6; beyond 1e-3 a matrix is not
@@ -40,16 +42,16 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 """
 
 
-PoseLike = npt.ArrayLike | pin.SE3
+PoseLike = ArrayLike | pin.SE3
 
 
-def frozen(array: np.ndarray) -> np.ndarray:
+def frozen(array: Array) -> Array:
     """Write-protect an array in place and return it."""
     array.setflags(write=False)
     return array
 
 
-def affine(linear: np.ndarray, translation: npt.ArrayLike) -> np.ndarray:
+def affine(linear: Array, translation: ArrayLike) -> Array:
     """Compose the motion `x -> linear @ x + translation` (eq. 1).
 
     Args:
@@ -66,29 +68,29 @@ def affine(linear: np.ndarray, translation: npt.ArrayLike) -> np.ndarray:
     return motion
 
 
-def transform_points(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
+def transform_points(motion: Array, points: Array) -> Array:
     """Apply a pose or a motion (..., 4, 4) to points [m], shape (..., n, 3) or (3,)."""
     origin = motion[..., :3, 3] if points.ndim == 1 else motion[..., None, :3, 3]
     return points @ motion[..., :3, :3].swapaxes(-1, -2) + origin
 
 
-def lengths(vectors: np.ndarray) -> np.ndarray:
+def lengths(vectors: Array) -> Array:
     """Return the Euclidean length of each vector, shape (...), of shape (..., 3)."""
     return np.linalg.norm(vectors, axis=-1)
 
 
-def unit(vectors: np.ndarray) -> np.ndarray:
+def unit(vectors: Array) -> Array:
     """Return vectors of length 1 along others of shape (..., 3); those below 1 nm go to zero."""
     return vectors / np.maximum(lengths(vectors)[..., None], 1e-9)
 
 
-def inverse_pose(pose: np.ndarray) -> np.ndarray:
+def inverse_pose(pose: Array) -> Array:
     """Return `pose_ba` of `pose_ab`, shape (..., 4, 4)."""
     rotation = pose[..., :3, :3].swapaxes(-1, -2)
     return affine(rotation, -(rotation @ pose[..., :3, 3:])[..., 0])
 
 
-def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+def nearest_rotation(matrix: Array) -> Array:
     """Return the proper rotation nearest to a matrix in the Frobenius norm, shape (..., 3, 3).
 
     Of the covariance `sum_k w_k y_k x_k^T` of centred points, it is the rotation that best carries
@@ -99,12 +101,12 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     return left @ right
 
 
-def mirror_sign(orthogonal: np.ndarray) -> np.ndarray:
+def mirror_sign(orthogonal: Array) -> Array:
     """Return -1 for orthogonal matrices (..., 3, 3) that mirror, 1 for rotations, shape (...)."""
     return np.sign(np.linalg.det(orthogonal))
 
 
-def rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+def rigid_fit(points: Array, onto: Array) -> Array:
     """Fit the pose that best lays points onto others, in the least-squares sense.
 
     Args:
@@ -123,12 +125,12 @@ def rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     return affine(rotation, shift[..., 0, :])
 
 
-def rotation_from_rpy(rpy: npt.ArrayLike) -> np.ndarray:
+def rotation_from_rpy(rpy: ArrayLike) -> Array:
     """Compose a rotation (3, 3) from roll, pitch and yaw [rad]: `Rz(yaw) Ry(pitch) Rx(roll)`."""
     return pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float))
 
 
-def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
+def rpy_from_rotation(rotation: Array) -> Array:
     """Find roll, pitch and yaw of a rotation (3, 3), as in a URDF [rad], pitch within +-pi / 2.
 
     Where the pitch is a right angle, only yaw minus roll (or their sum) is determined, and both are
@@ -141,9 +143,7 @@ def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
     return np.array([roll, math.atan2(-left[2, 0], left[2, 2]), yaw])
 
 
-def rotation_from_quat_wxyz(
-    quat_wxyz: npt.ArrayLike, name: str = "quat_wxyz"
-) -> np.ndarray:
+def rotation_from_quat_wxyz(quat_wxyz: ArrayLike, name: str = "quat_wxyz") -> Array:
     """Compose rotations from quaternions, which are normalised first.
 
     Args:
@@ -173,7 +173,7 @@ def rotation_from_quat_wxyz(
     return np.eye(3) + 2.0 * (quats[..., :1, None] * cross + cross @ cross)
 
 
-def quat_wxyz_from_rotation(rotation: npt.ArrayLike) -> np.ndarray:
+def quat_wxyz_from_rotation(rotation: ArrayLike) -> Array:
     """Find the unit quaternion of a rotation (3, 3), scalar first and not negative, shape (4,).
 
     Raises:
@@ -185,8 +185,8 @@ def quat_wxyz_from_rotation(rotation: npt.ArrayLike) -> np.ndarray:
 
 
 def pose_from_xyz_quat(
-    values: npt.ArrayLike, order: QuatOrder, name: str = "values"
-) -> np.ndarray:
+    values: ArrayLike, order: QuatOrder, name: str = "values"
+) -> Array:
     """Compose poses from seven numbers each: position, then a quaternion in the order named.
 
     Args:
@@ -210,7 +210,7 @@ def pose_from_xyz_quat(
 
 def check_pose(
     value: PoseLike, name: str = "pose", quat_order: QuatOrder | None = None
-) -> np.ndarray:
+) -> Array:
     """Take a pose in any of the accepted forms and return it as a checked 4x4 matrix.
 
     A rotation that is off by rounding (float32 trackers, chained products) is replaced by the
@@ -253,7 +253,7 @@ def check_pose(
     raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
 
 
-def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
+def check_poses(values: Any, name: str, is_used: Array) -> Array:
     """Take poses over time as they are; those that are used must be poses.
 
     Args:
@@ -277,7 +277,7 @@ def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
     return poses
 
 
-def _measure(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _measure(poses: Array) -> tuple[Array, Array, Array]:
     """Return whether matrices (..., 4, 4) have usable coordinates and a last row of 0, 0, 0, 1.
 
     Also how far their 3x3 parts are from orthogonal, and their determinants; shape (...) each.
@@ -297,7 +297,7 @@ def as_floats(
     *,
     shape: tuple[int | str, ...] | None = None,
     is_finite: bool = False,
-) -> np.ndarray:
+) -> Array:
     """Take real numbers in whatever form as an array of floats.
 
     Texts, None and complex numbers, which numpy would convert, are rejected.
@@ -333,7 +333,7 @@ def as_floats(
     raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
 
 
-def _as_array(value: Any) -> np.ndarray | None:
+def _as_array(value: Any) -> Array | None:
     """Return real numbers as an array of floats; None if they are something else."""
     try:
         array = np.asarray(value)
@@ -347,14 +347,14 @@ def _as_array(value: Any) -> np.ndarray | None:
         return None
 
 
-def _has_shape(array: np.ndarray, shape: tuple[int | str, ...]) -> bool:
+def _has_shape(array: Array, shape: tuple[int | str, ...]) -> bool:
     return array.ndim == len(shape) and all(
         isinstance(wanted, str) or size == wanted
         for size, wanted in zip(array.shape, shape, strict=True)
     )
 
 
-def smoothstep(x: npt.ArrayLike) -> np.ndarray:
+def smoothstep(x: ArrayLike) -> Array:
     """Go smoothly from 0 at 0 to 1 at 1."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)

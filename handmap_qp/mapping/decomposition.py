@@ -10,10 +10,16 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.se3 import affine, as_floats, mirror_sign, quat_wxyz_from_rotation
+from handmap_qp.se3 import (
+    Array,
+    affine,
+    as_floats,
+    mirror_sign,
+    quat_wxyz_from_rotation,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,11 +35,11 @@ class Decomposition:
             where the motion mirrors.
     """
 
-    rigid: np.ndarray
-    deformation: np.ndarray
-    rotation: np.ndarray
-    stretch: np.ndarray
-    stretches: np.ndarray
+    rigid: Array
+    deformation: Array
+    rotation: Array
+    stretch: Array
+    stretches: Array
 
 
 class PolarFactors(msgspec.Struct, frozen=True, eq=False):
@@ -45,17 +51,17 @@ class PolarFactors(msgspec.Struct, frozen=True, eq=False):
         stretches: Eigenvalues of U, shape (..., 3).
     """
 
-    rotation: np.ndarray
-    axes: np.ndarray
-    stretches: np.ndarray
+    rotation: Array
+    axes: Array
+    stretches: Array
 
-    def stretch(self, stretches: np.ndarray | None = None) -> np.ndarray:
+    def stretch(self, stretches: Array | None = None) -> Array:
         """Return the symmetric factor U, shape (..., 3, 3), or U with other eigenvalues."""
         values = self.stretches if stretches is None else stretches
         return (self.axes * values[..., None, :]) @ self.axes.swapaxes(-1, -2)
 
 
-def polar(linear: np.ndarray) -> PolarFactors:
+def polar(linear: Array) -> PolarFactors:
     """Left polar decomposition by SVD (eq. 3), always with a proper rotation.
 
     Where `A` mirrors, the eigenvalue of U of smallest magnitude takes the sign, so that `U R = A`
@@ -75,7 +81,7 @@ def polar(linear: np.ndarray) -> PolarFactors:
 
 
 def decompose(
-    motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)
+    motion: ArrayLike, *, pivot: ArrayLike = (0.0, 0.0, 0.0)
 ) -> Decomposition:
     """Split a motion into `T_def T_rb` (eqs. 2-3).
 
@@ -104,7 +110,7 @@ def decompose(
     )
 
 
-def about(linear: np.ndarray, point: np.ndarray, image: np.ndarray) -> np.ndarray:
+def about(linear: Array, point: Array, image: Array) -> Array:
     """The motion `x -> linear (x - point) + image`, shape (4, 4)."""
     return affine(linear, image - linear.dot(point))
 
@@ -130,19 +136,19 @@ class Primitives:
         shear_motion: The shear as a 4x4.
     """
 
-    translation: np.ndarray
-    quat_wxyz: np.ndarray
+    translation: Array
+    quat_wxyz: Array
     isotropic_scale: float
-    axis_scales: np.ndarray
-    shear: np.ndarray
-    translation_motion: np.ndarray
-    rotation_motion: np.ndarray
-    isotropic_scale_motion: np.ndarray
-    axis_scale_motion: np.ndarray
-    shear_motion: np.ndarray
+    axis_scales: Array
+    shear: Array
+    translation_motion: Array
+    rotation_motion: Array
+    isotropic_scale_motion: Array
+    axis_scale_motion: Array
+    shear_motion: Array
 
 
-def primitives(motion: npt.ArrayLike) -> Primitives:
+def primitives(motion: ArrayLike) -> Primitives:
     """Factor a motion into translation, rotation, shear, axis scales and isotropic scale.
 
     The linear part is factored as rotation times upper-triangular matrix (QR); the diagonal of the
@@ -190,7 +196,7 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
     )
 
 
-def _check_motion(motion: npt.ArrayLike) -> np.ndarray:
+def _check_motion(motion: ArrayLike) -> Array:
     matrix = as_floats(motion, "motion", shape=(4, 4), is_finite=True)
     is_affine = np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() <= 1e-12
     expect(

@@ -31,7 +31,7 @@ from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
 from handmap_qp.mapping.palm import point_indices, require_points
-from handmap_qp.se3 import frozen, lengths, transform_points, unit
+from handmap_qp.se3 import Array, frozen, lengths, transform_points, unit
 
 KNUCKLES, _SECONDS, LASTS, TIPS = (
     dict(zip(FINGERS, LANDMARK_NAMES[first::4], strict=True)) for first in range(1, 5)
@@ -200,7 +200,7 @@ class HandPair:
         spans = lengths(points[:, 1] - points[:, 0])
         self.robot_extension = frozen(spans / self.robot_reach)
 
-    def solve_matched(self) -> np.ndarray:
+    def solve_matched(self) -> Array:
         """Solve the robot posture whose finger vectors are the resting human's, scaled.
 
         Jaws open as wide as the resting human's thumb and fingers.
@@ -226,7 +226,7 @@ class HandPair:
         start = robot.rest if self._usual is None else self._usual.matched
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, start)
 
-    def _thumb_targets(self, knuckles: np.ndarray, human: np.ndarray) -> np.ndarray:
+    def _thumb_targets(self, knuckles: Array, human: Array) -> Array:
         """Place points of the thumb, (k, 3), between where it pinches and above the knuckles."""
         gain = _THUMB_GAIN * self.finger_ratio
         if self.fingers == (THUMB,):
@@ -268,7 +268,7 @@ class RobotFingers:
         return self.hand.with_points(points)
 
     @cached_property
-    def pinching_thumb(self) -> np.ndarray:
+    def pinching_thumb(self) -> Array:
         """Mean tip of the thumb where it pinches, in palm axes [m], shape (3,)."""
         return frozen(_pinching_thumb(self.with_points, self.chains, self.pads))
 
@@ -371,8 +371,8 @@ def _point(
 
 
 def points_in_palm(
-    hand: Hand, q: np.ndarray, places: Sequence[Place] | None = None
-) -> np.ndarray:
+    hand: Hand, q: Array, places: Sequence[Place] | None = None
+) -> Array:
     """Return points of a hand in palm axes [m], shape (k, 3).
 
     Args:
@@ -387,13 +387,13 @@ def points_in_palm(
     return PalmKinematics(hand).points(q, places)
 
 
-def resting_posture(human: Hand) -> np.ndarray:
+def resting_posture(human: Hand) -> Array:
     """Return the human's rest posture with the thumb where recorded thumbs are at rest, (n,)."""
     own = zip(human.joint_names, human.rest, strict=True)
     return np.array([_RESTING_THUMB.get(joint, angle) for joint, angle in own])
 
 
-def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
+def bone_lengths(human: Hand, fingers: Sequence[str]) -> Array:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
     joints = landmarks_at_rest(human)[1:].reshape(len(FINGERS), 4, 3)
     reaches = lengths(np.diff(joints, axis=1)).sum(axis=1)
@@ -417,7 +417,7 @@ def _human_fingers(human: Hand) -> dict[str, Finger]:
 
 def _pinching_thumb(
     hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
-) -> np.ndarray:
+) -> Array:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
     # The thumb is the first finger.
     used = [*pads.values()]
@@ -440,9 +440,7 @@ def _pinching_thumb(
 _pinching_ik = lru_cache(maxsize=16)(partial(PointIk, options=_PINCHING))
 
 
-def _gap_task(
-    hand: Hand, pads: Sequence[Pad], gaps: np.ndarray | float
-) -> PointDistances:
+def _gap_task(hand: Hand, pads: Sequence[Pad], gaps: Array | float) -> PointDistances:
     """Return the task of giving the first pad, the thumb's, gaps to p others [m], shape (p,)."""
     points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
     pairs = [(0, k) for k in range(1, len(points))]
@@ -450,7 +448,7 @@ def _gap_task(
     return PointDistances(points, pairs, touching + gaps, _GAP_WEIGHT)
 
 
-def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:
+def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> Array:
     """Move a hand from rest for a task.
 
     Args:

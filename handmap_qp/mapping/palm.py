@@ -11,7 +11,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.alignment import AlignedOptions, in_robot_world, rotation_of
 from handmap_qp.mapping.method import HumanPose, RobotPosture
-from handmap_qp.se3 import affine, frozen, inverse_pose, transform_points
+from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
@@ -35,7 +35,7 @@ class PalmMethod:
         self.human = human
         self.robot = robot
 
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm in the robot's world, as far as it is known."""
         return in_robot_world(self.alignment, palm_of(sample, self.human))
 
@@ -78,8 +78,8 @@ class PalmMap:
         method: PalmMethod,
         sample: HumanPose,
         posture: RobotPosture,
-        human_anchor: np.ndarray = _ORIGIN,
-        robot_anchor: np.ndarray = _ORIGIN,
+        human_anchor: Array = _ORIGIN,
+        robot_anchor: Array = _ORIGIN,
         scale: float = 1.0,
     ) -> None:
         self._method = method
@@ -104,7 +104,7 @@ class PalmMap:
         self.robot_anchor = robot_anchor
         self.further = scale - 1.0
 
-    def follow(self, sample: HumanPose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def follow(self, sample: HumanPose) -> tuple[Array, Array, Array]:
         """Move the robot's palm with a sample's.
 
         Returns:
@@ -126,7 +126,7 @@ class PalmMap:
         palm = affine(Q @ human[:3, :3] @ self.rotation, Q @ origin)
         return human, palm, points
 
-    def anchor_of(self, sample: HumanPose) -> np.ndarray:
+    def anchor_of(self, sample: HumanPose) -> Array:
         """Return a sample's anchor in axes of the robot's world, times the scale [m], shape (3,).
 
         Raises:
@@ -136,9 +136,7 @@ class PalmMap:
         anchor = transform_points(palm, self.human_anchor)
         return (1.0 + self.further) * self.alignment @ anchor
 
-    def placed(
-        self, palm: np.ndarray, points: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def placed(self, palm: Array, points: Array) -> tuple[Array, Array]:
         """Return the targets of points in the robot's palm, and of its wrist.
 
         Args:
@@ -148,12 +146,12 @@ class PalmMap:
         return transform_points(palm, points), palm @ self.robot_palm_to_wrist
 
 
-def known_palm(sample: HumanPose, human: Hand) -> np.ndarray | None:
+def known_palm(sample: HumanPose, human: Hand) -> Array | None:
     """Return the palm pose of a sample, shape (4, 4); None if its wrist was not measured."""
     return None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
 
 
-def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
+def palm_of(sample: HumanPose, human: Hand) -> Array:
     """Return the palm pose of a sample, shape (4, 4).
 
     Raises:
@@ -171,7 +169,7 @@ def point_indices(human: Hand) -> dict[str, int]:
     return {point.name: k for k, point in enumerate(human.reference_points)}
 
 
-def require_points(human: Hand, names: Iterable[str], user: str) -> np.ndarray:
+def require_points(human: Hand, names: Iterable[str], user: str) -> Array:
     """Return the indices of named reference points of a human hand, shape (k,).
 
     Args:

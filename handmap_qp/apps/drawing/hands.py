@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
 from handmap_qp.apps.drawing.shapes import read_shapes
@@ -23,7 +23,7 @@ from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.se3 import affine, unit
+from handmap_qp.se3 import Array, affine, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,9 +64,7 @@ class HandShape(NamedTuple):
     hand: Hand
     links: dict[str, Triangles]
 
-    def triangles(
-        self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None
-    ) -> Triangles:
+    def triangles(self, q: ArrayLike, wrist_pose: Array | None = None) -> Triangles:
         """Return the hand's surface in one posture.
 
         Args:
@@ -136,7 +134,7 @@ def solid(mesh: Any, colour: Colour) -> Triangles:
 
 
 def spheres(
-    centres: npt.ArrayLike,
+    centres: ArrayLike,
     radius: float,
     colour: Colour,
 ) -> Triangles:
@@ -161,7 +159,7 @@ def spheres(
 
 
 def tube(
-    ends: npt.ArrayLike,
+    ends: ArrayLike,
     radius: float,
     colour: Colour,
 ) -> Triangles:
@@ -296,9 +294,7 @@ def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
     return solid(coarse, colour)
 
 
-def _simplified(
-    vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _simplified(vertices: Array, faces: Array) -> tuple[Array, Array]:
     """Simplify a mesh: merge vertices in each cell of the finest grid that gives few triangles."""
     places = vertices - vertices.min(axis=0)
     places /= places.max()

@@ -23,7 +23,7 @@ from handmap_qp.apps.simulation.physics import (
 )
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
-from handmap_qp.se3 import mirror_sign, quat_wxyz_from_rotation
+from handmap_qp.se3 import Array, mirror_sign, quat_wxyz_from_rotation
 
 OBJECT = "/object"
 WRIST = "/wrist"
@@ -207,6 +207,6 @@ def _add_equality(spec: Any, kind: str, of: str, one: str, other: str) -> Any:
     )
 
 
-def _placed(pose: pin.SE3) -> dict[str, np.ndarray]:
+def _placed(pose: pin.SE3) -> dict[str, Array]:
     """Return a pose as what MuJoCo calls it."""
     return {"pos": pose.translation, "quat": quat_wxyz_from_rotation(pose.rotation)}

@@ -20,7 +20,7 @@ from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import Display
 from handmap_qp.errors import require
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import affine
+from handmap_qp.se3 import Array, affine
 
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)
 _PAPER = (0.965, 0.97, 0.975)
@@ -28,8 +28,8 @@ _SIZE = (480, 360)
 
 
 def frames(
-    episode: Episode, up: np.ndarray, instants: Iterable[int], *, supersampling: int = 1
-) -> Iterator[np.ndarray]:
+    episode: Episode, up: Array, instants: Iterable[int], *, supersampling: int = 1
+) -> Iterator[Array]:
     """Render instants of a simulation, turned so that gravity points down.
 
     The camera sees the hand's whole motion, and the object at first.
@@ -63,7 +63,7 @@ def frames(
         yield np.round(255.0 * colour).astype(np.uint8)
 
 
-def film(episode: Episode, up: np.ndarray, path: Path, *, rate: float = 15.0) -> None:
+def film(episode: Episode, up: Array, path: Path, *, rate: float = 15.0) -> None:
     """Write a simulation as a moving picture, in real time.
 
     Args:
@@ -97,7 +97,7 @@ def film(episode: Episode, up: np.ndarray, path: Path, *, rate: float = 15.0) ->
         )
 
 
-def picture(episode: Episode, up: np.ndarray, path: Path, *, count: int = 4) -> None:
+def picture(episode: Episode, up: Array, path: Path, *, count: int = 4) -> None:
     """Write instants of a simulation side by side.
 
     Args:
@@ -120,7 +120,7 @@ def picture(episode: Episode, up: np.ndarray, path: Path, *, count: int = 4) -> 
 def write_page(
     path: Path,
     episodes: Mapping[str, Episode],
-    up: np.ndarray,
+    up: Array,
     title: str,
 ) -> None:
     """Write one HTML file that plays simulations side by side, in real time.

@@ -37,7 +37,7 @@ from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.pads import find_pads
-from handmap_qp.se3 import affine, inverse_pose, lengths, transform_points
+from handmap_qp.se3 import Array, affine, inverse_pose, lengths, transform_points
 
 CUBE = Box((0.03, 0.03, 0.03))
 """The nominal object."""
@@ -88,7 +88,7 @@ class Pads:
         self._bodies = ["world", *hand.model.names[1:]]
         self._of_thumb = [self._bodies[joint] for joint in chains[THUMB].joints]
 
-    def places(self, simulator: Simulator) -> np.ndarray:
+    def places(self, simulator: Simulator) -> Array:
         """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
         return np.array(
             [
@@ -99,12 +99,12 @@ class Pads:
             ]
         )
 
-    def gap(self, places: np.ndarray) -> float:
+    def gap(self, places: Array) -> float:
         """Return the distance between the pads' surfaces at such places [m]."""
         radii = sum(pad.radius for pad in self._pads.values())
         return float(lengths(places[1] - places[0])) - radii
 
-    def middle(self, places: np.ndarray) -> np.ndarray:
+    def middle(self, places: Array) -> Array:
         """Return the point midway between the pads' surfaces at such places [m], shape (3,)."""
         thumb, finger = places
         distance = max(float(lengths(finger - thumb)), 1e-6)
@@ -170,7 +170,7 @@ class Meeting(NamedTuple):
     """
 
     time: float
-    places: np.ndarray
+    places: Array
 
 
 @dataclass(eq=False)
@@ -267,7 +267,7 @@ class PinchScene:
         closing = takewhile(lambda time: time < latest, self._play(simulator))
         return [Meeting(time, self.pads.places(simulator)) for time in closing]
 
-    def _start(self, body: Body, physics: Physics, place: np.ndarray) -> Simulator:
+    def _start(self, body: Body, physics: Physics, place: Array) -> Simulator:
         """Put an object on its stand, and the hand where the recording starts."""
         simulator = Simulator(self.commands.hand, body, physics)
         simulator.reset(*self.commands.at(self.window.start), place)
@@ -283,7 +283,7 @@ class PinchScene:
 
 
 def _outcome(
-    episode: Episode, distances: np.ndarray, time: Sequence[float], width: float
+    episode: Episode, distances: Array, time: Sequence[float], width: float
 ) -> PinchOutcome:
     """Judge the instants at the end, for which there are distances from the pads' middle."""
     lost = np.flatnonzero(distances > _LOST + width / 2.0)

@@ -39,7 +39,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmMap, PalmMethod, require_points
 from handmap_qp.options import number, text
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import Array, lengths
 
 
 class FingertipVectors(AlignedOptions, frozen=True):
@@ -95,8 +95,8 @@ class BoundFingertipVectors(PalmMethod):
             pairs = [pair for pair in pairs if robot.reference_points[pair[0]].finger]
         self.pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
         # Human points that the vectors begin at, and places of the robot in its palm.
-        self.human_origins: np.ndarray | None = None
-        self.robot_origins: np.ndarray | float = 0.0
+        self.human_origins: Array | None = None
+        self.robot_origins: Array | float = 0.0
         if method.origin == "palm":
             robot_size, human_size = (
                 lengths(points_in_palm(hand, hand.rest)[points]).mean()
@@ -113,7 +113,7 @@ class BoundFingertipVectors(PalmMethod):
         """Count the palm's displacement from here; the fingers need no reference."""
         return FingertipVectorMap(self, sample, robot)
 
-    def _begin_at_knuckles(self) -> np.ndarray:
+    def _begin_at_knuckles(self) -> Array:
         """Take both hands' knuckles for origins; return the ratio of reaches of each finger."""
         human = self.human
         robot = self.robot

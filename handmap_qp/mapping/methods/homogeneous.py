@@ -39,6 +39,7 @@ from handmap_qp.mapping.method import (
 from handmap_qp.mapping.palm import known_palm
 from handmap_qp.options import number, text
 from handmap_qp.se3 import (
+    Array,
     affine,
     frozen,
     inverse_pose,
@@ -202,7 +203,7 @@ class BoundHomogeneous:
             else []
         )
 
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm in the robot's world, as far as it is known."""
         known = known_palm(sample, self.human)
         return in_robot_world(self.options.alignment, known)
@@ -324,7 +325,7 @@ class HomogeneousMap(Compiled):
         numbers = self._parts.joined(points, wrist, *fit, *results)
         return self.asked(numbers, is_clamped)
 
-    def asked(self, numbers: np.ndarray, is_clamped: bool) -> Targets:
+    def asked(self, numbers: Array, is_clamped: bool) -> Targets:
         """Return the targets that `targets` or the core computed."""
         points, wrist, first, centroid, seen, *results = self._parts.of(numbers)
         estimate = self.estimator.estimate_of(first, centroid, seen)
@@ -335,7 +336,7 @@ class HomogeneousMap(Compiled):
             flags=("stretch_clamped",) if is_clamped else (),
         )
 
-    def _wrist_motion(self, sample: HumanPose) -> np.ndarray | None:
+    def _wrist_motion(self, sample: HumanPose) -> Array | None:
         """Return the wrist's motion since the reference, (4, 4); None if it is not asked for."""
         if self.options.rigid_from != "wrist":
             return None
@@ -347,20 +348,20 @@ class HomogeneousMap(Compiled):
             )
         return now @ inverse_pose(before)
 
-    def _placed(self, image: np.ndarray) -> np.ndarray:
+    def _placed(self, image: Array) -> Array:
         """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
         return self.origin + self.options.scale * self.alignment.dot(image)
 
 
 def _results(
     estimate: MotionEstimate,
-    pivot: np.ndarray,
-    linear: np.ndarray,
-    rotation: np.ndarray,
-    rigid_image: np.ndarray,
-    image: np.ndarray,
-    stretches: np.ndarray,
-) -> dict[str, np.ndarray]:
+    pivot: Array,
+    linear: Array,
+    rotation: Array,
+    rigid_image: Array,
+    image: Array,
+    stretches: Array,
+) -> dict[str, Array]:
     """Return the results of one sample; see `Diagnostics`. T_def has clamping and gain."""
     return {
         "motion": estimate.motion,
@@ -374,10 +375,10 @@ def _results(
 
 def _residual_share(
     gain: float,
-    human_points: np.ndarray,
-    robot_points: np.ndarray,
+    human_points: Array,
+    robot_points: Array,
     partners: list[tuple[int, int]],
-) -> np.ndarray | None:
+) -> Array | None:
     """Return the residual gain of every pair, scaled by the ratio of sizes, shape (n_r, n_h)."""
     if not partners:
         return None

@@ -52,7 +52,7 @@ from handmap_qp.mapping.palm import (
     PalmMethod,
     require_points,
 )
-from handmap_qp.se3 import lengths, unit
+from handmap_qp.se3 import Array, lengths, unit
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.
 _JOINT_WEIGHT = 10.0
@@ -124,7 +124,7 @@ class FingerAngles:
             for finger, columns in zip(fingers, self.columns, strict=True)
         ]
 
-    def measure(self, in_palm: np.ndarray) -> np.ndarray:
+    def measure(self, in_palm: Array) -> Array:
         """Return the joint angles [rad], shape (f, 4).
 
         Args:
@@ -137,7 +137,7 @@ class FingerAngles:
 class _FingerFrames:
     """One finger's joint frames at zero, in palm axes: x along the bones, z along the axis."""
 
-    def __init__(self, human: Hand, finger: Finger, columns: np.ndarray) -> None:
+    def __init__(self, human: Hand, finger: Finger, columns: Array) -> None:
         view = PalmKinematics(human)
         zero = np.zeros(len(human.joint_names))
         axes, origins = view.axes(zero, finger.joints)
@@ -151,7 +151,7 @@ class _FingerFrames:
         parallel = np.abs(axes[1:] @ axes[1]) > _PARALLEL
         self._in_plane = 3 if parallel.all() else parallel.argmin()
 
-    def angles(self, bones: np.ndarray) -> np.ndarray:
+    def angles(self, bones: Array) -> Array:
         """Return the four angles from three bones in palm axes, shape (3, 3)."""
         x, y, _ = bones[: self._in_plane].dot(self._frames[0]).T
         doubled = np.arctan2(2.0 * x.dot(y), x.dot(x) - y.dot(y) + _STRAIGHTENING**2)
@@ -163,12 +163,12 @@ class _FingerFrames:
         other = self._bend(along - np.copysign(np.pi, along), bones)
         return min(angles, other, key=self._excess)
 
-    def _excess(self, angles: np.ndarray) -> float:
+    def _excess(self, angles: Array) -> float:
         """Return how far the first two angles are outside their limits [rad]."""
         outside = np.maximum(self._lower - angles, angles - self._upper)
         return outside[:2].clip(0.0).sum()
 
-    def _bend(self, abduction: float, bones: np.ndarray) -> np.ndarray:
+    def _bend(self, abduction: float, bones: Array) -> Array:
         """Return all angles, given the first."""
         angles = [abduction]
         turned = pin.exp3(abduction * self._frames[0][:, 2])
@@ -195,11 +195,11 @@ class JointLink:
 
     finger: str
     column: int
-    human: np.ndarray
+    human: Array
     angles: tuple[float, ...]
     positions: tuple[float, ...]
 
-    def position(self, angles: np.ndarray) -> float:
+    def position(self, angles: Array) -> float:
         """Return the robot joint's position for the finger's human angles, shape (4,)."""
         return float(np.interp(self.human.dot(angles), self.angles, self.positions))
 
@@ -213,7 +213,7 @@ class JointPositions:
         q: Positions of all joints, of which those are wanted [rad or m], shape (n,).
     """
 
-    def __init__(self, robot: Hand, columns: np.ndarray, q: np.ndarray) -> None:
+    def __init__(self, robot: Hand, columns: Array, q: Array) -> None:
         self._q_indices = robot.q_indices[columns]
         self._wanted = q[columns]
         self._active = robot.joint_columns[columns]
@@ -258,7 +258,7 @@ class BoundJointToJoint(PalmMethod):
         """Count the palm's displacement from here; the joints need no reference."""
         return JointMap(self, sample, robot)
 
-    def positions(self, angles: np.ndarray) -> np.ndarray:
+    def positions(self, angles: Array) -> Array:
         """Return the joint positions (n,) for human angles (f, 4); the mean where fingers share."""
         of_finger = dict(zip(self.fingers, angles, strict=True))
         asked = [link.position(of_finger[link.finger]) for link in self.links]
@@ -269,7 +269,7 @@ class BoundJointToJoint(PalmMethod):
         )
         return q
 
-    def _links(self, finger: Finger, leading: np.ndarray) -> list[JointLink]:
+    def _links(self, finger: Finger, leading: Array) -> list[JointLink]:
         """Find which joints of a finger correspond, from where to where they go, and which way."""
         columns = finger.columns.tolist()
         flexes = [column for column in columns if finger.closing[column]] or columns[:1]

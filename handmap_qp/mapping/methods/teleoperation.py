@@ -34,7 +34,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of, point_indices
 from handmap_qp.options import number, text
-from handmap_qp.se3 import inverse_pose, lengths, smoothstep, transform_points
+from handmap_qp.se3 import Array, inverse_pose, lengths, smoothstep, transform_points
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM = 0.070
@@ -142,12 +142,12 @@ PRESETS = {
 
 def _results(
     estimate: MotionEstimate,
-    palm_before: np.ndarray,
-    palm: np.ndarray,
-    gaps: np.ndarray,
-    pinching: np.ndarray,
-    extensions: np.ndarray,
-) -> dict[str, np.ndarray]:
+    palm_before: Array,
+    palm: Array,
+    gaps: Array,
+    pinching: Array,
+    extensions: Array,
+) -> dict[str, Array]:
     """Return the results of one sample; see `Diagnostics`.
 
     T is estimated in palm axes, from the human's rest posture. In the world, that posture lies at
@@ -218,7 +218,7 @@ class BoundTeleoperation(PalmMethod):
         self._prepare_aims()
         self._prepare_margins()
 
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm, moved so that the knuckles of both hands have one centre."""
         palm = super().start_palm(sample)
         palm[:3, 3] += palm[:3, :3] @ (
@@ -253,19 +253,19 @@ class BoundTeleoperation(PalmMethod):
         weights = choices.thumb_extension_weight, choices.extension_weight
         self.extension_weights = np.where(np.array(pair.fingers) == THUMB, *weights)
 
-    def aims(self, distances: np.ndarray) -> np.ndarray:
+    def aims(self, distances: Array) -> Array:
         """Return the wanted distance of each row for the human's, shape (k,) both."""
         aims = self.aim_slopes * distances + self.aim_offsets
         return np.clip(aims, self.least_aims, self.largest_aims)
 
-    def pinching(self, gaps: np.ndarray) -> np.ndarray:
+    def pinching(self, gaps: Array) -> Array:
         """Return the share of its weight that each pinch row has at a gap, shape (p,) both.
 
         It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
         """
         return smoothstep((self.pinch_from - gaps) / self.pinch_over)
 
-    def margins(self, gaps: np.ndarray) -> np.ndarray:
+    def margins(self, gaps: Array) -> Array:
         """Return the margin of every contact pair at the human's gaps [m], shape (k,).
 
         That between thumb and finger widens with the gap, so that nothing touches.
@@ -371,7 +371,7 @@ class TeleoperationMap(Compiled, PalmMap):
         )
         return self.asked(numbers)
 
-    def asked(self, numbers: np.ndarray, is_clamped: bool = False) -> Targets:
+    def asked(self, numbers: Array, is_clamped: bool = False) -> Targets:
         """Return the targets that `targets` or the core computed; no stretch is clamped."""
         del is_clamped
         points, wrist, aims, weights, margins, *rest = self._parts.of(numbers)
@@ -384,7 +384,7 @@ class TeleoperationMap(Compiled, PalmMap):
             margins if self.method.contacts else None,
         )
 
-    def _moved(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
+    def _moved(self, estimate: MotionEstimate, now: Array) -> Array:
         """Move the matched points by T, and add each finger's residual; palm axes, (m, 3).
 
         With s the robot's points and c_r their centre, x and y the human partners at rest and now,
