@@ -48,18 +48,13 @@ def hinted(metavar: str, hint: str = "(default: none)") -> Any:
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
 PersonFile = Annotated[
-    Path | None,
-    hinted("PERSON.yaml", "(default: measured in the recording)"),
+    Path | None, hinted("PERSON.yaml", "(default: measured in the recording)")
 ]
 """File of a person's hand, of `handmap calibrate`."""
-OpenSession = Annotated[
-    str | None,
-    hinted("NAME", "(default: the only open session)"),
-]
+OpenSession = Annotated[str | None, hinted("NAME", "(default: the only open session)")]
 """Name of a session of the service that another client has opened."""
 KeyFiles = Annotated[
-    tuple[Path, Path] | None,
-    hinted("SECRET SERVER", "(default: not encrypted)"),
+    tuple[Path, Path] | None, hinted("SECRET SERVER", "(default: not encrypted)")
 ]
 """A client's secret key and the server's key, of `handmap keys`."""
 _HANDED = (
@@ -69,10 +64,7 @@ Recordings = tyro.conf.Positional[
     Annotated[tuple[Path, ...], hinted("RECORDING...", "(required)")]
 ]
 """Recordings of human hands."""
-PointSet = Annotated[
-    str | None,
-    hinted("SET", "(default: the hand's own)"),
-]
+PointSet = Annotated[str | None, hinted("SET", "(default: the hand's own)")]
 """Name of a set of reference points."""
 
 
@@ -86,10 +78,7 @@ class InputArguments:
         side: Which hand the recording is of, where the file does not say.
     """
 
-    layout: Annotated[
-        str | None,
-        hinted("LAYOUT", "(default: the file's own)"),
-    ] = None
+    layout: Annotated[str | None, hinted("LAYOUT", "(default: the file's own)")] = None
     side: Annotated[
         Side | None, tyro.conf.arg(help_behavior_hint="(default: what the file says)")
     ] = None
@@ -245,9 +234,7 @@ def _default(option: Any) -> str:
 
 
 MethodFlags = _flags(
-    "MethodFlags",
-    "Options of the method; each preset has its own.",
-    are_of_qp=False,
+    "MethodFlags", "Options of the method; each preset has its own.", are_of_qp=False
 )
 QpFlags = _flags(
     "QpFlags",
@@ -279,10 +266,7 @@ class MappingArguments:
         smooth: Smooth the robot's motion by costs of speed and acceleration, for 4 ms more lag.
     """
 
-    preset: Annotated[
-        str | None,
-        hinted("PRESET", f"({', '.join(PRESETS)})"),
-    ] = None
+    preset: Annotated[str | None, hinted("PRESET", f"({', '.join(PRESETS)})")] = None
     human_points: PointSet = None
     robot_points: PointSet = None
     method: Annotated[MethodFlags, tyro.conf.arg(name="")] = field(  # ty: ignore[invalid-type-form]
@@ -291,10 +275,7 @@ class MappingArguments:
     ik: Annotated[QpFlags, tyro.conf.arg(name="ik")] = field(  # ty: ignore[invalid-type-form]
         default_factory=QpFlags
     )
-    options: Annotated[
-        Path | None,
-        hinted("OPTIONS.yaml"),
-    ] = None
+    options: Annotated[Path | None, hinted("OPTIONS.yaml")] = None
     smooth: bool = False
 
     def __post_init__(self) -> None:

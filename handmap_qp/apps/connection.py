@@ -27,11 +27,7 @@ TIMEOUT = 3.0
 
 @contextmanager
 def connected(
-    option: str,
-    host: str,
-    keys: tuple[Path, Path] | None,
-    *,
-    refused: str,
+    option: str, host: str, keys: tuple[Path, Path] | None, *, refused: str
 ) -> Iterator[tuple[Client, str]]:
     """Connect to the service, and close the connection if the block fails.
 

@@ -353,11 +353,7 @@ def _joints_between(finger: str, chain: Finger) -> dict[str, Place]:
 
 
 def _point(
-    robot: Hand,
-    finger: str,
-    name: str,
-    place: Place,
-    weight: float,
+    robot: Hand, finger: str, name: str, place: Place, weight: float
 ) -> PointSpec:
     """Describe a point on a joint of the model as one on a link of the URDF."""
     joint, offset = place

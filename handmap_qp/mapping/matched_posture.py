@@ -34,11 +34,7 @@ _LEAST_CURVATURE = 1e-6
 
 
 def nearest_posture(
-    hand: Hand,
-    targets: Array,
-    costs: Array,
-    rest_cost: float,
-    start: Array,
+    hand: Hand, targets: Array, costs: Array, rest_cost: float, start: Array
 ) -> Array:
     """Return the joint positions that bring a hand's points nearest to their targets.
 

@@ -102,9 +102,7 @@ class SheetRow:
 
 
 def sheet_rows(
-    recording: Recording,
-    poses: Mapping[str, int | None],
-    motions: Sequence[Array],
+    recording: Recording, poses: Mapping[str, int | None], motions: Sequence[Array]
 ) -> list[SheetRow]:
     """Pick samples out of a recording and the motions that were mapped from it.
 
@@ -289,11 +287,7 @@ def save_contact_sheet(
     return Path(file)
 
 
-def _pictures(
-    solids: list[Triangles],
-    side: Side,
-    background: float,
-) -> Array:
+def _pictures(solids: list[Triangles], side: Side, background: float) -> Array:
     """Render solids at one scale, shape (solids, views, height, width, 3)."""
     points = merged(solids).vertices.reshape(-1, 3)
     cameras = [

@@ -133,11 +133,7 @@ def solid(mesh: Any, colour: Colour) -> Triangles:
     return Triangles.painted(corners, normals, colour)
 
 
-def spheres(
-    centres: ArrayLike,
-    radius: float,
-    colour: Colour,
-) -> Triangles:
+def spheres(centres: ArrayLike, radius: float, colour: Colour) -> Triangles:
     """Return small spheres that mark points.
 
     Args:
@@ -158,11 +154,7 @@ def spheres(
     return Triangles.painted(vertices, np.tile(corners, (len(places), 1, 1)), colour)
 
 
-def tube(
-    ends: ArrayLike,
-    radius: float,
-    colour: Colour,
-) -> Triangles:
+def tube(ends: ArrayLike, radius: float, colour: Colour) -> Triangles:
     """Return a thin straight tube.
 
     Args:
@@ -198,11 +190,7 @@ def draw_hands(
     """
     image = render(triangles, camera, marks=marks, supersampling=supersampling)
     width, height = camera.size
-    axes.imshow(
-        image,
-        extent=(0.0, width, height, 0.0),
-        interpolation="antialiased",
-    )
+    axes.imshow(image, extent=(0.0, width, height, 0.0), interpolation="antialiased")
     pixel_axes(axes, camera)
 
 

@@ -62,11 +62,7 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
     save_panels(path, title, _PANEL, panels)
 
 
-def _draw_side(
-    layout: Layout,
-    side: Side,
-    axes: Any,
-) -> None:
+def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
     human = sized_human(side)
     q = _open_posture(human)
     solid = load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT)
@@ -95,12 +91,7 @@ def _draw_side(
             axes.text(x + 1, y + 6, label, fontsize=7, color="0.35", **style)
 
 
-def _draw_axes(
-    axes: Any,
-    camera: Camera,
-    ends: Array,
-    directions: Array,
-) -> None:
+def _draw_axes(axes: Any, camera: Camera, ends: Array, directions: Array) -> None:
     """Draw the wrist's axes as arrows with their names; an axis at right angles says its side."""
     origin = camera.project(np.zeros(3))[:2]
     for end, direction, name, colour in zip(
@@ -137,11 +128,7 @@ def _open_posture(human: Hand) -> Array:
     return np.clip(q, human.lower_limits, human.upper_limits)
 
 
-def _entries(
-    layout: Layout,
-    human: Hand,
-    q: Array,
-) -> _Entries:
+def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     """Return what the layout shows on a hand."""
     if isinstance(layout, AngleLayout):
         return _angle_entries(layout, human.points(q))

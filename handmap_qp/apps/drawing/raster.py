@@ -57,12 +57,7 @@ class Triangles(NamedTuple):
     normals: Array
 
     @classmethod
-    def painted(
-        cls,
-        vertices: Array,
-        normals: Array,
-        colour: Colour,
-    ) -> Triangles:
+    def painted(cls, vertices: Array, normals: Array, colour: Colour) -> Triangles:
         """Return triangles of one colour."""
         return cls(vertices, np.tile(colour, (len(vertices), 1)), normals)
 

@@ -148,9 +148,7 @@ class Simulate:
         sign = 9.81 if self.up.startswith("-") else -9.81
         x, y, z = (sign * (self.up[-1] == name) + 0.0 for name in "xyz")
         return Physics(
-            friction=self.friction,
-            joint_stiffness=self.stiffness,
-            gravity=(x, y, z),
+            friction=self.friction, joint_stiffness=self.stiffness, gravity=(x, y, z)
         )
 
     def _simulate(self, trials: list[PinchTrial]) -> dict[str, list[PinchOutcome]]:

@@ -118,10 +118,7 @@ def picture(episode: Episode, up: Array, path: Path, *, count: int = 4) -> None:
 
 
 def write_page(
-    path: Path,
-    episodes: Mapping[str, Episode],
-    up: Array,
-    title: str,
+    path: Path, episodes: Mapping[str, Episode], up: Array, title: str
 ) -> None:
     """Write one HTML file that plays simulations side by side, in real time.
 

@@ -38,13 +38,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import known_palm
 from handmap_qp.options import number, text
-from handmap_qp.se3 import (
-    Array,
-    affine,
-    frozen,
-    inverse_pose,
-    transform_points,
-)
+from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 
 
 class Homogeneous(AlignedOptions, frozen=True):

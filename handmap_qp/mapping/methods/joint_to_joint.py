@@ -47,11 +47,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import (
-    PalmMap,
-    PalmMethod,
-    require_points,
-)
+from handmap_qp.mapping.palm import PalmMap, PalmMethod, require_points
 from handmap_qp.se3 import Array, lengths, unit
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.

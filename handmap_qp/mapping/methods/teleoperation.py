@@ -127,10 +127,7 @@ PRESETS = {
     "teleoperation": Preset(
         Teleoperation(),
         FOLLOWING.replaced(
-            rest_weight=0.7,
-            damping=2.0,
-            takes_detours=True,
-            points_follow_wrist=True,
+            rest_weight=0.7, damping=2.0, takes_detours=True, points_follow_wrist=True
         ),
         "gestures and pinches of a tracked hand: each robot finger does what the human's does",
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",

@@ -160,12 +160,7 @@ class Enclosing:
     """
 
     def __init__(
-        self,
-        points: Array,
-        centre: Array,
-        axes: Array,
-        size: float,
-        ridge: float,
+        self, points: Array, centre: Array, axes: Array, size: float, ridge: float
     ) -> None:
         self.centre = centre
         self.axes = axes
@@ -317,9 +312,7 @@ def enclosing_ball(
     return centre, radius
 
 
-def enclosing_ellipsoid(
-    points: Array,
-) -> tuple[Array, Array, Array]:
+def enclosing_ellipsoid(points: Array) -> tuple[Array, Array, Array]:
     """Find the ellipsoid of the smallest volume that encloses points.
 
     Points that lie in a plane or on a line get the smallest ellipse or segment. By Khachiyan's
