@@ -12,7 +12,7 @@ from operator import or_
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
+from tyro.conf import Positional, arg
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.hand import Hand
@@ -42,10 +42,10 @@ from handmap_qp.trackers.plausibility import check_recording
 
 def hinted(metavar: str, hint: str = "(default: none)") -> Any:
     """Return how the help shows an option: what its value is, and what is used without it."""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)
+    return arg(metavar=metavar, help_behavior_hint=hint)
 
 
-HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
+HandName = Annotated[str, arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
 PersonFile = Annotated[
     Path | None, hinted("PERSON.yaml", "(default: measured in the recording)")
@@ -60,7 +60,7 @@ KeyFiles = Annotated[
 _HANDED = (
     3  # fingers with human names; a robot with fewer is neither a left nor a right hand
 )
-Recordings = tyro.conf.Positional[
+Recordings = Positional[
     Annotated[tuple[Path, ...], hinted("RECORDING...", "(required)")]
 ]
 """Recordings of human hands."""
@@ -80,7 +80,7 @@ class InputArguments:
 
     layout: Annotated[str | None, hinted("LAYOUT", "(default: the file's own)")] = None
     side: Annotated[
-        Side | None, tyro.conf.arg(help_behavior_hint="(default: what the file says)")
+        Side | None, arg(help_behavior_hint="(default: what the file says)")
     ] = None
 
     def read(
@@ -220,9 +220,7 @@ def _flags(name: str, about: str, *, are_of_qp: bool) -> type:
         kind = reduce(or_, [item.plain for _, item in said.values()]) | None
         # tyro would show a list's type in braces.
         metavar = "NAME ..." if kind == tuple[str, ...] | None else None
-        settings = tyro.conf.arg(
-            help=" ".join(texts), help_behavior_hint="", metavar=metavar
-        )
+        settings = arg(help=" ".join(texts), help_behavior_hint="", metavar=metavar)
         items.append((option, Annotated[kind, settings], field(default=None)))
     # The module lets copies of it be pickled.
     own = {"__doc__": about, "__module__": __name__}
@@ -243,7 +241,7 @@ QpFlags = _flags(
 )
 
 
-InputFlags = Annotated[InputArguments, tyro.conf.arg(name="")]
+InputFlags = Annotated[InputArguments, arg(name="")]
 """How the recordings of a command are to be read."""
 
 
@@ -269,10 +267,10 @@ class MappingArguments:
     preset: Annotated[str | None, hinted("PRESET", f"({', '.join(PRESETS)})")] = None
     human_points: PointSet = None
     robot_points: PointSet = None
-    method: Annotated[MethodFlags, tyro.conf.arg(name="")] = field(  # ty: ignore[invalid-type-form]
+    method: Annotated[MethodFlags, arg(name="")] = field(  # ty: ignore[invalid-type-form]
         default_factory=MethodFlags
     )
-    ik: Annotated[QpFlags, tyro.conf.arg(name="ik")] = field(  # ty: ignore[invalid-type-form]
+    ik: Annotated[QpFlags, arg(name="ik")] = field(  # ty: ignore[invalid-type-form]
         default_factory=QpFlags
     )
     options: Annotated[Path | None, hinted("OPTIONS.yaml")] = None
@@ -327,7 +325,7 @@ class MappingArguments:
         return [f"--{name.replace('_', '-')}" for name in names]
 
 
-MappingFlags = Annotated[MappingArguments, tyro.conf.arg(name="")]
+MappingFlags = Annotated[MappingArguments, arg(name="")]
 """Reference points and options of a command."""
 
 

@@ -7,8 +7,8 @@ act about the pivot. `T_rb` carries the pivot to its image under T, and `T_def` 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -42,7 +42,7 @@ class Decomposition:
     stretches: Array
 
 
-class PolarFactors(msgspec.Struct, frozen=True, eq=False):
+class PolarFactors(NamedTuple):
     """Left polar decomposition `A = U R` with the eigenvectors of U.
 
     Attributes:

@@ -58,9 +58,9 @@ def known_options() -> dict[str, list[tuple[str, Option]]]:
     Returns:
         For every name the presets that have it (`ik` for the QP), and what it is there.
     """
-    kinds = [(name, type(preset.method)) for name, preset in PRESETS.items()]
+    kinds = {name: type(preset.method) for name, preset in PRESETS.items()}
     found: dict[str, list[tuple[str, Option]]] = {}
-    for preset, kind in (*kinds, ("ik", IkOptions)):
+    for preset, kind in (kinds | {"ik": IkOptions}).items():
         for option in options_of(kind):
             found.setdefault(option.name, []).append((preset, option))
     return found

@@ -138,8 +138,7 @@ class PinchTrial(NamedTuple):
     yaw: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PinchOutcome:
+class PinchOutcome(NamedTuple):
     """Result of one trial.
 
     Attributes:
@@ -230,7 +229,7 @@ class PinchScene:
             times.append(time)
             middle = pads.middle(pads.places(simulator))
             off = simulator.object_pose[:3, 3] - middle
-            distances.append(float(lengths(off)))
+            distances.append(lengths(off))
         # Pads that never pressed had no object to lose.
         times = times or [0.0]
         distances = distances or [np.inf]

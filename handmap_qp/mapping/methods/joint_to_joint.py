@@ -19,7 +19,7 @@ the tips, and thumbs are built too differently for joints to correspond.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -175,8 +175,7 @@ class _FingerFrames:
         return np.array(angles)
 
 
-@dataclass(frozen=True, slots=True)
-class JointLink:
+class JointLink(NamedTuple):
     """One robot joint and the human joints that it follows.
 
     Attributes:

@@ -178,7 +178,7 @@ def _results(
 @lru_cache(maxsize=32)
 def _distances(robot: RobotFingers, pinched: tuple[str, ...]) -> PointDistances:
     """Lay out the distance rows: extension of each finger, then a pinch with each finger."""
-    chains = [robot.chains[finger] for finger in robot.names]
+    chains = robot.used.values()
     places = [place for chain in chains for place in (chain.knuckle, chain.tip)]
     first = len(places)
     pairs = [(k, k + 1) for k in range(0, first, 2)]
