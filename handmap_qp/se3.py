@@ -240,8 +240,8 @@ def check_pose(
         got=f"shape {pose.shape}",
         advice=advice,
     )
-    is_placed, defect, volume = _measure(pose)
-    if is_placed & (defect <= _ROTATION_TOLERANCE) & (volume > 0.0):
+    is_pose, is_placed, defect, volume = _measure(pose)
+    if is_pose:
         if defect <= _ROTATION_EXACT:
             return pose
         return affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
@@ -268,8 +268,7 @@ def check_poses(values: Any, name: str, is_used: Array) -> Array:
         InvalidInputError: If a pose that is used is not one, with its index.
     """
     poses = as_floats(values, name, shape=(len(is_used), 4, 4))
-    is_placed, defects, volumes = _measure(poses)
-    is_pose = is_placed & (defects <= _ROTATION_TOLERANCE) & (volumes > 0.0)
+    is_pose, *_ = _measure(poses)
     wrong = np.flatnonzero(is_used & ~is_pose)
     if len(wrong):
         got = f"another matrix in sample {wrong[0]}"
@@ -277,10 +276,11 @@ def check_poses(values: Any, name: str, is_used: Array) -> Array:
     return poses
 
 
-def _measure(poses: Array) -> tuple[Array, Array, Array]:
-    """Return whether matrices (..., 4, 4) have usable coordinates and a last row of 0, 0, 0, 1.
+def _measure(poses: Array) -> tuple[Array, ...]:
+    """Return whether matrices (..., 4, 4) are poses, and why; shape (...) each.
 
-    Also how far their 3x3 parts are from orthogonal, and their determinants; shape (...) each.
+    That is whether they have usable coordinates and a last row of 0, 0, 0, 1, how far their 3x3
+    parts are from orthogonal, and their determinants.
     """
     # `<= FARTHEST` is also false for NaN.
     is_placed = (np.abs(poses[..., :3, :]) <= FARTHEST).all(axis=(-2, -1))
@@ -288,7 +288,9 @@ def _measure(poses: Array) -> tuple[Array, Array, Array]:
     turns = np.where(is_placed[..., None, None], poses[..., :3, :3], 0.0)
     products = turns.swapaxes(-1, -2) @ turns
     defects = np.abs(products - np.eye(3)).max(axis=(-2, -1))
-    return is_placed, defects, np.linalg.det(turns)
+    volumes = np.linalg.det(turns)
+    is_pose = is_placed & (defects <= _ROTATION_TOLERANCE) & (volumes > 0.0)
+    return is_pose, is_placed, defects, volumes
 
 
 def as_floats(

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,6 +32,7 @@ from handmap_qp.apps.simulation.physics import (
     turn_up,
 )
 from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
+from handmap_qp.apps.tables import Row
 from handmap_qp.errors import expect
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
@@ -353,7 +354,7 @@ def success_rate(held: int, count: int) -> tuple[float, float, float]:
     return found.statistic, interval.low, interval.high
 
 
-def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> dict[str, Any]:
+def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
     """Summarise the trials of one mapping in a row of a table."""
     held = [outcome for outcome in outcomes if outcome.is_held]
     rate, low, high = success_rate(len(held), len(outcomes))
@@ -373,7 +374,7 @@ def _median(values: list[float]) -> float | str:
     return round(float(np.median(values)), 1) if values else "-"
 
 
-def describe_trial(trial: PinchTrial) -> dict[str, Any]:
+def describe_trial(trial: PinchTrial) -> Row:
     """Describe an object and its place by plain values, in metres, kilograms and radians."""
     return trial._asdict() | {
         "shape": type(trial.shape).__name__.lower(),
@@ -382,7 +383,7 @@ def describe_trial(trial: PinchTrial) -> dict[str, Any]:
     }
 
 
-def outcome_row(name: str, outcome: PinchOutcome) -> dict[str, Any]:
+def outcome_row(name: str, outcome: PinchOutcome) -> Row:
     """Describe one trial in a row of a table."""
     return {
         "mapping": name,

@@ -39,7 +39,7 @@ from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS, THUMB
 from handmap_qp.human.sample import LANDMARK_NAMES
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.alignment import AlignedOptions
-from handmap_qp.mapping.hand_pair import points_in_palm
+from handmap_qp.mapping.hand_pair import RobotFingers, points_in_palm
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -232,8 +232,7 @@ class BoundJointToJoint(PalmMethod):
 
     def __init__(self, method: JointToJoint, human: Hand, robot: Hand) -> None:
         super().__init__(method, human, robot)
-        found = find_fingers(robot)
-        self.chains = {name: chain for name, chain in found.items() if chain.joints}
+        self.chains = RobotFingers(robot).used
         if not self.chains:
             raise InvalidOptionsError(
                 f"joints correspond by finger, and no point of {robot.name} names one",
