@@ -14,8 +14,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
-import numpy as np
-
 T = TypeVar("T")
 
 
@@ -91,10 +89,6 @@ class Parts:
             whole = shape if isinstance(shape, tuple) else (shape,)
             self.size += math.prod(whole)
             self._places.append((slice(start, self.size), whole))
-
-    def joined(self, *arrays: Any) -> Any:
-        """Return the flat one of arrays of these shapes."""
-        return np.concatenate([*map(np.ravel, arrays)])
 
     def of(self, numbers: Any) -> list[Any]:
         """Return views of the arrays of flat ones, shape (..., size)."""

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property, lru_cache, partial
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from operator import attrgetter
 from typing import (
     TYPE_CHECKING,
@@ -83,6 +84,7 @@ class RobotPosture(NamedTuple):
     wrist: np.ndarray
 
 
+@dataclass(eq=False)
 class Diagnostics(Mapping[str, np.ndarray]):
     """Intermediate results of a method for one sample: arrays by name, computed when asked for.
 
@@ -95,19 +97,17 @@ class Diagnostics(Mapping[str, np.ndarray]):
         pivot_image         where T takes the point that T_def acts about [m], shape (3,)
         residual_norms      distance of human points from where T takes them [m], shape (n,)
 
-    Args:
+    Attributes:
         compute: Returns all results by name.
-        *parts: Its arguments.
+        parts: Its arguments.
     """
 
-    def __init__(
-        self, compute: Callable[..., dict[str, np.ndarray]], *parts: Any
-    ) -> None:
-        self._compute = partial(compute, *parts)
+    compute: Callable[..., dict[str, np.ndarray]]
+    parts: Sequence[Any]
 
     @cached_property
     def _results(self) -> dict[str, np.ndarray]:
-        return self._compute()
+        return self.compute(*self.parts)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return one result."""

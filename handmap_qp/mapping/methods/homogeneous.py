@@ -316,17 +316,19 @@ class HomogeneousMap(Compiled):
         )
         fit = estimate.linear, estimate.centroid_after, sample.points
         results = linear, rotation, rigid_image, image, factors.stretches
-        numbers = self._parts.joined(points, wrist, *fit, *results)
-        return self.asked(numbers, is_clamped)
+        return self._made([points, wrist, *fit, *results], is_clamped)
 
     def asked(self, numbers: Array, is_clamped: bool) -> Targets:
-        """Return the targets that `targets` or the core computed."""
-        points, wrist, first, centroid, seen, *results = self._parts.of(numbers)
+        """Return the targets that the core computed."""
+        return self._made(self._parts.of(numbers), is_clamped)
+
+    def _made(self, parts: list[Array], is_clamped: bool) -> Targets:
+        points, wrist, first, centroid, seen, *results = parts
         estimate = self.estimator.estimate_of(first, centroid, seen)
         return Targets(
             points,
             wrist,
-            Diagnostics(_results, estimate, self.pivot, *results),
+            Diagnostics(_results, (estimate, self.pivot, *results)),
             flags=("stretch_clamped",) if is_clamped else (),
         )
 

@@ -21,7 +21,6 @@ from handmap_qp.hands.shape_pairs import LINK_MARGIN
 from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.alignment import AlignedOptions
-from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import RobotFingers, finger_landmarks, hand_pair
 from handmap_qp.mapping.method import (
@@ -34,7 +33,14 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of, point_indices
 from handmap_qp.options import number, text
-from handmap_qp.se3 import Array, inverse_pose, lengths, smoothstep, transform_points
+from handmap_qp.se3 import (
+    Array,
+    inverse_pose,
+    lengths,
+    mirror_sign,
+    smoothstep,
+    transform_points,
+)
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM = 0.070
@@ -161,11 +167,14 @@ def _results(
     """
     rigid = palm @ inverse_pose(palm_before)
     deformation = palm @ estimate.motion @ inverse_pose(palm)
+    # The smallest one is negative where T mirrors.
+    stretches = np.linalg.svd(estimate.linear, compute_uv=False)
+    stretches[2] *= mirror_sign(estimate.linear)
     return {
         "motion": deformation @ rigid,
         "motion_rigid": rigid,
         "motion_deformation": deformation,
-        "stretches": polar(estimate.linear).stretches,
+        "stretches": stretches,
         "pivot_image": transform_points(palm, estimate.centroid_after),
         "residual_norms": estimate.residual_norms,
         "palm": palm,
@@ -353,7 +362,7 @@ class TeleoperationMap(Compiled, PalmMap):
         vectors = now[pair.partners] - now[self.starts]
         led = self.bases + self.ratios[:, None] * vectors
         points += shares[:, None] * (led - points)
-        numbers = self._parts.joined(
+        parts = [
             *self.placed(palm, points),
             method.aims(distances),
             np.append(method.extension_weights, pinches),
@@ -365,18 +374,21 @@ class TeleoperationMap(Compiled, PalmMap):
             gaps,
             pinching,
             extensions / pair.human_reach,
-        )
-        return self.asked(numbers)
+        ]
+        return self._made(parts)
 
-    def asked(self, numbers: Array, is_clamped: bool = False) -> Targets:
-        """Return the targets that `targets` or the core computed; no stretch is clamped."""
+    def asked(self, numbers: Array, is_clamped: bool) -> Targets:
+        """Return the targets that the core computed."""
         del is_clamped
-        points, wrist, aims, weights, margins, *rest = self._parts.of(numbers)
+        return self._made(self._parts.of(numbers))
+
+    def _made(self, parts: list[Array]) -> Targets:
+        points, wrist, aims, weights, margins, *rest = parts
         estimate = self.estimator.estimate_of(*rest[:3])
         return Targets(
             points,
             wrist,
-            Diagnostics(_results, estimate, self.palm_before, *rest[3:]),
+            Diagnostics(_results, (estimate, self.palm_before, *rest[3:])),
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
         )
