@@ -51,12 +51,12 @@ def frozen(array: Array) -> Array:
     return array
 
 
-def affine(linear: Array, translation: ArrayLike) -> Array:
+def affine(linear: Array, translation: ArrayLike = 0.0) -> Array:
     """Compose the motion `x -> linear @ x + translation` (eq. 1).
 
     Args:
         linear: Linear part, shape (..., 3, 3).
-        translation: Translation [m], shape (..., 3).
+        translation: Translation [m], shape (..., 3); none if omitted.
 
     Returns:
         Motion, shape (..., 4, 4); a new array.

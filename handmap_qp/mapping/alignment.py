@@ -157,4 +157,4 @@ def in_robot_world(alignment: Alignment, palm: Array | None) -> Array:
     """
     if alignment == "palm" or palm is None:
         return np.eye(4)
-    return affine(rotation_of(alignment), np.zeros(3)) @ palm
+    return affine(rotation_of(alignment)) @ palm

@@ -181,7 +181,6 @@ def primitives(motion: ArrayLike) -> Primitives:
     scales *= signs
     isotropic = float(np.cbrt(np.prod(scales)))
     shear_matrix = upper / scales
-    zero = np.zeros(3)
     return Primitives(
         translation=matrix[:3, 3].copy(),
         quat_wxyz=quat_wxyz_from_rotation(rotation),
@@ -189,10 +188,10 @@ def primitives(motion: ArrayLike) -> Primitives:
         axis_scales=scales / isotropic,
         shear=shear_matrix[[0, 0, 1], [1, 2, 2]],
         translation_motion=affine(np.eye(3), matrix[:3, 3]),
-        rotation_motion=affine(rotation, zero),
-        isotropic_scale_motion=affine(isotropic * np.eye(3), zero),
-        axis_scale_motion=affine(np.diag(scales / isotropic), zero),
-        shear_motion=affine(shear_matrix, zero),
+        rotation_motion=affine(rotation),
+        isotropic_scale_motion=affine(isotropic * np.eye(3)),
+        axis_scale_motion=affine(np.diag(scales / isotropic)),
+        shear_motion=affine(shear_matrix),
     )
 
 

@@ -166,7 +166,7 @@ class HandPair:
         # All fingers but the thumb; a thumb alone stands for them.
         fingers = enumerate(self.fingers)
         self._others = [i for i, finger in fingers if finger != THUMB] or [0]
-        self.finger_ratio = float(self.reach_ratios[self._others].mean())
+        self.finger_ratio = self.reach_ratios[self._others].mean()
         knuckles = self.human_rest[self.knuckles[self._others]]
         self.human_knuckles = frozen(knuckles.mean(axis=0))
         # With the package's own person, near whose matched posture all others' are.

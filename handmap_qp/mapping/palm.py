@@ -95,7 +95,7 @@ class PalmMap:
         self.robot_points = transform_points(inverse_pose(start), posture.points)
         self.alignment = Q = rotation_of(method.alignment, before, start)
         # The robot's palm in axes of the human's world.
-        start = affine(Q.T, _ORIGIN) @ start
+        start = affine(Q.T) @ start
         self.rotation = before[:3, :3].T @ start[:3, :3]
         self.origin = human_anchor - self.rotation.dot(robot_anchor)
         self.human_start = transform_points(before, human_anchor)

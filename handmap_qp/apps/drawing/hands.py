@@ -34,9 +34,7 @@ HUMAN_COLOUR = (0.13, 0.40, 0.85)
 ROBOT_COLOUR = (0.84, 0.16, 0.16)
 """Colour of the robot's reference points (red)."""
 
-UPRIGHT = affine(
-    np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.zeros(3)
-)
+UPRIGHT = affine(np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]))
 """From palm axes (+y distal, +z dorsal) to a picture's: +z up the fingers, -y out of the palm."""
 
 GREY = (0.62, 0.64, 0.67)
@@ -294,7 +292,7 @@ def _simplified(vertices: Array, faces: Array) -> tuple[Array, Array]:
     coarse = faces
     cell_of = np.arange(len(vertices))
     while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
-        grid = np.floor(places * cells).astype(np.int64)
+        grid = np.floor(places * cells).astype(int)
         _, cell_of = np.unique(grid, axis=0, return_inverse=True)
         coarse = cell_of[faces]
         coarse = coarse[(coarse != np.roll(coarse, 1, axis=1)).all(axis=1)]

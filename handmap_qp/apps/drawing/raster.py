@@ -109,7 +109,7 @@ class Camera(NamedTuple):
             The camera.
         """
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        radius = max(float(lengths(points - middle).max()), 1e-6)
+        radius = max(lengths(points - middle).max(), 1e-6)
         turn = Rotation.from_euler("ZY", (azimuth, -elevation), degrees=True)
         backward, right, up = turn.as_matrix().T
         rotation = np.array([right, -up, -backward])
@@ -120,7 +120,7 @@ class Camera(NamedTuple):
         low = tangents.min(axis=0)
         high = tangents.max(axis=0)
         room = np.array(size) - 2.0 * margin * min(size)
-        focal_length = float((room / np.maximum(high - low, 1e-9)).min())
+        focal_length = (room / np.maximum(high - low, 1e-9)).min()
         x, y = (0.5 * (size - focal_length * (low + high))).tolist()
         return cls(world_to_camera, focal_length, (x, y), size)
 
@@ -224,11 +224,11 @@ def _rasterise(vertices: Array, camera: Camera) -> _Surface:
     planes = np.linalg.inv(flat[seen]).swapaxes(1, 2)
     nearness = np.einsum("nc,ncj->nj", 1.0 / depths[seen], planes)
     nearest = np.zeros(width * height)
-    front = np.zeros(width * height, dtype=np.int64)
+    front = np.zeros(width * height, dtype=int)
     # The pixels in the box around each triangle, row by row.
     places = corners[seen, :, :2]
-    low = np.ceil(places.min(axis=1) - 0.5).clip(0, camera.size).astype(np.int64)
-    high = np.floor(places.max(axis=1) + 0.5).clip(0, camera.size).astype(np.int64)
+    low = np.ceil(places.min(axis=1) - 0.5).clip(0, camera.size).astype(int)
+    high = np.floor(places.max(axis=1) + 0.5).clip(0, camera.size).astype(int)
     across, down = (high - low).T
     ends = np.cumsum(across * down)
     for start in range(0, ends.max(initial=0), _CHUNK):
@@ -296,7 +296,7 @@ def _creases(depth: Array, camera: Camera) -> Array:
     is_solid = np.isfinite(depth)
     if not is_solid.any():
         return np.zeros_like(depth)
-    scale = camera.focal_length / float(np.median(depth[is_solid]))
+    scale = camera.focal_length / np.median(depth[is_solid])
     reach = max(2.0, _CREASE_RADIUS * scale)
     # Repeat the border of the picture, and look at solid pixels only.
     room = int(np.ceil(reach)) + 1

@@ -46,7 +46,7 @@ def frames(
     at = episode.at
     shape = load_shape(episode.hand)
     held = solid(surface(episode.body.shape), _OBJECT_COLOUR)
-    turn = affine(turn_up(up), np.zeros(3))
+    turn = affine(turn_up(up))
     wrists = at.wrist if episode.hand.is_floating else [None] * len(at.time)
 
     def scene(i: int, of_object: int) -> Triangles:

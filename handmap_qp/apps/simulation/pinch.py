@@ -251,10 +251,10 @@ class PinchScene:
         """
         instants = self._closing
         gaps = np.array([self.pads.gap(instant.places) for instant in instants])
-        last = int(np.argmax(gaps <= width))
+        last = np.argmax(gaps <= width)
         if last == 0:
             # Near from the start, or never.
-            return instants[0 if gaps[0] <= width else int(np.argmin(gaps))]
+            return instants[0 if gaps[0] <= width else np.argmin(gaps)]
         share = (gaps[last - 1] - width) / (gaps[last - 1] - gaps[last])
         pairs = zip(instants[last - 1], instants[last], strict=True)
         return Meeting(*(before + share * (after - before) for before, after in pairs))
@@ -295,9 +295,9 @@ def _outcome(
         is_held=not len(lost) and bool(episode.at.links_touching[-1] >= 2),
         held_time=time[last] - time[0],
         pinch_time=time[-1] - time[0],
-        slip=float(lengths(poses[:, :3, 3] - poses[0, :3, 3]).max()),
+        slip=lengths(poses[:, :3, 3] - poses[0, :3, 3]).max(),
         rotation=float(turn),
-        force=float(kept.normal_force.mean()),
+        force=kept.normal_force.mean(),
         episode=episode,
     )
 
@@ -364,14 +364,14 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
         "trials": len(outcomes),
         "held %": round(100.0 * rate, 1),
         "95 % interval": f"{100.0 * low:.0f}-{100.0 * high:.0f}",
-        "time held %": round(100.0 * float(np.mean(shares)), 1),
+        "time held %": round(100.0 * np.mean(shares), 1),
         "slip mm": _median([1e3 * outcome.slip for outcome in held]),
         "force N": _median([outcome.force for outcome in held]),
     }
 
 
 def _median(values: list[float]) -> float | str:
-    return round(float(np.median(values)), 1) if values else "-"
+    return round(np.median(values), 1) if values else "-"
 
 
 def describe_trial(trial: PinchTrial) -> Row:

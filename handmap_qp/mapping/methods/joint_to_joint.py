@@ -289,7 +289,7 @@ class BoundJointToJoint(PalmMethod):
             start, is_upper, counts_from_rest = self._closed_end(
                 finger, column, leading[leaders[0]], sense[leaders[0]]
             )
-            zero = float(senses @ rest) * counts_from_rest
+            zero = senses @ rest * counts_from_rest
             least, most = np.sort(senses * limits[:, leading], axis=0).sum(axis=1)
             low = self.robot.lower_limits[column]
             high = self.robot.upper_limits[column]

@@ -248,7 +248,7 @@ class BoundTeleoperation(PalmMethod):
             [self.pads[0].radius + pad.radius - _SQUEEZE for pad in self.pads[1:]]
         )
         # Between jaws, an object is as large as between the human's fingers.
-        ratio = 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
+        ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
         count = len(touching)
         self.aim_slopes = np.append(pair.reach_ratios, np.full(count, ratio))
         self.aim_offsets = np.append(
