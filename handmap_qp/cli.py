@@ -279,19 +279,19 @@ def _answer_without_command(words: list[str]) -> NoReturn:
         case ["--completion"]:
             expect(False, "--completion", _SHELLS)
         case []:
-            raise InvalidInputError(problem="expected a command (see handmap --help)")
+            raise InvalidInputError("expected a command (see handmap --help)")
         case [group, word, *_] if group in _GROUPS:
             hint = did_you_mean(word, _members(group))
             if not hint and group != "track":
                 hint = f"to describe one: handmap {group} show {word}"
             hint = hint or f"see handmap {group} --help"
-            raise InvalidInputError(problem=f"no command '{group} {word}': {hint}")
+            raise InvalidInputError(f"no command '{group} {word}': {hint}")
         case [word, *_]:
             kind = "option" if word.startswith("-") else "command"
             firsts = {key.split()[0] for key in COMMANDS}
             known = _OPTIONS if kind == "option" else firsts
             hint = did_you_mean(word, known) or "see handmap --help"
-            raise InvalidInputError(problem=f"no {kind} {word!r}: {hint}")
+            raise InvalidInputError(f"no {kind} {word!r}: {hint}")
     raise SystemExit(0)
 
 

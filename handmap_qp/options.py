@@ -155,8 +155,8 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """
         if unknown := sorted(changes.keys() - self.values.keys()):
             raise InvalidOptionsError(
+                f"{type(self).__name__} has no such option",
                 option=unknown[0],
-                problem=f"{type(self).__name__} has no such option",
                 advice=f"there are {', '.join(self.values)}",
             )
         return msgspec.structs.replace(self, **changes)

@@ -62,10 +62,7 @@ def check_new(
     """
     if path.exists() and not overwrite:
         raise InvalidInputError(
-            f"{path} exists already",
-            argument=argument,
-            value=str(path),
-            advice=advice,
+            f"{path} exists already", argument=argument, value=str(path), advice=advice
         )
 
 

@@ -21,11 +21,13 @@ import numbers
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, describe_value, expect
 
+Array = np.ndarray
+"""An array of floats, where nothing else is said."""
 QuatOrder = Literal["wxyz", "xyzw"]
 
 # A rotation that came through float32 is orthogonal to about 1e-6; beyond 1e-3 a matrix is not
@@ -40,22 +42,21 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 """
 
 
-Array = np.ndarray
-PoseLike = npt.ArrayLike | pin.SE3
+PoseLike = ArrayLike | pin.SE3
 
 
-def frozen(array: np.ndarray) -> np.ndarray:
+def frozen(array: Array) -> Array:
     """Write-protect an array in place and return it."""
     array.setflags(write=False)
     return array
 
 
-def affine(linear: np.ndarray, translation: npt.ArrayLike) -> np.ndarray:
+def affine(linear: Array, translation: ArrayLike = 0.0) -> Array:
     """Compose the motion `x -> linear @ x + translation` (eq. 1).
 
     Args:
         linear: Linear part, shape (..., 3, 3).
-        translation: Translation [m], shape (..., 3).
+        translation: Translation [m], shape (..., 3); none if omitted.
 
     Returns:
         Motion, shape (..., 4, 4); a new array.
@@ -67,29 +68,29 @@ def affine(linear: np.ndarray, translation: npt.ArrayLike) -> np.ndarray:
     return motion
 
 
-def transform_points(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
+def transform_points(motion: Array, points: Array) -> Array:
     """Apply a pose or a motion (..., 4, 4) to points [m], shape (..., n, 3) or (3,)."""
     origin = motion[..., :3, 3] if points.ndim == 1 else motion[..., None, :3, 3]
     return points @ motion[..., :3, :3].swapaxes(-1, -2) + origin
 
 
-def lengths(vectors: np.ndarray) -> np.ndarray:
+def lengths(vectors: Array) -> Array:
     """Return the Euclidean length of each vector, shape (...), of shape (..., 3)."""
     return np.linalg.norm(vectors, axis=-1)
 
 
-def unit(vectors: np.ndarray) -> np.ndarray:
+def unit(vectors: Array) -> Array:
     """Return vectors of length 1 along others of shape (..., 3); those below 1 nm go to zero."""
     return vectors / np.maximum(lengths(vectors)[..., None], 1e-9)
 
 
-def inverse_pose(pose: np.ndarray) -> np.ndarray:
+def inverse_pose(pose: Array) -> Array:
     """Return `pose_ba` of `pose_ab`, shape (..., 4, 4)."""
     rotation = pose[..., :3, :3].swapaxes(-1, -2)
     return affine(rotation, -(rotation @ pose[..., :3, 3:])[..., 0])
 
 
-def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+def nearest_rotation(matrix: Array) -> Array:
     """Return the proper rotation nearest to a matrix in the Frobenius norm, shape (..., 3, 3).
 
     Of the covariance `sum_k w_k y_k x_k^T` of centred points, it is the rotation that best carries
@@ -100,12 +101,12 @@ def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     return left @ right
 
 
-def mirror_sign(orthogonal: np.ndarray) -> np.ndarray:
+def mirror_sign(orthogonal: Array) -> Array:
     """Return -1 for orthogonal matrices (..., 3, 3) that mirror, 1 for rotations, shape (...)."""
     return np.sign(np.linalg.det(orthogonal))
 
 
-def rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+def rigid_fit(points: Array, onto: Array) -> Array:
     """Fit the pose that best lays points onto others, in the least-squares sense.
 
     Args:
@@ -124,12 +125,12 @@ def rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     return affine(rotation, shift[..., 0, :])
 
 
-def rotation_from_rpy(rpy: npt.ArrayLike) -> np.ndarray:
+def rotation_from_rpy(rpy: ArrayLike) -> Array:
     """Compose a rotation (3, 3) from roll, pitch and yaw [rad]: `Rz(yaw) Ry(pitch) Rx(roll)`."""
     return pin.rpy.rpyToMatrix(np.asarray(rpy, dtype=float))
 
 
-def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
+def rpy_from_rotation(rotation: Array) -> Array:
     """Find roll, pitch and yaw of a rotation (3, 3), as in a URDF [rad], pitch within +-pi / 2.
 
     Where the pitch is a right angle, only yaw minus roll (or their sum) is determined, and both are
@@ -142,9 +143,7 @@ def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
     return np.array([roll, math.atan2(-left[2, 0], left[2, 2]), yaw])
 
 
-def rotation_from_quat_wxyz(
-    quat_wxyz: npt.ArrayLike, name: str = "quat_wxyz"
-) -> np.ndarray:
+def rotation_from_quat_wxyz(quat_wxyz: ArrayLike, name: str = "quat_wxyz") -> Array:
     """Compose rotations from quaternions, which are normalised first.
 
     Args:
@@ -174,7 +173,7 @@ def rotation_from_quat_wxyz(
     return np.eye(3) + 2.0 * (quats[..., :1, None] * cross + cross @ cross)
 
 
-def quat_wxyz_from_rotation(rotation: npt.ArrayLike) -> np.ndarray:
+def quat_wxyz_from_rotation(rotation: ArrayLike) -> Array:
     """Find the unit quaternion of a rotation (3, 3), scalar first and not negative, shape (4,).
 
     Raises:
@@ -186,8 +185,8 @@ def quat_wxyz_from_rotation(rotation: npt.ArrayLike) -> np.ndarray:
 
 
 def pose_from_xyz_quat(
-    values: npt.ArrayLike, order: QuatOrder, name: str = "values"
-) -> np.ndarray:
+    values: ArrayLike, order: QuatOrder, name: str = "values"
+) -> Array:
     """Compose poses from seven numbers each: position, then a quaternion in the order named.
 
     Args:
@@ -211,7 +210,7 @@ def pose_from_xyz_quat(
 
 def check_pose(
     value: PoseLike, name: str = "pose", quat_order: QuatOrder | None = None
-) -> np.ndarray:
+) -> Array:
     """Take a pose in any of the accepted forms and return it as a checked 4x4 matrix.
 
     A rotation that is off by rounding (float32 trackers, chained products) is replaced by the
@@ -241,8 +240,8 @@ def check_pose(
         got=f"shape {pose.shape}",
         advice=advice,
     )
-    is_placed, defect, volume = _measure(pose)
-    if is_placed & (defect <= _ROTATION_TOLERANCE) & (volume > 0.0):
+    is_pose, is_placed, defect, volume = _measure(pose)
+    if is_pose:
         if defect <= _ROTATION_EXACT:
             return pose
         return affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
@@ -254,7 +253,7 @@ def check_pose(
     raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
 
 
-def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
+def check_poses(values: Any, name: str, is_used: Array) -> Array:
     """Take poses over time as they are; those that are used must be poses.
 
     Args:
@@ -269,8 +268,7 @@ def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
         InvalidInputError: If a pose that is used is not one, with its index.
     """
     poses = as_floats(values, name, shape=(len(is_used), 4, 4))
-    is_placed, defects, volumes = _measure(poses)
-    is_pose = is_placed & (defects <= _ROTATION_TOLERANCE) & (volumes > 0.0)
+    is_pose, *_ = _measure(poses)
     wrong = np.flatnonzero(is_used & ~is_pose)
     if len(wrong):
         got = f"another matrix in sample {wrong[0]}"
@@ -278,10 +276,11 @@ def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
     return poses
 
 
-def _measure(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return whether matrices (..., 4, 4) have usable coordinates and a last row of 0, 0, 0, 1.
+def _measure(poses: Array) -> tuple[Array, ...]:
+    """Return whether matrices (..., 4, 4) are poses, and why; shape (...) each.
 
-    Also how far their 3x3 parts are from orthogonal, and their determinants; shape (...) each.
+    That is whether they have usable coordinates and a last row of 0, 0, 0, 1, how far their 3x3
+    parts are from orthogonal, and their determinants.
     """
     # `<= FARTHEST` is also false for NaN.
     is_placed = (np.abs(poses[..., :3, :]) <= FARTHEST).all(axis=(-2, -1))
@@ -289,7 +288,9 @@ def _measure(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     turns = np.where(is_placed[..., None, None], poses[..., :3, :3], 0.0)
     products = turns.swapaxes(-1, -2) @ turns
     defects = np.abs(products - np.eye(3)).max(axis=(-2, -1))
-    return is_placed, defects, np.linalg.det(turns)
+    volumes = np.linalg.det(turns)
+    is_pose = is_placed & (defects <= _ROTATION_TOLERANCE) & (volumes > 0.0)
+    return is_pose, is_placed, defects, volumes
 
 
 def as_floats(
@@ -298,7 +299,7 @@ def as_floats(
     *,
     shape: tuple[int | str, ...] | None = None,
     is_finite: bool = False,
-) -> np.ndarray:
+) -> Array:
     """Take real numbers in whatever form as an array of floats.
 
     Texts, None and complex numbers, which numpy would convert, are rejected.
@@ -334,7 +335,7 @@ def as_floats(
     raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
 
 
-def _as_array(value: Any) -> np.ndarray | None:
+def _as_array(value: Any) -> Array | None:
     """Return real numbers as an array of floats; None if they are something else."""
     try:
         array = np.asarray(value)
@@ -348,14 +349,14 @@ def _as_array(value: Any) -> np.ndarray | None:
         return None
 
 
-def _has_shape(array: np.ndarray, shape: tuple[int | str, ...]) -> bool:
+def _has_shape(array: Array, shape: tuple[int | str, ...]) -> bool:
     return array.ndim == len(shape) and all(
         isinstance(wanted, str) or size == wanted
         for size, wanted in zip(array.shape, shape, strict=True)
     )
 
 
-def smoothstep(x: npt.ArrayLike) -> np.ndarray:
+def smoothstep(x: ArrayLike) -> Array:
     """Go smoothly from 0 at 0 to 1 at 1."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)

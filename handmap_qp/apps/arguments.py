@@ -6,14 +6,14 @@ A field added to `MappingArguments` becomes an option of every command that maps
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, make_dataclass
 from functools import reduce
 from operator import or_
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
+from tyro.conf import Positional, arg
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.hand import Hand
@@ -55,37 +55,29 @@ def check_names(
 
 def hinted(metavar: str, hint: str = "(default: none)") -> Any:
     """Return how the help shows an option: what its value is, and what is used without it."""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)
+    return arg(metavar=metavar, help_behavior_hint=hint)
 
 
-HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
+HandName = Annotated[str, arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
 PersonFile = Annotated[
-    Path | None,
-    hinted("PERSON.yaml", "(default: measured in the recording)"),
+    Path | None, hinted("PERSON.yaml", "(default: measured in the recording)")
 ]
 """File of a person's hand, of `handmap calibrate`."""
-OpenSession = Annotated[
-    str | None,
-    hinted("NAME", "(default: the only open session)"),
-]
+OpenSession = Annotated[str | None, hinted("NAME", "(default: the only open session)")]
 """Name of a session of the service that another client has opened."""
 KeyFiles = Annotated[
-    tuple[Path, Path] | None,
-    hinted("SECRET SERVER", "(default: not encrypted)"),
+    tuple[Path, Path] | None, hinted("SECRET SERVER", "(default: not encrypted)")
 ]
 """A client's secret key and the server's key, of `handmap keys`."""
 _HANDED = (
     3  # fingers with human names; a robot with fewer is neither a left nor a right hand
 )
-Recordings = tyro.conf.Positional[
+Recordings = Positional[
     Annotated[tuple[Path, ...], hinted("RECORDING...", "(required)")]
 ]
 """Recordings of human hands."""
-PointSet = Annotated[
-    str | None,
-    hinted("SET", "(default: the hand's own)"),
-]
+PointSet = Annotated[str | None, hinted("SET", "(default: the hand's own)")]
 """Name of a set of reference points."""
 
 
@@ -99,12 +91,9 @@ class InputArguments:
         side: Which hand the recording is of, where the file does not say.
     """
 
-    layout: Annotated[
-        str | None,
-        hinted("LAYOUT", "(default: the file's own)"),
-    ] = None
+    layout: Annotated[str | None, hinted("LAYOUT", "(default: the file's own)")] = None
     side: Annotated[
-        Side | None, tyro.conf.arg(help_behavior_hint="(default: what the file says)")
+        Side | None, arg(help_behavior_hint="(default: what the file says)")
     ] = None
 
     def read(
@@ -137,8 +126,8 @@ class InputArguments:
             raise RecordingError(problem, file=error.file, array=error.array) from error
         if self.side is not None and recording.side != self.side:
             raise InvalidInputError(
+                f"{path} says that it is of a {recording.side} hand",
                 argument="--side",
-                problem=f"{path} says that it is of a {recording.side} hand",
                 advice="leave --side out, or correct the file",
             )
         check_recording(recording, name=str(path))
@@ -157,9 +146,7 @@ class InputArguments:
             HandmapError: As of `read`.
         """
         if self.side is not None:
-            raise InvalidInputError(
-                argument="--side", problem="has no effect on both hands"
-            )
+            raise InvalidInputError("has no effect on both hands", argument="--side")
         if self.layout is None:
             hands = read_hands(paths)
             for recording in hands.values():
@@ -204,28 +191,28 @@ def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
     fingers = {point.finger for point in robot.spec.points} & set(FINGERS)
     if mirror and side == own:
         raise InvalidInputError(
+            f"{recording.name} is of a {side} hand, as {robot.name} is",
             argument="--mirror",
-            problem=f"{recording.name} is of a {side} hand, as {robot.name} is",
             advice="leave it out",
         )
     if mirror:
         return mirrored(recording)
     if side != own and len(fingers) >= _HANDED:
         raise InvalidInputError(
+            f"is of a {side} hand, and {robot.name} is a {own} one",
             argument=recording.name,
-            problem=f"is of a {side} hand, and {robot.name} is a {own} one",
             advice=f"give --mirror to map its mirror image, or name a {side} robot",
         )
     return recording
 
 
-def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
+def _flags(name: str, about: str, *, are_of_qp: bool) -> type:
     """Return a class with a command-line option for every option of a kind, None where not given.
 
     Args:
         name: Name of the class.
-        has: Whether it has the options of a preset, or of the QP (`ik`).
         about: What the options are for.
+        are_of_qp: Whether they are those of the QP, or those of the presets.
     """
     items: list[Any] = []
     for option, places in known_options().items():
@@ -233,7 +220,7 @@ def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
         said = {
             item.about: (preset, item)
             for preset, item in reversed(places)
-            if has(preset)
+            if (preset == "ik") == are_of_qp
         }
         if not said:
             continue
@@ -246,9 +233,7 @@ def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
         kind = reduce(or_, [item.plain for _, item in said.values()]) | None
         # tyro would show a list's type in braces.
         metavar = "NAME ..." if kind == tuple[str, ...] | None else None
-        settings = tyro.conf.arg(
-            help=" ".join(texts), help_behavior_hint="", metavar=metavar
-        )
+        settings = arg(help=" ".join(texts), help_behavior_hint="", metavar=metavar)
         items.append((option, Annotated[kind, settings], field(default=None)))
     # The module lets copies of it be pickled.
     own = {"__doc__": about, "__module__": __name__}
@@ -260,18 +245,16 @@ def _default(option: Any) -> str:
 
 
 MethodFlags = _flags(
-    "MethodFlags",
-    lambda preset: preset != "ik",
-    "Options of the method; each preset has its own.",
+    "MethodFlags", "Options of the method; each preset has its own.", are_of_qp=False
 )
 QpFlags = _flags(
     "QpFlags",
-    lambda preset: preset == "ik",
     "Weights and settings of the QP, per 10 mm, per 0.1 rad of the wrist, per rad of a joint.",
+    are_of_qp=True,
 )
 
 
-InputFlags = Annotated[InputArguments, tyro.conf.arg(name="")]
+InputFlags = Annotated[InputArguments, arg(name="")]
 """How the recordings of a command are to be read."""
 
 
@@ -294,22 +277,16 @@ class MappingArguments:
         smooth: Smooth the robot's motion by costs of speed and acceleration, for 4 ms more lag.
     """
 
-    preset: Annotated[
-        str | None,
-        hinted("PRESET", f"({', '.join(PRESETS)})"),
-    ] = None
+    preset: Annotated[str | None, hinted("PRESET", f"({', '.join(PRESETS)})")] = None
     human_points: PointSet = None
     robot_points: PointSet = None
-    method: Annotated[MethodFlags, tyro.conf.arg(name="")] = field(  # ty: ignore[invalid-type-form]
+    method: Annotated[MethodFlags, arg(name="")] = field(  # ty: ignore[invalid-type-form]
         default_factory=MethodFlags
     )
-    ik: Annotated[QpFlags, tyro.conf.arg(name="ik")] = field(  # ty: ignore[invalid-type-form]
+    ik: Annotated[QpFlags, arg(name="ik")] = field(  # ty: ignore[invalid-type-form]
         default_factory=QpFlags
     )
-    options: Annotated[
-        Path | None,
-        hinted("OPTIONS.yaml"),
-    ] = None
+    options: Annotated[Path | None, hinted("OPTIONS.yaml")] = None
     smooth: bool = False
 
     def __post_init__(self) -> None:
@@ -355,15 +332,13 @@ class MappingArguments:
 
     def changed(self) -> list[str]:
         """Return the options that were given, as `--ridge` or `--ik.damping`."""
-        usual = vars(MappingArguments())
         names = [*_given(self.method), *(f"ik.{name}" for name in _given(self.ik))]
-        for name in ("preset", "human_points", "robot_points", "options", "smooth"):
-            if vars(self)[name] != usual[name]:
-                names.append(name)
+        others = "preset", "human_points", "robot_points", "options", "smooth"
+        names += filter(vars(self).get, others)
         return [f"--{name.replace('_', '-')}" for name in names]
 
 
-MappingFlags = Annotated[MappingArguments, tyro.conf.arg(name="")]
+MappingFlags = Annotated[MappingArguments, arg(name="")]
 """Reference points and options of a command."""
 
 

@@ -27,11 +27,7 @@ TIMEOUT = 3.0
 
 @contextmanager
 def connected(
-    option: str,
-    host: str,
-    keys: tuple[Path, Path] | None,
-    *,
-    refused: str,
+    option: str, host: str, keys: tuple[Path, Path] | None, *, refused: str
 ) -> Iterator[tuple[Client, str]]:
     """Connect to the service, and close the connection if the block fails.
 
@@ -59,15 +55,15 @@ def connected(
             raise
         except ServiceTimeoutError as error:
             raise InvalidInputError(
+                f"no service answers at {address}",
                 argument=option,
-                problem=f"no service answers at {address}",
                 advice="start one with handmap serve",
             ) from error
         except ServiceError as error:
             problem = f"the service refused the session: {error}"
-            raise InvalidInputError(argument=refused, problem=problem) from error
+            raise InvalidInputError(problem, argument=refused) from error
         except FAILURES as error:
-            raise InvalidInputError(argument=option, problem=str(error)) from error
+            raise InvalidInputError(str(error), argument=option) from error
         closing.pop_all()
 
 
@@ -80,8 +76,8 @@ def only_session(client: Client, session: str | None) -> str:
     names = (session,) if session else client.status().names
     if len(names) > 1:
         raise InvalidInputError(
+            f"several sessions are open: {', '.join(names)}",
             argument="--session",
-            problem=f"several sessions are open: {', '.join(names)}",
             advice="name one with --session",
         )
     return "".join(names)

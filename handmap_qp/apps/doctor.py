@@ -22,10 +22,7 @@ _CORE = (
     *("numpy", "scipy", "pin", "mink", "mujoco"),
     *("qpsolvers", "daqp", "osqp", "proxsuite", "tyro", "rich"),
 )
-_FOLDERS = {
-    "HANDMAP_RECORDINGS": "*.npz",
-    "HANDMAP_HANDS": "*/*.urdf",
-}
+_FOLDERS = {"HANDMAP_RECORDINGS": "*.npz", "HANDMAP_HANDS": "*/*.urdf"}
 """Folders that tests and benchmarks read, with the files expected there."""
 _GL = ("EGL", "OSMesa", "GL")
 """Libraries with which MuJoCo can render."""

@@ -25,5 +25,5 @@ def naming(argument: object = "", problem: str = "", **more: str) -> Iterator[No
     except OSError as error:
         reason = ": ".join(filter(None, (problem, reason_of(error))))
         raise InvalidInputError(
-            argument=str(argument or error.filename), problem=reason, **more
+            reason, argument=str(argument or error.filename), **more
         ) from error

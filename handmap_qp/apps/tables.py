@@ -11,6 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
+Row = dict[str, Any]
+"""A row of a table: values by the names of their columns."""
 _PAIR = ("what", "value")
 """Columns of a table without a header."""
 _PIPE_WIDTH = 1000  # characters
@@ -41,7 +43,7 @@ def progress(what: str, total: int | None = None) -> Iterator[Any]:
 
 
 def print_result(
-    document: Any, tables: Mapping[str, list[dict[str, Any]]], *, as_json: bool
+    document: Any, tables: Mapping[str, list[Row]], *, as_json: bool
 ) -> None:
     """Print a result as JSON, or its tables: rows by title."""
     if as_json:
@@ -51,23 +53,23 @@ def print_result(
         print_rows(title, rows)
 
 
-def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
     """Return the rows of a table by its columns; short columns end with empty cells."""
     rows = zip_longest(*columns.values(), fillvalue="")
     return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
-def table_rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:
+def table_rows(values: Mapping[str, Any]) -> list[Row]:
     """Return labels and values as rows of a table without a header."""
     return [dict(zip(_PAIR, pair, strict=True)) for pair in values.items()]
 
 
-def print_table(title: str, values: dict[str, Any]) -> None:
+def print_table(title: str, values: Row) -> None:
     """Print labels and values as rows under a title."""
     print_rows(title, table_rows(values))
 
 
-def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
+def print_rows(title: str, rows: list[Row]) -> None:
     """Print a table whose columns are the keys of its rows; nothing if there are no rows."""
     from rich.console import Console
     from rich.table import Table
@@ -84,12 +86,7 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
         )
     for row in rows:
         # Text, because a plain string is markup, in which [robots] is a style.
-        table.add_row(
-            *(
-                Text(f"{value:.4g}" if isinstance(value, float) else str(value))
-                for value in row.values()
-            )
-        )
+        table.add_row(*(Text(_as_text(value)) for value in row.values()))
     console = Console()
     if not console.is_terminal and "COLUMNS" not in os.environ:
         # Programs that read a pipe need whole rows.
@@ -98,19 +95,18 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
     console.print(table)
 
 
-def markdown_table(rows: Sequence[dict[str, Any]]) -> str:
+def markdown_table(rows: Sequence[Row]) -> str:
     """Format rows as a Markdown table; numbers have four significant digits."""
     rule = ["---:" if isinstance(v, int | float) else "---" for v in rows[0].values()]
-    lines = [rows[0], rule, *(map(_cell, row.values()) for row in rows)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    cells = [[_as_text(v).replace("|", "\\|") for v in row.values()] for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in [rows[0], rule, *cells])
 
 
-def _cell(value: Any) -> str:
-    text = f"{value:.4g}" if isinstance(value, float) else str(value)
-    return text.replace("|", "\\|")
+def _as_text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def csv_text(rows: Sequence[dict[str, Any]]) -> str:
+def csv_text(rows: Sequence[Row]) -> str:
     """Format rows with the same columns as CSV with a header."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import reason_of
+from handmap_qp.se3 import Array
 from .hand import Hand
 from .sources import urdf_path
 from .urdf import get_numbers, parse_urdf, set_mesh_paths
@@ -129,7 +130,7 @@ _TRIANGLE = 50
 """Bytes of a triangle: normal, three corners and an attribute."""
 
 
-def _stl_vertices(file: str) -> np.ndarray | None:
+def _stl_vertices(file: str) -> Array | None:
     """Return the corners of a binary STL file's triangles; None of any other file.
 
     Most meshes are such files. coal takes up to 80 ms for one, and meanwhile no other thread runs.
@@ -171,7 +172,7 @@ def _prism_around(cylinder: coal.Cylinder) -> coal.Convex | None:
     return _convex_hull(np.vstack([rim, -rim]))
 
 
-def _convex_hull(points: np.ndarray) -> coal.Convex | None:
+def _convex_hull(points: Array) -> coal.Convex | None:
     """Return the convex hull of a mesh's vertices; None if they lie in a plane.
 
     coal's own `buildConvexRepresentation` keeps the vertices inside the hull. They disturb the

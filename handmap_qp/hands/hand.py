@@ -13,8 +13,8 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import HandError, InvalidInputError, expect
 from handmap_qp.se3 import Array, PoseLike, affine, as_floats, check_pose, frozen
@@ -294,7 +294,7 @@ class Hand:
         )
 
     def configuration_vector(
-        self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
+        self, q: ArrayLike, wrist_pose: PoseLike | None = None
     ) -> Array:
         """Compose Pinocchio's configuration vector, shape (model.nq,).
 
@@ -346,7 +346,7 @@ class Hand:
                 got="arrays that do not fit",
             ) from error
 
-    def all_joints(self, q: npt.ArrayLike) -> Array:
+    def all_joints(self, q: ArrayLike) -> Array:
         """Compute the positions of every movable joint, for a driver that needs them.
 
         Args:
@@ -366,16 +366,14 @@ class Hand:
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
         return np.concatenate([self._moving.all_joints(angles), locked], axis=-1)
 
-    def points(self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None) -> Array:
+    def points(self, q: ArrayLike, wrist_pose: PoseLike | None = None) -> Array:
         """Compute the positions of the reference points in the world (eq. 4) [m], shape (m, 3).
 
         Args and errors are those of `configuration_vector`.
         """
         return self._placed(q, wrist_pose).points.copy()
 
-    def point_jacobian(
-        self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
-    ) -> Array:
+    def point_jacobian(self, q: ArrayLike, wrist_pose: PoseLike | None = None) -> Array:
         """Compute the derivative of the reference points with respect to the joint angles.
 
         Args and errors are those of `configuration_vector`.
@@ -386,7 +384,7 @@ class Hand:
         return self._placed(q, wrist_pose).point_jacobian()[:, self.joint_columns]
 
     def frame_pose(
-        self, frame: str, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
+        self, frame: str, q: ArrayLike, wrist_pose: PoseLike | None = None
     ) -> Array:
         """Compute the pose of a frame in the world, shape (4, 4).
 
@@ -408,7 +406,7 @@ class Hand:
         return self._placed(q, wrist_pose).frame_pose(found)
 
     def link_poses(
-        self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: PoseLike | None = None
+        self, links: Sequence[str], q: ArrayLike, wrist_pose: PoseLike | None = None
     ) -> Array:
         """Compute the poses of k links of the URDF in the world, shape (k, 4, 4).
 
@@ -515,7 +513,7 @@ class Hand:
         """Workspace of the methods that place the hand; most hands with other points need none."""
         return self.configuration()
 
-    def _placed(self, q: npt.ArrayLike, wrist_pose: PoseLike | None) -> Configuration:
+    def _placed(self, q: ArrayLike, wrist_pose: PoseLike | None) -> Configuration:
         self._scratch.place(self.configuration_vector(q, wrist_pose))
         return self._scratch
 
@@ -573,6 +571,6 @@ def _check_type(argument: str, value: Any, kind: Any, expected: str) -> None:
     expect(isinstance(value, kind), argument, expected, value=value)
 
 
-def _frozen(values: npt.ArrayLike) -> Array:
+def _frozen(values: ArrayLike) -> Array:
     """Return a write-protected copy as floats."""
     return frozen(np.array(values, dtype=float))

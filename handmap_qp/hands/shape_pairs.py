@@ -5,8 +5,8 @@ from itertools import combinations, compress, product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from handmap_qp.se3 import Array
 from .collision_shapes import read_collision_shapes
@@ -57,7 +57,7 @@ def _ends(geometry: pin.GeometryModel) -> list[tuple[int, int]]:
     return [(pair.first, pair.second) for pair in geometry.collisionPairs]
 
 
-def _paired(geometry: pin.GeometryModel, ends: npt.ArrayLike) -> pin.GeometryModel:
+def _paired(geometry: pin.GeometryModel, ends: ArrayLike) -> pin.GeometryModel:
     """Return the shapes with k pairs of their indices alone, shape (k, 2)."""
     paired = geometry.copy()
     paired.removeAllCollisionPairs()

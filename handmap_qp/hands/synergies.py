@@ -5,7 +5,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
 from handmap_qp.se3 import Array, as_floats, frozen
@@ -25,7 +25,7 @@ class Synergies(NamedTuple):
     matrix: Array
     mean: Array
 
-    def posture(self, z: npt.ArrayLike) -> Array:
+    def posture(self, z: ArrayLike) -> Array:
         """Compute joint angles [rad], shape (20,), not clipped to limits.
 
         Args:
@@ -44,7 +44,7 @@ class Synergies(NamedTuple):
         )
         return self.mean + self.matrix[:, : len(coordinates)] @ coordinates
 
-    def coordinates(self, q: npt.ArrayLike) -> Array:
+    def coordinates(self, q: ArrayLike) -> Array:
         """Compute the coordinates, shape (15,), nearest to joint angles [rad], shape (20,).
 
         The sum of squared differences of the angles is least.

@@ -13,8 +13,8 @@ from xml.parsers import expat
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import HandError
 from handmap_qp.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
@@ -115,7 +115,7 @@ def get_numbers(
     return numbers
 
 
-def set_numbers(element: Element, **numbers: npt.ArrayLike) -> Element:
+def set_numbers(element: Element, **numbers: ArrayLike) -> Element:
     """Write numbers into attributes, minus zero as zero, and return the element."""
     for key, values in numbers.items():
         words = (repr(float(number) + 0.0) for number in np.ravel(values))

@@ -16,7 +16,7 @@ import numpy as np
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import TIPS
 from handmap_qp.ik.core import core
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import Array, lengths
 
 CONTACT_GAPS = (0.012, 0.020)
 """Least and largest contact gap that is measured [m]."""
@@ -38,7 +38,7 @@ _STEP = 0.001
 """Largest change of a live measurement at once [m]."""
 
 
-def tip_gaps(landmarks: np.ndarray) -> np.ndarray:
+def tip_gaps(landmarks: Array) -> Array:
     """Return the distances from the thumb's tip to the other tips [m], shape (..., 4).
 
     Args:
@@ -47,7 +47,7 @@ def tip_gaps(landmarks: np.ndarray) -> np.ndarray:
     return lengths(landmarks[..., TIPS[1:], :] - landmarks[..., TIPS[:1], :])
 
 
-def smallest_gap(time: np.ndarray, landmarks: np.ndarray) -> float:
+def smallest_gap(time: Array, landmarks: Array) -> float:
     """Return the 1st percentile of the smallest gap, of gaps that are medians over 0.1 s [m].
 
     Args:
@@ -108,7 +108,7 @@ class ContactGapMeter:
         self._least = math.inf
         self._is_due = False
 
-    def add(self, time: float, landmarks: np.ndarray) -> bool:
+    def add(self, time: float, landmarks: Array) -> bool:
         """Take one sample that the robot follows.
 
         Args:

@@ -22,7 +22,7 @@ from handmap_qp.human.recording import HumanMotion, Recording
 from handmap_qp.human.sample import LANDMARK_COUNT, PALM, PalmShape, human_name
 from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.ik.options import LENGTH_UNIT
-from handmap_qp.se3 import as_floats, rigid_fit
+from handmap_qp.se3 import Array, as_floats, rigid_fit
 from handmap_qp.se3 import lengths as norms
 
 _WEIGHTS = (0.0, 1.0, 1.0, 2.0)
@@ -39,7 +39,7 @@ _FIRST_SHARES = ([0.0] * 4, [0.4] * 4, [0.8] * 4, [0.0, 0.0, 0.0, 0.8])
 _SHAPE = (len(FINGERS), 4)
 """Fingers, and joints of each."""
 _EACH = np.arange(len(FINGERS))
-_Fit = tuple[np.ndarray, np.ndarray]
+_Fit = tuple[Array, Array]
 """Joint angles of each finger [rad], shape (5, 4), and its cost, shape (5,)."""
 
 
@@ -67,9 +67,9 @@ class LandmarkFitter:
         # Joints are in the order of `HUMAN_JOINTS`: by finger, from its base outwards.
         limits = human.lower_limits, human.upper_limits, human.rest
         self._lower, self._upper, self._rest = (q.reshape(_SHAPE) for q in limits)
-        self._q: np.ndarray | None = None
+        self._q: Array | None = None
 
-    def fit(self, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def fit(self, landmarks: Array) -> tuple[Array, Array, Array]:
         """Fit one sample, starting from the one before.
 
         Args:
@@ -94,7 +94,7 @@ class LandmarkFitter:
         q = self._q.flatten()
         return q, wrist, norms(self.human.points(q) - local)
 
-    def _fits(self, local: np.ndarray) -> list[_Fit]:
+    def _fits(self, local: Array) -> list[_Fit]:
         """Fit a first sample from several postures, any other from the one before.
 
         At 90 degrees of flexion, abduction does not move the bones before the next joint, and a
@@ -113,7 +113,7 @@ class LandmarkFitter:
         start[is_stuck, 0] = self._rest[is_stuck, 0]
         return [(q, cost), self._nearest(start, local)]
 
-    def _nearest(self, start: np.ndarray, local: np.ndarray) -> _Fit:
+    def _nearest(self, start: Array, local: Array) -> _Fit:
         """Fit landmarks in wrist axes (21, 3) [m], from a posture (5, 4) [rad]."""
         human = self.human
         q = nearest_posture(human, local, _COSTS, _REST_WEIGHT, start.ravel())

@@ -20,7 +20,14 @@ from handmap_qp.human.sample import (
     human_name,
 )
 from handmap_qp.ik.core import core
-from handmap_qp.se3 import as_floats, frozen, lengths, rigid_fit, transform_points
+from handmap_qp.se3 import (
+    Array,
+    as_floats,
+    frozen,
+    lengths,
+    rigid_fit,
+    transform_points,
+)
 
 _BENT = math.sin(math.radians(15.0))
 """Sine of the angle between proximal bone and the line from PIP to tip, above which a finger spans
@@ -29,7 +36,7 @@ _FEWEST_BENT = 20
 """Bent samples that a finger's roll needs."""
 
 
-def check_length(landmarks: np.ndarray) -> np.ndarray:
+def check_length(landmarks: Array) -> Array:
     """Reject landmarks that are not a plausible hand in metres.
 
     Args:
@@ -84,9 +91,7 @@ def _measured_hand(recording: Recording) -> HumanLengths:
     return HumanLengths(bases, segments, rolls)
 
 
-def measure_shape(
-    landmarks: np.ndarray, palm: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def measure_shape(landmarks: Array, palm: Array) -> tuple[Array, Array]:
     """Measure the palm and the rolls of a right hand.
 
     Args:
@@ -144,7 +149,7 @@ def scaled_human(
 
 
 @cache
-def _standard_palm() -> np.ndarray:
+def _standard_palm() -> Array:
     """Return the palm's landmarks of the standard right hand [m], shape (5, 3), read-only."""
     right = load_hand("human", points="landmarks")
     flat = np.clip(0.0, right.lower_limits, right.upper_limits)

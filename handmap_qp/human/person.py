@@ -17,6 +17,7 @@ from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.spec import Document, Vector, read_yaml, typed
 from handmap_qp.human.sample import expect_hand_length
 from handmap_qp.output_files import replaced_file
+from handmap_qp.se3 import Array
 
 LARGEST_GAP = 0.04
 """Largest contact gap that a file may give [m]."""
@@ -153,7 +154,7 @@ _PERSON_FILE = msgspec.defstruct(
 """The keys of a person's file."""
 
 
-def _row(values: np.ndarray) -> str:
+def _row(values: Array) -> str:
     return "[" + ", ".join(f"{value:.{_DECIMALS}f}" for value in values) + "]"
 
 

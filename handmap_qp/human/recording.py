@@ -16,7 +16,7 @@ from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import UPRIGHT, Side
 from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample, check_side
-from handmap_qp.se3 import affine, as_floats, check_poses, frozen
+from handmap_qp.se3 import Array, affine, as_floats, check_poses, frozen
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 _COLUMNS = ("time", "landmarks", "valid", "wrist", "confidence")
@@ -47,13 +47,13 @@ class Recording:
     """
 
     name: str
-    time: np.ndarray
-    landmarks: np.ndarray
-    valid: np.ndarray
+    time: Array
+    landmarks: Array
+    valid: Array
     side: Side
     source: str = ""
-    wrist: np.ndarray | None = None
-    confidence: np.ndarray | None = None
+    wrist: Array | None = None
+    confidence: Array | None = None
     upright: str = ""
 
     def __post_init__(self) -> None:
@@ -95,7 +95,7 @@ class Recording:
         # Through the constructor, because pickling drops the read-only flag of arrays.
         return type(self), tuple(getattr(self, field.name) for field in fields(self))
 
-    def part(self, samples: slice | np.ndarray) -> Recording:
+    def part(self, samples: slice | Array) -> Recording:
         """Return some of the samples.
 
         Args:
@@ -109,7 +109,7 @@ class Recording:
         return replace(self, **known)
 
     @property
-    def steps(self) -> np.ndarray:
+    def steps(self) -> Array:
         """Time from each sample's predecessor [s], shape (T,).
 
         The first is the median of the others.
@@ -135,21 +135,21 @@ class HumanMotion:
     """
 
     human: Hand
-    time: np.ndarray
-    dt: np.ndarray
-    q: np.ndarray
-    wrist: np.ndarray
-    valid: np.ndarray
-    fit_error: np.ndarray
+    time: Array
+    dt: Array
+    q: Array
+    wrist: Array
+    valid: Array
+    fit_error: Array
 
 
-def axis_direction(axis: str) -> np.ndarray:
+def axis_direction(axis: str) -> Array:
     """Return the unit vector of an axis such as `-z`, shape (3,)."""
     sign, name = axis
     return float(f"{sign}1") * np.eye(3)["xyz".index(name)]
 
 
-def upright_axes(upright: str) -> np.ndarray:
+def upright_axes(upright: str) -> Array:
     """Return the rotation that takes a world's forward to x and up to z (REP 103), shape (3, 3).
 
     Raises:
@@ -162,9 +162,7 @@ def upright_axes(upright: str) -> np.ndarray:
     return np.array([x, np.cross(z, x), z])
 
 
-def turned(
-    recording: Recording, turn: np.ndarray, own: np.ndarray, **changes: Any
-) -> Recording:
+def turned(recording: Recording, turn: Array, own: Array, **changes: Any) -> Recording:
     """Return a recording in other axes.
 
     Args:
@@ -209,11 +207,11 @@ class SampleColumns(NamedTuple):
     """
 
     side: Side
-    time: np.ndarray
-    landmarks: np.ndarray
-    valid: np.ndarray
-    confidence: np.ndarray
-    wrist: np.ndarray | None
+    time: Array
+    landmarks: Array
+    valid: Array
+    confidence: Array
+    wrist: Array | None
 
     def sample(self, i: int) -> HumanSample:
         """Return one of them."""
@@ -225,7 +223,7 @@ class SampleColumns(NamedTuple):
 
 
 def sample_columns(
-    recording: Recording, wrist_poses: np.ndarray | None = None
+    recording: Recording, wrist_poses: Array | None = None
 ) -> SampleColumns:
     """Return the samples of a recording as columns.
 
@@ -243,14 +241,14 @@ def sample_columns(
 
 
 def recording_samples(
-    recording: Recording, wrist_poses: np.ndarray | None = None
+    recording: Recording, wrist_poses: Array | None = None
 ) -> list[HumanSample]:
     """Return the samples of a recording; arguments as of `sample_columns`."""
     columns = sample_columns(recording, wrist_poses)
     return [columns.sample(i) for i in range(len(recording))]
 
 
-def as_flags(values: Any, name: str, count: int) -> np.ndarray:
+def as_flags(values: Any, name: str, count: int) -> Array:
     """Return truth values, shape (count,), of booleans or of zeros and ones.
 
     Raises:
@@ -262,16 +260,16 @@ def as_flags(values: Any, name: str, count: int) -> np.ndarray:
     return flags.astype(bool)
 
 
-def finite_samples(values: np.ndarray) -> np.ndarray:
+def finite_samples(values: Array) -> Array:
     """Tell of samples (T, ...) whether all their numbers are finite, shape (T,)."""
     return np.asarray(np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
 
 
 def _expect_each(
-    is_right: np.ndarray,
+    is_right: Array,
     argument: str,
     expected: str,
-    values: np.ndarray,
+    values: Array,
     got: str = "{} in sample {}",
 ) -> None:
     """Reject an array if one of its samples is wrong; `got` tells its value and its index."""

@@ -18,7 +18,7 @@ from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec, Side
-from handmap_qp.se3 import as_floats, check_pose, frozen, transform_points
+from handmap_qp.se3 import Array, as_floats, check_pose, frozen, transform_points
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
@@ -71,8 +71,8 @@ class HumanSample:
 
     time: float
     side: Side
-    landmarks: np.ndarray
-    wrist: np.ndarray | None = None
+    landmarks: Array
+    wrist: Array | None = None
     valid: bool = True
     confidence: float = 1.0
 
@@ -131,7 +131,7 @@ class PalmShape:
         self.points = landmarks_at_rest(human)[PALM]
         self._size = float(palm_sizes(self.points))
 
-    def ratios(self, landmarks: np.ndarray) -> np.ndarray:
+    def ratios(self, landmarks: Array) -> Array:
         """Return the size of palms over this one's, shape (...).
 
         Args:
@@ -139,7 +139,7 @@ class PalmShape:
         """
         return palm_sizes(landmarks[..., PALM, :]) / self._size
 
-    def fits(self, landmarks: np.ndarray) -> np.ndarray:
+    def fits(self, landmarks: Array) -> Array:
         """Tell whether landmarks belong to a hand about as large as this one.
 
         Landmarks in other units, or all in one place, do not.
@@ -153,7 +153,7 @@ class PalmShape:
         ratios = self.ratios(landmarks)
         return np.asarray((ratios >= _PALM_RATIOS[0]) & (ratios <= _PALM_RATIOS[1]))
 
-    def check(self, landmarks: np.ndarray) -> None:
+    def check(self, landmarks: Array) -> None:
         """Reject landmarks of a hand that is much larger or smaller.
 
         Args:
@@ -172,7 +172,7 @@ class PalmShape:
 
 
 @lru_cache(maxsize=16)
-def landmarks_at_rest(human: Hand) -> np.ndarray:
+def landmarks_at_rest(human: Hand) -> Array:
     """Return the landmarks of a hand at rest in the frame of its wrist [m], shape (21, 3).
 
     Raises:
@@ -216,7 +216,7 @@ def expect_hand_length(length: float, argument: str) -> None:
     )
 
 
-def palm_sizes(palms: np.ndarray) -> np.ndarray:
+def palm_sizes(palms: Array) -> Array:
     """Return RMS distances of palms' points (..., 5, 3) from their centroids [m], shape (...)."""
     offsets = palms - palms.mean(axis=-2, keepdims=True)
     return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))

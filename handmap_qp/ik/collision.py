@@ -66,7 +66,7 @@ from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
 from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.limits import Rows
 from handmap_qp.ik.tasks import Goal
-from handmap_qp.se3 import inverse_pose, lengths, transform_points
+from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.ik.qp import IkResult, PointIk
@@ -121,8 +121,8 @@ class NearPairs(NamedTuple):
             first shape, shape (r, 7).
     """
 
-    pairs: np.ndarray
-    found: np.ndarray
+    pairs: Array
+    found: Array
 
 
 class PairBounds(Compiled):
@@ -204,7 +204,7 @@ class ShapeDistances:
         """Build copies with data of their own."""
         return ShapeDistances, (self._model, self.bounds.geometry)
 
-    def measure(self, q: np.ndarray, horizon: np.ndarray | float = np.inf) -> NearPairs:
+    def measure(self, q: Array, horizon: Array | float = np.inf) -> NearPairs:
         """Measure the pairs within a horizon.
 
         Args:
@@ -222,7 +222,7 @@ class ShapeDistances:
         is_near = found[:, 0] <= horizons[pairs]
         return NearPairs(pairs[is_near], found[is_near])
 
-    def _found_at(self, q: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    def _found_at(self, q: Array, pairs: Array) -> Array:
         """Return what is found of some pairs in a posture; as of `NearPairs`, shape (r, 7)."""
         self._place(q)
         found = np.empty((len(pairs), 7))
@@ -233,14 +233,14 @@ class ShapeDistances:
             row[4:] = result.getNearestPoint1()
         return found
 
-    def _place(self, q: np.ndarray) -> np.ndarray:
+    def _place(self, q: Array) -> Array:
         """Place all shapes in a posture, and return their poses, shape (s, 4, 4)."""
         geometry = self.bounds.geometry
         pin.updateGeometryPlacements(self._model, self._data, geometry, self._shapes, q)
         poses = [pose.homogeneous for pose in self._shapes.oMg]
         return np.reshape(poses, (-1, 4, 4))
 
-    def met_on(self, q: np.ndarray, step: np.ndarray) -> NearPairs | None:
+    def met_on(self, q: Array, step: Array) -> NearPairs | None:
         """Return what meets on a straight path; None if no pair of shapes does.
 
         Pairs that touch at the start already are left out.
@@ -297,7 +297,7 @@ class ShapeDistances:
         return None
 
     def _meetings(
-        self, q: np.ndarray, there: np.ndarray, pairs: np.ndarray, found: np.ndarray
+        self, q: Array, there: Array, pairs: Array, found: Array
     ) -> NearPairs:
         """Return what was found in one posture, `there`, of the same points in another one."""
         moved = self._place(q) @ inverse_pose(self._place(there))
@@ -312,7 +312,7 @@ class ShapeDistances:
         return NearPairs(pairs, np.hstack([gaps, turned, ends])[..., 0])
 
 
-def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
+def _levers(model: pin.Model, shape: pin.GeometryObject) -> Array:
     """Bound the speed of a shape's points per speed of each coordinate, shape (nv,).
 
     No lever is shorter than those of joints nearer to the shape. So times a turn of its joint, it
@@ -346,7 +346,7 @@ def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
     return levers
 
 
-def _extent(shape: pin.GeometryObject) -> tuple[np.ndarray, float]:
+def _extent(shape: pin.GeometryObject) -> tuple[Array, float]:
     """Return points and a radius about them within which a shape is, in its joint's frame.
 
     The corners of its bounding box, or the centre of its bounding ball if that is smaller.
@@ -403,9 +403,9 @@ class CollisionLimit:
         )
         self.shape_distances = ShapeDistances(hand.model, pairs.geometry)
         is_moving = (self.shape_distances.bounds.levers > 0.0).any(axis=0)
-        self.columns: np.ndarray = is_moving @ (self._expansion != 0.0)
+        self.columns: Array = is_moving @ (self._expansion != 0.0)
 
-    def distances(self, configuration: Configuration) -> np.ndarray:
+    def distances(self, configuration: Configuration) -> Array:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
 
         Args:
@@ -415,10 +415,10 @@ class CollisionLimit:
 
     def measure(
         self,
-        q: np.ndarray,
+        q: Array,
         dt: float = np.inf,
-        margins: np.ndarray | None = None,
-        last: np.ndarray | None = None,
+        margins: Array | None = None,
+        last: Array | None = None,
     ) -> NearPairs:
         """Measure the pairs that get rows.
 
@@ -439,7 +439,7 @@ class CollisionLimit:
         kept = self.margin if margins is None else margins
         return self.shape_distances.measure(q, kept + reach)
 
-    def met_on(self, q: np.ndarray, displacement: np.ndarray) -> NearPairs | None:
+    def met_on(self, q: Array, displacement: Array) -> NearPairs | None:
         """Return what meets on a straight path; see `ShapeDistances.met_on`.
 
         Args:
@@ -452,7 +452,7 @@ class CollisionLimit:
         self,
         configuration: Configuration,
         near: NearPairs,
-        margins: np.ndarray | float | None = None,
+        margins: Array | float | None = None,
     ) -> Rows:
         """Linearise the distances of the measured pairs as rows `G dq <= h`.
 
@@ -488,9 +488,9 @@ class Detour(NamedTuple):
         wait: Time until it may look ahead again [s].
     """
 
-    via: np.ndarray | None = None
-    points: np.ndarray = np.array(np.inf)
-    known: np.ndarray = np.array(0.0)
+    via: Array | None = None
+    points: Array = np.array(np.inf)
+    known: Array = np.array(0.0)
     left: float = 0.0
     wait: float = 0.0
 
@@ -523,7 +523,7 @@ class Detours:
         return self._detour if self._ik.gate.motion is self._motion else _NONE
 
     def solve(
-        self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
+        self, goal: Goal, dt: float, margins: Array | None, speed: float
     ) -> IkResult:
         """Move the hand for one sample; arguments as of `PointIk.solve`."""
         ik = self._ik
@@ -547,7 +547,7 @@ class Detours:
         return result
 
     def look_ahead(
-        self, goal: Goal, margins: np.ndarray | None, result: IkResult, time: float
+        self, goal: Goal, margins: Array | None, result: IkResult, time: float
     ) -> None:
         """Take a detour if the hand is held away from its targets, and that leads nearer.
 
@@ -579,8 +579,8 @@ class Detours:
         self._detour = Detour(via, goal.points, left=_LONGEST * _SAMPLE)
 
     def _foresee(
-        self, goal: Goal, margins: np.ndarray | None, via: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, goal: Goal, margins: Array | None, via: Array | None = None
+    ) -> tuple[Array, Array]:
         """Return errors of the points, shape (m,), and joints, shape (n,), where the hand ends."""
         ik = self._ik
         motion = ik.gate.motion
@@ -598,20 +598,20 @@ class Detours:
         ik.gate.motion = motion
         return errors, result.q[ik.hand.q_indices]
 
-    def _errors(self, result: IkResult) -> np.ndarray:
+    def _errors(self, result: IkResult) -> Array:
         """Return the weighted error of every point [cost], shape (m,)."""
         return self._costs * lengths(result.errors)
 
-    def _pulled(self, goal: Goal, posture: np.ndarray) -> Goal:
+    def _pulled(self, goal: Goal, posture: Array) -> Goal:
         """Return a goal that pulls the fingers to a posture."""
         return goal._replace(postures=[(_PULL * self._is_finger, posture)])
 
-    def _is_at(self, posture: np.ndarray) -> bool:
+    def _is_at(self, posture: Array) -> bool:
         off = self._ik.gate.motion.q[self._ik.hand.q_indices] - posture
         return bool((np.abs(off)[self._is_finger] < _REACHED).all())
 
 
-def _is_nearer(errors: np.ndarray, other: np.ndarray) -> bool:
+def _is_nearer(errors: Array, other: Array) -> bool:
     """Return whether a way's errors are clearly smaller than other ones, shape (m,) both."""
     is_nearer = (other > AWAY) & (errors < _OF_POINT * other)
     return bool(is_nearer.any() and errors @ errors < _OF_ALL * other @ other)

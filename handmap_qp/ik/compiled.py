@@ -19,7 +19,7 @@ from handmap_qp.ik.limits import Gate
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Goal, PointDistances, PointOffset, Task
-from handmap_qp.se3 import frozen
+from handmap_qp.se3 import Array, frozen
 
 STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""
@@ -36,7 +36,7 @@ class CompiledIk:
         self._result = partial(_result_of, hand, gate.links)
 
     def solve(
-        self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
+        self, goal: Goal, dt: float, margins: Array | None, speed: float
     ) -> IkResult:
         """Move the hand for one sample; arguments as of `PointIk.solve`."""
         distances, offsets, tasks = [], [], []
@@ -79,9 +79,7 @@ class CompiledIk:
             self.core, self._gate, target_map, self._hand, self._result
         )
 
-    def _linearise(
-        self, tasks: Sequence[Task], q: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _linearise(self, tasks: Sequence[Task], q: Array) -> tuple[Array, Array, Array]:
         """Return the rows of tasks that are written in Python, at a configuration."""
         placed = self._placed
         placed.place(q)

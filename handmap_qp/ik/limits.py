@@ -56,10 +56,11 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
+from handmap_qp.se3 import Array
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,7 +68,7 @@ if TYPE_CHECKING:
     from handmap_qp.hands.configuration import Configuration
     from handmap_qp.ik.collision import CollisionLimit, NearPairs
 
-Rows = tuple[np.ndarray, np.ndarray]
+Rows = tuple[Array, Array]
 """G, shape (r, n), and h, shape (r,), of `G x <= h`."""
 SHORTEST_DT = 1e-6
 """Least time that a sample accounts for [s].
@@ -112,10 +113,10 @@ class Box(NamedTuple):
         most: As said.
     """
 
-    lower: np.ndarray
-    upper: np.ndarray
-    least: np.ndarray
-    most: np.ndarray
+    lower: Array
+    upper: Array
+    least: Array
+    most: Array
 
 
 class BoxLimits:
@@ -144,7 +145,7 @@ class BoxLimits:
         *,
         has_velocity_limits: bool = True,
         max_acceleration: float | None = None,
-        together: np.ndarray | bool = False,
+        together: Array | bool = False,
     ) -> None:
         self.size = len(hand.active_columns)
         # The limits of a configuration. Those of Pinocchio's free-flyer, +-1.8e308, stay out of all
@@ -171,7 +172,7 @@ class BoxLimits:
         is_limited = max_acceleration is not None and max_acceleration < _NO_LIMIT
         self.acceleration = max_acceleration if is_limited else math.inf
 
-    def box(self, q: np.ndarray, dt: float, velocity: npt.ArrayLike = 0.0) -> Box:
+    def box(self, q: Array, dt: float, velocity: ArrayLike = 0.0) -> Box:
         """Return the bounds of the displacement, and which need no further check.
 
         Args:
@@ -206,7 +207,7 @@ class BoxLimits:
             np.minimum(most, highest) + slack,
         )
 
-    def is_inside(self, q: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    def is_inside(self, q: Array, displacement: Array) -> Array:
         """Return which coordinates a displacement leaves inside their position limits, shape (nv,).
 
         One that is outside must not move farther out.
@@ -220,7 +221,7 @@ class BoxLimits:
         most = np.maximum(self.upper + _ROUNDING - here, 0.0)
         return displacement == np.clip(displacement, least, most)
 
-    def clipped(self, q: np.ndarray, before: np.ndarray) -> np.ndarray:
+    def clipped(self, q: Array, before: Array) -> Array:
         """Return a configuration inside its position limits, or no farther outside than before.
 
         Args:
@@ -235,7 +236,7 @@ class BoxLimits:
         """Return by how much acceleration can change a displacement [rad or m]; never 0."""
         return max(self.acceleration * (dt * dt), 1e-200)
 
-    def stop_times(self, displacement: np.ndarray, dt: float) -> np.ndarray:
+    def stop_times(self, displacement: Array, dt: float) -> Array:
         """Return the time in which each coordinate stops behind a displacement [s], shape (nv,).
 
         Args:
@@ -246,7 +247,7 @@ class BoxLimits:
         longest = times.max(initial=0.0, where=self.together)
         return np.where(self.together, longest, times)
 
-    def stopping(self, velocity: npt.ArrayLike, dt: float) -> float:
+    def stopping(self, velocity: ArrayLike, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it.
 
         Args:
@@ -259,7 +260,7 @@ class BoxLimits:
         return 0.5 * (fastest / self.acceleration + dt) / dt
 
 
-def braking_displacement(distance: np.ndarray, change: float) -> np.ndarray:
+def braking_displacement(distance: Array, change: float) -> Array:
     """Return the largest displacement x after which a joint can still stop within `distance`.
 
     The root of `x + x^2 / (2 a dt^2) = distance`, in a form without cancellation.
@@ -273,11 +274,11 @@ def braking_displacement(distance: np.ndarray, change: float) -> np.ndarray:
 
 def feasible(
     rows: Rows,
-    lower: np.ndarray,
-    upper: np.ndarray,
+    lower: Array,
+    upper: Array,
     *,
     stopping: float = 0.0,
-    so_far: np.ndarray | None = None,
+    so_far: Array | None = None,
 ) -> Rows:
     """Loosen rows where they contradict each other or a box.
 
@@ -326,18 +327,18 @@ class Motion(NamedTuple):
             (nv,); 0 for at once.
     """
 
-    q: np.ndarray
-    displacement: np.ndarray
+    q: Array
+    displacement: Array
     dt: float
-    stop_times: np.ndarray
+    stop_times: Array
 
     @classmethod
-    def at_rest(cls, q: np.ndarray, nv: int) -> Motion:
+    def at_rest(cls, q: Array, nv: int) -> Motion:
         """Return the motion of a robot that stands at a configuration."""
         return cls(np.array(q), np.zeros(nv), 1.0, np.zeros(nv))
 
     @property
-    def velocity(self) -> np.ndarray:
+    def velocity(self) -> Array:
         """Velocity in the last sample, shape (nv,)."""
         return self.displacement / self.dt
 
@@ -409,11 +410,11 @@ class Gate:
         self._read = read
         self.was_set = False
 
-    def place(self, q: np.ndarray) -> None:
+    def place(self, q: Array) -> None:
         """Put the robot at a configuration of Pinocchio, shape (nq,), at rest."""
         self.motion = Motion.at_rest(q, self.limits.size)
 
-    def bounds(self, dt: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self, dt: float, share: float = 1.0) -> tuple[Array, Array]:
         """Return the bounds of the next displacement, shape (nv,) each.
 
         Args:
@@ -430,7 +431,7 @@ class Gate:
         return self.limits.stopping(self.motion.velocity, dt)
 
     def rows(
-        self, placed: Configuration, dt: float, margins: np.ndarray | None = None
+        self, placed: Configuration, dt: float, margins: Array | None = None
     ) -> Rows | None:
         """Return the rows of the pairs of shapes for the next displacement; None without pairs.
 
@@ -454,7 +455,7 @@ class Gate:
         self._row_pairs = np.append(self._row_pairs, met.pairs)
         return np.vstack([rows[0], further[0]]), np.append(rows[1], further[1])
 
-    def press(self, slope: np.ndarray, step: np.ndarray, rows: Rows) -> None:
+    def press(self, slope: Array, step: Array, rows: Rows) -> None:
         """Note the pair whose row the cost presses a step against most, if it is much.
 
         Args:
@@ -471,12 +472,12 @@ class Gate:
 
     def admit(
         self,
-        wanted: np.ndarray,
-        first: np.ndarray,
+        wanted: Array,
+        first: Array,
         dt: float,
-        around: Callable[[NearPairs], np.ndarray] | None = None,
+        around: Callable[[NearPairs], Array] | None = None,
         tries: int = _TRIES,
-    ) -> np.ndarray:
+    ) -> Array:
         """Move the robot by a displacement, or by another one that is admitted.
 
         Args:
@@ -507,7 +508,7 @@ class Gate:
         self._move(taken, times, dt)
         return taken
 
-    def brake(self, dt: float) -> np.ndarray:
+    def brake(self, dt: float) -> Array:
         """Take the stop that was admitted last, for a sample of dt [s]; return the displacement."""
         dt = max(dt, SHORTEST_DT)
         self.held_by = -1
@@ -515,14 +516,14 @@ class Gate:
         self._move(displacement, np.maximum(self.motion.stop_times - dt, 0.0), dt)
         return displacement
 
-    def _braking(self, dt: float) -> np.ndarray:
+    def _braking(self, dt: float) -> Array:
         """Return the displacement of the stop that was admitted last."""
         share = 1.0 - dt / np.maximum(self.motion.stop_times, dt)
         return self.motion.velocity * (dt * share)
 
     def _shortened(
-        self, wanted: np.ndarray | None, first: np.ndarray, dt: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, wanted: Array | None, first: Array, dt: float
+    ) -> tuple[Array, Array]:
         """Return a displacement that is admitted, and the times of the stop behind it.
 
         Coordinates that stop alone take theirs, or brake. The others take the wanted one, if there
@@ -556,9 +557,7 @@ class Gate:
         # The line of the stop in force was found clear before.
         return taken, np.where(together, left, times)
 
-    def _met_on(
-        self, displacement: np.ndarray, times: np.ndarray, dt: float
-    ) -> NearPairs | None:
+    def _met_on(self, displacement: Array, times: Array, dt: float) -> NearPairs | None:
         """Return what meets in a displacement and the stop behind it; None if nothing does."""
         if self.collisions is None:
             return None
@@ -566,9 +565,7 @@ class Gate:
         whole = np.where(self._together, whole, 0.0)
         return self.collisions.met_on(self.motion.q, whole)
 
-    def _move(
-        self, displacement: np.ndarray, stop_times: np.ndarray, dt: float
-    ) -> None:
+    def _move(self, displacement: Array, stop_times: Array, dt: float) -> None:
         q = self.motion.q
         expansion = self.hand.expansion
         step = displacement if expansion is None else expansion.matrix.dot(displacement)

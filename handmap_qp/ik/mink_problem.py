@@ -25,9 +25,9 @@ from handmap_qp.ik.limits import Rows
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import carriers, point_rows, wrist_rows
 from handmap_qp.ik.tasks import Goal, Task
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import Array, lengths
 
-ErrorAndJacobian = tuple[np.ndarray, np.ndarray]
+ErrorAndJacobian = tuple[Array, Array]
 
 
 class Term(mink.Task):
@@ -39,22 +39,22 @@ class Term(mink.Task):
     """
 
     def __init__(
-        self, cost: np.ndarray, linearise: Callable[[Any], ErrorAndJacobian]
+        self, cost: Array, linearise: Callable[[Any], ErrorAndJacobian]
     ) -> None:
         super().__init__(cost=cost)
         self.linearise = linearise
 
-    def compute_error(self, configuration: Any) -> np.ndarray:
+    def compute_error(self, configuration: Any) -> Array:
         """Return e, shape (r,)."""
         return self.linearise(configuration)[0]
 
-    def compute_jacobian(self, configuration: Any) -> np.ndarray:
+    def compute_jacobian(self, configuration: Any) -> Array:
         """Return J, shape (r, nv)."""
         return self.linearise(configuration)[1]
 
 
 def point_term(
-    targets: np.ndarray, cost: np.ndarray, wrist: pin.SE3 | None = None, part: int = 0
+    targets: Array, cost: Array, wrist: pin.SE3 | None = None, part: int = 0
 ) -> Term:
     """Return the term of a hand's p reference points to their targets.
 
@@ -78,7 +78,7 @@ def wrist_term(target: pin.SE3, costs: tuple[float, float], part: int = 0) -> Te
     return Term(np.repeat(costs, 3), lambda hand: wrist_rows(hand, target, part))
 
 
-def posture_term(hand: Hand, cost: float | np.ndarray, posture: np.ndarray) -> Term:
+def posture_term(hand: Hand, cost: float | Array, posture: Array) -> Term:
     """Return the term of all joints to a posture: the null-space term of eq. (8), costs of speed.
 
     Args:
@@ -144,9 +144,7 @@ class RowsLimit(mink.Limit):
         rows: G, shape (r, nv), and h, shape (r,), of self-collision avoidance; none if omitted.
     """
 
-    def __init__(
-        self, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
-    ) -> None:
+    def __init__(self, lower: Array, upper: Array, rows: Rows | None = None) -> None:
         eye = np.eye(len(upper))
         further, least = (np.zeros((0, len(upper))), ()) if rows is None else rows
         G = np.vstack([eye, -eye, further])

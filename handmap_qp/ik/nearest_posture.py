@@ -20,6 +20,7 @@ from handmap_qp.hands.fingers import joint_motion
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.qp import solve_by_daqp
+from handmap_qp.se3 import Array
 
 _MOST_STEPS = 50
 _SMALLEST_STEP = 1e-8  # rad or m
@@ -34,12 +35,8 @@ _LEAST_CURVATURE = 1e-6
 
 
 def nearest_posture(
-    hand: Hand,
-    targets: np.ndarray,
-    costs: np.ndarray,
-    rest_cost: float,
-    start: np.ndarray,
-) -> np.ndarray:
+    hand: Hand, targets: Array, costs: Array, rest_cost: float, start: Array
+) -> Array:
     """Return the joint positions that bring a hand's points nearest to their targets.
 
     Joints that move the wrist (those of an arm) stay as in the rest posture.
@@ -90,8 +87,8 @@ class _Terms(NamedTuple):
     """Value, gradient (k,) and Hessian (k, k) of f in the free joints."""
 
     value: float
-    gradient: np.ndarray
-    hessian: np.ndarray
+    gradient: Array
+    hessian: Array
 
 
 class _Distance:
@@ -102,7 +99,7 @@ class _Distance:
     """
 
     def __init__(
-        self, hand: Hand, targets: np.ndarray, costs: np.ndarray, rest_cost: float
+        self, hand: Hand, targets: Array, costs: Array, rest_cost: float
     ) -> None:
         self._hand = hand
         self._targets = targets
@@ -115,13 +112,13 @@ class _Distance:
         self._spread = spread[:, self.free]
         self._rest = hand.rest[self.free]
 
-    def whole(self, x: np.ndarray) -> np.ndarray:
+    def whole(self, x: Array) -> Array:
         """Return the positions of all joints, given those of the free ones."""
         q = self._hand.rest.copy()
         q[self.free] = x
         return q
 
-    def at(self, x: np.ndarray) -> _Terms:
+    def at(self, x: Array) -> _Terms:
         """Return f and its derivatives at positions of the free joints, shape (k,)."""
         placed = self._placed
         away = x - self._rest
@@ -145,14 +142,14 @@ class _Distance:
 
 
 @lru_cache(maxsize=16)
-def _coordinates(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
+def _coordinates(hand: Hand) -> tuple[Array, Array]:
     """Return `joint_motion`, and for each coordinate of the model those that it carries, or 0."""
     model = hand.model
     carriers = np.repeat(np.arange(model.njoints), model.nvs)
     return joint_motion(hand), moved_by(model, carriers.tolist()).T
 
 
-def _convex(hessian: np.ndarray) -> np.ndarray:
+def _convex(hessian: Array) -> Array:
     """Return a matrix with positive eigenvalues, so that every step leads downhill."""
     values, vectors = np.linalg.eigh(hessian)
     if values[0] > 0.0:

@@ -8,6 +8,7 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.options import Options, number, text
+from handmap_qp.se3 import Array
 
 LENGTH_UNIT = 0.01
 """Length that counts as one in the cost [m]."""
@@ -142,7 +143,7 @@ class IkOptions(Options, frozen=True):
         ),
     ] = ()
 
-    def point_costs(self, hand: Hand) -> np.ndarray:
+    def point_costs(self, hand: Hand) -> Array:
         """Return the cost of every reference point's error [cost]/[m], shape (m,)."""
         return self.point_weight / LENGTH_UNIT * np.sqrt(hand.point_weights)
 

@@ -29,7 +29,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
-from handmap_qp.se3 import frozen, lengths, transform_points
+from handmap_qp.se3 import Array, frozen, lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
@@ -79,40 +79,40 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
     """
 
     status: Status
-    points: np.ndarray
-    targets: np.ndarray
-    q: np.ndarray
-    wrists: np.ndarray
-    displacement: np.ndarray
-    active: np.ndarray
+    points: Array
+    targets: Array
+    q: Array
+    wrists: Array
+    displacement: Array
+    active: Array
     hand: Hand
     iterations: int
     last_step: float
     held_by: tuple[str, ...] = ()
 
     @property
-    def wrist(self) -> np.ndarray:
+    def wrist(self) -> Array:
         """Wrist frame of the hand, or of the first one of a robot, shape (4, 4)."""
         return self.wrists[0]
 
     @property
-    def errors(self) -> np.ndarray:
+    def errors(self) -> Array:
         """Target minus point [m], shape (m, 3)."""
         return self.targets - self.points
 
 
 @lru_cache(maxsize=16)
-def _costs(hand: Hand, options: IkOptions) -> np.ndarray:
+def _costs(hand: Hand, options: IkOptions) -> Array:
     """Return the costs of points and wrist by their coordinates, shape (3 m + 6,), read-only."""
     return frozen(np.repeat([*options.point_costs(hand), *options.wrist_costs], 3))
 
 
 def point_rows(
     configuration: Configuration,
-    targets: np.ndarray,
+    targets: Array,
     wrist: pin.SE3 | None = None,
     part: int = 0,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """Return error, shape (3 p,), and Jacobian, shape (3 p, k), of a hand's p points to targets.
 
     Args:
@@ -137,12 +137,12 @@ def carriers(options: IkOptions, goal: Goal) -> list[pin.SE3]:
     return [*map(pin.SE3, goal.wrists)] if goes else []
 
 
-def moved_along(here: pin.SE3, targets: np.ndarray, wrist: pin.SE3) -> np.ndarray:
+def moved_along(here: pin.SE3, targets: Array, wrist: pin.SE3) -> Array:
     """Return targets that are rigidly on a wrist's target, where the wrist is instead, (m, 3)."""
     return transform_points((here * wrist.inverse()).homogeneous, targets)
 
 
-def wrist_error(wrist: np.ndarray, target: np.ndarray) -> np.ndarray:
+def wrist_error(wrist: Array, target: Array) -> Array:
     """Return how far a pose of the wrist is from its target [m, rad], shape (2,)."""
     turn = pin.log3(target[:3, :3].T @ wrist[:3, :3])
     return lengths(np.array([wrist[:3, 3] - target[:3, 3], turn]))
@@ -150,7 +150,7 @@ def wrist_error(wrist: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 def wrist_rows(
     hand: Configuration, target: pin.SE3, part: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """Return error, shape (6,), and Jacobian, (6, k), of a wrist to a pose, in its own axes."""
     offset = target.actInv(hand.wrists[part])
     return pin.log6(offset).vector, hand.wrist_jacobian(pin.Jlog6(offset), part)
@@ -158,7 +158,7 @@ def wrist_rows(
 
 def direct_cost(
     hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """Return H, shape (k, k), and c, shape (k,), of the QP at a configuration.
 
     Args:
@@ -202,12 +202,12 @@ def direct_cost(
 
 
 def solve_by_daqp(
-    H: np.ndarray,
-    c: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
+    H: Array,
+    c: Array,
+    lower: Array,
+    upper: Array,
     rows: Rows | None = None,
-) -> np.ndarray | None:
+) -> Array | None:
     """Solve by DAQP, a dual active-set method: exact, and a warm start gains nothing."""
     G = np.zeros((0, len(c)))
     if rows is not None:
@@ -319,7 +319,7 @@ class PointIk:
         """Return a solver with other options that moves the same hand on from where it is."""
         return PointIk(self.hand, options, self.gate.motion, contacts=self._contacts)
 
-    def place(self, q: np.ndarray) -> None:
+    def place(self, q: Array) -> None:
         """Put the hand at a configuration, at rest.
 
         Args:
@@ -329,13 +329,13 @@ class PointIk:
 
     def solve(
         self,
-        point_targets: np.ndarray,
-        wrist_target: np.ndarray | None,
+        point_targets: Array,
+        wrist_target: Array | None,
         dt: float,
         *,
-        rest: np.ndarray | None = None,
+        rest: Array | None = None,
         tasks: Sequence[Task] = (),
-        margins: np.ndarray | None = None,
+        margins: Array | None = None,
         speed: float = 1.0,
     ) -> IkResult:
         """Move the hand towards its targets for one sample.
@@ -367,7 +367,7 @@ class PointIk:
         return self.solve_once(goal, dt, margins, speed)
 
     def solve_once(
-        self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
+        self, goal: Goal, dt: float, margins: Array | None, speed: float
     ) -> IkResult:
         """Move the hand straight towards its targets, in Python; arguments as of `solve`."""
         gate = self.gate
@@ -381,7 +381,7 @@ class PointIk:
         last_step = math.inf
         has_failed = False
 
-        def around(met: NearPairs) -> np.ndarray:
+        def around(met: NearPairs) -> Array:
             """Solve from the start again, and keep apart the points that met."""
             nonlocal linear, iterations
             assert linear is not None
@@ -439,9 +439,7 @@ class PointIk:
         free = np.full(len(displacement), np.inf)
         return self._result("released", points, displacement, -free, free, 0, 0.0)
 
-    def postures(
-        self, dt: float, rest: np.ndarray | None
-    ) -> list[tuple[float, np.ndarray]]:
+    def postures(self, dt: float, rest: Array | None) -> list[tuple[float, Array]]:
         """Return weights and postures of the cost of a sample; see `Goal` and `solve`."""
         hand = self.hand
         options = self.options
@@ -458,8 +456,8 @@ class PointIk:
         return postures
 
     def _step(
-        self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
-    ) -> np.ndarray | None:
+        self, goal: Goal, lower: Array, upper: Array, rows: Rows | None
+    ) -> Array | None:
         """Pose the QP of one iteration and solve it; None if the solver fails."""
         problem = self.hand, self.options, self._configuration, goal
         self.gate.held_by = -1
@@ -482,10 +480,10 @@ class PointIk:
     def _result(
         self,
         end: Literal["solved", "failed", "released"],
-        targets: np.ndarray,
-        displacement: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
+        targets: Array,
+        displacement: Array,
+        lower: Array,
+        upper: Array,
         iterations: int,
         last_step: float,
         off: float = 0.0,

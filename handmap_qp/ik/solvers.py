@@ -9,10 +9,10 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import qpsolvers
 
 from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.se3 import Array
 
 # Settings for a solution nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6. quadprog
 # needs no setting. With smaller tolerances interior-point methods (clarabel, piqp) report failure,
@@ -32,9 +32,7 @@ _EXACT: dict[str, dict[str, Any]] = {
 }
 
 
-def solve_problem(
-    problem: qpsolvers.Problem, solver: str = "daqp"
-) -> np.ndarray | None:
+def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> Array | None:
     """Solve at a high accuracy.
 
     Args:
@@ -54,7 +52,7 @@ def solve_problem(
     return solution.x
 
 
-def make_solver(name: str) -> Callable[..., np.ndarray | None]:
+def make_solver(name: str) -> Callable[..., Array | None]:
     """Return a solver with the arguments and the result of `qp.solve_by_daqp`.
 
     Args:

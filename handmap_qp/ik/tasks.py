@@ -22,7 +22,7 @@ from functools import cached_property
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands.configuration import Configuration, moved_by
@@ -30,7 +30,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.plugins import Plugins
-from handmap_qp.se3 import as_floats, lengths
+from handmap_qp.se3 import Array, as_floats, lengths
 
 _SHORTEST = 1e-9
 """Distance below which two points have no direction from one to the other [m]."""
@@ -46,9 +46,9 @@ class TaskRows(NamedTuple):
             where the error is far from linear (Levenberg-Marquardt).
     """
 
-    residual: np.ndarray
-    jacobian: np.ndarray
-    damping: np.ndarray | float = 0.0
+    residual: Array
+    jacobian: Array
+    damping: Array | float = 0.0
 
 
 class Task(Protocol):
@@ -74,9 +74,9 @@ class Goal(NamedTuple):
         tasks: Further terms.
     """
 
-    points: np.ndarray
-    wrists: np.ndarray | None
-    postures: Sequence[tuple[float | np.ndarray, np.ndarray]]
+    points: Array
+    wrists: Array | None
+    postures: Sequence[tuple[float | Array, Array]]
     tasks: Sequence[Task]
 
 
@@ -107,7 +107,7 @@ class AttachedPoints:
             frame [m].
     """
 
-    def __init__(self, hand: Hand, places: Sequence[tuple[int, np.ndarray]]) -> None:
+    def __init__(self, hand: Hand, places: Sequence[tuple[int, Array]]) -> None:
         self.joints = [joint for joint, _ in places]
         self.offsets = np.array([offset for _, offset in places], dtype=float).reshape(
             -1, 3
@@ -115,7 +115,7 @@ class AttachedPoints:
         self._model = hand.model
 
     @cached_property
-    def moved(self) -> np.ndarray:
+    def moved(self) -> Array:
         """Which coordinates of the model move each point, shape (n, 1, model.nv)."""
         return moved_by(self._model, self.joints)[:, None]
 
@@ -128,17 +128,17 @@ class AttachedPoints:
     def __len__(self) -> int:
         return len(self.joints)
 
-    def positions(self, hand: Configuration) -> np.ndarray:
+    def positions(self, hand: Configuration) -> Array:
         """Return the points in the world [m], shape (n, 3)."""
         placed = zip(self.joints, self.offsets, strict=True)
         points = [hand.data.oMi[joint].act(offset) for joint, offset in placed]
         return np.reshape(points, (-1, 3))
 
-    def jacobians(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
+    def jacobians(self, hand: Configuration, positions: Array) -> Array:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
         return hand.contracted(self.velocities(hand, positions))
 
-    def velocities(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
+    def velocities(self, hand: Configuration, positions: Array) -> Array:
         """Return the same in all coordinates of the model, shape (n, 3, model.nv)."""
         linear, angular = hand.joint_jacobian().reshape(2, 3, -1)
         # The velocity at the world's origin plus w x p is that of the point p.
@@ -168,8 +168,8 @@ class PointDistances(Compiled):
         self,
         points: AttachedPoints,
         pairs: Sequence[tuple[int, int]],
-        distances: npt.ArrayLike,
-        weights: npt.ArrayLike = 1.0,
+        distances: ArrayLike,
+        weights: ArrayLike = 1.0,
     ) -> None:
         indices = as_floats(pairs, "pairs").reshape(-1, 2).astype(int)
         is_known = ((indices >= 0) & (indices < len(points))).all()
@@ -184,7 +184,7 @@ class PointDistances(Compiled):
         self.distances = _check_numbers(distances, len(indices), "distances")
         self.weights = _check_numbers(weights, len(indices), "weights")
 
-    def aimed_at(self, distances: np.ndarray, weights: np.ndarray) -> PointDistances:
+    def aimed_at(self, distances: Array, weights: Array) -> PointDistances:
         """Return the same task with other targets, unchecked: for use sample by sample.
 
         Args:
@@ -236,8 +236,8 @@ class PointOffset:
     def __init__(
         self,
         hand: Hand,
-        places: Sequence[tuple[int, np.ndarray]],
-        aim: np.ndarray,
+        places: Sequence[tuple[int, Array]],
+        aim: Array,
         weight: float,
     ) -> None:
         self.places = places
@@ -254,7 +254,7 @@ class PointOffset:
         return TaskRows(residual, weight * (other - first))
 
 
-def _check_numbers(values: npt.ArrayLike, count: int, name: str) -> np.ndarray:
+def _check_numbers(values: ArrayLike, count: int, name: str) -> Array:
     array = as_floats(values, name, is_finite=True)
     expect(
         array.shape in ((), (count,)) and (array >= 0.0).all(),

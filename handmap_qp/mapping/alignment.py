@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands.hand import Hand
@@ -14,6 +14,7 @@ from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.options import number, text
 from handmap_qp.se3 import (
     FARTHEST,
+    Array,
     affine,
     as_floats,
     frozen,
@@ -65,14 +66,14 @@ class AlignedOptions(MethodOptions, frozen=True, kw_only=True):
             )
         if np.linalg.det(rotation) < 0.0:
             raise InvalidOptionsError(
+                "the matrix mirrors",
                 option="alignment",
-                problem="the matrix mirrors",
                 value=self.alignment,
                 advice="map a left hand with the URDF of a left hand",
             )
 
 
-def rotation_onto(robot: Hand, upright: str) -> np.ndarray | None:
+def rotation_onto(robot: Hand, upright: str) -> Array | None:
     """Return the rotation that takes a tracker's up and forward to those of a hand on an arm.
 
     Args:
@@ -105,7 +106,7 @@ def found_alignment(method: MethodOptions, robot: Hand, upright: str) -> dict[st
     return {"alignment": next(known, rotation.tolist())}
 
 
-def alignment_from_gestures(reaches: npt.ArrayLike) -> np.ndarray:
+def alignment_from_gestures(reaches: ArrayLike) -> Array:
     """Return the rotation to a robot's x, y and z (REP 103) that fits three reaches best, (3, 3).
 
     Args:
@@ -132,9 +133,9 @@ def alignment_from_gestures(reaches: npt.ArrayLike) -> np.ndarray:
 
 def rotation_of(
     alignment: Alignment,
-    human_palm: np.ndarray | None = None,
-    robot_palm: np.ndarray | None = None,
-) -> np.ndarray:
+    human_palm: Array | None = None,
+    robot_palm: Array | None = None,
+) -> Array:
     """Return the rotation from the human's world to the robot's, shape (3, 3).
 
     Args:
@@ -149,11 +150,11 @@ def rotation_of(
     return np.array(alignment)
 
 
-def in_robot_world(alignment: Alignment, palm: np.ndarray | None) -> np.ndarray:
+def in_robot_world(alignment: Alignment, palm: Array | None) -> Array:
     """Return where a human's palm is in the robot's world, (4, 4).
 
     It is the origin where nothing else is known: with `palm`, and without a palm.
     """
     if alignment == "palm" or palm is None:
         return np.eye(4)
-    return affine(rotation_of(alignment), np.zeros(3)) @ palm
+    return affine(rotation_of(alignment)) @ palm

@@ -7,13 +7,19 @@ act about the pivot. `T_rb` carries the pivot to its image under T, and `T_def` 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import msgspec
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.se3 import affine, as_floats, mirror_sign, quat_wxyz_from_rotation
+from handmap_qp.se3 import (
+    Array,
+    affine,
+    as_floats,
+    mirror_sign,
+    quat_wxyz_from_rotation,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,14 +35,14 @@ class Decomposition:
             where the motion mirrors.
     """
 
-    rigid: np.ndarray
-    deformation: np.ndarray
-    rotation: np.ndarray
-    stretch: np.ndarray
-    stretches: np.ndarray
+    rigid: Array
+    deformation: Array
+    rotation: Array
+    stretch: Array
+    stretches: Array
 
 
-class PolarFactors(msgspec.Struct, frozen=True, eq=False):
+class PolarFactors(NamedTuple):
     """Left polar decomposition `A = U R` with the eigenvectors of U.
 
     Attributes:
@@ -45,17 +51,17 @@ class PolarFactors(msgspec.Struct, frozen=True, eq=False):
         stretches: Eigenvalues of U, shape (..., 3).
     """
 
-    rotation: np.ndarray
-    axes: np.ndarray
-    stretches: np.ndarray
+    rotation: Array
+    axes: Array
+    stretches: Array
 
-    def stretch(self, stretches: np.ndarray | None = None) -> np.ndarray:
+    def stretch(self, stretches: Array | None = None) -> Array:
         """Return the symmetric factor U, shape (..., 3, 3), or U with other eigenvalues."""
         values = self.stretches if stretches is None else stretches
         return (self.axes * values[..., None, :]) @ self.axes.swapaxes(-1, -2)
 
 
-def polar(linear: np.ndarray) -> PolarFactors:
+def polar(linear: Array) -> PolarFactors:
     """Left polar decomposition by SVD (eq. 3), always with a proper rotation.
 
     Where `A` mirrors, the eigenvalue of U of smallest magnitude takes the sign, so that `U R = A`
@@ -75,7 +81,7 @@ def polar(linear: np.ndarray) -> PolarFactors:
 
 
 def decompose(
-    motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)
+    motion: ArrayLike, *, pivot: ArrayLike = (0.0, 0.0, 0.0)
 ) -> Decomposition:
     """Split a motion into `T_def T_rb` (eqs. 2-3).
 
@@ -104,7 +110,7 @@ def decompose(
     )
 
 
-def about(linear: np.ndarray, point: np.ndarray, image: np.ndarray) -> np.ndarray:
+def about(linear: Array, point: Array, image: Array) -> Array:
     """The motion `x -> linear (x - point) + image`, shape (4, 4)."""
     return affine(linear, image - linear.dot(point))
 
@@ -130,19 +136,19 @@ class Primitives:
         shear_motion: The shear as a 4x4.
     """
 
-    translation: np.ndarray
-    quat_wxyz: np.ndarray
+    translation: Array
+    quat_wxyz: Array
     isotropic_scale: float
-    axis_scales: np.ndarray
-    shear: np.ndarray
-    translation_motion: np.ndarray
-    rotation_motion: np.ndarray
-    isotropic_scale_motion: np.ndarray
-    axis_scale_motion: np.ndarray
-    shear_motion: np.ndarray
+    axis_scales: Array
+    shear: Array
+    translation_motion: Array
+    rotation_motion: Array
+    isotropic_scale_motion: Array
+    axis_scale_motion: Array
+    shear_motion: Array
 
 
-def primitives(motion: npt.ArrayLike) -> Primitives:
+def primitives(motion: ArrayLike) -> Primitives:
     """Factor a motion into translation, rotation, shear, axis scales and isotropic scale.
 
     The linear part is factored as rotation times upper-triangular matrix (QR); the diagonal of the
@@ -163,8 +169,8 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
     scales = np.diagonal(upper).copy()
     if not np.abs(scales).min() > 1e-12 * np.abs(scales).max():
         raise InvalidInputError(
+            f"its linear part is singular (scales {scales.tolist()}), no primitives exist",
             argument="motion",
-            problem=f"its linear part is singular (scales {scales.tolist()}), no primitives exist",
             value=motion,
         )
     # QR leaves the signs open: take the rotation proper and, where the motion mirrors, give all
@@ -175,7 +181,6 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
     scales *= signs
     isotropic = float(np.cbrt(np.prod(scales)))
     shear_matrix = upper / scales
-    zero = np.zeros(3)
     return Primitives(
         translation=matrix[:3, 3].copy(),
         quat_wxyz=quat_wxyz_from_rotation(rotation),
@@ -183,14 +188,14 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
         axis_scales=scales / isotropic,
         shear=shear_matrix[[0, 0, 1], [1, 2, 2]],
         translation_motion=affine(np.eye(3), matrix[:3, 3]),
-        rotation_motion=affine(rotation, zero),
-        isotropic_scale_motion=affine(isotropic * np.eye(3), zero),
-        axis_scale_motion=affine(np.diag(scales / isotropic), zero),
-        shear_motion=affine(shear_matrix, zero),
+        rotation_motion=affine(rotation),
+        isotropic_scale_motion=affine(isotropic * np.eye(3)),
+        axis_scale_motion=affine(np.diag(scales / isotropic)),
+        shear_motion=affine(shear_matrix),
     )
 
 
-def _check_motion(motion: npt.ArrayLike) -> np.ndarray:
+def _check_motion(motion: ArrayLike) -> Array:
     matrix = as_floats(motion, "motion", shape=(4, 4), is_finite=True)
     is_affine = np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() <= 1e-12
     expect(

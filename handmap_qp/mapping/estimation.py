@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import DegeneratePointsError, expect
 from handmap_qp.se3 import (
     FARTHEST,
+    Array,
     affine,
     as_floats,
     frozen,
@@ -44,30 +45,30 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
             (3,). The smallest tells how well the points determine T: a plane has zero.
     """
 
-    linear: np.ndarray
-    centroid_before: np.ndarray
-    centroid_after: np.ndarray
-    centred_before: np.ndarray
-    points_after: np.ndarray
-    singular_values: np.ndarray
+    linear: Array
+    centroid_before: Array
+    centroid_after: Array
+    centred_before: Array
+    points_after: Array
+    singular_values: Array
 
     @property
-    def motion(self) -> np.ndarray:
+    def motion(self) -> Array:
         """The homogeneous transformation T, active, shape (..., 4, 4)."""
         return affine(self.linear, self.image(np.zeros(3)))
 
     @property
-    def residual_vectors(self) -> np.ndarray:
+    def residual_vectors(self) -> Array:
         """`y_k - T x_k` for every point [m], shape (..., n, 3)."""
         after = self.points_after - self.centroid_after[..., None, :]
         return after - self.centred_before @ self.linear.swapaxes(-1, -2)
 
     @property
-    def residual_norms(self) -> np.ndarray:
+    def residual_norms(self) -> Array:
         """Distance of every point from where T takes it [m], shape (..., n)."""
         return lengths(self.residual_vectors)
 
-    def image(self, point: np.ndarray) -> np.ndarray:
+    def image(self, point: Array) -> Array:
         """Return where T takes a point (3,) [m], shape (..., 3)."""
         return self.linear @ (point - self.centroid_before) + self.centroid_after
 
@@ -101,9 +102,9 @@ class MotionEstimator:
 
     def __init__(
         self,
-        points: np.ndarray,
+        points: Array,
         *,
-        weights: np.ndarray | None = None,
+        weights: Array | None = None,
         ridge: float = 0.0,
         has_prior: bool = False,
     ) -> None:
@@ -155,7 +156,7 @@ class MotionEstimator:
             )
 
     def estimate(
-        self, points_after: np.ndarray, prior: np.ndarray | None = None
+        self, points_after: Array, prior: Array | None = None
     ) -> MotionEstimate:
         """Fit the motion to the points' present positions.
 
@@ -176,7 +177,7 @@ class MotionEstimator:
         return self.estimate_of(linear, moments[..., 6, :], points_after)
 
     def estimate_of(
-        self, linear: np.ndarray, centroid: np.ndarray, points_after: np.ndarray
+        self, linear: Array, centroid: Array, points_after: Array
     ) -> MotionEstimate:
         """Return the estimate that a linear part and a centroid after the motion belong to."""
         return MotionEstimate(
@@ -190,12 +191,12 @@ class MotionEstimator:
 
 
 def estimate_motion(
-    points_before: npt.ArrayLike,
-    points_after: npt.ArrayLike,
+    points_before: ArrayLike,
+    points_after: ArrayLike,
     *,
-    weights: npt.ArrayLike | None = None,
+    weights: ArrayLike | None = None,
     ridge: float = 0.0,
-    prior: npt.ArrayLike | None = None,
+    prior: ArrayLike | None = None,
 ) -> MotionEstimate:
     """Estimate the linear motion T with `points_after = T points_before`.
 
@@ -241,7 +242,7 @@ def estimate_motion(
     return estimator.estimate(after, rotation)
 
 
-def _check_points(points: npt.ArrayLike, name: str) -> np.ndarray:
+def _check_points(points: ArrayLike, name: str) -> Array:
     array = as_floats(points, name, shape=("n", 3))
     # NaN is not within it either; products of such coordinates are finite.
     is_near = np.abs(array).max(initial=np.inf if len(array) == 0 else 0.0) <= FARTHEST

@@ -24,18 +24,17 @@ from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.human.sample import landmarks_at_rest
+from handmap_qp.human.sample import LANDMARK_NAMES, landmarks_at_rest
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
-from handmap_qp.mapping.palm import chain_landmarks, point_indices, require_points
-from handmap_qp.se3 import frozen, lengths, transform_points, unit
+from handmap_qp.mapping.palm import point_indices, require_points
+from handmap_qp.se3 import Array, frozen, lengths, transform_points, unit
 
 KNUCKLES, _SECONDS, LASTS, TIPS = (
-    dict(zip(FINGERS, names, strict=True))
-    for names in zip(*map(chain_landmarks, FINGERS), strict=True)
+    dict(zip(FINGERS, LANDMARK_NAMES[first::4], strict=True)) for first in range(1, 5)
 )
 """Landmarks at the base, of the last joint and at the tip of each finger, by the finger's name."""
 MIDDLES = _SECONDS | {THUMB: LASTS[THUMB]}
@@ -136,8 +135,8 @@ class HandPair:
         self.has_jaws = measured.has_jaws
         if not self.fingers:
             raise InvalidOptionsError(
+                "this method needs fingers, and no point of the robot names one",
                 option="method",
-                problem="this method needs fingers, and no point of the robot names one",
                 advice="add `finger` to the points of its hand.yaml, or take the preset object",
             )
         needed = finger_landmarks(self.fingers)
@@ -167,9 +166,12 @@ class HandPair:
         # All fingers but the thumb; a thumb alone stands for them.
         fingers = enumerate(self.fingers)
         self._others = [i for i, finger in fingers if finger != THUMB] or [0]
-        self.finger_ratio = float(self.reach_ratios[self._others].mean())
+        self.finger_ratio = self.reach_ratios[self._others].mean()
         knuckles = self.human_rest[self.knuckles[self._others]]
         self.human_knuckles = frozen(knuckles.mean(axis=0))
+        # With the package's own person, near whose matched posture all others' are.
+        usual = human.unscaled
+        self._usual = None if usual is None else hand_pair(usual, robot)
         given = robot.matched
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
@@ -186,9 +188,9 @@ class HandPair:
         self.robot_knuckles = frozen(points[self._others, 0].mean(axis=0))
         self.robot_bases = frozen(points[:, 0])
         self.thumb_likeness = 0.0
-        if (standard := self.human.unscaled) is not None:
+        if self._usual is not None:
             # It is the robot's, not a person's.
-            self.thumb_likeness = hand_pair(standard, self.measured.hand).thumb_likeness
+            self.thumb_likeness = self._usual.thumb_likeness
         elif THUMB in self.fingers and not self.has_jaws:
             resting = self.human_rest[self.tips[0]] - self.human_rest[self.knuckles[0]]
             robots = points[0, 1] - points[0, 0]
@@ -198,7 +200,7 @@ class HandPair:
         spans = lengths(points[:, 1] - points[:, 0])
         self.robot_extension = frozen(spans / self.robot_reach)
 
-    def solve_matched(self) -> np.ndarray:
+    def solve_matched(self) -> Array:
         """Solve the robot posture whose finger vectors are the resting human's, scaled.
 
         Jaws open as wide as the resting human's thumb and fingers.
@@ -221,13 +223,10 @@ class HandPair:
         palm = self.measured.hand.frame_pose("palm", robot.rest)
         targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
-        start = robot.rest
-        if (standard := self.human.unscaled) is not None:
-            # Near the posture that matches the package's own person, all others' are.
-            start = hand_pair(standard, self.measured.hand).matched
+        start = robot.rest if self._usual is None else self._usual.matched
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, start)
 
-    def _thumb_targets(self, knuckles: np.ndarray, human: np.ndarray) -> np.ndarray:
+    def _thumb_targets(self, knuckles: Array, human: Array) -> Array:
         """Place points of the thumb, (k, 3), between where it pinches and above the knuckles."""
         gain = _THUMB_GAIN * self.finger_ratio
         if self.fingers == (THUMB,):
@@ -269,7 +268,7 @@ class RobotFingers:
         return self.hand.with_points(points)
 
     @cached_property
-    def pinching_thumb(self) -> np.ndarray:
+    def pinching_thumb(self) -> Array:
         """Mean tip of the thumb where it pinches, in palm axes [m], shape (3,)."""
         return frozen(_pinching_thumb(self.with_points, self.chains, self.pads))
 
@@ -307,9 +306,9 @@ def require_partners(
     ]
     if not pairs:
         raise InvalidOptionsError(
-            option=option,
-            problem=f"needs partner points, and no point of {robot.name} names one among "
+            f"needs partner points, and no point of {robot.name} names one among "
             f"{', '.join(names)}",
+            option=option,
             value=value,
             advice=f"add `partner` to its points{advice}",
         )
@@ -354,11 +353,7 @@ def _joints_between(finger: str, chain: Finger) -> dict[str, Place]:
 
 
 def _point(
-    robot: Hand,
-    finger: str,
-    name: str,
-    place: Place,
-    weight: float,
+    robot: Hand, finger: str, name: str, place: Place, weight: float
 ) -> PointSpec:
     """Describe a point on a joint of the model as one on a link of the URDF."""
     joint, offset = place
@@ -372,8 +367,8 @@ def _point(
 
 
 def points_in_palm(
-    hand: Hand, q: np.ndarray, places: Sequence[Place] | None = None
-) -> np.ndarray:
+    hand: Hand, q: Array, places: Sequence[Place] | None = None
+) -> Array:
     """Return points of a hand in palm axes [m], shape (k, 3).
 
     Args:
@@ -388,13 +383,13 @@ def points_in_palm(
     return PalmKinematics(hand).points(q, places)
 
 
-def resting_posture(human: Hand) -> np.ndarray:
+def resting_posture(human: Hand) -> Array:
     """Return the human's rest posture with the thumb where recorded thumbs are at rest, (n,)."""
     own = zip(human.joint_names, human.rest, strict=True)
     return np.array([_RESTING_THUMB.get(joint, angle) for joint, angle in own])
 
 
-def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
+def bone_lengths(human: Hand, fingers: Sequence[str]) -> Array:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
     joints = landmarks_at_rest(human)[1:].reshape(len(FINGERS), 4, 3)
     reaches = lengths(np.diff(joints, axis=1)).sum(axis=1)
@@ -418,7 +413,7 @@ def _human_fingers(human: Hand) -> dict[str, Finger]:
 
 def _pinching_thumb(
     hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
-) -> np.ndarray:
+) -> Array:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
     # The thumb is the first finger.
     used = [*pads.values()]
@@ -441,9 +436,7 @@ def _pinching_thumb(
 _pinching_ik = lru_cache(maxsize=16)(partial(PointIk, options=_PINCHING))
 
 
-def _gap_task(
-    hand: Hand, pads: Sequence[Pad], gaps: np.ndarray | float
-) -> PointDistances:
+def _gap_task(hand: Hand, pads: Sequence[Pad], gaps: Array | float) -> PointDistances:
     """Return the task of giving the first pad, the thumb's, gaps to p others [m], shape (p,)."""
     points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
     pairs = [(0, k) for k in range(1, len(points))]
@@ -451,7 +444,7 @@ def _gap_task(
     return PointDistances(points, pairs, touching + gaps, _GAP_WEIGHT)
 
 
-def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:
+def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> Array:
     """Move a hand from rest for a task.
 
     Args:

@@ -16,8 +16,8 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from msgspec import structs
+from numpy.typing import ArrayLike
 
 from handmap_qp import ik
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
@@ -47,6 +47,7 @@ from handmap_qp.mapping.method import (
 from handmap_qp.mapping.presets import default_preset, get_preset
 from handmap_qp.se3 import (
     FARTHEST,
+    Array,
     PoseLike,
     QuatOrder,
     as_floats,
@@ -184,7 +185,7 @@ class HandMapper:
     # -- one sample
 
     def map_step(
-        self, human_q: npt.ArrayLike, wrist_pose: PoseLike, *, dt: float | None = None
+        self, human_q: ArrayLike, wrist_pose: PoseLike, *, dt: float | None = None
     ) -> MapStep:
         """Map one sample of the human hand.
 
@@ -208,7 +209,7 @@ class HandMapper:
 
     def map_points(
         self,
-        points: npt.ArrayLike,
+        points: ArrayLike,
         wrist_pose: PoseLike | None = None,
         *,
         dt: float | None = None,
@@ -240,7 +241,7 @@ class HandMapper:
 
     def map_landmarks(
         self,
-        landmarks: npt.ArrayLike,
+        landmarks: ArrayLike,
         wrist_pose: PoseLike | None = None,
         *,
         dt: float | None = None,
@@ -307,7 +308,7 @@ class HandMapper:
     def _mapped(
         self,
         reader: JointReader | LandmarkReader,
-        numbers: npt.ArrayLike,
+        numbers: ArrayLike,
         wrist: PoseLike | None,
         dt: float | None,
     ) -> MapStep:
@@ -326,7 +327,7 @@ class HandMapper:
         self,
         sample: HumanPose,
         asked: Targets,
-        rest: np.ndarray,
+        rest: Array,
         dt: float,
         speed: float,
     ) -> Stages:
@@ -399,10 +400,10 @@ class HandMapper:
 
     def reset(
         self,
-        human_q: npt.ArrayLike | None = None,
+        human_q: ArrayLike | None = None,
         wrist_pose: PoseLike | None = None,
         *,
-        robot_q: npt.ArrayLike | None = None,
+        robot_q: ArrayLike | None = None,
         robot_wrist: PoseLike | None = None,
     ) -> None:
         """Start again: the robot at a given posture, the reference at a given or the next sample.
@@ -532,7 +533,7 @@ class HandMapper:
 
     # -- checks of what comes in
 
-    def _check_robot_wrist(self, robot_wrist: PoseLike) -> np.ndarray:
+    def _check_robot_wrist(self, robot_wrist: PoseLike) -> Array:
         if not self.robot.is_floating:
             raise InvalidInputError(
                 argument="robot_wrist",
@@ -569,7 +570,7 @@ class LandmarkReader(Compiled):
         self.model = landmarks_at_rest(human)[PALM]
 
     def read(
-        self, landmarks: npt.ArrayLike, wrist: PoseLike | None = None
+        self, landmarks: ArrayLike, wrist: PoseLike | None = None
     ) -> tuple[HumanPose, tuple[str, ...]]:
         """Return a sample; landmarks have no limits that they could be outside.
 
@@ -614,7 +615,7 @@ class JointReader(Compiled):
         self._placed = human.configuration()
 
     def read(
-        self, q: npt.ArrayLike, wrist_pose: PoseLike
+        self, q: ArrayLike, wrist_pose: PoseLike
     ) -> tuple[HumanPose, tuple[str, ...]]:
         """Return a sample, and the names of the joints that are outside their limits.
 
@@ -648,10 +649,10 @@ class _Plan(NamedTuple):
 class _Start(NamedTuple):
     """Posture of the robot at the reference: joints (n,); wrist, None for the human's palm."""
 
-    q: np.ndarray
-    wrist: np.ndarray | None
+    q: Array
+    wrist: Array | None
 
-    def vector(self, robot: Hand, wrist: np.ndarray) -> np.ndarray:
+    def vector(self, robot: Hand, wrist: Array) -> Array:
         """Return the configuration (nq,), with a wrist pose where none was given."""
         if self.wrist is not None:
             wrist = self.wrist
@@ -664,12 +665,10 @@ class _Reference(NamedTuple):
     sample: HumanPose
     posture: RobotPosture
     map: TargetMap
-    begins_at: np.ndarray | None = None
+    begins_at: Array | None = None
 
 
-def _count_from(
-    bound: BoundMethod, sample: HumanPose, vector: np.ndarray
-) -> _Reference:
+def _count_from(bound: BoundMethod, sample: HumanPose, vector: Array) -> _Reference:
     """Count from a sample and a configuration (nq,) of the robot."""
     posture = posture_of(bound.robot, vector)
     return _Reference(sample, posture, bound.start(sample, posture))
@@ -711,7 +710,7 @@ def _targets(target_map: Any, sample: HumanPose) -> Targets:
     return target_map.targets(sample)
 
 
-def posture_of(robot: Hand, vector: np.ndarray) -> RobotPosture:
+def posture_of(robot: Hand, vector: Array) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
     if (tree := ik.compiled.core_tree(robot)) is not None:
         places = tree.posture(vector, robot.reference_points)
@@ -724,8 +723,8 @@ def posture_of(robot: Hand, vector: np.ndarray) -> RobotPosture:
 
 
 def check_joints(
-    hand: Hand, q: npt.ArrayLike, name: str, tolerance: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+    hand: Hand, q: ArrayLike, name: str, tolerance: float = 0.0
+) -> tuple[Array, Array]:
     """Return joint positions, and how far each is outside its limits, at most a tolerance."""
     lower = hand.lower_limits
     upper = hand.upper_limits
@@ -754,7 +753,7 @@ def check_dt(dt: float) -> float:
     return dt
 
 
-def check_near(points: np.ndarray, name: str) -> None:
+def check_near(points: Array, name: str) -> None:
     """Reject points with a coordinate that is not finite, or farther away than any hand."""
     # NaN is not near either.
     if not np.abs(points).max(initial=0.0) <= FARTHEST:

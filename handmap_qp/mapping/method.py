@@ -17,10 +17,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from operator import attrgetter
 from typing import (
     TYPE_CHECKING,
+    Any,
     Literal,
     NamedTuple,
     Protocol,
@@ -38,7 +40,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import WRIST_LEVERS, IkResult, Status, wrist_error
 from handmap_qp.ik.tasks import Task
 from handmap_qp.options import Options
-from handmap_qp.se3 import lengths, transform_points
+from handmap_qp.se3 import Array, lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
@@ -52,18 +54,18 @@ class HumanPose(msgspec.Struct, frozen=True, eq=False):
         wrist: Pose of its wrist, shape (4, 4); None where it was not measured.
     """
 
-    points: np.ndarray
-    wrist: np.ndarray | None
+    points: Array
+    wrist: Array | None
 
     @property
-    def in_wrist(self) -> np.ndarray:
+    def in_wrist(self) -> Array:
         """Points in wrist axes, or in the world without a wrist [m], shape (n_h, 3)."""
         if self.wrist is None:
             return self.points.copy()
         return (self.points - self.wrist[:3, 3]) @ self.wrist[:3, :3]
 
     @classmethod
-    def placed(cls, points: np.ndarray, wrist: np.ndarray | None) -> HumanPose:
+    def placed(cls, points: Array, wrist: Array | None) -> HumanPose:
         """Make a hand of its points in wrist axes (`in_wrist`) and the pose of its wrist."""
         return cls(points if wrist is None else transform_points(wrist, points), wrist)
 
@@ -77,16 +79,16 @@ class RobotPosture(NamedTuple):
         wrist: Pose of its wrist, shape (4, 4).
     """
 
-    q: np.ndarray
-    points: np.ndarray
-    wrist: np.ndarray
+    q: Array
+    points: Array
+    wrist: Array
 
 
-class Diagnostics(Mapping[str, np.ndarray]):
-    """Intermediate results of a method for one sample: arrays by name.
+@dataclass(eq=False)
+class Diagnostics(Mapping[str, Array]):
+    """Intermediate results of a method for one sample: arrays by name, computed when asked for.
 
-    The names are the public attributes and properties of a subclass. These names mean the same in
-    every method that has them:
+    These names mean the same in every method that has them:
 
         motion              T from the reference to now, in the human's world, shape (4, 4)
         motion_rigid        T_rb, shape (4, 4)
@@ -94,27 +96,28 @@ class Diagnostics(Mapping[str, np.ndarray]):
         stretches           stretches of T before clamping, shape (3,)
         pivot_image         where T takes the point that T_def acts about [m], shape (3,)
         residual_norms      distance of human points from where T takes them [m], shape (n,)
+
+    Attributes:
+        compute: Returns all results by name.
+        parts: Its arguments.
     """
 
-    def __getitem__(self, name: str) -> np.ndarray:
-        """Compute one result."""
-        if name in iter(self):
-            return getattr(self, name)
-        raise KeyError(name)
+    compute: Callable[..., dict[str, Array]]
+    parts: Sequence[Any]
+
+    @cached_property
+    def _results(self) -> dict[str, Array]:
+        return self.compute(*self.parts)
+
+    def __getitem__(self, name: str) -> Array:
+        """Return one result."""
+        return self._results[name]
 
     def __iter__(self) -> Iterator[str]:
-        yield from _properties(type(self))
-        yield from (name for name in self.__dict__ if not name.startswith("_"))
+        return iter(self._results)
 
     def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-
-@cache
-def _properties(kind: type[Diagnostics]) -> tuple[str, ...]:
-    return tuple(
-        name for name in dir(kind) if isinstance(getattr(kind, name), property)
-    )
+        return len(self._results)
 
 
 class Targets(msgspec.Struct, frozen=True, eq=False):
@@ -129,11 +132,11 @@ class Targets(msgspec.Struct, frozen=True, eq=False):
         flags: What a user should know of this sample, a word each, such as `stretch_clamped`.
     """
 
-    points: np.ndarray
-    wrist: np.ndarray
-    diagnostics: Mapping[str, np.ndarray] = {}
+    points: Array
+    wrist: Array
+    diagnostics: Mapping[str, Array] = {}
     tasks: tuple[Task, ...] = ()
-    margins: np.ndarray | None = None
+    margins: Array | None = None
     flags: tuple[str, ...] = ()
 
 
@@ -144,7 +147,7 @@ class TargetMap(Protocol):
     """
 
     @property
-    def rest(self) -> np.ndarray:
+    def rest(self) -> Array:
         """Joint positions that the QP's rest term pulls to [rad or m], shape (n,)."""
 
     def targets(self, sample: HumanPose) -> Targets:
@@ -174,7 +177,7 @@ class BoundMethod(Protocol):
     def renews_reference(self) -> bool:
         """True if every sample becomes the reference of the next one (Fig. 3)."""
 
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> Array:
         """Return where a floating robot's palm is put at the first sample, shape (4, 4)."""
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
@@ -249,9 +252,7 @@ _ARRIVED = IkOptions().point_tolerance
 _moves_wrist = lru_cache(maxsize=64)(attrgetter("moves_wrist"))
 
 
-def arm_held_by(
-    hand: Hand, at_speed_limit: np.ndarray, at_limit: np.ndarray
-) -> np.ndarray:
+def arm_held_by(hand: Hand, at_speed_limit: Array, at_limit: Array) -> Array:
     """Return what keeps the wrist of an arm off its target, if it is off; shape (T,).
 
     A joint's speed limit (`speed`) comes before a position limit (`limit`); else it is the `reach`.
@@ -276,8 +277,8 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
     """
 
     joint_names: tuple[str, ...]
-    q: np.ndarray
-    wrist: np.ndarray
+    q: Array
+    wrist: Array
 
 
 class StepSummary(NamedTuple):
@@ -355,12 +356,12 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return self.stages.command
 
     @property
-    def human_points(self) -> np.ndarray:
+    def human_points(self) -> Array:
         """Human reference points in the human's world (eq. 4) [m], shape (n_h, 3)."""
         return self.stages.pose.points
 
     @property
-    def human_wrist(self) -> np.ndarray | None:
+    def human_wrist(self) -> Array | None:
         """Pose of the human's wrist, given or fitted to landmarks, (4, 4); None if unknown."""
         return self.stages.pose.wrist
 
@@ -400,22 +401,22 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return math.nan if self.verdict is None else self.verdict.consistency
 
     @property
-    def diagnostics(self) -> Mapping[str, np.ndarray]:
+    def diagnostics(self) -> Mapping[str, Array]:
         """Intermediate results of the method, by name; see `Diagnostics`."""
         return self.asked.diagnostics
 
     @property
-    def motion(self) -> np.ndarray:
+    def motion(self) -> Array:
         """T from the reference configuration to now (eqs. 5-6), shape (4, 4)."""
         return self._named("motion")
 
     @property
-    def motion_rigid(self) -> np.ndarray:
+    def motion_rigid(self) -> Array:
         """T_rb (eq. 2), shape (4, 4)."""
         return self._named("motion_rigid")
 
     @property
-    def motion_deformation(self) -> np.ndarray:
+    def motion_deformation(self) -> Array:
         """T_def (eq. 2), after clamping and gain, shape (4, 4).
 
         With neither, `motion_deformation @ motion_rigid == motion`.
@@ -423,12 +424,12 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return self._named("motion_deformation")
 
     @property
-    def residual_norms(self) -> np.ndarray:
+    def residual_norms(self) -> Array:
         """Distance of each human point from where T takes it [m], shape (n_h,)."""
         return self._named("residual_norms")
 
     @property
-    def stretches(self) -> np.ndarray:
+    def stretches(self) -> Array:
         """Eigenvalues of the stretch U before clamping, shape (3,)."""
         return self._named("stretches")
 
@@ -438,17 +439,17 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return "stretch_clamped" in self.asked.flags
 
     @property
-    def targets(self) -> np.ndarray:
+    def targets(self) -> Array:
         """Targets of the robot's reference points (eq. 7) [m], shape (n_r, 3)."""
         return self.asked.points
 
     @property
-    def wrist_target(self) -> np.ndarray:
+    def wrist_target(self) -> Array:
         """Target pose of the robot's wrist, shape (4, 4)."""
         return self.asked.wrist
 
     @property
-    def wrist_error(self) -> np.ndarray:
+    def wrist_error(self) -> Array:
         """How far the robot's wrist is from its target [m, rad], shape (2,)."""
         return wrist_error(self.command.wrist, self.wrist_target)
 
@@ -465,17 +466,17 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return str(arm_held_by(hand, self.at_bound & ~at_limit, at_limit))
 
     @property
-    def points(self) -> np.ndarray:
+    def points(self) -> Array:
         """The robot's reference points after the step [m], shape (n_r, 3)."""
         return self.ik.points
 
     @property
-    def point_error(self) -> np.ndarray:
+    def point_error(self) -> Array:
         """Distance between targets and points [m], shape (n_r,)."""
         return np.array(self.stages.summary.point_error)
 
     @property
-    def at_bound(self) -> np.ndarray:
+    def at_bound(self) -> Array:
         """True for joints at a position or speed limit, in the order of `command.q`, shape (n,)."""
         return np.array(self.stages.summary.at_bound)
 
@@ -498,7 +499,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         """QPs solved."""
         return self.ik.iterations
 
-    def _named(self, name: str) -> np.ndarray:
+    def _named(self, name: str) -> Array:
         if name not in self.asked.diagnostics:
             raise InvalidOptionsError(
                 option="method",

@@ -39,15 +39,15 @@ def read_options(path: Path | str) -> dict[str, Any]:
         table = msgspec.yaml.decode(file.read_bytes(), type=dict[Any, Any])
     except OSError as error:
         problem = f"{file}: cannot be read: {error.strerror or error}"
-        raise InvalidInputError(argument="options", problem=problem) from error
+        raise InvalidInputError(problem, argument="options") from error
     except (msgspec.MsgspecError, ValueError) as error:
         problem = f"{file}: is not a table in YAML: {' '.join(str(error).split())}"
         advice = "write lines such as `preset: teleoperation`"
         raise InvalidInputError(problem, argument="options", advice=advice) from error
     for name in map(str, table.keys() - known):
         raise InvalidInputError(
+            f"{file} has an unknown option",
             argument=name,
-            problem=f"{file} has an unknown option",
             advice=did_you_mean(name, known) or "see handmap map --help",
         )
     return table

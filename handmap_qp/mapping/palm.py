@@ -9,10 +9,9 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
 from handmap_qp.mapping.alignment import AlignedOptions, in_robot_world, rotation_of
 from handmap_qp.mapping.method import HumanPose, RobotPosture
-from handmap_qp.se3 import affine, frozen, inverse_pose, transform_points
+from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
@@ -36,7 +35,7 @@ class PalmMethod:
         self.human = human
         self.robot = robot
 
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm in the robot's world, as far as it is known."""
         return in_robot_world(self.alignment, palm_of(sample, self.human))
 
@@ -79,8 +78,8 @@ class PalmMap:
         method: PalmMethod,
         sample: HumanPose,
         posture: RobotPosture,
-        human_anchor: np.ndarray = _ORIGIN,
-        robot_anchor: np.ndarray = _ORIGIN,
+        human_anchor: Array = _ORIGIN,
+        robot_anchor: Array = _ORIGIN,
         scale: float = 1.0,
     ) -> None:
         self._method = method
@@ -96,7 +95,7 @@ class PalmMap:
         self.robot_points = transform_points(inverse_pose(start), posture.points)
         self.alignment = Q = rotation_of(method.alignment, before, start)
         # The robot's palm in axes of the human's world.
-        start = affine(Q.T, _ORIGIN) @ start
+        start = affine(Q.T) @ start
         self.rotation = before[:3, :3].T @ start[:3, :3]
         self.origin = human_anchor - self.rotation.dot(robot_anchor)
         self.human_start = transform_points(before, human_anchor)
@@ -105,7 +104,7 @@ class PalmMap:
         self.robot_anchor = robot_anchor
         self.further = scale - 1.0
 
-    def follow(self, sample: HumanPose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def follow(self, sample: HumanPose) -> tuple[Array, Array, Array]:
         """Move the robot's palm with a sample's.
 
         Returns:
@@ -127,7 +126,7 @@ class PalmMap:
         palm = affine(Q @ human[:3, :3] @ self.rotation, Q @ origin)
         return human, palm, points
 
-    def person_at(self, sample: HumanPose) -> np.ndarray:
+    def person_at(self, sample: HumanPose) -> Array:
         """Return a sample's palm in the robot's world, about its anchor, shape (4, 4).
 
         Its place is times the scale.
@@ -139,9 +138,7 @@ class PalmMap:
         anchor = (1.0 + self.further) * transform_points(palm, self.human_anchor)
         return affine(self.alignment @ palm[:3, :3], self.alignment @ anchor)
 
-    def placed(
-        self, palm: np.ndarray, points: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def placed(self, palm: Array, points: Array) -> tuple[Array, Array]:
         """Return the targets of points in the robot's palm, and of its wrist.
 
         Args:
@@ -151,12 +148,12 @@ class PalmMap:
         return transform_points(palm, points), palm @ self.robot_palm_to_wrist
 
 
-def known_palm(sample: HumanPose, human: Hand) -> np.ndarray | None:
+def known_palm(sample: HumanPose, human: Hand) -> Array | None:
     """Return the palm pose of a sample, shape (4, 4); None if its wrist was not measured."""
     return None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
 
 
-def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
+def palm_of(sample: HumanPose, human: Hand) -> Array:
     """Return the palm pose of a sample, shape (4, 4).
 
     Raises:
@@ -164,15 +161,9 @@ def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
     """
     if (palm := known_palm(sample, human)) is None:
         raise InvalidInputError(
-            argument="wrist_pose", problem="needed for the pose of the palm"
+            "needed for the pose of the palm", argument="wrist_pose"
         )
     return palm
-
-
-def chain_landmarks(finger: str) -> list[str]:
-    """Return the names of a finger's landmarks from its base to its tip."""
-    joints = ("cmc", "mcp", "ip") if finger == THUMB else ("mcp", "pip", "dip")
-    return [f"{finger}_{joint}" for joint in (*joints, "tip")]
 
 
 def point_indices(human: Hand) -> dict[str, int]:
@@ -180,7 +171,7 @@ def point_indices(human: Hand) -> dict[str, int]:
     return {point.name: k for k, point in enumerate(human.reference_points)}
 
 
-def require_points(human: Hand, names: Iterable[str], user: str) -> np.ndarray:
+def require_points(human: Hand, names: Iterable[str], user: str) -> Array:
     """Return the indices of named reference points of a human hand, shape (k,).
 
     Args:
@@ -195,8 +186,8 @@ def require_points(human: Hand, names: Iterable[str], user: str) -> np.ndarray:
     known = point_indices(human)
     if missing := [name for name in wanted if name not in known]:
         raise InvalidOptionsError(
+            f"{user} needs {', '.join(missing)} among the human's points",
             option="human_points",
-            problem=f"{user} needs {', '.join(missing)} among the human's points",
             advice="load the human with points='joints' or points='landmarks'",
         )
     return np.array([known[name] for name in wanted], dtype=int)

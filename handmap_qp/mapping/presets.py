@@ -11,11 +11,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
-from handmap_qp.errors import (
-    HandmapError,
-    InvalidOptionsError,
-    did_you_mean,
-)
+from handmap_qp.errors import HandmapError, InvalidOptionsError, did_you_mean
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping import methods
@@ -62,9 +58,9 @@ def known_options() -> dict[str, list[tuple[str, Option]]]:
     Returns:
         For every name the presets that have it (`ik` for the QP), and what it is there.
     """
-    kinds = [(name, type(preset.method)) for name, preset in PRESETS.items()]
+    kinds = {name: type(preset.method) for name, preset in PRESETS.items()}
     found: dict[str, list[tuple[str, Option]]] = {}
-    for preset, kind in (*kinds, ("ik", IkOptions)):
+    for preset, kind in (kinds | {"ik": IkOptions}).items():
         for option in options_of(kind):
             found.setdefault(option.name, []).append((preset, option))
     return found

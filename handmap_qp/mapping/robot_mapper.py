@@ -19,9 +19,9 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 from msgspec import structs
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
@@ -44,7 +44,14 @@ from handmap_qp.mapping.method import (
     Targets,
 )
 from handmap_qp.mapping.palm import PalmMap
-from handmap_qp.se3 import PoseLike, affine, lengths, smoothstep, transform_points
+from handmap_qp.se3 import (
+    Array,
+    PoseLike,
+    affine,
+    lengths,
+    smoothstep,
+    transform_points,
+)
 
 # Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
 _NEAR = 0.4
@@ -70,10 +77,10 @@ class Asked(NamedTuple):
     """
 
     targets: Targets
-    rest: np.ndarray
+    rest: Array
     dt: float
     speed: float = 1.0
-    palm: tuple[PalmMap, np.ndarray] | None = None
+    palm: tuple[PalmMap, Array] | None = None
 
 
 class Leader(HandMapper):
@@ -118,7 +125,7 @@ class Leader(HandMapper):
         self,
         sample: HumanPose,
         asked: Targets,
-        rest: np.ndarray,
+        rest: Array,
         dt: float,
         speed: float,
     ) -> Stages:
@@ -251,7 +258,7 @@ class RobotMapper:
 
     def map_landmarks(
         self,
-        landmarks: Mapping[Side, npt.ArrayLike],
+        landmarks: Mapping[Side, ArrayLike],
         wrist_poses: Mapping[Side, PoseLike] | None = None,
         *,
         dt: float | None = None,
@@ -282,7 +289,7 @@ class RobotMapper:
 
     def map_step(
         self,
-        human_q: Mapping[Side, npt.ArrayLike],
+        human_q: Mapping[Side, ArrayLike],
         wrist_pose: Mapping[Side, PoseLike],
         *,
         dt: float | None = None,
@@ -382,7 +389,7 @@ class RobotMapper:
         )
 
     def _together(
-        self, asked: list[Asked], points: list[np.ndarray], wrists: np.ndarray
+        self, asked: list[Asked], points: list[Array], wrists: Array
     ) -> list[Task]:
         """Move the targets of near palms to where one is seen from the other as the person's is.
 
@@ -414,7 +421,7 @@ class RobotMapper:
         weight = _TOGETHER_SHARE * share * self._ik.options.wrist_position_weight
         return [PointOffset(self.robot, places, aim, weight)]
 
-    def _margins(self, asked: list[Asked]) -> np.ndarray | None:
+    def _margins(self, asked: list[Asked]) -> Array | None:
         """Return the margin of each pair: that of the hand whose thumb and finger it is."""
         if not self._pinching:
             return None
@@ -449,7 +456,7 @@ class RobotMapper:
         held = leader.hold(leader.dt)
         self._last[side] = structs.replace(held, verdict=verdict)
 
-    def reset(self, robot_q: npt.ArrayLike | None = None) -> None:
+    def reset(self, robot_q: ArrayLike | None = None) -> None:
         """Start again: the next sample of each hand is its reference.
 
         Args:
@@ -515,7 +522,7 @@ def _stages(pose: HumanPose, asked: Targets, result: IkResult) -> Stages:
     return Stages(pose, asked, result, command)
 
 
-def palm_place(hand: Hand, anchor: np.ndarray) -> tuple[int, np.ndarray]:
+def palm_place(hand: Hand, anchor: Array) -> tuple[int, Array]:
     """Return the joint that carries a palm, and where a point of palm axes (3,) is on it."""
     frame = hand.model.frames[hand.palm_frame_id]
     return frame.parentJoint, frame.placement.act(anchor)

@@ -25,7 +25,7 @@ from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.mapping.mapper import HandMapper, check_dt
 from handmap_qp.mapping.method import HumanPose, MapStep
 from handmap_qp.options import Options, number
-from handmap_qp.se3 import affine, lengths, transform_points
+from handmap_qp.se3 import Array, affine, lengths, transform_points
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.step_table import StepTable
 from handmap_qp.trackers.hand_geometry import change_rate, learnt_noise, noise_of
@@ -59,8 +59,8 @@ class _Place(NamedTuple):
     Without a wrist, points are in the world, and the wrist is its origin.
     """
 
-    points: np.ndarray
-    rotation: np.ndarray
+    points: Array
+    rotation: Array
     has_wrist: bool
 
     @classmethod
@@ -78,12 +78,12 @@ class _Place(NamedTuple):
         points = transform_points(wrist, self.points[:-1])
         return HumanPose(points, wrist if self.has_wrist else None)
 
-    def to(self, other: _Place) -> np.ndarray:
+    def to(self, other: _Place) -> Array:
         """Return the way to another place [m], with the turn in own axes behind it [rad]."""
         turn = pin.log3(self.rotation.T @ other.rotation)
         return np.vstack([other.points - self.points, turn])
 
-    def moved(self, way: np.ndarray) -> _Place:
+    def moved(self, way: Array) -> _Place:
         """Return the place at the end of a way."""
         rotation = self.rotation @ pin.exp3(way[-1])
         return _Place(self.points + way[:-1], rotation, self.has_wrist)
@@ -103,7 +103,7 @@ class Rejoin(NamedTuple):
 
     kind: RejoinKind = "glide"
     seen: HumanPose | None = None
-    offset: np.ndarray | None = None
+    offset: Array | None = None
     duration: float = 0.0
     elapsed: float = 0.0
 

@@ -38,7 +38,7 @@ from handmap_qp.human.sample import (
     palm_sizes,
 )
 from handmap_qp.ik.core import Compiled, in_core
-from handmap_qp.se3 import lengths, nearest_rotation
+from handmap_qp.se3 import Array, lengths, nearest_rotation
 from handmap_qp.trackers.hand_geometry import (
     BONES,
     NEIGHBOURS,
@@ -203,12 +203,12 @@ class Track(NamedTuple):
     """
 
     time: float
-    points: np.ndarray
-    centre: np.ndarray
-    lengths: np.ndarray
-    velocity: np.ndarray = _STILL
-    turning: np.ndarray = _STILL
-    bending: np.ndarray = _STILL
+    points: Array
+    centre: Array
+    lengths: Array
+    velocity: Array = _STILL
+    turning: Array = _STILL
+    bending: Array = _STILL
     dt: float = 0.0
 
 
@@ -228,21 +228,21 @@ class Change(NamedTuple):
     """
 
     track: Track
-    sizes: np.ndarray
-    rates: np.ndarray
+    sizes: Array
+    rates: Array
     noise: float
     is_mirrored: bool
     is_alone: bool
 
 
-def is_zero(landmarks: np.ndarray) -> bool:
+def is_zero(landmarks: Array) -> bool:
     """Tell whether landmarks (21, 3) lie in one place, or all but one at the origin."""
     # One landmark may be the origin of the tracker's world.
     seen = landmarks.any(axis=-1).sum()
     return bool(palm_sizes(landmarks[PALM]) < ZERO_SIZE or seen < len(landmarks) - 1)
 
 
-def first_track(now: float, landmarks: np.ndarray) -> Track:
+def first_track(now: float, landmarks: Array) -> Track:
     """Return landmarks (21, 3) [m] at a time [s] as a sample without motion."""
     centre = landmarks[PALM].mean(axis=0)
     return Track(now, landmarks - centre, centre, fixed_lengths(landmarks))
@@ -287,7 +287,7 @@ def change_between(track: Track, sample: Track, dt: float) -> Change:
     )
 
 
-def fixed_lengths(landmarks: np.ndarray) -> np.ndarray:
+def fixed_lengths(landmarks: Array) -> Array:
     """Return the distances that cannot change [m], shape (23,), of landmarks (21, 3)."""
     return lengths(landmarks[_ENDS] - landmarks[_STARTS])
 
@@ -440,7 +440,7 @@ class StreamGuard(Compiled):
             expect(False, "side", f"samples of a {own} hand", value=given, got=got)
 
     @in_core
-    def holds(self, recording: Recording) -> np.ndarray:
+    def holds(self, recording: Recording) -> Array:
         """Tell which samples of a recording the robot may not follow, wrists apart, shape (T,)."""
         samples = recording_samples(recording)
         return np.array([self.check(sample).is_held for sample in samples])
@@ -461,7 +461,7 @@ class StreamGuard(Compiled):
             return finding.kind, finding
         return ("" if self._palm.fits(sample.landmarks) else "size"), None
 
-    def _follow(self, landmarks: np.ndarray, held: Verdict) -> Verdict:
+    def _follow(self, landmarks: Array, held: Verdict) -> Verdict:
         """Judge landmarks that could be a hand's by how they follow the ones before."""
         state = self._state
         last = state.last

@@ -11,6 +11,7 @@ from handmap_qp.human.sample import RULES
 from handmap_qp.ik.core import Parts
 from handmap_qp.ik.qp import Status
 from handmap_qp.mapping.method import MapStep
+from handmap_qp.se3 import Array
 
 STATUS_NAMES: tuple[str, ...] = (*get_args(Status), "held", "gliding")
 """Outcomes of a step (`MapStep.status`); rows have the index."""
@@ -60,7 +61,7 @@ class StepTable:
             view[...] = number
 
     @property
-    def columns(self) -> list[np.ndarray]:
+    def columns(self) -> list[Array]:
         """Columns of the rows, shape (T, ...) each.
 
         Joint angles, wrist, its target, targets of the points, points, whether each joint is at a

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.se3 import lengths, unit
+from handmap_qp.se3 import Array, lengths, unit
 
 BONES = [(0 if k % 4 == 1 else k - 1, k) for k in range(1, 21)]
 """Landmarks at both ends of each bone, and from the wrist to each finger's first joint."""
@@ -73,8 +73,8 @@ class PalmarEvidence(NamedTuple):
             at the limit of people's hyperextension, MCP joints from 0 there to full at 58 degrees.
     """
 
-    total: np.ndarray
-    fingers: np.ndarray
+    total: Array
+    fingers: Array
 
 
 class Distances(NamedTuple):
@@ -85,8 +85,8 @@ class Distances(NamedTuple):
         spreads: Interquartile ranges of the logarithms, as standard deviations; same shape.
     """
 
-    medians: np.ndarray
-    spreads: np.ndarray
+    medians: Array
+    spreads: Array
 
     @property
     def hand_length(self) -> float:
@@ -94,7 +94,7 @@ class Distances(NamedTuple):
         return float(np.exp(self.medians[8:12]).sum())
 
 
-def own_distances(landmarks: np.ndarray) -> Distances:
+def own_distances(landmarks: Array) -> Distances:
     """Measure the distances that bones and palm keep, in our order.
 
     Args:
@@ -114,7 +114,7 @@ def log_size(distances: Distances) -> float:
     return median(distances.medians - _CENTRES)
 
 
-def misfit(distances: Distances) -> np.ndarray:
+def misfit(distances: Distances) -> Array:
     """Tell how badly landmarks fit a hand in our order, shape (...).
 
     Returns:
@@ -130,7 +130,7 @@ def misfit(distances: Distances) -> np.ndarray:
     return np.sqrt(np.minimum(squares, _LARGEST_DEVIATION**2).mean(axis=-1))
 
 
-def stuck_fingers(landmarks: np.ndarray) -> np.ndarray:
+def stuck_fingers(landmarks: Array) -> Array:
     """Tell which fingers repeat to rounding while the landmarks of most others tremble.
 
     A finger that is held still trembles too. Of a tracker with rigid bones nothing can be told.
@@ -150,7 +150,7 @@ def stuck_fingers(landmarks: np.ndarray) -> np.ndarray:
     return (trembling < _STUCK * usual) & is_carried & (usual > _LEAST_TREMBLING)
 
 
-def carried_fingers(landmarks: np.ndarray) -> np.ndarray:
+def carried_fingers(landmarks: Array) -> Array:
     """Tell which bent fingers the palm carries as they are while the other fingers move.
 
     This finds them where bones are rigid, and takes some seconds.
@@ -172,7 +172,7 @@ def carried_fingers(landmarks: np.ndarray) -> np.ndarray:
     return (ranges < _CARRIED) & is_inside & (median(changing) > _OTHERS_CHANGE)
 
 
-def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
+def palmar_evidence(landmarks: Array) -> PalmarEvidence:
     """Tell a right hand from a left one.
 
     On every hand, the thumb's base and the bent fingers lie on the palmar side of the plane through
@@ -215,7 +215,7 @@ def change_rate(dt: float, former: float) -> float:
     return math.hypot(1.0 / dt, 1.0 / former, 1.0 / dt + 1.0 / former)
 
 
-def noise_of(changes: np.ndarray, rate: float) -> float:
+def noise_of(changes: Array, rate: float) -> float:
     """Return the noise of points [m], of sizes (n,) of the changes of their velocities [m/s]."""
     return median(changes) / (_NORMAL * rate)
 
@@ -225,6 +225,6 @@ def learnt_noise(noise: float, seen: float) -> float:
     return noise + _SHARE * (min(seen, _MOST * max(noise, _LEAST)) - noise)
 
 
-def median(values: np.ndarray) -> float:
+def median(values: Array) -> float:
     """Return the (upper) median, without the overhead of `np.median` on small arrays."""
     return float(np.sort(values)[len(values) // 2])

@@ -24,7 +24,7 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HAND_LENGTHS, LANDMARK_COUNT, Finding, check_side
 from handmap_qp.ik.core import Compiled, in_core
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import Array, lengths
 from handmap_qp.trackers.hand_geometry import (
     Distances,
     carried_fingers,
@@ -92,7 +92,7 @@ class InputCheck(Compiled):
         """Forget all samples: of a new session, or after the input was changed."""
         vars(self).pop("core", None)
         self._saved = None
-        self._batch: list[tuple[float, np.ndarray, np.ndarray | None]] = []
+        self._batch: list[tuple[float, Array, Array | None]] = []
         self._last_time: tuple[float, ...] = ()
         self._guess: Finding | None = None
         self._batches = 0
@@ -102,7 +102,7 @@ class InputCheck(Compiled):
         self._misfit = np.nan
         self._has_curled = False
         self._sizes: list[float] = []
-        self._past: list[np.ndarray] = []
+        self._past: list[Array] = []
 
     @property
     @in_core
@@ -118,7 +118,7 @@ class InputCheck(Compiled):
 
     @in_core
     def update(
-        self, time: float, landmarks: np.ndarray, wrist: np.ndarray | None = None
+        self, time: float, landmarks: Array, wrist: Array | None = None
     ) -> Finding | None:
         """Take one sample in which the tracker saw the hand.
 
@@ -204,9 +204,7 @@ class InputCheck(Compiled):
             self._finding = guess
         self._guess = guess
 
-    def _examine(
-        self, landmarks: np.ndarray, wrists: np.ndarray | None
-    ) -> Finding | None:
+    def _examine(self, landmarks: Array, wrists: Array | None) -> Finding | None:
         """Return what is wrong in one batch."""
         distances = own_distances(landmarks)
         evidence = palmar_evidence(landmarks)
@@ -233,8 +231,8 @@ class InputCheck(Compiled):
         self,
         total: float,
         fingers: float,
-        landmarks: np.ndarray,
-        wrists: np.ndarray | None,
+        landmarks: Array,
+        wrists: Array | None,
     ) -> Finding | None:
         """Tell whether the hand, or its fingers alone, bend to the other side of the palm."""
         # Fingers that were seen to curl are bent backwards by the person.
@@ -243,7 +241,7 @@ class InputCheck(Compiled):
             return _BENT_BACK
         return self._other_side(landmarks, wrists) if total < -_SURE_SIDE else None
 
-    def _stuck(self, landmarks: np.ndarray) -> Finding | None:
+    def _stuck(self, landmarks: Array) -> Finding | None:
         """Tell whether a finger repeats, by this batch or by the last ones together."""
         self._past = [*self._past, landmarks][-_CARRIED_BATCHES:]
         is_stuck = stuck_fingers(landmarks)
@@ -271,7 +269,7 @@ class InputCheck(Compiled):
             "measure the person again, and open a session for each person",
         )
 
-    def _other_side(self, landmarks: np.ndarray, wrists: np.ndarray | None) -> Finding:
+    def _other_side(self, landmarks: Array, wrists: Array | None) -> Finding:
         """Tell the other hand from a mirrored world, which only the wrist's orientation can."""
         other = "left" if self.side == "right" else "right"
         say = f"say that the hand is the {other} one"
@@ -349,7 +347,7 @@ _CONTRADICTION = 0.6
 
 
 def _find_order(
-    landmarks: np.ndarray,
+    landmarks: Array,
     sign: float,
     own_evidence: float,
 ) -> Finding | None:
@@ -383,7 +381,7 @@ def _find_order(
 
 
 @cache
-def _known_orders() -> tuple[list[str], np.ndarray]:
+def _known_orders() -> tuple[list[str], Array]:
     """Return names and indices of our own order, of the named ones, and of all finger orders."""
     own = np.arange(LANDMARK_COUNT)
     known = {"": own}
@@ -418,7 +416,7 @@ _LENGTH_UNITS = {
 _PIXELS = 30.0  # a hand that is longer in any unit
 
 
-def _find_time_unit(times: np.ndarray) -> Finding | None:
+def _find_time_unit(times: Array) -> Finding | None:
     """Tell whether the median step of instants (T,) is not one of a tracker in seconds."""
     step = median(np.diff(times)) if len(times) > 1 else 0.0
     low, high = _STEPS
@@ -441,7 +439,7 @@ def _find_time_unit(times: np.ndarray) -> Finding | None:
 
 
 def _find_length_unit(
-    landmarks: np.ndarray,
+    landmarks: Array,
     distances: Distances,
     *,
     is_hand: bool,

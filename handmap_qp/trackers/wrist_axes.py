@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from handmap_qp.human.sample import Finding
-from handmap_qp.se3 import lengths, nearest_rotation, unit
+from handmap_qp.se3 import Array, lengths, nearest_rotation, unit
 from handmap_qp.trackers.hand_geometry import median
 
 _X, _Y, _Z = np.eye(3)
 
 
-def axes_convention(distal: np.ndarray, dorsal: np.ndarray) -> np.ndarray:
+def axes_convention(distal: Array, dorsal: Array) -> Array:
     """Return a wrist's axes in the frame of our wrist: +y distal, +z dorsal.
 
     Args:
@@ -48,7 +48,7 @@ _KEPT = 0.4
 _FARTHEST_APART = 0.10  # m, of the wrist's landmark from the pose
 
 
-def palm_axes(landmarks: np.ndarray, sign: float) -> np.ndarray:
+def palm_axes(landmarks: Array, sign: float) -> Array:
     """Return the palm's rotations: +y to the middle knuckle, 8 to 11 degrees from ours, +z dorsal.
 
     Args:
@@ -78,10 +78,10 @@ class WristCheck:
     def __init__(self, sign: float) -> None:
         self._sign = sign
         # Mean palm, and mean rotation from wrist to palm, of the batch to compare with.
-        self._start: tuple[np.ndarray, np.ndarray] | None = None
+        self._start: tuple[Array, Array] | None = None
         self.is_proven = False
 
-    def examine(self, landmarks: np.ndarray, wrists: np.ndarray) -> Finding | None:
+    def examine(self, landmarks: Array, wrists: Array) -> Finding | None:
         """Compare wrist poses with the palm that the landmarks show.
 
         The rotation from one to the other must be that of a known tracker, or at least be the same
@@ -132,9 +132,7 @@ class WristCheck:
         return None
 
 
-def _mean_relative(
-    palms: np.ndarray, rotations: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _mean_relative(palms: Array, rotations: Array) -> tuple[Array, Array]:
     """Return the mean rotation from wrist to palm, and how steady it is.
 
     Steady means that the means of both halves of the samples agree: the cosine of the angle between
@@ -148,7 +146,7 @@ def _mean_relative(
     return mean, _cosine(first, second)
 
 
-def _cosine(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _cosine(a: Array, b: Array) -> Array:
     """Return cosines of the angles between rotations, shape (...)."""
     return np.clip(((a * b).sum(axis=(-2, -1)) - 1.0) / 2.0, -1.0, 1.0)
 
@@ -159,7 +157,7 @@ _ROLLS = {
 }
 
 
-def _usual_mistake(palms: np.ndarray, rotations: np.ndarray) -> str:
+def _usual_mistake(palms: Array, rotations: Array) -> str:
     """Return the usual mistake of a reader that explains the rotations; empty if none does.
 
     A layout may have turned the wrist's axes to ours afterwards, so undo that for every convention.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -274,6 +273,6 @@ def test_a_joint_that_fingers_share_takes_the_mean_of_what_they_ask() -> None:
     asked = [
         link.position(angles[bound.fingers.index(link.finger)]) for link in led[:3]
     ]
-    bound.links = [replace(link, column=0) for link in led[:3]]
+    bound.links = [link._replace(column=0) for link in led[:3]]
     assert bound.positions(angles)[0] == pytest.approx(np.mean(asked), abs=1e-12)
     assert max(asked) > min(asked) + 0.01

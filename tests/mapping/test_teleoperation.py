@@ -221,7 +221,7 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(
     q = ik.configuration.q[HUMAN.q_indices]
     mapper = HandMapper(HUMAN, robot, Teleoperation(contact_gap=0.013), ik=IK)
     closed = settled(mapper, q)
-    assert closed.diagnostics.pinching.max() == 1.0
+    assert closed.diagnostics["pinching"].max() == 1.0
     # Between the URDF's shapes are both covers; soft ones are pressed by 3 mm at most.
     gaps = measure_gaps(ALLEGRO, closed.command.q[None])
     pressed = 0.003 if cover else 0.002

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -324,7 +323,7 @@ def test_the_json_says_which_mapping_held_which_object(
     assert not all(heavy)
 
     def run(_: PinchScene, trial: PinchTrial) -> PinchOutcome:
-        return replace(lifted, is_held=trial.mass > 0.05)
+        return lifted._replace(is_held=trial.mass > 0.05)
 
     monkeypatch.setattr(PinchScene, "run", run)
     words = ["simulate", "demo::right", "--robot", "panda_gripper", "--json"]

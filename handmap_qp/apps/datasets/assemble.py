@@ -23,7 +23,7 @@ from handmap_qp.apps.datasets.manifest import Line
 from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.se3 import unit
+from handmap_qp.se3 import Array, unit
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 
@@ -49,9 +49,9 @@ class Episode(NamedTuple):
 
     sources: str
     task: str
-    state: np.ndarray
-    action: np.ndarray
-    valid: np.ndarray
+    state: Array
+    action: Array
+    valid: Array
 
 
 def assemble(
@@ -175,7 +175,7 @@ def _episodes(
 
 
 def _episode(
-    pairs: Sequence[tuple[Line, dict[str, np.ndarray]]],
+    pairs: Sequence[tuple[Line, dict[str, Array]]],
     fps: float,
     hands: Robots,
 ) -> Episode:
@@ -205,9 +205,7 @@ def _episode(
     )
 
 
-def _resampled(
-    columns: dict[str, np.ndarray], instants: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _resampled(columns: dict[str, Array], instants: Array) -> tuple[Array, Array]:
     """Interpolate joints and wrist; a frame is valid between two valid samples."""
     wrist = columns["wrist"]
     quats = continuous_quats(wrist[:, :3, :3])
@@ -218,7 +216,7 @@ def _resampled(
     return state, found[-1] == 1.0
 
 
-def _as_float32(state: np.ndarray, hand: Hand) -> np.ndarray:
+def _as_float32(state: Array, hand: Hand) -> Array:
     """Round a state to float32 without leaving the joints' limits."""
     rounded = state.astype(np.float32)
     joints = rounded[:, : len(hand.joint_names)]

@@ -39,7 +39,7 @@ from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.human.recording import Recording
 from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import Array, lengths
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.formats.base import reading
@@ -238,7 +238,7 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
     return sha256(archive.getbuffer()).hexdigest()
 
 
-def read_episode(folder: Path, line: Line) -> dict[str, np.ndarray]:
+def read_episode(folder: Path, line: Line) -> dict[str, Array]:
     """Verify an episode, and read what a data set for training needs of it.
 
     Args:

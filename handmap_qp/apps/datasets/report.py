@@ -23,6 +23,7 @@ from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import make_folder, replaced_file
+from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.formats.archive import Arrays, read_archive
 
@@ -145,7 +146,7 @@ class Quality(NamedTuple):
 
     episodes: tuple[Ranked, ...]
     failed: tuple[Line, ...]
-    values: dict[Metric, np.ndarray]
+    values: dict[Metric, Array]
 
     @property
     def kept(self) -> int:
@@ -190,7 +191,7 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     )
 
 
-def _ranks(values: np.ndarray) -> np.ndarray:
+def _ranks(values: Array) -> Array:
     """Return the shares of episodes that are better, 0 where there is no value, shape (E, m)."""
     signs = np.array([1.0 if measure.better == "low" else -1.0 for measure in MEASURES])
     # Values that are all good enough do not tell episodes apart.

@@ -34,6 +34,7 @@ from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import FIRST_JOINTS, LANDMARK_COUNT, PALM, TIPS
 from handmap_qp.se3 import (
+    Array,
     as_floats,
     inverse_pose,
     lengths,
@@ -96,14 +97,12 @@ class SheetRow:
 
     label: str
     note: str
-    landmarks: np.ndarray
-    q: tuple[np.ndarray, ...]
+    landmarks: Array
+    q: tuple[Array, ...]
 
 
 def sheet_rows(
-    recording: Recording,
-    poses: Mapping[str, int | None],
-    motions: Sequence[np.ndarray],
+    recording: Recording, poses: Mapping[str, int | None], motions: Sequence[Array]
 ) -> list[SheetRow]:
     """Pick samples out of a recording and the motions that were mapped from it.
 
@@ -211,7 +210,7 @@ def pose_pictures(
     rows: Sequence[SheetRow],
     *,
     side: Side = "right",
-) -> np.ndarray:
+) -> Array:
     """Draw the poses without labels, such as the frames of an animation.
 
     Args:
@@ -260,7 +259,7 @@ def save_contact_sheet(
     file: Path | str,
     recording: Recording,
     poses: Mapping[str, int | None],
-    methods: Sequence[tuple[str, Hand, np.ndarray]],
+    methods: Sequence[tuple[str, Hand, Array]],
 ) -> Path:
     """Draw the contact sheet of one recording and write it as PNG.
 
@@ -288,11 +287,7 @@ def save_contact_sheet(
     return Path(file)
 
 
-def _pictures(
-    solids: list[Triangles],
-    side: Side,
-    background: float,
-) -> np.ndarray:
+def _pictures(solids: list[Triangles], side: Side, background: float) -> Array:
     """Render solids at one scale, shape (solids, views, height, width, 3)."""
     points = merged(solids).vertices.reshape(-1, 3)
     cameras = [
@@ -309,7 +304,7 @@ def _pictures(
     return background + images[..., 3:] * (images[..., :3] - background)
 
 
-def _human_triangles(landmarks: np.ndarray) -> Triangles:
+def _human_triangles(landmarks: Array) -> Triangles:
     """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
     points = transform_points(UPRIGHT, landmarks)
     # The palm is flat, and seen from both sides.

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
 from handmap_qp.apps.drawing.shapes import read_shapes
@@ -23,7 +23,7 @@ from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.se3 import affine, unit
+from handmap_qp.se3 import Array, affine, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,9 +34,7 @@ HUMAN_COLOUR = (0.13, 0.40, 0.85)
 ROBOT_COLOUR = (0.84, 0.16, 0.16)
 """Colour of the robot's reference points (red)."""
 
-UPRIGHT = affine(
-    np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.zeros(3)
-)
+UPRIGHT = affine(np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]))
 """From palm axes (+y distal, +z dorsal) to a picture's: +z up the fingers, -y out of the palm."""
 
 GREY = (0.62, 0.64, 0.67)
@@ -64,9 +62,7 @@ class HandShape(NamedTuple):
     hand: Hand
     links: dict[str, Triangles]
 
-    def triangles(
-        self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None
-    ) -> Triangles:
+    def triangles(self, q: ArrayLike, wrist_pose: Array | None = None) -> Triangles:
         """Return the hand's surface in one posture.
 
         Args:
@@ -135,11 +131,7 @@ def solid(mesh: Any, colour: Colour) -> Triangles:
     return Triangles.painted(corners, normals, colour)
 
 
-def spheres(
-    centres: npt.ArrayLike,
-    radius: float,
-    colour: Colour,
-) -> Triangles:
+def spheres(centres: ArrayLike, radius: float, colour: Colour) -> Triangles:
     """Return small spheres that mark points.
 
     Args:
@@ -160,11 +152,7 @@ def spheres(
     return Triangles.painted(vertices, np.tile(corners, (len(places), 1, 1)), colour)
 
 
-def tube(
-    ends: npt.ArrayLike,
-    radius: float,
-    colour: Colour,
-) -> Triangles:
+def tube(ends: ArrayLike, radius: float, colour: Colour) -> Triangles:
     """Return a thin straight tube.
 
     Args:
@@ -204,11 +192,7 @@ def draw_hands(
     require_matplotlib()
     image = render(triangles, camera, marks=marks, supersampling=supersampling)
     width, height = camera.size
-    axes.imshow(
-        image,
-        extent=(0.0, width, height, 0.0),
-        interpolation="antialiased",
-    )
+    axes.imshow(image, extent=(0.0, width, height, 0.0), interpolation="antialiased")
     pixel_axes(axes, camera)
 
 
@@ -300,9 +284,7 @@ def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
     return solid(coarse, colour)
 
 
-def _simplified(
-    vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _simplified(vertices: Array, faces: Array) -> tuple[Array, Array]:
     """Simplify a mesh: merge vertices in each cell of the finest grid that gives few triangles."""
     places = vertices - vertices.min(axis=0)
     places /= places.max()
@@ -310,7 +292,7 @@ def _simplified(
     coarse = faces
     cell_of = np.arange(len(vertices))
     while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
-        grid = np.floor(places * cells).astype(np.int64)
+        grid = np.floor(places * cells).astype(int)
         _, cell_of = np.unique(grid, axis=0, return_inverse=True)
         coarse = cell_of[faces]
         coarse = coarse[(coarse != np.roll(coarse, 1, axis=1)).all(axis=1)]

@@ -21,7 +21,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
-from handmap_qp.se3 import lengths, transform_points, unit
+from handmap_qp.se3 import Array, lengths, transform_points, unit
 from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.base import Layout, sized_human
@@ -36,7 +36,7 @@ _AXIS_LENGTH = 0.045  # m
 _SPREADS = (0.75, 0.16, 0.02, -0.12, -0.28)
 # Joints of the forearm that lie farther from the wrist are left out [m].
 _FARTHEST = 0.12
-_Entries = tuple[np.ndarray, list[str], np.ndarray]
+_Entries = tuple[Array, list[str], Array]
 """Places [m], indices as text, and whether they are landmarks."""
 
 
@@ -62,11 +62,7 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
     save_panels(path, title, _PANEL, panels)
 
 
-def _draw_side(
-    layout: Layout,
-    side: Side,
-    axes: Any,
-) -> None:
+def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
     human = sized_human(side)
     q = _open_posture(human)
     solid = load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT)
@@ -95,12 +91,7 @@ def _draw_side(
             axes.text(x + 1, y + 6, label, fontsize=7, color="0.35", **style)
 
 
-def _draw_axes(
-    axes: Any,
-    camera: Camera,
-    ends: np.ndarray,
-    directions: np.ndarray,
-) -> None:
+def _draw_axes(axes: Any, camera: Camera, ends: Array, directions: Array) -> None:
     """Draw the wrist's axes as arrows with their names; an axis at right angles says its side."""
     origin = camera.project(np.zeros(3))[:2]
     for end, direction, name, colour in zip(
@@ -128,7 +119,7 @@ def _halo() -> dict[str, Any]:
     return {"path_effects": [patheffects.withStroke(linewidth=2.5, foreground="white")]}
 
 
-def _open_posture(human: Hand) -> np.ndarray:
+def _open_posture(human: Hand) -> Array:
     """Return an open hand with spread fingers, so that indices do not cover one another."""
     q = 0.25 * human.rest
     for finger, spread in zip(FINGERS, _SPREADS, strict=True):
@@ -137,11 +128,7 @@ def _open_posture(human: Hand) -> np.ndarray:
     return np.clip(q, human.lower_limits, human.upper_limits)
 
 
-def _entries(
-    layout: Layout,
-    human: Hand,
-    q: np.ndarray,
-) -> _Entries:
+def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     """Return what the layout shows on a hand."""
     if isinstance(layout, AngleLayout):
         return _angle_entries(layout, human.points(q))
@@ -165,7 +152,7 @@ def _entries(
     return places[shown], [*map(str, shown)], is_used[shown]
 
 
-def _angle_entries(layout: AngleLayout, landmarks: np.ndarray) -> _Entries:
+def _angle_entries(layout: AngleLayout, landmarks: Array) -> _Entries:
     """Return the joints that angles turn, two of which share the first place of a finger."""
     texts: dict[int, str] = {}
     for i, entry in enumerate(layout.table.angles):
@@ -177,7 +164,7 @@ def _angle_entries(layout: AngleLayout, landmarks: np.ndarray) -> _Entries:
     return landmarks[shown], labels, np.ones(len(shown), dtype=bool)
 
 
-def _wrist_axes(layout: Layout, side: Side) -> np.ndarray:
+def _wrist_axes(layout: Layout, side: Side) -> Array:
     """Return the wrist's x, y and z axes in our wrist frame, shape (3, 3); zeros if unknown."""
     if layout.wrist_table is None:
         return np.eye(3) if isinstance(layout, MarkerLayout) else np.zeros((3, 3))

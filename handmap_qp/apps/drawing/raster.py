@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.se3 import affine, lengths, transform_points, unit
+from handmap_qp.se3 import Array, affine, lengths, transform_points, unit
 
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
@@ -52,21 +52,16 @@ class Triangles(NamedTuple):
         normals: Unit normals at the corners, for smooth shading, shape (n, 3, 3).
     """
 
-    vertices: np.ndarray
-    colours: np.ndarray
-    normals: np.ndarray
+    vertices: Array
+    colours: Array
+    normals: Array
 
     @classmethod
-    def painted(
-        cls,
-        vertices: np.ndarray,
-        normals: np.ndarray,
-        colour: Colour,
-    ) -> Triangles:
+    def painted(cls, vertices: Array, normals: Array, colour: Colour) -> Triangles:
         """Return triangles of one colour."""
         return cls(vertices, np.tile(colour, (len(vertices), 1)), normals)
 
-    def moved(self, pose: np.ndarray) -> Triangles:
+    def moved(self, pose: Array) -> Triangles:
         """Return them moved by a pose, shape (4, 4)."""
         vertices = transform_points(pose, self.vertices)
         return Triangles(vertices, self.colours, self.normals @ pose[:3, :3].T)
@@ -82,7 +77,7 @@ class Camera(NamedTuple):
         size: Width and height of the picture [pixel].
     """
 
-    world_to_camera: np.ndarray
+    world_to_camera: Array
     focal_length: float
     centre: tuple[float, float]
     size: tuple[int, int]
@@ -90,7 +85,7 @@ class Camera(NamedTuple):
     @classmethod
     def framing(
         cls,
-        points: np.ndarray,
+        points: Array,
         size: tuple[int, int],
         *,
         azimuth: float = -60.0,
@@ -114,7 +109,7 @@ class Camera(NamedTuple):
             The camera.
         """
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        radius = max(float(lengths(points - middle).max()), 1e-6)
+        radius = max(lengths(points - middle).max(), 1e-6)
         turn = Rotation.from_euler("ZY", (azimuth, -elevation), degrees=True)
         backward, right, up = turn.as_matrix().T
         rotation = np.array([right, -up, -backward])
@@ -125,11 +120,11 @@ class Camera(NamedTuple):
         low = tangents.min(axis=0)
         high = tangents.max(axis=0)
         room = np.array(size) - 2.0 * margin * min(size)
-        focal_length = float((room / np.maximum(high - low, 1e-9)).min())
+        focal_length = (room / np.maximum(high - low, 1e-9)).min()
         x, y = (0.5 * (size - focal_length * (low + high))).tolist()
         return cls(world_to_camera, focal_length, (x, y), size)
 
-    def project(self, points: np.ndarray) -> np.ndarray:
+    def project(self, points: Array) -> Array:
         """Project points into the picture.
 
         Args:
@@ -162,11 +157,11 @@ class _Surface(NamedTuple):
     coordinates in the triangles.
     """
 
-    pixels: np.ndarray
-    centres: np.ndarray
-    triangle: np.ndarray
-    shares: np.ndarray
-    depth: np.ndarray
+    pixels: Array
+    centres: Array
+    triangle: Array
+    shares: Array
+    depth: Array
 
 
 _NOTHING = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -183,7 +178,7 @@ def render(
     *,
     marks: Triangles | None = None,
     supersampling: int = 2,
-) -> np.ndarray:
+) -> Array:
     """Render a picture.
 
     Args:
@@ -215,7 +210,7 @@ def render(
     return picture
 
 
-def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
+def _rasterise(vertices: Array, camera: Camera) -> _Surface:
     """Find the triangle in front at every pixel's centre; cull those seen from behind."""
     width, height = camera.size
     corners = camera.project(vertices)
@@ -229,11 +224,11 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     planes = np.linalg.inv(flat[seen]).swapaxes(1, 2)
     nearness = np.einsum("nc,ncj->nj", 1.0 / depths[seen], planes)
     nearest = np.zeros(width * height)
-    front = np.zeros(width * height, dtype=np.int64)
+    front = np.zeros(width * height, dtype=int)
     # The pixels in the box around each triangle, row by row.
     places = corners[seen, :, :2]
-    low = np.ceil(places.min(axis=1) - 0.5).clip(0, camera.size).astype(np.int64)
-    high = np.floor(places.max(axis=1) + 0.5).clip(0, camera.size).astype(np.int64)
+    low = np.ceil(places.min(axis=1) - 0.5).clip(0, camera.size).astype(int)
+    high = np.floor(places.max(axis=1) + 0.5).clip(0, camera.size).astype(int)
     across, down = (high - low).T
     ends = np.cumsum(across * down)
     for start in range(0, ends.max(initial=0), _CHUNK):
@@ -264,12 +259,12 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     return _Surface(pixels, centres, seen[owner], shares, depth.reshape(height, width))
 
 
-def _centres(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _centres(x: Array, y: Array) -> Array:
     """Return the centres of pixels as x, y and 1, shape (k, 3)."""
     return np.column_stack([x + 0.5, y + 0.5, np.ones(len(x))])
 
 
-def _shaded(triangles: Triangles, surface: _Surface, camera: Camera) -> np.ndarray:
+def _shaded(triangles: Triangles, surface: _Surface, camera: Camera) -> Array:
     """Return linear light and opacity at every pixel, shape (height, width, 4)."""
     width, height = camera.size
     picture = np.zeros((height * width, 4))
@@ -292,7 +287,7 @@ def _shaded(triangles: Triangles, surface: _Surface, camera: Camera) -> np.ndarr
     return picture.reshape(height, width, 4)
 
 
-def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
+def _creases(depth: Array, camera: Camera) -> Array:
     """Estimate ambient occlusion at each pixel, 0..1, shape (height, width).
 
     A pixel is in a hollow if it is behind the mean depth of two opposite neighbours. On a plane of
@@ -301,7 +296,7 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     is_solid = np.isfinite(depth)
     if not is_solid.any():
         return np.zeros_like(depth)
-    scale = camera.focal_length / float(np.median(depth[is_solid]))
+    scale = camera.focal_length / np.median(depth[is_solid])
     reach = max(2.0, _CREASE_RADIUS * scale)
     # Repeat the border of the picture, and look at solid pixels only.
     room = int(np.ceil(reach)) + 1

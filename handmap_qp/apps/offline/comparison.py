@@ -59,7 +59,7 @@ from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.alignment import rotation_onto
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import PRESETS, preset_choice
-from handmap_qp.se3 import as_floats, inverse_pose
+from handmap_qp.se3 import Array, as_floats, inverse_pose
 from handmap_qp.stream.follower import SMOOTH_IK
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import NpzFormat, read_archive
@@ -97,8 +97,8 @@ class Take:
     is_mirrored: bool
     human: Hand
     trace: HandTrace
-    wrist: np.ndarray
-    q: np.ndarray
+    wrist: Array
+    q: Array
 
     @property
     def name(self) -> str:
@@ -122,12 +122,12 @@ class RobotMotion(NamedTuple):
         about: Version and settings, in words.
     """
 
-    q: np.ndarray
-    wrist: np.ndarray | None
-    step_time: np.ndarray
+    q: Array
+    wrist: Array | None
+    step_time: Array
     about: str = ""
 
-    def wrist_in(self, take: Take, robot: Hand) -> np.ndarray:
+    def wrist_in(self, take: Take, robot: Hand) -> Array:
         """Return the wrist's poses; if it is not moved, those that put the palm on the human's."""
         if self.wrist is not None:
             return self.wrist

@@ -36,7 +36,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimator
-from handmap_qp.se3 import inverse_pose, lengths, rigid_fit, transform_points
+from handmap_qp.se3 import Array, inverse_pose, lengths, rigid_fit, transform_points
 
 SETTLING = 0.5
 """Time at the start that does not count [s]."""
@@ -81,15 +81,15 @@ class Fidelity(NamedTuple):
 def assess_fidelity(
     human: HandTrace,
     robot: HandTrace,
-    time: np.ndarray,
+    time: Array,
     *,
-    valid: np.ndarray | None = None,
+    valid: Array | None = None,
     gaps: SurfaceGaps | None = None,
     hand: Hand | None = None,
-    q: np.ndarray | None = None,
-    human_q: np.ndarray | None = None,
+    q: Array | None = None,
+    human_q: Array | None = None,
     workspace: ByFinger | None = None,
-    step_time: np.ndarray | None = None,
+    step_time: Array | None = None,
 ) -> Fidelity:
     """Measure how well a robot's motion does what a human's meant.
 
@@ -192,7 +192,7 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> ByFinger:
     }
 
 
-def angles_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def angles_between(a: Array, b: Array) -> Array:
     """Angles between vectors of shape (..., 3) [deg], shape (...)."""
     return np.degrees(np.arctan2(lengths(np.cross(a, b)), (a * b).sum(axis=-1)))
 
@@ -248,7 +248,7 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
 def gap_metrics(
     human: HandTrace,
     gaps: SurfaceGaps,
-    counts: np.ndarray,
+    counts: Array,
 ) -> tuple[int, Values]:
     """Return how many samples of pairs the human pinches, and metrics of the robot's surfaces."""
     wanted = pinch_gaps(human)
@@ -275,10 +275,10 @@ def gap_metrics(
 
 def joint_metrics(
     hand: Hand,
-    q: np.ndarray,
-    time: np.ndarray,
-    counts: np.ndarray,
-    human_q: np.ndarray | None,
+    q: Array,
+    time: Array,
+    counts: Array,
+    human_q: Array | None,
 ) -> Values:
     """Compare joints with their limits, and their jerk with the fitted human's."""
     outside = np.maximum(hand.lower_limits - q, q - hand.upper_limits).max(axis=1)
@@ -298,7 +298,7 @@ def joint_metrics(
 def latency(
     human: HandTrace,
     robot: HandTrace,
-    time: np.ndarray,
+    time: Array,
 ) -> float:
     """Lag of the robot's fingertips behind the human's, both in palm frames.
 
@@ -394,7 +394,7 @@ def _tips_by_finger(hand: HandTrace) -> ByFinger:
     return dict(zip(hand.names, hand.local[:, :, TIP].swapaxes(0, 1), strict=True))
 
 
-def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _object_motion(hand: HandTrace) -> tuple[Array, Array, Array]:
     """Rotations (T, 3, 3), log-stretches (T, 3, 3) and centroid displacements (T, 3)."""
     points = hand.points[:, :, MIDDLE:].reshape(len(hand.points), -1, 3)
     points = points @ hand.palm[0, :3, :3]
@@ -405,13 +405,13 @@ def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return factors.rotation, stretches, centroids - centroids[0]
 
 
-def _palm_points(hand: HandTrace) -> np.ndarray:
+def _palm_points(hand: HandTrace) -> Array:
     """Palm origin, tips and knuckles in the palm frame [m], shape (T, 1 + 2 k, 3)."""
     local = hand.local[:, :, [TIP, KNUCKLE]].swapaxes(1, 2)
     return np.pad(local.reshape(len(local), -1, 3), ((0, 0), (1, 0), (0, 0)))
 
 
-def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+def _laid_on(points: Array, onto: Array) -> Array:
     """Points of every sample moved by the similarity that lays them best on others (Umeyama)."""
     turned = transform_points(rigid_fit(points, onto), points)
     centre = turned.mean(axis=1, keepdims=True)
@@ -421,31 +421,31 @@ def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     return fit / np.maximum(size, _LEAST**2) * turned + centre
 
 
-def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _correlations(a: Array, b: Array) -> Array:
     """Correlations of columns over time, shape (T, n) or (T,); 0 where either stands still."""
     return _cosines((a - a.mean(axis=0)).T, (b - b.mean(axis=0)).T)
 
 
-def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _cosines(a: Array, b: Array) -> Array:
     """Cosines between vectors along the last axis; 0 where either is zero."""
     norms = lengths(a) * lengths(b)
     dots = (a * b).sum(axis=-1)
     return np.clip(dots / np.where(norms > 0.0, norms, np.inf), -1.0, 1.0)
 
 
-def _turns(rotations: np.ndarray) -> np.ndarray:
+def _turns(rotations: Array) -> Array:
     """Angles of rotations of shape (T, 3, 3) [rad], shape (T,)."""
     return Rotation.from_matrix(rotations).magnitude()
 
 
-def _distance_mm(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _distance_mm(a: Array, b: Array) -> Array:
     """Mean distance over samples [mm]."""
     return 1e3 * lengths(a - b).mean(axis=0)
 
 
-def _mean(values: np.ndarray) -> float:
+def _mean(values: Array) -> float:
     return float(values.mean()) if values.size else np.nan
 
 
-def _rms(values: np.ndarray) -> np.ndarray:
+def _rms(values: Array) -> Array:
     return np.sqrt(np.mean(np.square(values), axis=0))

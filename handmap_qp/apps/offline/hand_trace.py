@@ -19,6 +19,7 @@ from handmap_qp.hands.human import FINGERS, THUMB, HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import FIRST_JOINTS, PALM, TIPS
 from handmap_qp.se3 import (
+    Array,
     affine,
     inverse_pose,
     nearest_rotation,
@@ -37,7 +38,7 @@ fingers_of = lru_cache(maxsize=32)(find_fingers)
 """The fingers of a hand, which are found once: a reach takes a search."""
 
 
-ByFinger = dict[str, np.ndarray]
+ByFinger = dict[str, Array]
 """Arrays by the anatomical names of fingers."""
 
 
@@ -54,22 +55,22 @@ class HandTrace(NamedTuple):
     """
 
     names: tuple[str, ...]
-    points: np.ndarray
-    reach: np.ndarray
-    palm: np.ndarray
+    points: Array
+    reach: Array
+    palm: Array
     size: float
 
     @property
-    def local(self) -> np.ndarray:
+    def local(self) -> Array:
         """The points in the palm frame [m], shape (T, k, 3, 3)."""
         return transform_points(inverse_pose(self.palm)[:, None], self.points)
 
     @property
-    def extension(self) -> np.ndarray:
+    def extension(self) -> Array:
         """Distance from knuckle to tip as a share of the reach, shape (T, k)."""
         return norms(self.points[:, :, TIP] - self.points[:, :, KNUCKLE]) / self.reach
 
-    def part(self, samples: np.ndarray, names: Sequence[str]) -> HandTrace:
+    def part(self, samples: Array, names: Sequence[str]) -> HandTrace:
         """Return some of the samples, by index or mask, and some of the fingers."""
         chosen = [self.names.index(name) for name in names]
         points = self.points[samples][:, chosen]
@@ -78,10 +79,10 @@ class HandTrace(NamedTuple):
 
 
 def trace_human(
-    landmarks: np.ndarray,
+    landmarks: Array,
     lengths: HumanLengths,
     side: Side = "right",
-    wrist_poses: np.ndarray | None = None,
+    wrist_poses: Array | None = None,
 ) -> HandTrace:
     """Describe a human's motion by its raw landmarks.
 
@@ -111,8 +112,8 @@ def trace_human(
 
 def trace_robot(
     hand: Hand,
-    q: np.ndarray,
-    wrist: np.ndarray | None = None,
+    q: Array,
+    wrist: Array | None = None,
 ) -> HandTrace:
     """Describe a robot's motion by its joint angles and wrist poses.
 

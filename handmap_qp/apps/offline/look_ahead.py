@@ -40,6 +40,7 @@ from handmap_qp.human.sample import PALM
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.se3 import (
+    Array,
     affine,
     inverse_pose,
     rigid_fit,
@@ -105,11 +106,11 @@ def look_ahead(recording: Recording, options: LookAhead | None = None) -> Record
 
 
 def smooth_poses(
-    time: np.ndarray,
-    poses: np.ndarray,
-    valid: np.ndarray,
+    time: Array,
+    poses: Array,
+    valid: Array,
     options: LookAhead,
-) -> np.ndarray:
+) -> Array:
     """Smooth poses forwards and backwards in time.
 
     Args:
@@ -128,11 +129,11 @@ def smooth_poses(
 
 
 def whittaker(
-    time: np.ndarray,
-    values: np.ndarray,
-    weight: np.ndarray,
+    time: Array,
+    values: Array,
+    weight: Array,
     cutoff: float,
-) -> np.ndarray:
+) -> Array:
     """Smooth columns by a penalty on their second derivative.
 
     Args:
@@ -228,7 +229,7 @@ def map_hands(
     return trajectory, choice.method
 
 
-def continuous_quats(rotations: np.ndarray) -> np.ndarray:
+def continuous_quats(rotations: Array) -> Array:
     """Return quaternions wxyz of rotations (T, 3, 3) without jumps of sign, shape (T, 4)."""
     # Imported when used: it takes a quarter of the start of a worker, and most look at the past.
     from scipy.spatial.transform import Rotation
@@ -241,7 +242,7 @@ def continuous_quats(rotations: np.ndarray) -> np.ndarray:
     return quats
 
 
-def _smoothed(recording: Recording, options: LookAhead) -> np.ndarray:
+def _smoothed(recording: Recording, options: LookAhead) -> Array:
     """Smooth landmarks, shape (T, 21, 3): the palm's motion, and what moves in the palm."""
     time = recording.time
     valid = recording.valid

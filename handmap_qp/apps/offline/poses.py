@@ -13,7 +13,7 @@ import numpy as np
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.human.recording import Recording
-from handmap_qp.se3 import as_floats, lengths
+from handmap_qp.se3 import Array, as_floats, lengths
 
 STRAIGHT = 60.0
 """A finger whose bones turn by less than this from wrist to tip is straight [deg]."""
@@ -50,12 +50,12 @@ class Posture(NamedTuple):
             palm's normal; positive where they diverge [deg], shape (T,).
     """
 
-    flexion: np.ndarray
-    gaps: np.ndarray
-    spread: np.ndarray
+    flexion: Array
+    gaps: Array
+    spread: Array
 
 
-def measure_posture(landmarks: np.ndarray) -> Posture:
+def measure_posture(landmarks: Array) -> Posture:
     """Flexion, gaps and spread of a right or left hand; NaN where landmarks are NaN or coincide.
 
     Landmarks are in metres, shape (T, 21, 3).
@@ -91,7 +91,7 @@ POSES = (
 """Names of the poses, in the order of every result."""
 
 
-def _scores(posture: Posture) -> dict[str, np.ndarray]:
+def _scores(posture: Posture) -> dict[str, Array]:
     """Return how clearly every sample shows each of `POSES`, shape (T,); 0 where it does not."""
     flexion, gaps, spread = posture
     most = flexion.max(axis=1)
@@ -159,7 +159,7 @@ def rank_poses(recording: Recording) -> Ranked:
     return found
 
 
-def _held(scores: np.ndarray, time: np.ndarray) -> np.ndarray:
+def _held(scores: Array, time: Array) -> Array:
     """Lower each score to the least of the `HOLD` before it; 0 where the sample has none.
 
     A pose that was not held throughout counts half.

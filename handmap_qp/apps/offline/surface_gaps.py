@@ -16,6 +16,7 @@ from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, pair_distances
 from handmap_qp.ik.collision import pair_bounds
 from handmap_qp.ik.compiled import core_tree
+from handmap_qp.se3 import Array
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
@@ -32,10 +33,10 @@ class SurfaceGaps(NamedTuple):
     """
 
     pinches: ByFinger
-    nearest: np.ndarray
+    nearest: Array
 
 
-def measure_gaps(hand: Hand, q: np.ndarray) -> SurfaceGaps:
+def measure_gaps(hand: Hand, q: Array) -> SurfaceGaps:
     """Measure a robot's gaps from the collision shapes of its URDF; meshes are their convex hulls.
 
     Pairs of shapes on one joint, on neighbouring joints, or that overlap at rest or with the hand
@@ -76,7 +77,7 @@ class GapMeter:
             for pair in product(thumb, others):
                 self._geometry.addCollisionPair(pin.CollisionPair(*pair))
 
-    def pinches(self, q: np.ndarray) -> ByFinger:
+    def pinches(self, q: Array) -> ByFinger:
         """Measure the gaps between thumb and fingers at q [rad], (T, n); see `SurfaceGaps`."""
         starts = list(self._groups.values())
         if not starts:
@@ -84,7 +85,7 @@ class GapMeter:
         columns = self._smallest(self._geometry, q, starts, np.inf).T
         return dict(zip(self._groups, columns, strict=True))
 
-    def nearest(self, q: np.ndarray, most: float = FAR) -> np.ndarray:
+    def nearest(self, q: Array, most: float = FAR) -> Array:
         """Measure the smallest distance between any two links that can collide [m], shape (T,).
 
         Joint angles q are of shape (T, n) [rad]; `most` stands for larger distances [m].
@@ -98,10 +99,10 @@ class GapMeter:
     def _smallest(
         self,
         geometry: pin.GeometryModel,
-        q: np.ndarray,
+        q: Array,
         starts: list[int],
         most: float,
-    ) -> np.ndarray:
+    ) -> Array:
         """Measure the smallest distance, at most `most`, in each of g groups of pairs [m], (T, g).
 
         A group begins at its pair in `starts`, and ends before the next one.

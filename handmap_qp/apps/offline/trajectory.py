@@ -22,7 +22,7 @@ from handmap_qp.human.recording import (
 from handmap_qp.human.sample import RULES, Rule
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import Array, lengths
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
@@ -58,21 +58,21 @@ class Trajectory:
     """
 
     robot: Hand
-    time: np.ndarray
-    q: np.ndarray
-    wrist: np.ndarray
-    targets: np.ndarray
-    points: np.ndarray
-    point_error: np.ndarray
-    wrist_error: np.ndarray
-    valid: np.ndarray
-    at_limit: np.ndarray
-    at_speed_limit: np.ndarray
-    status: np.ndarray
-    step_cpu: np.ndarray
-    rule: np.ndarray
-    consistency: np.ndarray
-    confidence: np.ndarray
+    time: Array
+    q: Array
+    wrist: Array
+    targets: Array
+    points: Array
+    point_error: Array
+    wrist_error: Array
+    valid: Array
+    at_limit: Array
+    at_speed_limit: Array
+    status: Array
+    step_cpu: Array
+    rule: Array
+    consistency: Array
+    confidence: Array
 
     @property
     def limit_violation(self) -> float:
@@ -82,7 +82,7 @@ class Trajectory:
         return float(outside.max(initial=0.0))
 
     @property
-    def columns(self) -> dict[str, np.ndarray]:
+    def columns(self) -> dict[str, Array]:
         """Plain arrays by name, without those that follow from them and the robot; rad and m."""
         robot = self.robot
         arrays = vars(self).copy()
@@ -94,7 +94,7 @@ class Trajectory:
         }
 
     @property
-    def all_columns(self) -> dict[str, np.ndarray]:
+    def all_columns(self) -> dict[str, Array]:
         """Plain arrays by name, as written to a file of one recording; rad and m."""
         robot = self.robot
         return self.columns | {
@@ -123,7 +123,7 @@ def map_recording(
     recording: Recording,
     progress: Told = None,
     *,
-    wrist_poses: np.ndarray | None = None,
+    wrist_poses: Array | None = None,
     is_guarded: bool = True,
 ) -> Trajectory:
     """Map the landmarks of a recording as a live stream: by a `Follower`.
@@ -162,7 +162,7 @@ def map_recording(
 
 def trajectory_of(
     robot: Hand,
-    time: np.ndarray,
+    time: Array,
     mapped: Iterator[MapStep | None],
     progress: Told = None,
 ) -> Trajectory:
@@ -192,7 +192,7 @@ def trajectory_of(
 
 def _trajectory(
     robot: Hand,
-    time: np.ndarray,
+    time: Array,
     table: StepTable,
 ) -> Trajectory:
     """Fill the samples without a step, and measure; see `trajectory_of`."""
@@ -233,21 +233,21 @@ def _trajectory(
     )
 
 
-def held_samples(valid: np.ndarray) -> np.ndarray:
+def held_samples(valid: Array) -> Array:
     """Return for every sample the index of the last valid one, at the start of the first, (T,)."""
     index = np.where(valid, np.arange(len(valid)), np.argmax(valid))
     return np.maximum.accumulate(index)
 
 
-def stretches(flags: np.ndarray) -> list[slice]:
+def stretches(flags: Array) -> list[slice]:
     """Return the stretches of samples whose flags are set; flags of shape (T,)."""
     return np.ma.clump_masked(np.ma.array(flags, mask=flags))
 
 
 def rms_derivative(
-    values: np.ndarray,
-    time: np.ndarray,
-    valid: np.ndarray,
+    values: Array,
+    time: Array,
+    valid: Array,
     *,
     order: int,
 ) -> float:

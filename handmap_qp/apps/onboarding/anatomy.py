@@ -16,7 +16,7 @@ from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
 from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.hands import human
 from handmap_qp.hands.spec import Side
-from handmap_qp.se3 import lengths, unit
+from handmap_qp.se3 import Array, lengths, unit
 
 FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
@@ -78,7 +78,7 @@ class _Found(NamedTuple):
         sign: Confidence in its sign alone.
     """
 
-    direction: np.ndarray
+    direction: Array
     how: str
     confidence: float
     sign: float = 1.0
@@ -247,7 +247,7 @@ class Anatomy:
             )
         return _Found(dorsal, how, min(best, sign, distal.confidence), sign)
 
-    def _tilt(self, distal: np.ndarray, dorsal: np.ndarray) -> float:
+    def _tilt(self, distal: Array, dorsal: Array) -> float:
         """Return the angle of the row of the knuckles to the palm's plane [deg].
 
         Without such a row it is one that tells nothing.
@@ -257,7 +257,7 @@ class Anatomy:
             return 1.5 * _AGREEING
         return abs(angle_between(across, dorsal) - 90.0)
 
-    def _thumb_height(self, dorsal: np.ndarray) -> float:
+    def _thumb_height(self, dorsal: Array) -> float:
         """Return how far before the knuckles the thumb closes, in lengths of the fingers."""
         flexion = self._flexion
         thumb = self._thumb
@@ -266,7 +266,7 @@ class Anatomy:
         before = flexion.bases[self._rest].mean(axis=0) - flexion.tips_closed[thumb]
         return float(before @ dorsal / flexion.reach[self._rest].mean())
 
-    def _find_radial(self, across: np.ndarray) -> _Found:
+    def _find_radial(self, across: Array) -> _Found:
         """Find the thumb's side of the palm: by its place, or by the other fingers' names.
 
         Returns:
@@ -341,7 +341,7 @@ class Anatomy:
         return named, Clue("fingers", ", ".join(named.values()), how, confidence)
 
 
-def _differences(flexion: HandFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _differences(flexion: HandFlexion) -> tuple[Array, Array, Array]:
     """Return how much fingers differ in position, direction and flexion, 0 to 1, shape (F, F)."""
     lines = flexion.tips_open - flexion.roots
     sizes = lengths(lines)
@@ -354,7 +354,7 @@ def _differences(flexion: HandFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return ahead, 1.0 - directions @ directions.T, 1.0 - flexion.ways @ flexion.ways.T
 
 
-def _stands_out(differences: np.ndarray) -> np.ndarray:
+def _stands_out(differences: Array) -> Array:
     """Return how much each finger differs from the others, less how much they differ, (F,)."""
     others = len(differences) - 1
     own = differences.sum(axis=1) - differences.diagonal()
@@ -364,7 +364,7 @@ def _stands_out(differences: np.ndarray) -> np.ndarray:
 
 
 def _find_side(
-    across: np.ndarray,
+    across: Array,
     dorsal: _Found,
     radial: _Found,
     thumb: Clue,
@@ -430,26 +430,26 @@ def _confirmed(dorsal: _Found) -> _Found:
 # -- geometry
 
 
-def _beside(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def _beside(vector: Array, direction: Array) -> Array:
     """Return the part of a vector at right angles to a unit vector."""
     return vector - (vector @ direction) * direction
 
 
-def _widest(points: np.ndarray) -> np.ndarray:
+def _widest(points: Array) -> Array:
     """Return the direction in which points extend most, a unit vector, shape (3,)."""
     return np.linalg.svd(points - points.mean(axis=0))[2][0]
 
 
-def angle_between(one: np.ndarray, other: np.ndarray) -> float:
+def angle_between(one: Array, other: Array) -> float:
     """Return the angle between two vectors [deg]; 90 if one is zero."""
     return float(np.degrees(np.arccos(np.clip(unit(one) @ unit(other), -1.0, 1.0))))
 
 
 def _snapped(
-    direction: np.ndarray,
-    knuckles: np.ndarray = _UNKNOWN,
-    axis: np.ndarray = _UNKNOWN,
-) -> np.ndarray:
+    direction: Array,
+    knuckles: Array = _UNKNOWN,
+    axis: Array = _UNKNOWN,
+) -> Array:
     """Return the link's axis next to a unit vector, or else the vector.
 
     The mean direction of spread fingers is a few degrees off the link's axis. Fingers that cannot
@@ -466,7 +466,7 @@ def _snapped(
     return ahead if angle < limit else direction
 
 
-def _shown(direction: np.ndarray) -> str:
+def _shown(direction: Array) -> str:
     nearest = np.abs(direction).argmax()
     if abs(direction[nearest]) > 0.9999:
         return f"{'+' if direction[nearest] > 0 else '-'}{'xyz'[nearest]}"

@@ -23,7 +23,7 @@ from handmap_qp.hands.shape_pairs import (
     random_postures,
 )
 from handmap_qp.hands.spec import CollisionSpec
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import Array, lengths
 
 MARGIN = 0.0005
 """Least distance between links [m]: pinches close, and the linearised rows hold."""
@@ -119,7 +119,7 @@ def _owners(hand: Hand, fingers: dict[str, Finger]) -> dict[int, str]:
 
 
 def colliding_links(
-    hand: Hand, q: np.ndarray, wrists: Sequence[int] = ()
+    hand: Hand, q: Array, wrists: Sequence[int] = ()
 ) -> list[tuple[str, str]]:
     """Return the pairs of links whose collision shapes overlap in one posture.
 

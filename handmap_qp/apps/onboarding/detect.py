@@ -35,7 +35,7 @@ from handmap_qp.hands.spec import (
     Vector,
     WristSpec,
 )
-from handmap_qp.se3 import lengths, transform_points
+from handmap_qp.se3 import Array, lengths, transform_points
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
 _REST_SHARE = 0.4
@@ -269,7 +269,7 @@ class _FoundHand:
         has_side = re.search(rf"(?<![a-z]){side}(?![a-z])", name.lower())
         return name if self.robot.is_whole or has_side else f"{name}_{side}"
 
-    def _rest(self) -> np.ndarray:
+    def _rest(self) -> Array:
         """Return the half-open posture; other joints are near zero, or centred (thumb)."""
         robot = self.robot
         flexion = self.flexion
@@ -324,7 +324,7 @@ class _FoundHand:
         pose = self.robot.pose_in(finger.links[-1], finger.end.answer)
         return PadSpec(round(radius, 4), _vector(transform_points(pose, centre), 4))
 
-    def _palm_origin(self) -> np.ndarray:
+    def _palm_origin(self) -> Array:
         """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
         robot = self.robot
         palm = self.palm
@@ -389,7 +389,7 @@ def _arm(robot: Robot, hand: str) -> tuple[str, ...]:
     raise HandError(problem, file=robot.file, value=robot.root)
 
 
-def _arm_rest(robot: Robot, palm: str) -> np.ndarray:
+def _arm_rest(robot: Robot, palm: str) -> Array:
     """Return a posture for the arm of a palm: at mid-range, where it is seldom singular.
 
     Joints that carry another palm too, such as a waist, are upright, unless zero is a limit.
@@ -403,7 +403,7 @@ def _arm_rest(robot: Robot, palm: str) -> np.ndarray:
     return np.where(is_upright, 0.0, 0.5 * (lower + upper)).round(4) + 0.0
 
 
-def _positions(robot: Robot, q: np.ndarray, joints: Iterable[str]) -> dict[str, float]:
+def _positions(robot: Robot, q: Array, joints: Iterable[str]) -> dict[str, float]:
     """Return positions of some active joints by name [rad or m]."""
     positions = dict(zip(robot.active, q.tolist(), strict=True))
     return {joint: positions[joint] for joint in joints}
@@ -425,7 +425,7 @@ def _point(
     finger: RobotFinger,
     kind: str,
     link: str,
-    xyz: np.ndarray,
+    xyz: Array,
     pad: PadSpec | None = None,
 ) -> PointSpec:
     """Return a point of a finger; an additional one is paired with the human little finger."""
@@ -439,6 +439,6 @@ def _point(
     )
 
 
-def _vector(values: np.ndarray, digits: int) -> Vector:
+def _vector(values: Array, digits: int) -> Vector:
     x, y, z = (values.round(digits) + 0.0).tolist()
     return x, y, z

@@ -20,7 +20,7 @@ from handmap_qp.hands.fingers import (
     nearing,
     zero_posture,
 )
-from handmap_qp.se3 import lengths, unit
+from handmap_qp.se3 import Array, lengths, unit
 
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
 _FLEXING = 0.6
@@ -65,7 +65,7 @@ class HandFlexion:
         self,
         robot: Jointed,
         fingers: Sequence[Finger],
-        palmar: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+        palmar: Sequence[float] | Array = (0.0, 0.0, 0.0),
     ) -> None:
         self._fingers = fingers
         self._view = PalmKinematics(robot)
@@ -111,16 +111,16 @@ class HandFlexion:
             lines[i] = self._line(i)
         self.directions = unit(lines)
 
-    def tips(self, q: np.ndarray) -> np.ndarray:
+    def tips(self, q: Array) -> Array:
         """Return the fingertips in postures of shape (..., n) [m], shape (..., F, 3)."""
         return self._view.points(q, self._tips)
 
-    def _ways(self) -> np.ndarray:
+    def _ways(self) -> Array:
         """Return the directions in which the curling joints move the tips, shape (F, 3)."""
         signs = np.abs(self._curls) * self.sign
         return unit(np.einsum("fkn,fn->fk", self._motions, signs))
 
-    def _settle_even(self, palmar: Sequence[float] | np.ndarray) -> None:
+    def _settle_even(self, palmar: Sequence[float] | Array) -> None:
         """Choose the direction of fingers that curl equally far both ways.
 
         Follow the palm if it is known, else the other fingers, else towards the other tips, else
@@ -174,7 +174,7 @@ class HandFlexion:
         flexes = (self.sign == 0.0) & (np.abs(cosines) > _FLEXING)
         self.sign[flexes] = np.sign(cosines[flexes])
 
-    def _line(self, i: int) -> np.ndarray:
+    def _line(self, i: int) -> Array:
         """Return a straight finger's line; that of its first phalanx if it stays bent."""
         finger = self._fingers[i]
         tip = self.tips_open[i]
@@ -185,7 +185,7 @@ class HandFlexion:
         is_long = sizes[0] > _PHALANX * sizes.sum()
         return parts[0] if is_bent and is_long else tip - self.bases[i]
 
-    def _side_of_others(self, mine: list[int], slope: np.ndarray) -> float:
+    def _side_of_others(self, mine: list[int], slope: Array) -> float:
         """Return whether the other fingers are in the direction `slope` of two or more alike ones.
 
         A thumb is on the palm's side of the fingers. The answer is 1 or -1, and 0 if unclear.
@@ -200,12 +200,12 @@ class HandFlexion:
         least = _LEAST_HEIGHT * lengths(tips[mine] - self.roots[mine]).mean()
         return 0.0 if abs(height) < least else np.sign(height)
 
-    def _nearing(self, i: int, signs: np.ndarray) -> float:
+    def _nearing(self, i: int, signs: Array) -> float:
         """Return how much joints bring a tip to another on average from end to end [m]."""
         others = max(1, len(self._tips) - 1)
         return nearing(self._view, self._ends(signs), self._tips, i) / others
 
-    def _ends(self, signs: np.ndarray) -> np.ndarray:
+    def _ends(self, signs: Array) -> Array:
         """Return postures of the joints with a sign at both ends of their ranges, shape (2, n)."""
         columns = np.flatnonzero(signs)
         return ends_of(self._view.hand, self.q_open, columns, signs[columns])

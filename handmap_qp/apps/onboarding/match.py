@@ -14,6 +14,7 @@ from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.hand_pair import HandPair
+from handmap_qp.se3 import Array
 
 # Positions are written with four decimals: 0.1 mrad or 0.1 mm.
 _SCALE = 1e4
@@ -31,7 +32,7 @@ class Match(NamedTuple):
 
     human: Hand
     robot: Hand
-    q: np.ndarray
+    q: Array
 
     @property
     def rows(self) -> list[dict[str, Any]]:

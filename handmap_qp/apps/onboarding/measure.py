@@ -39,7 +39,7 @@ from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.alignment import rotation_onto
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
-from handmap_qp.se3 import affine, lengths, unit
+from handmap_qp.se3 import Array, affine, lengths, unit
 from handmap_qp.trackers.formats.base import first_of
 
 HUMAN_LENGTH = 0.19
@@ -128,7 +128,7 @@ def check_reach(hand: Hand) -> Found:
     yield "Fingers", rows
 
 
-def measure_arm(hand: Hand) -> np.ndarray | None:
+def measure_arm(hand: Hand) -> Array | None:
     """Measure how far an arm moves the wrist from rest, by random postures.
 
     Returns:
@@ -264,7 +264,7 @@ def _mapper(hand: Hand, points: str | None = None, **options: Any) -> HandMapper
 
 
 def _follow(
-    mapper: HandMapper, *postures: np.ndarray, place: np.ndarray | float = 0.0
+    mapper: HandMapper, *postures: Array, place: Array | float = 0.0
 ) -> list[MapStep]:
     """Lead from rest to posture after posture, each in 0.75 s and 0.25 s to settle.
 
@@ -323,7 +323,7 @@ def check_contacts(hand: Hand) -> Found:
         yield warning("urdf", what, "correct the collision shapes of these links")
 
 
-def gestures(human: Hand) -> np.ndarray:
+def gestures(human: Hand) -> Array:
     """Return gestures: spread fingers, any of them bent, each at the thumb, shape (k, 20)."""
     flat, spread, fist, *_ = standard_postures(human).values()
     fingers = [FINGERS.index(name.partition("_")[0]) for name in human.joint_names]
@@ -333,10 +333,10 @@ def gestures(human: Hand) -> np.ndarray:
     return np.vstack([spread, flat + bends[:, fingers] * (fist - flat)])
 
 
-def standard_postures(human: Hand) -> dict[str, np.ndarray]:
+def standard_postures(human: Hand) -> dict[str, Array]:
     """Return common postures of the human hand, inside its limits [rad], shape (20,) each."""
 
-    def posture(*flexions: float, spread: float = 1.0) -> np.ndarray:
+    def posture(*flexions: float, spread: float = 1.0) -> Array:
         """Flex fingers from the thumb onwards; the others rest."""
         flexed = dict(zip(FINGERS, flexions, strict=False))
         q = human.rest.copy()
@@ -453,7 +453,7 @@ def _gap(hand: Hand, finger: Finger, thumb: Finger, pads: dict[str, Pad]) -> flo
     columns = np.union1d(finger.columns, thumb.columns)
     q = hand.rest.copy()
 
-    def between(positions: np.ndarray) -> np.ndarray:
+    def between(positions: Array) -> Array:
         q[columns] = positions
         return np.subtract(*view.points(q, places))
 
@@ -487,5 +487,5 @@ def palm_rows(robot: Robot) -> Rows:
     return rows
 
 
-def _joined(values: np.ndarray, digits: int) -> str:
+def _joined(values: Array, digits: int) -> str:
     return " ".join(f"{value:.{digits}f}" for value in values)

@@ -32,7 +32,7 @@ from handmap_qp.hands.fingers import PalmKinematics, place_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.robot import Robot
 from handmap_qp.mapping.hand_pair import resting_posture
-from handmap_qp.se3 import inverse_pose, lengths, transform_points, unit
+from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points, unit
 
 _PANEL = (760, 820)
 # From the end of an axis to the middle of its label, to the side and up [pixel].
@@ -120,7 +120,7 @@ def draw_robot(robot: Robot, path: Path) -> None:
     save_panels(path, title, _PANEL, panels)
 
 
-def _axes(pose: np.ndarray, size: float) -> Triangles:
+def _axes(pose: Array, size: float) -> Triangles:
     """Return the axes of a pose as tubes of a length [m]."""
     ends = zip(transform_points(pose, size * np.eye(3)), AXIS_COLOURS, strict=True)
     return merged([tube([pose[:3, 3], end], 0.03 * size, c) for end, c in ends])
@@ -199,7 +199,7 @@ class _Scene:
             )
         self._label(axes, camera.project(self.points)[:, :2])
 
-    def _label(self, axes: Any, places: np.ndarray) -> None:
+    def _label(self, axes: Any, places: Array) -> None:
         """Write the points' names at the panel's edges, each with a line to its point."""
         across = places[:, 0]
         is_right = across > 0.5 * (across.min() + across.max())

@@ -40,7 +40,7 @@ from handmap_qp.hands.urdf import (
     prepare_urdf,
     root_links,
 )
-from handmap_qp.se3 import transform_points
+from handmap_qp.se3 import Array, transform_points
 
 # Assumed ranges [rad or m] and speeds [per s] of joints without limits in the URDF.
 _ASSUMED_RANGE = {
@@ -223,16 +223,16 @@ class Robot:
 
     # -- kinematics
 
-    def configuration_vector(self, q: np.ndarray) -> np.ndarray:
+    def configuration_vector(self, q: Array) -> Array:
         """Return Pinocchio's configuration at positions of the active joints, shape (n,)."""
         return self.expansion.all_joints(q)
 
-    def place_of(self, link: str, xyz: np.ndarray) -> Place:
+    def place_of(self, link: str, xyz: Array) -> Place:
         """Return a point on a link as one on a joint of the model."""
         frame = self.frames[link]
         return frame.parentJoint, frame.placement.act(xyz)
 
-    def pose_in(self, link: str, other: str) -> np.ndarray:
+    def pose_in(self, link: str, other: str) -> Array:
         """Return a link's pose in another link's frame at `zero`, shape (4, 4)."""
         pose, frame = (self._data.oMf[self.model.getBodyId(n)] for n in (link, other))
         return frame.actInv(pose).homogeneous
@@ -246,7 +246,7 @@ class Robot:
             for link in self.links[body]
         )
 
-    def balls(self, body: int) -> np.ndarray:
+    def balls(self, body: int) -> Array:
         """Return the centres of a body's spheres in its frame [m], shape (k, 3)."""
         found = [
             self.place_of(link, origin_of(shape)[:3, 3])[1]
@@ -256,7 +256,7 @@ class Robot:
         ]
         return np.array(found).reshape(-1, 3)
 
-    def _surface(self, body: int) -> np.ndarray:
+    def _surface(self, body: int) -> Array:
         """Read what `surface` keeps."""
         clouds = [np.zeros((0, 3))]
         for link in self.links[body]:
@@ -265,7 +265,7 @@ class Robot:
             clouds += [transform_points(placement, cloud) for cloud in points]
         return np.concatenate(clouds)
 
-    def _points(self, link: str, kind: str) -> list[np.ndarray]:
+    def _points(self, link: str, kind: str) -> list[Array]:
         """Return points of each shape of a link in its frame, at most some of each mesh."""
         miss = partial(self._remark, what="is a mesh that cannot be read")
         return [

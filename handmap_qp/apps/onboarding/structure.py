@@ -17,7 +17,7 @@ from handmap_qp.apps.onboarding.anatomy import Clue
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import Finger, PalmKinematics, ends_of, zero_posture
-from handmap_qp.se3 import lengths, transform_points, unit
+from handmap_qp.se3 import Array, lengths, transform_points, unit
 
 LONGEST_FINGER = 0.3
 """A longer branch is a leg or an arm [m]."""
@@ -202,7 +202,7 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     )
 
 
-def _origins(robot: Robot, joints: list[int]) -> np.ndarray:
+def _origins(robot: Robot, joints: list[int]) -> Array:
     """Return the origins of k joints at zero [m], shape (k, 3)."""
     return PalmKinematics(robot).axes(robot.zero, joints)[1]
 
@@ -230,7 +230,7 @@ def _palm_link(fingers: list[RobotFinger]) -> str:
     return shared[-1]
 
 
-def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, np.ndarray]:
+def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     """Find the end of a finger: an end frame of its last body, or else the end of its surface.
 
     Args:
@@ -275,7 +275,7 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, np.ndarray]:
 def _is_at_end(
     robot: Robot,
     body: int,
-    place: np.ndarray,
+    place: Array,
 ) -> bool:
     """Return whether an end frame is at the end of its body's surface, or there is none.
 
@@ -292,7 +292,7 @@ def _is_at_end(
     )
 
 
-def _poses(finger: RobotFinger, other: int) -> np.ndarray:
+def _poses(finger: RobotFinger, other: int) -> Array:
     """Return poses of a finger's last body on another body, shape (5, 4, 4).
 
     The finger's joints cross their ranges together.
@@ -306,7 +306,7 @@ def _poses(finger: RobotFinger, other: int) -> np.ndarray:
     return np.array(poses)
 
 
-def _travel(finger: RobotFinger, poses: np.ndarray) -> float:
+def _travel(finger: RobotFinger, poses: Array) -> float:
     """Return how far a fingertip moves along an axis in poses of its body [m]."""
     return np.ptp(transform_points(poses, finger.tip[1][None]), axis=0).max()
 
@@ -340,7 +340,7 @@ def _linkage(bar: RobotFinger, fingers: list[RobotFinger]) -> str:
     return ""
 
 
-def _is_hinged(bar: RobotFinger, poses: np.ndarray) -> bool:
+def _is_hinged(bar: RobotFinger, poses: Array) -> bool:
     """Return whether the last body of a bar stays at rest on a body, or turns about a point of it.
 
     The pivot p in the bar and c in the body solve `R p + t = c` for the bar's poses (R, t), so that

@@ -49,6 +49,7 @@ from handmap_qp.mapping.presets import (
 )
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.options import Options
+from handmap_qp.se3 import Array
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.robot_follower import RobotFollower
@@ -397,7 +398,7 @@ class Calibration:
         """Begin without samples."""
         sides = get_args(Side)
         self._guards = {s: StreamGuard(self.cache.human(s, None)) for s in sides}
-        self._landmarks: dict[Side, list[np.ndarray]] = {side: [] for side in sides}
+        self._landmarks: dict[Side, list[Array]] = {side: [] for side in sides}
         self._work: Future[Hands] | None = None
 
     def add(self, sample: HumanSample) -> Rule:
@@ -441,7 +442,7 @@ class Calibration:
         self._work = None
         return work.result()
 
-    def _prepare(self, collected: dict[Side, list[np.ndarray]]) -> Hands:
+    def _prepare(self, collected: dict[Side, list[Array]]) -> Hands:
         measured = {
             side: _measured(side, np.array(landmarks))
             for side, landmarks in collected.items()
@@ -450,7 +451,7 @@ class Calibration:
         return prepare_hands(self.request, self.cache, measured)
 
 
-def _measured(side: Side, landmarks: np.ndarray) -> HumanLengths:
+def _measured(side: Side, landmarks: Array) -> HumanLengths:
     """Measure a hand from its landmarks [m], shape (n, 21, 3)."""
     time = _PERIOD * np.arange(len(landmarks))
     is_valid = np.ones(len(landmarks), dtype=bool)

@@ -28,6 +28,7 @@ from handmap_qp.ik.limits import (
 )
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.mapping.method import RobotCommand
+from handmap_qp.se3 import Array
 
 # Displacements of a sample are near this size [rad]; the solver is exact near one.
 _SCALE = 0.05
@@ -243,9 +244,7 @@ class CommandedRobot(Gate):
         is_placed: Whether the pose of its wrist is known.
     """
 
-    def __init__(
-        self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, robot: Hand, q: Array, wrist: Array | None = None) -> None:
         self.is_placed = wrist is not None or not robot.is_floating
         self._placed = robot.configuration()
         vector = robot.configuration_vector(q, wrist if robot.is_floating else None)
@@ -269,14 +268,14 @@ class CommandedRobot(Gate):
         return self._read is not None and self._read is gate._read
 
     @property
-    def q(self) -> np.ndarray:
+    def q(self) -> Array:
         """Joint angles last commanded [rad], shape (n,)."""
         if self._read is not None:
             return self._command.q
         return self.motion.q[self.hand.q_indices]
 
     @property
-    def wrist(self) -> np.ndarray | None:
+    def wrist(self) -> Array | None:
         """Pose of the wrist last commanded, shape (4, 4); None if it is not known yet."""
         if not self.is_placed:
             return None
@@ -287,8 +286,8 @@ class CommandedRobot(Gate):
 
     def advance(
         self,
-        q: np.ndarray,
-        wrist: np.ndarray | None,
+        q: Array,
+        wrist: Array | None,
         dt: float,
         share: float = 1.0,
         *,
@@ -351,11 +350,11 @@ class CommandedRobot(Gate):
 
     def _along_links(
         self,
-        wanted: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
+        wanted: Array,
+        lower: Array,
+        upper: Array,
         dt: float,
-    ) -> np.ndarray:
+    ) -> Array:
         """Return the displacement nearest to a wanted one that the rows of the pairs allow."""
         self._placed.place(self.motion.q)
         rows = self.rows(self._placed, dt)

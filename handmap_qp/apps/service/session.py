@@ -69,6 +69,7 @@ from handmap_qp.human.sample import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik.limits import Motion
 from handmap_qp.mapping.mapper import check_joints
 from handmap_qp.mapping.method import MapStep
+from handmap_qp.se3 import Array
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.tables import load_layout
 
@@ -473,9 +474,7 @@ class Session:
     def _is_at_rest(self) -> bool:
         return bool((self._commanded.q == self.robot.rest).all())
 
-    def _start(
-        self, q: np.ndarray, wrist: np.ndarray | None, request: Open | Reset
-    ) -> Posture:
+    def _start(self, q: Array, wrist: Array | None, request: Open | Reset) -> Posture:
         """Return a posture with the parts that a request gives, which the robot must reach."""
         if request.robot_q is not None:
             with naming_field("robot_q"):
@@ -488,7 +487,7 @@ class Session:
         return q, wrist if request.robot_wrist is None else request.robot_wrist.matrix
 
     def _place(
-        self, q: np.ndarray, wrist: np.ndarray | None, motion: Motion | None = None
+        self, q: Array, wrist: Array | None, motion: Motion | None = None
     ) -> None:
         """Take the robot to be at a posture, or in a motion if that is one of this robot."""
         self._commanded = CommandedRobot(self.robot, q, wrist)
@@ -560,7 +559,7 @@ class Session:
         gap = hands.choice.method.values.get("contact_gap")
         self._gap_meter = None if gap is None or is_known else ContactGapMeter(gap)
 
-    def _measure_gap(self, time: float, landmarks: np.ndarray | None) -> None:
+    def _measure_gap(self, time: float, landmarks: Array | None) -> None:
         """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
         meter = self._gap_meter
         if meter is None or landmarks is None or "contact_gap" in self.request.options:
@@ -618,7 +617,7 @@ class Session:
         self._mapper_state = MapperState.SLEWING
         return ["slewing"]
 
-    def _reset_mapper(self, q: np.ndarray | None = None) -> None:
+    def _reset_mapper(self, q: Array | None = None) -> None:
         """Reset the mapper to the robot's posture; the next sample is the reference.
 
         Args:
@@ -637,7 +636,7 @@ class Session:
         self._mapper_state = MapperState.SLEWING
 
     def _diagnostics(
-        self, step: MapStep, sample: Step, landmarks: np.ndarray | None
+        self, step: MapStep, sample: Step, landmarks: Array | None
     ) -> Fields:
         """Return the fields of a command that describe the mapping."""
         error, at_bound, residual, _ = step.stages.summary
@@ -723,16 +722,16 @@ def _new_epoch() -> int:
     return time.time_ns() // 1000
 
 
-def to_row(values: np.ndarray) -> tuple[float, ...]:
+def to_row(values: Array) -> tuple[float, ...]:
     """Convert an array (n,) to floats."""
     return tuple(values.tolist())
 
 
-def to_pose(matrix: np.ndarray | None) -> Pose | None:
+def to_pose(matrix: Array | None) -> Pose | None:
     """Convert a pose (4, 4), if there is one, to position and quaternion."""
     return None if matrix is None else Pose.from_matrix(matrix)
 
 
-def to_matrix(pose: Pose | None) -> np.ndarray | None:
+def to_matrix(pose: Pose | None) -> Array | None:
     """Convert a pose of a message, if there is one, to (4, 4)."""
     return None if pose is None else pose.matrix

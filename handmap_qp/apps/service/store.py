@@ -21,8 +21,9 @@ import numpy as np
 from handmap_qp.apps.service.logs import Throttle, report
 from handmap_qp.apps.service.settings import MOST_SESSIONS
 from handmap_qp.errors import InvalidInputError, RefusedError, reason_of
+from handmap_qp.se3 import Array
 
-Posture = tuple[np.ndarray, np.ndarray | None]
+Posture = tuple[Array, Array | None]
 """Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""
 _KIND = 0x686D7170
 """Identifies the database as one of the service."""

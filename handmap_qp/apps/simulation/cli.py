@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import tyro
+from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.offline.comparison import prepare_take
@@ -81,14 +81,14 @@ class Simulate:
         json: Print one JSON object instead of a table.
     """
 
-    recording: tyro.conf.Positional[Annotated[Path, hinted("RECORDING")]]
+    recording: Positional[Annotated[Path, hinted("RECORDING")]]
     robot: HandName = "three_finger"
     methods: Annotated[
         tuple[str, ...], hinted("METHOD...", "(default: the first preset)")
     ] = ()
     peers: Annotated[Path | None, hinted("FOLDER")] = None
-    object: Annotated[str, tyro.conf.arg(metavar="OBJECT")] = _OBJECT
-    mass: Annotated[float, tyro.conf.arg(metavar="KG")] = _MASS
+    object: Annotated[str, arg(metavar="OBJECT")] = _OBJECT
+    mass: Annotated[float, arg(metavar="KG")] = _MASS
     friction: float = _FRICTION
     stiffness: float = 3.0
     up: Up = "y"
@@ -148,9 +148,7 @@ class Simulate:
         sign = 9.81 if self.up.startswith("-") else -9.81
         x, y, z = (sign * (self.up[-1] == name) + 0.0 for name in "xyz")
         return Physics(
-            friction=self.friction,
-            joint_stiffness=self.stiffness,
-            gravity=(x, y, z),
+            friction=self.friction, joint_stiffness=self.stiffness, gravity=(x, y, z)
         )
 
     def _simulate(self, trials: list[PinchTrial]) -> dict[str, list[PinchOutcome]]:

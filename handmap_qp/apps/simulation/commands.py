@@ -18,7 +18,7 @@ from handmap_qp.apps.offline.comparison import (
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import Array, lengths
 
 # The human pinches while thumb and index landmarks are nearer than the first, with interruptions
 # below the second [m].
@@ -38,11 +38,11 @@ class Commands(NamedTuple):
     """
 
     hand: Hand
-    time: np.ndarray
-    q: np.ndarray
-    wrist: np.ndarray
+    time: Array
+    q: Array
+    wrist: Array
 
-    def at(self, i: int) -> tuple[np.ndarray, np.ndarray | None]:
+    def at(self, i: int) -> tuple[Array, Array | None]:
         """Return joint angles and wrist pose of a sample; no wrist if the hand does not float."""
         return self.q[i], self.wrist[i] if self.hand.is_floating else None
 

@@ -23,7 +23,7 @@ from handmap_qp.apps.simulation.physics import (
 )
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
-from handmap_qp.se3 import mirror_sign, quat_wxyz_from_rotation
+from handmap_qp.se3 import Array, mirror_sign, quat_wxyz_from_rotation
 
 OBJECT = "/object"
 WRIST = "/wrist"
@@ -114,7 +114,8 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
     for index in range(1, model.njoints):
         name = model.names[index]
         inertia = model.inertias[index]
-        if model.joints[index].nv == 6:
+        joint = model.joints[index]
+        if joint.nv == 6:
             # A floating base, and the body that leads it.
             spec.worldbody.add_body(name=_MOCAP, mocap=True)
             body = spec.worldbody.add_body(name=name, gravcomp=1.0)
@@ -125,7 +126,6 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
             body = bodies[model.parents[index]].add_body(
                 name=name, gravcomp=1.0, **_placed(model.jointPlacements[index])
             )
-            joint = model.joints[index]
             linear, angular = np.split(np.array(joint.createData().S).ravel(), 2)
             kinds = mujoco.mjtJoint
             made = body.add_joint(
@@ -207,6 +207,6 @@ def _add_equality(spec: Any, kind: str, of: str, one: str, other: str) -> Any:
     )
 
 
-def _placed(pose: pin.SE3) -> dict[str, np.ndarray]:
+def _placed(pose: pin.SE3) -> dict[str, Array]:
     """Return a pose as what MuJoCo calls it."""
     return {"pos": pose.translation, "quat": quat_wxyz_from_rotation(pose.rotation)}

@@ -9,15 +9,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from handmap_qp.errors import (
-    InvalidInputError,
-    InvalidOptionsError,
-    expect,
-    require,
-)
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect, require
 from handmap_qp.hands.spec import Vector
 from handmap_qp.options import Options, number, text
-from handmap_qp.se3 import as_floats, lengths, unit
+from handmap_qp.se3 import Array, as_floats, lengths, unit
 
 KINDS = ("box", "sphere", "cylinder")
 """Names of shapes with one size."""
@@ -89,7 +84,7 @@ class MeshShape:
         InvalidInputError: If they do not span a volume.
     """
 
-    points: np.ndarray
+    points: Array
 
     def __post_init__(self) -> None:
         points = as_floats(self.points, "points", shape=("n", 3), is_finite=True)
@@ -254,7 +249,7 @@ class Physics(Options, frozen=True):
             )
 
 
-def turn_up(up: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
+def turn_up(up: Array, along: Array | None = None) -> Array:
     """Return the rotation that turns a direction to +z, shape (3, 3).
 
     Args:

@@ -20,7 +20,7 @@ from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import Display
 from handmap_qp.errors import require
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import affine
+from handmap_qp.se3 import Array, affine
 
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)
 _PAPER = (0.965, 0.97, 0.975)
@@ -28,8 +28,8 @@ _SIZE = (480, 360)
 
 
 def frames(
-    episode: Episode, up: np.ndarray, instants: Iterable[int], *, supersampling: int = 1
-) -> Iterator[np.ndarray]:
+    episode: Episode, up: Array, instants: Iterable[int], *, supersampling: int = 1
+) -> Iterator[Array]:
     """Render instants of a simulation, turned so that gravity points down.
 
     The camera sees the hand's whole motion, and the object at first.
@@ -46,24 +46,24 @@ def frames(
     at = episode.at
     shape = load_shape(episode.hand)
     held = solid(surface(episode.body.shape), _OBJECT_COLOUR)
-    turn = affine(turn_up(up), np.zeros(3))
+    turn = affine(turn_up(up))
     wrists = at.wrist if episode.hand.is_floating else [None] * len(at.time)
 
-    def hand(i: int) -> Triangles:
-        return shape.triangles(at.q[i], wrists[i])
+    def scene(i: int, of_object: int) -> Triangles:
+        hand = shape.triangles(at.q[i], wrists[i])
+        return merged([hand, held.moved(at.object_pose[of_object])]).moved(turn)
 
     # An object that is lost falls far, and must not make the hand small.
-    hands = [hand(i) for i in range(0, len(at.time), max(1, len(at.time) // 8))]
-    seen = merged([*hands, held.moved(at.object_pose[0])]).moved(turn)
-    camera = Camera.framing(seen.vertices.reshape(-1, 3)[::7], _SIZE)
+    some = range(0, len(at.time), max(1, len(at.time) // 8))
+    seen = merged([scene(i, 0) for i in some]).vertices.reshape(-1, 3)
+    camera = Camera.framing(seen[::7], _SIZE)
     for i in instants:
-        seen = merged([hand(i), held.moved(at.object_pose[i])]).moved(turn)
-        image = render(seen, camera, supersampling=supersampling)
+        image = render(scene(i, i), camera, supersampling=supersampling)
         colour = _PAPER + image[..., 3:] * (image[..., :3] - _PAPER)
         yield np.round(255.0 * colour).astype(np.uint8)
 
 
-def film(episode: Episode, up: np.ndarray, path: Path, *, rate: float = 15.0) -> None:
+def film(episode: Episode, up: Array, path: Path, *, rate: float = 15.0) -> None:
     """Write a simulation as a moving picture, in real time.
 
     Args:
@@ -97,7 +97,7 @@ def film(episode: Episode, up: np.ndarray, path: Path, *, rate: float = 15.0) ->
         )
 
 
-def picture(episode: Episode, up: np.ndarray, path: Path, *, count: int = 4) -> None:
+def picture(episode: Episode, up: Array, path: Path, *, count: int = 4) -> None:
     """Write instants of a simulation side by side.
 
     Args:
@@ -118,10 +118,7 @@ def picture(episode: Episode, up: np.ndarray, path: Path, *, count: int = 4) -> 
 
 
 def write_page(
-    path: Path,
-    episodes: Mapping[str, Episode],
-    up: np.ndarray,
-    title: str,
+    path: Path, episodes: Mapping[str, Episode], up: Array, title: str
 ) -> None:
     """Write one HTML file that plays simulations side by side, in real time.
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,12 +32,13 @@ from handmap_qp.apps.simulation.physics import (
     turn_up,
 )
 from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
+from handmap_qp.apps.tables import Row
 from handmap_qp.errors import expect
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.pads import find_pads
-from handmap_qp.se3 import affine, inverse_pose, lengths, transform_points
+from handmap_qp.se3 import Array, affine, inverse_pose, lengths, transform_points
 
 CUBE = Box((0.03, 0.03, 0.03))
 """The nominal object."""
@@ -88,7 +89,7 @@ class Pads:
         self._bodies = ["world", *hand.model.names[1:]]
         self._of_thumb = [self._bodies[joint] for joint in chains[THUMB].joints]
 
-    def places(self, simulator: Simulator) -> np.ndarray:
+    def places(self, simulator: Simulator) -> Array:
         """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
         return np.array(
             [
@@ -99,12 +100,12 @@ class Pads:
             ]
         )
 
-    def gap(self, places: np.ndarray) -> float:
+    def gap(self, places: Array) -> float:
         """Return the distance between the pads' surfaces at such places [m]."""
         radii = sum(pad.radius for pad in self._pads.values())
         return float(lengths(places[1] - places[0])) - radii
 
-    def middle(self, places: np.ndarray) -> np.ndarray:
+    def middle(self, places: Array) -> Array:
         """Return the point midway between the pads' surfaces at such places [m], shape (3,)."""
         thumb, finger = places
         distance = max(float(lengths(finger - thumb)), 1e-6)
@@ -138,8 +139,7 @@ class PinchTrial(NamedTuple):
     yaw: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PinchOutcome:
+class PinchOutcome(NamedTuple):
     """Result of one trial.
 
     Attributes:
@@ -170,7 +170,7 @@ class Meeting(NamedTuple):
     """
 
     time: float
-    places: np.ndarray
+    places: Array
 
 
 @dataclass(eq=False)
@@ -230,7 +230,7 @@ class PinchScene:
             times.append(time)
             middle = pads.middle(pads.places(simulator))
             off = simulator.object_pose[:3, 3] - middle
-            distances.append(float(lengths(off)))
+            distances.append(lengths(off))
         # Pads that never pressed had no object to lose.
         times = times or [0.0]
         distances = distances or [np.inf]
@@ -251,10 +251,10 @@ class PinchScene:
         """
         instants = self._closing
         gaps = np.array([self.pads.gap(instant.places) for instant in instants])
-        last = int(np.argmax(gaps <= width))
+        last = np.argmax(gaps <= width)
         if last == 0:
             # Near from the start, or never.
-            return instants[0 if gaps[0] <= width else int(np.argmin(gaps))]
+            return instants[0 if gaps[0] <= width else np.argmin(gaps)]
         share = (gaps[last - 1] - width) / (gaps[last - 1] - gaps[last])
         pairs = zip(instants[last - 1], instants[last], strict=True)
         return Meeting(*(before + share * (after - before) for before, after in pairs))
@@ -267,7 +267,7 @@ class PinchScene:
         closing = takewhile(lambda time: time < latest, self._play(simulator))
         return [Meeting(time, self.pads.places(simulator)) for time in closing]
 
-    def _start(self, body: Body, physics: Physics, place: np.ndarray) -> Simulator:
+    def _start(self, body: Body, physics: Physics, place: Array) -> Simulator:
         """Put an object on its stand, and the hand where the recording starts."""
         simulator = Simulator(self.commands.hand, body, physics)
         simulator.reset(*self.commands.at(self.window.start), place)
@@ -283,7 +283,7 @@ class PinchScene:
 
 
 def _outcome(
-    episode: Episode, distances: np.ndarray, time: Sequence[float], width: float
+    episode: Episode, distances: Array, time: Sequence[float], width: float
 ) -> PinchOutcome:
     """Judge the instants at the end, for which there are distances from the pads' middle."""
     lost = np.flatnonzero(distances > _LOST + width / 2.0)
@@ -295,9 +295,9 @@ def _outcome(
         is_held=not len(lost) and bool(episode.at.links_touching[-1] >= 2),
         held_time=time[last] - time[0],
         pinch_time=time[-1] - time[0],
-        slip=float(lengths(poses[:, :3, 3] - poses[0, :3, 3]).max()),
+        slip=lengths(poses[:, :3, 3] - poses[0, :3, 3]).max(),
         rotation=float(turn),
-        force=float(kept.normal_force.mean()),
+        force=kept.normal_force.mean(),
         episode=episode,
     )
 
@@ -354,7 +354,7 @@ def success_rate(held: int, count: int) -> tuple[float, float, float]:
     return found.statistic, interval.low, interval.high
 
 
-def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> dict[str, Any]:
+def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
     """Summarise the trials of one mapping in a row of a table."""
     held = [outcome for outcome in outcomes if outcome.is_held]
     rate, low, high = success_rate(len(held), len(outcomes))
@@ -364,29 +364,26 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> dict[str, Any]:
         "trials": len(outcomes),
         "held %": round(100.0 * rate, 1),
         "95 % interval": f"{100.0 * low:.0f}-{100.0 * high:.0f}",
-        "time held %": round(100.0 * float(np.mean(shares)), 1),
+        "time held %": round(100.0 * np.mean(shares), 1),
         "slip mm": _median([1e3 * outcome.slip for outcome in held]),
         "force N": _median([outcome.force for outcome in held]),
     }
 
 
 def _median(values: list[float]) -> float | str:
-    return round(float(np.median(values)), 1) if values else "-"
+    return round(np.median(values), 1) if values else "-"
 
 
-def describe_trial(trial: PinchTrial) -> dict[str, Any]:
+def describe_trial(trial: PinchTrial) -> Row:
     """Describe an object and its place by plain values, in metres, kilograms and radians."""
-    return {
+    return trial._asdict() | {
         "shape": type(trial.shape).__name__.lower(),
         "width": trial.shape.width,
-        "mass": trial.mass,
-        "friction": trial.friction,
         "offset": list(trial.offset),
-        "yaw": trial.yaw,
     }
 
 
-def outcome_row(name: str, outcome: PinchOutcome) -> dict[str, Any]:
+def outcome_row(name: str, outcome: PinchOutcome) -> Row:
     """Describe one trial in a row of a table."""
     return {
         "mapping": name,

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
 from handmap_qp.apps.simulation.model import OBJECT, WRIST, build_model
 from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.hands.hand import Hand
-from handmap_qp.se3 import affine, check_pose, quat_wxyz_from_rotation
+from handmap_qp.se3 import Array, affine, check_pose, quat_wxyz_from_rotation
 
 # Friction of the stand against turning the object acts at the last levers [m]: 2/3 of the radius of
 # a disc of 30 mm under even pressure.
@@ -33,13 +33,13 @@ class Contacts(NamedTuple):
             the root of a hand that does not float.
     """
 
-    points: np.ndarray
-    normals: np.ndarray
-    forces: np.ndarray
+    points: Array
+    normals: Array
+    forces: Array
     bodies: tuple[str, ...]
 
     @property
-    def normal_forces(self) -> np.ndarray:
+    def normal_forces(self) -> Array:
         """Shares of the forces along the normals [N], shape (n,)."""
         return np.einsum("ci,ci->c", self.forces, self.normals)
 
@@ -57,13 +57,13 @@ class Instant(NamedTuple):
         links_touching: Number of joints whose links touch the object.
     """
 
-    time: np.ndarray
-    q: np.ndarray
-    command: np.ndarray
-    wrist: np.ndarray
-    object_pose: np.ndarray
-    normal_force: np.ndarray
-    links_touching: np.ndarray
+    time: Array
+    q: Array
+    command: Array
+    wrist: Array
+    object_pose: Array
+    normal_force: Array
+    links_touching: Array
 
 
 class Episode(NamedTuple):
@@ -86,7 +86,7 @@ class Episode(NamedTuple):
         return cls(simulator.hand, simulator.body, Instant(*columns))
 
     @property
-    def columns(self) -> dict[str, np.ndarray]:
+    def columns(self) -> dict[str, Array]:
         """Plain arrays by name, as written to a file."""
         return {
             **self.at._asdict(),
@@ -122,7 +122,7 @@ class Simulator:
         self.physics = physics or Physics()
         self.model = build_model(hand, body, self.physics)
         self.data = mujoco.MjData(self.model)
-        self.target: tuple[np.ndarray, np.ndarray | None] = (hand.rest, None)
+        self.target: tuple[Array, Array | None] = (hand.rest, None)
         # The actuators are in the order of the joints' names.
         self._places = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
 
@@ -132,21 +132,21 @@ class Simulator:
         return float(self.data.time)
 
     @property
-    def q(self) -> np.ndarray:
+    def q(self) -> Array:
         """Joint angles in the order of `hand.joint_names` [rad], shape (n,)."""
         return self.data.qpos[self._places].copy()
 
     @property
-    def wrist(self) -> np.ndarray:
+    def wrist(self) -> Array:
         """Pose of the wrist in the world, shape (4, 4)."""
         return _pose_of(self.data.site(WRIST))
 
     @property
-    def object_pose(self) -> np.ndarray:
+    def object_pose(self) -> Array:
         """Pose of the object in the world, shape (4, 4)."""
         return self.body_pose(OBJECT)
 
-    def body_pose(self, name: str) -> np.ndarray:
+    def body_pose(self, name: str) -> Array:
         """Return the pose of a body in the world, shape (4, 4).
 
         Args:
@@ -167,9 +167,7 @@ class Simulator:
             links_touching=np.array(len(set(contacts.bodies))),
         )
 
-    def reset(
-        self, q: npt.ArrayLike, wrist: np.ndarray | None, object_pose: npt.ArrayLike
-    ) -> None:
+    def reset(self, q: ArrayLike, wrist: Array | None, object_pose: ArrayLike) -> None:
         """Put hand and object at rest.
 
         Args:
@@ -209,9 +207,7 @@ class Simulator:
         friction = self.physics.friction * weight if holds else 0.0
         self.model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
 
-    def follow(
-        self, q: npt.ArrayLike, wrist: np.ndarray | None, duration: float
-    ) -> None:
+    def follow(self, q: ArrayLike, wrist: Array | None, duration: float) -> None:
         """Move the command in a straight line to a posture, and simulate meanwhile.
 
         Args:
@@ -224,7 +220,7 @@ class Simulator:
         start, start_wrist = self.target
         steps = max(1, round(duration / self.physics.time_step))
         shares = np.arange(1, steps + 1) / steps
-        wrists: Sequence[np.ndarray | None] = [None] * steps
+        wrists: Sequence[Array | None] = [None] * steps
         if wrist is not None and start_wrist is not None:
             wrists = list(poses_between(start_wrist, wrist, shares))
         for share, place in zip(shares, wrists, strict=True):
@@ -259,11 +255,11 @@ class Simulator:
             bodies=tuple(model.body(body).name for body in touching),
         )
 
-    def tell_actuators(self, command: np.ndarray) -> None:
+    def tell_actuators(self, command: Array) -> None:
         """Tell the actuators a command [rad], shape (n,)."""
         self.data.ctrl[:] = command
 
-    def _lead(self, command: np.ndarray, wrist: np.ndarray | None) -> None:
+    def _lead(self, command: Array, wrist: Array | None) -> None:
         """Command joints and, of a hand that floats, the body that leads its base."""
         self.tell_actuators(command)
         if wrist is not None:
@@ -273,7 +269,7 @@ class Simulator:
             self.data.mocap_quat[0] = base[3:]
 
 
-def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.ndarray:
+def poses_between(start: Array, end: Array, shares: Array) -> Array:
     """Return poses at shares of the way: positions in a line, rotations about one axis.
 
     Args:
@@ -289,6 +285,6 @@ def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.
     return affine(turns(shares).as_matrix(), start[:3, 3] + np.outer(shares, way))
 
 
-def _pose_of(part: Any) -> np.ndarray:
+def _pose_of(part: Any) -> Array:
     """Return the pose of a body or site in the world, shape (4, 4)."""
     return affine(part.xmat.reshape(3, 3), part.xpos)

@@ -25,6 +25,7 @@ from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.presets import PRESETS, Choice
 from handmap_qp.options import Option, Options, options_of
+from handmap_qp.se3 import Array
 
 if TYPE_CHECKING:
     import viser
@@ -399,7 +400,7 @@ def _picture(client: Any) -> bytes:
     )
 
 
-def on_white(image: np.ndarray) -> bytes:
+def on_white(image: Array) -> bytes:
     """Return a picture as a PNG file on a white background.
 
     Args:

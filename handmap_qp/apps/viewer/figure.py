@@ -24,6 +24,7 @@ from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.se3 import (
+    Array,
     inverse_pose,
     mirror_sign,
     quat_wxyz_from_rotation,
@@ -34,7 +35,7 @@ from handmap_qp.trackers.hand_geometry import BONES, NEIGHBOURS
 if TYPE_CHECKING:
     import viser
 
-Posture = tuple[np.ndarray, np.ndarray]
+Posture = tuple[Array, Array]
 """Joint angles [rad], shape (n,), and wrist pose, shape (4, 4)."""
 Shape = Literal["ellipsoid", "cube", "off"]
 """How T_def is shown."""
@@ -102,14 +103,14 @@ class Figure(ABC):
         self._frame.visible = self._label.visible = is_shown
 
     @abstractmethod
-    def points(self, sample: ViewSample) -> np.ndarray | None:
+    def points(self, sample: ViewSample) -> Array | None:
         """Return its points in the figure's world [m], shape (n, 3); None if they are not known."""
 
     @abstractmethod
     def draw(self, sample: ViewSample) -> None:
         """Draw one instant."""
 
-    def place_of(self, sample: ViewSample) -> tuple[np.ndarray, np.ndarray] | None:
+    def place_of(self, sample: ViewSample) -> tuple[Array, Array] | None:
         """Return where it is in the figure's world [m]; None if nothing is known.
 
         Returns:
@@ -118,11 +119,11 @@ class Figure(ABC):
         points = self.points(sample)
         return None if points is None else (points.mean(axis=0), points)
 
-    def tips(self, sample: ViewSample) -> np.ndarray | None:
+    def tips(self, sample: ViewSample) -> Array | None:
         """Return the fingertips in the figure's world [m], shape (n, 3); None for no trail."""
         return None
 
-    def turn(self, axes: np.ndarray) -> None:
+    def turn(self, axes: Array) -> None:
         """Turn the figure's world to other axes (3, 3), and forget which room it needs."""
         self.axes = axes
         self._frame.wxyz = quat_wxyz_from_rotation(axes)
@@ -143,7 +144,7 @@ class Figure(ABC):
             is_within = _OUTWARDS * (room - self.room) <= 0.0
             self.room = np.where(is_within, self.room, room + _OUTWARDS * _MARGIN)
 
-    def _room(self, sample: ViewSample) -> np.ndarray | None:
+    def _room(self, sample: ViewSample) -> Array | None:
         """Return the room of one instant, as `room`; None if nothing is known."""
         if (place := self.place_of(sample)) is None:
             return None
@@ -152,7 +153,7 @@ class Figure(ABC):
         about = (corners - centre) @ self.axes.T
         return np.array([[middle, middle], _box_of(about)])
 
-    def place(self, middle: np.ndarray, low: float) -> None:
+    def place(self, middle: Array, low: float) -> None:
         """Move the figure's world so that a point of it is at the anchor.
 
         Args:
@@ -194,7 +195,7 @@ class Spheres:
             receive_shadow=False,
         )
 
-    def move(self, points: np.ndarray | None) -> None:
+    def move(self, points: Array | None) -> None:
         """Place the spheres at points (n, 3), and hide those that have none."""
         places = () if points is None else points
         while len(self._nodes) < len(places):
@@ -210,7 +211,7 @@ class Trail:
 
     def __init__(self, server: viser.ViserServer, path: str, colour: Colour) -> None:
         # Times [s], tips (n, 3) and the hand's centre (3,) [m], oldest first.
-        self._points: list[tuple[float, np.ndarray, np.ndarray]] = []
+        self._points: list[tuple[float, Array, Array]] = []
         self._lines = _add_lines(server, path, colour, 2.0)
         self.clear()
 
@@ -219,9 +220,7 @@ class Trail:
         self._points.clear()
         self._lines.visible = False
 
-    def add(
-        self, time: float, tips: np.ndarray, centre: np.ndarray, *, is_pinned: bool
-    ) -> None:
+    def add(self, time: float, tips: Array, centre: Array, *, is_pinned: bool) -> None:
         """Add where the tips are, and draw the trail, without what is later or too long ago.
 
         Args:
@@ -256,7 +255,7 @@ class LandmarkFigure(Figure):
         )
         self._bones = _add_lines(server, "/landmarks/bones", LANDMARK_COLOUR, 3.0)
 
-    def points(self, sample: ViewSample) -> np.ndarray | None:
+    def points(self, sample: ViewSample) -> Array | None:
         """Return the landmarks, unless some are not known."""
         return known(sample.landmarks)
 
@@ -296,7 +295,7 @@ class HandFigure(Figure):
         self._tips = hand.with_points(list(finger_tips(hand).values()) or None)
         self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
         self._links: dict[str, Any] = {}
-        self._corners: dict[str, np.ndarray] = {}
+        self._corners: dict[str, Array] = {}
         for link, meshes in link_meshes(hand).items():
             path = f"/{node}/body/{link}"
             self._links[link] = server.scene.add_frame(path, show_axes=False)
@@ -316,7 +315,7 @@ class HandFigure(Figure):
             server, f"/{node}/points", self.point_size * self.radius, colour
         )
 
-    def points(self, sample: ViewSample) -> np.ndarray | None:
+    def points(self, sample: ViewSample) -> Array | None:
         """Return the hand's points, which may be known where its posture is not."""
         return getattr(sample, f"{self.whose}_points")
 
@@ -325,14 +324,14 @@ class HandFigure(Figure):
         q, wrist = (getattr(sample, f"{self.whose}_{part}") for part in ("q", "wrist"))
         return None if q is None or wrist is None else (q, wrist)
 
-    def place_of(self, sample: ViewSample) -> tuple[np.ndarray, np.ndarray] | None:
+    def place_of(self, sample: ViewSample) -> tuple[Array, Array] | None:
         """Return the hand's centre and corners of its links' boxes, or those of its points."""
         if (posture := self.posture(sample)) is None:
             return super().place_of(sample)
         (centre,) = transform_points(posture[1], self._focus[None])
         return centre, self._boxes(*posture)
 
-    def tips(self, sample: ViewSample) -> np.ndarray | None:
+    def tips(self, sample: ViewSample) -> Array | None:
         """Return the tips of the posture."""
         if (posture := self.posture(sample)) is None:
             return None
@@ -353,7 +352,7 @@ class HandFigure(Figure):
                 _place(node, pose)
         self._points.move(self.points(sample))
 
-    def _boxes(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
+    def _boxes(self, q: Array, wrist: Array) -> Array:
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
         pose = self._pose(wrist)
         if not self._corners:
@@ -363,7 +362,7 @@ class HandFigure(Figure):
         poses = self.hand.link_poses(list(self._corners), q, pose)
         return np.vstack(list(map(transform_points, poses, self._corners.values())))
 
-    def _pose(self, wrist: np.ndarray) -> np.ndarray | None:
+    def _pose(self, wrist: Array) -> Array | None:
         """Return the wrist pose as the hand's kinematics take it."""
         return wrist if self.hand.is_floating else None
 
@@ -383,7 +382,7 @@ class HumanFigure(HandFigure):
     whose = "human"
 
     def __init__(
-        self, server: viser.ViserServer, hand: Hand, points: np.ndarray | None
+        self, server: viser.ViserServer, hand: Hand, points: Array | None
     ) -> None:
         super().__init__(server, "human", hand, HUMAN_COLOUR)
         self.shape: Shape = "ellipsoid"
@@ -408,7 +407,7 @@ class HumanFigure(HandFigure):
         )
         self._cube = _add_lines(server, "/human/cube", DEFORMATION_COLOUR, 2.5)
 
-    def tips(self, sample: ViewSample) -> np.ndarray | None:
+    def tips(self, sample: ViewSample) -> Array | None:
         """Return the tracked tips, or else those of the posture."""
         if sample.landmarks is not None:
             return known(sample.landmarks[TIPS])
@@ -532,17 +531,17 @@ def _add_lines(
     )
 
 
-def _place(node: Any, pose: np.ndarray) -> None:
+def _place(node: Any, pose: Array) -> None:
     """Move a node of the scene to a pose (4, 4)."""
     node.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
     node.position = pose[:3, 3]
 
 
-def _box_of(points: np.ndarray) -> np.ndarray:
+def _box_of(points: Array) -> Array:
     """Return the lowest and the highest corner of the box around points, shape (2, 3)."""
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 
-def known(points: np.ndarray | None) -> np.ndarray | None:
+def known(points: Array | None) -> Array | None:
     """Return points if all of them are known."""
     return points if points is not None and np.isfinite(points).all() else None

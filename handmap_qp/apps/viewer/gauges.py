@@ -24,6 +24,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import CONTACT_GAP, FINGERS
 from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.ik.qp import wrist_error
+from handmap_qp.se3 import Array
 
 if TYPE_CHECKING:
     import viser
@@ -93,7 +94,7 @@ class InstantGauges:
             # Without readable collision shapes, only the pinch gaps are missing.
             self._measure = lambda _: {}
 
-    def errors(self, sample: ViewSample) -> np.ndarray:
+    def errors(self, sample: ViewSample) -> Array:
         """Return a robot's errors; NaN for those that are not known.
 
         Returns:
@@ -177,7 +178,7 @@ class InstantGauges:
         )
 
 
-def _joint_bar(name: str, q: float, shares: np.ndarray, colour: str) -> str:
+def _joint_bar(name: str, q: float, shares: Array, colour: str) -> str:
     """Return a joint's name, its bar with a mark at the rest angle, and its angle [rad], as HTML.
 
     Long names are cut at their start, because names differ at their ends.
@@ -253,8 +254,8 @@ def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
 
 def draw_plot(
     title: str,
-    time: np.ndarray,
-    lines: Sequence[tuple[str, str, np.ndarray]],
+    time: Array,
+    lines: Sequence[tuple[str, str, Array]],
     index: int,
     *,
     latest: float | None = None,
@@ -311,7 +312,7 @@ def draw_plot(
     return html + legend([line[:2] for line in lines])
 
 
-def _path(x: np.ndarray, y: np.ndarray) -> str:
+def _path(x: Array, y: Array) -> str:
     """Return a line through points (n,) as SVG, interrupted where y is NaN."""
     known = np.ma.clump_unmasked(np.ma.masked_invalid(y))
     return "".join(

@@ -24,7 +24,7 @@ from handmap_qp.hands.library import hand_files, load_hand
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
-from handmap_qp.se3 import rigid_fit
+from handmap_qp.se3 import Array, rigid_fit
 
 # Longest wait for an answer once the session is shown [s].
 _TIMEOUT = 1.0
@@ -297,7 +297,7 @@ class ServiceSession:
 
     def _human_posture(
         self, arrays: dict[str, Any], wrist: Any
-    ) -> tuple[np.ndarray | None, np.ndarray]:
+    ) -> tuple[Array | None, Array]:
         """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
         landmarks = arrays.get("landmarks")
         if landmarks is not None and self._fitter is not None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.presets import Choice
+from handmap_qp.se3 import Array
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,19 +44,19 @@ class ViewSample:
     """
 
     time: float
-    robot_q: np.ndarray
-    robot_wrist: np.ndarray
-    robot_points: np.ndarray
-    targets: np.ndarray | None = None
-    wrist_target: np.ndarray | None = None
-    human_q: np.ndarray | None = None
-    human_wrist: np.ndarray | None = None
-    human_points: np.ndarray | None = None
-    landmarks: np.ndarray | None = None
-    deformation: np.ndarray | None = None
-    pivot: np.ndarray | None = None
-    object_pose: np.ndarray | None = None
-    is_limited: np.ndarray | None = None
+    robot_q: Array
+    robot_wrist: Array
+    robot_points: Array
+    targets: Array | None = None
+    wrist_target: Array | None = None
+    human_q: Array | None = None
+    human_wrist: Array | None = None
+    human_points: Array | None = None
+    landmarks: Array | None = None
+    deformation: Array | None = None
+    pivot: Array | None = None
+    object_pose: Array | None = None
+    is_limited: Array | None = None
     status: str = ""
     held_by: Sequence[str] = ()
     rule: str = ""
@@ -64,7 +65,7 @@ class ViewSample:
     note: str = ""
 
     @property
-    def point_error(self) -> np.ndarray:
+    def point_error(self) -> Array:
         """Distances of the robot points from their targets [m], shape (n_r,); NaN without."""
         targets = np.nan if self.targets is None else self.targets
         return np.linalg.norm(targets - self.robot_points, axis=1)
@@ -94,9 +95,9 @@ class Variant(NamedTuple):
     choice: Choice | None
     samples: Sequence[ViewSample]
     solid: Any = None
-    axes: np.ndarray | None = None
+    axes: Array | None = None
 
     @property
-    def plotted(self) -> np.ndarray:
+    def plotted(self) -> Array:
         """What is plotted of the samples (`ViewSample.plotted`), shape (4, n)."""
         return np.array([sample.plotted for sample in self.samples]).T

@@ -24,7 +24,7 @@ from handmap_qp.apps.viewer.figure import (
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.alignment import rotation_of
-from handmap_qp.se3 import unit
+from handmap_qp.se3 import Array, unit
 
 if TYPE_CHECKING:
     import viser
@@ -256,7 +256,7 @@ class BrowserCameras:
         return float(distance), float(-0.5 * _NAMES * pixel)
 
 
-def _robot_axes(variant: Variant, upright: np.ndarray | None) -> np.ndarray:
+def _robot_axes(variant: Variant, upright: Array | None) -> Array:
     """Return the rotation from V to the scene's axes, shape (3, 3).
 
     Args:

@@ -39,7 +39,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmMap, PalmMethod, require_points
 from handmap_qp.options import number, text
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import Array, lengths
 
 
 class FingertipVectors(AlignedOptions, frozen=True):
@@ -95,25 +95,25 @@ class BoundFingertipVectors(PalmMethod):
             pairs = [pair for pair in pairs if robot.reference_points[pair[0]].finger]
         self.pairs = np.array(pairs, dtype=int).reshape(-1, 2).T
         # Human points that the vectors begin at, and places of the robot in its palm.
-        self.human_origins: np.ndarray | None = None
-        self.robot_origins = np.zeros((len(pairs), 3))
+        self.human_origins: Array | None = None
+        self.robot_origins: Array | float = 0.0
         if method.origin == "palm":
             robot_size, human_size = (
                 lengths(points_in_palm(hand, hand.rest)[points]).mean()
                 for hand, points in zip((robot, human), self.pairs, strict=True)
             )
-            ratios = np.full(len(pairs), robot_size / human_size)
+            ratios = robot_size / human_size
         else:
             ratios = self._begin_at_knuckles()
-        self.scales = (
-            ratios if method.scale is None else np.full_like(ratios, method.scale)
+        self.scales = np.full(
+            len(pairs), ratios if method.scale is None else method.scale
         )
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> FingertipVectorMap:
         """Count the palm's displacement from here; the fingers need no reference."""
         return FingertipVectorMap(self, sample, robot)
 
-    def _begin_at_knuckles(self) -> np.ndarray:
+    def _begin_at_knuckles(self) -> Array:
         """Take both hands' knuckles for origins; return the ratio of reaches of each finger."""
         human = self.human
         robot = self.robot
@@ -122,8 +122,8 @@ class BoundFingertipVectors(PalmMethod):
         leading = [str(human.reference_points[k].finger) for k in self.pairs[1]]
         if not led:
             raise InvalidOptionsError(
+                f"'knuckle' needs named fingers, and {robot.name} has none",
                 option="origin",
-                problem=f"'knuckle' needs named fingers, and {robot.name} has none",
                 value="knuckle",
                 advice="add `finger` to the points of its hand.yaml",
             )

@@ -11,7 +11,6 @@ are the pivots, `Q` the rotation from the human's world axes to the robot's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -39,12 +38,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import known_palm
 from handmap_qp.options import number, text
-from handmap_qp.se3 import (
-    affine,
-    frozen,
-    inverse_pose,
-    transform_points,
-)
+from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 
 
 class Homogeneous(AlignedOptions, frozen=True):
@@ -114,15 +108,15 @@ class Homogeneous(AlignedOptions, frozen=True):
         super().check()
         if (self.pivot == "point") != (self.pivot_point is not None):
             raise InvalidOptionsError(
+                "goes together with pivot='point'",
                 option="pivot_point",
-                problem="goes together with pivot='point'",
                 value=self.pivot_point,
                 advice="give both or neither",
             )
         if self.deformation_gain != 1.0 and self.stretch_min == 0.0:
             raise InvalidOptionsError(
+                "needs positive stretches",
                 option="deformation_gain",
-                problem="needs positive stretches",
                 value=self.deformation_gain,
                 advice="give stretch_min > 0",
             )
@@ -203,7 +197,7 @@ class BoundHomogeneous:
             else []
         )
 
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm in the robot's world, as far as it is known."""
         known = known_palm(sample, self.human)
         return in_robot_world(self.options.alignment, known)
@@ -214,7 +208,7 @@ class BoundHomogeneous:
             return HomogeneousMap(self, sample, robot)
         if sample.wrist is None:
             raise InvalidInputError(
-                argument="wrist_pose", problem="needed for reference='rest'"
+                "needed for reference='rest'", argument="wrist_pose"
             )
         hand = self.robot
         points = self.human.points(self.human.rest, sample.wrist)
@@ -230,8 +224,8 @@ class BoundHomogeneous:
         robot = self.robot
         if options.rigid_from != "none" and not robot.has_moving_wrist:
             raise InvalidOptionsError(
+                f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
                 option="rigid_from",
-                problem=f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
                 value=options.rigid_from,
                 advice="give rigid_from='none', or load the robot with mount='floating'",
             )
@@ -239,8 +233,8 @@ class BoundHomogeneous:
         needed = 4 if options.ridge == 0.0 else 3
         if count < needed and not (options.ridge > 0.0 and self.needs_wrist):
             raise InvalidOptionsError(
+                f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
                 option="ridge",
-                problem=f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
                 value=options.ridge,
                 advice="choose more points, or ridge > 0 with rigid_from='wrist'",
             )
@@ -307,12 +301,11 @@ class HomogeneousMap(Compiled):
             )
         rotation = factors.rotation
         rigid_image = image
+        if options.rigid_from == "none":
+            moved = np.eye(4)
         if moved is not None:
             rotation = moved[:3, :3]
             rigid_image = transform_points(moved, pivot)
-        elif options.rigid_from == "none":
-            rotation = np.eye(3)
-            rigid_image = pivot
         points = self.robot_offsets @ (Q @ linear @ Q.T).T + self._placed(image)
         if self.share is not None:
             # The residual refers to the imposed motion, so it makes up for clamping and gain.
@@ -321,33 +314,25 @@ class HomogeneousMap(Compiled):
         wrist = affine(Q @ rotation @ Q.T, self._placed(rigid_image)).dot(
             self.robot_wrist
         )
-        results = estimate, linear, rotation, rigid_image, image, factors.stretches
-        return self._asked(points, wrist, is_clamped, *results)
+        fit = estimate.linear, estimate.centroid_after, sample.points
+        results = linear, rotation, rigid_image, image, factors.stretches
+        return self._made([points, wrist, *fit, *results], is_clamped)
 
-    def asked(self, numbers: np.ndarray, is_clamped: bool) -> Targets:
+    def asked(self, numbers: Array, is_clamped: bool) -> Targets:
         """Return the targets that the core computed."""
-        points, wrist, first, centroid, seen, *results = self._parts.of(numbers)
-        estimate = self.estimator.estimate_of(first, centroid, seen)
-        return self._asked(points, wrist, is_clamped, estimate, *results)
+        return self._made(self._parts.of(numbers), is_clamped)
 
-    def _asked(
-        self,
-        points: np.ndarray,
-        wrist: np.ndarray,
-        is_clamped: bool,
-        estimate: MotionEstimate,
-        linear: np.ndarray,
-        rotation: np.ndarray,
-        *results: np.ndarray,
-    ) -> Targets:
+    def _made(self, parts: list[Array], is_clamped: bool) -> Targets:
+        points, wrist, first, centroid, seen, *results = parts
+        estimate = self.estimator.estimate_of(first, centroid, seen)
         return Targets(
             points,
             wrist,
-            HomogeneousDiagnostics(estimate, linear, rotation, self.pivot, *results),
+            Diagnostics(_results, (estimate, self.pivot, *results)),
             flags=("stretch_clamped",) if is_clamped else (),
         )
 
-    def _wrist_motion(self, sample: HumanPose) -> np.ndarray | None:
+    def _wrist_motion(self, sample: HumanPose) -> Array | None:
         """Return the wrist's motion since the reference, (4, 4); None if it is not asked for."""
         if self.options.rigid_from != "wrist":
             return None
@@ -355,61 +340,41 @@ class HomogeneousMap(Compiled):
         now = sample.wrist
         if before is None or now is None:
             raise InvalidInputError(
-                argument="wrist_pose", problem="needed for rigid_from='wrist'"
+                "needed for rigid_from='wrist'", argument="wrist_pose"
             )
         return now @ inverse_pose(before)
 
-    def _placed(self, image: np.ndarray) -> np.ndarray:
+    def _placed(self, image: Array) -> Array:
         """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
         return self.origin + self.options.scale * self.alignment.dot(image)
 
 
-@dataclass(frozen=True, eq=False)
-class HomogeneousDiagnostics(Diagnostics):
-    """Results of one sample; see `Diagnostics`.
-
-    Attributes:
-        pivot_image: Where T takes the pivot [m], shape (3,).
-        stretches: Eigenvalues of the stretch U before clamping, shape (3,).
-    """
-
-    _estimate: MotionEstimate
-    _linear: np.ndarray
-    _rotation: np.ndarray
-    _pivot: np.ndarray
-    _rigid_image: np.ndarray
-    pivot_image: np.ndarray
-    stretches: np.ndarray
-
-    @property
-    def motion(self) -> np.ndarray:
-        """T from the reference to now (eqs. 5-6), shape (4, 4)."""
-        return self._estimate.motion
-
-    @property
-    def motion_rigid(self) -> np.ndarray:
-        """T_rb (eq. 2), shape (4, 4)."""
-        return about(self._rotation, self._pivot, self._rigid_image)
-
-    @property
-    def motion_deformation(self) -> np.ndarray:
-        """T_def (eq. 2), after clamping and gain, shape (4, 4)."""
-        return about(
-            self._linear @ self._rotation.T, self._rigid_image, self.pivot_image
-        )
-
-    @property
-    def residual_norms(self) -> np.ndarray:
-        """Distance of each human point from where T takes it [m], shape (n_h,)."""
-        return self._estimate.residual_norms
+def _results(
+    estimate: MotionEstimate,
+    pivot: Array,
+    linear: Array,
+    rotation: Array,
+    rigid_image: Array,
+    image: Array,
+    stretches: Array,
+) -> dict[str, Array]:
+    """Return the results of one sample; see `Diagnostics`. T_def has clamping and gain."""
+    return {
+        "motion": estimate.motion,
+        "motion_rigid": about(rotation, pivot, rigid_image),
+        "motion_deformation": about(linear @ rotation.T, rigid_image, image),
+        "residual_norms": estimate.residual_norms,
+        "pivot_image": image,
+        "stretches": stretches,
+    }
 
 
 def _residual_share(
     gain: float,
-    human_points: np.ndarray,
-    robot_points: np.ndarray,
+    human_points: Array,
+    robot_points: Array,
     partners: list[tuple[int, int]],
-) -> np.ndarray | None:
+) -> Array | None:
     """Return the residual gain of every pair, scaled by the ratio of sizes, shape (n_r, n_h)."""
     if not partners:
         return None

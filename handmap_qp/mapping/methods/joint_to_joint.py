@@ -19,7 +19,7 @@ the tips, and thumbs are built too differently for joints to correspond.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -36,9 +36,10 @@ from handmap_qp.hands.fingers import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS, THUMB
+from handmap_qp.human.sample import LANDMARK_NAMES
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.alignment import AlignedOptions
-from handmap_qp.mapping.hand_pair import points_in_palm
+from handmap_qp.mapping.hand_pair import RobotFingers, points_in_palm
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -46,13 +47,8 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import (
-    PalmMap,
-    PalmMethod,
-    chain_landmarks,
-    require_points,
-)
-from handmap_qp.se3 import lengths, unit
+from handmap_qp.mapping.palm import PalmMap, PalmMethod, require_points
+from handmap_qp.se3 import Array, lengths, unit
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.
 _JOINT_WEIGHT = 10.0
@@ -107,23 +103,24 @@ class FingerAngles:
     def __init__(self, human: Hand, fingers: tuple[str, ...]) -> None:
         if human.joint_names != HUMAN_JOINTS:
             raise InvalidOptionsError(
+                f"{human.name} has other joints than the human hand",
                 option="human",
-                problem=f"{human.name} has other joints than the human hand",
                 advice="load_hand('human')",
             )
-        needed = [name for finger in fingers for name in chain_landmarks(finger)]
-        points = require_points(human, needed, "a mapping of joint angles")
-        self._points = points.reshape(-1, 4)
         self.columns = np.array(
             [4 * FINGERS.index(finger) + np.arange(4) for finger in fingers]
         )
+        # A finger has as many landmarks as joints.
+        needed = [LANDMARK_NAMES[1 + column] for column in self.columns.flat]
+        points = require_points(human, needed, "a mapping of joint angles")
+        self._points = points.reshape(-1, 4)
         found = find_fingers(human)
         self._fingers = [
             _FingerFrames(human, found[finger], columns)
             for finger, columns in zip(fingers, self.columns, strict=True)
         ]
 
-    def measure(self, in_palm: np.ndarray) -> np.ndarray:
+    def measure(self, in_palm: Array) -> Array:
         """Return the joint angles [rad], shape (f, 4).
 
         Args:
@@ -136,7 +133,7 @@ class FingerAngles:
 class _FingerFrames:
     """One finger's joint frames at zero, in palm axes: x along the bones, z along the axis."""
 
-    def __init__(self, human: Hand, finger: Finger, columns: np.ndarray) -> None:
+    def __init__(self, human: Hand, finger: Finger, columns: Array) -> None:
         view = PalmKinematics(human)
         zero = np.zeros(len(human.joint_names))
         axes, origins = view.axes(zero, finger.joints)
@@ -150,7 +147,7 @@ class _FingerFrames:
         parallel = np.abs(axes[1:] @ axes[1]) > _PARALLEL
         self._in_plane = 3 if parallel.all() else parallel.argmin()
 
-    def angles(self, bones: np.ndarray) -> np.ndarray:
+    def angles(self, bones: Array) -> Array:
         """Return the four angles from three bones in palm axes, shape (3, 3)."""
         x, y, _ = bones[: self._in_plane].dot(self._frames[0]).T
         doubled = np.arctan2(2.0 * x.dot(y), x.dot(x) - y.dot(y) + _STRAIGHTENING**2)
@@ -162,12 +159,12 @@ class _FingerFrames:
         other = self._bend(along - np.copysign(np.pi, along), bones)
         return min(angles, other, key=self._excess)
 
-    def _excess(self, angles: np.ndarray) -> float:
+    def _excess(self, angles: Array) -> float:
         """Return how far the first two angles are outside their limits [rad]."""
         outside = np.maximum(self._lower - angles, angles - self._upper)
         return outside[:2].clip(0.0).sum()
 
-    def _bend(self, abduction: float, bones: np.ndarray) -> np.ndarray:
+    def _bend(self, abduction: float, bones: Array) -> Array:
         """Return all angles, given the first."""
         angles = [abduction]
         turned = pin.exp3(abduction * self._frames[0][:, 2])
@@ -178,8 +175,7 @@ class _FingerFrames:
         return np.array(angles)
 
 
-@dataclass(frozen=True, slots=True)
-class JointLink:
+class JointLink(NamedTuple):
     """One robot joint and the human joints that it follows.
 
     Attributes:
@@ -194,11 +190,11 @@ class JointLink:
 
     finger: str
     column: int
-    human: np.ndarray
+    human: Array
     angles: tuple[float, ...]
     positions: tuple[float, ...]
 
-    def position(self, angles: np.ndarray) -> float:
+    def position(self, angles: Array) -> float:
         """Return the robot joint's position for the finger's human angles, shape (4,)."""
         return float(np.interp(self.human.dot(angles), self.angles, self.positions))
 
@@ -212,7 +208,7 @@ class JointPositions:
         q: Positions of all joints, of which those are wanted [rad or m], shape (n,).
     """
 
-    def __init__(self, robot: Hand, columns: np.ndarray, q: np.ndarray) -> None:
+    def __init__(self, robot: Hand, columns: Array, q: Array) -> None:
         self._q_indices = robot.q_indices[columns]
         self._wanted = q[columns]
         self._active = robot.joint_columns[columns]
@@ -236,12 +232,11 @@ class BoundJointToJoint(PalmMethod):
 
     def __init__(self, method: JointToJoint, human: Hand, robot: Hand) -> None:
         super().__init__(method, human, robot)
-        found = find_fingers(robot)
-        self.chains = {name: chain for name, chain in found.items() if chain.joints}
+        self.chains = RobotFingers(robot).used
         if not self.chains:
             raise InvalidOptionsError(
+                f"joints correspond by finger, and no point of {robot.name} names one",
                 option="method",
-                problem=f"joints correspond by finger, and no point of {robot.name} names one",
                 advice="add `finger` to the points of its hand.yaml",
             )
         self.fingers = tuple(self.chains)
@@ -257,7 +252,7 @@ class BoundJointToJoint(PalmMethod):
         """Count the palm's displacement from here; the joints need no reference."""
         return JointMap(self, sample, robot)
 
-    def positions(self, angles: np.ndarray) -> np.ndarray:
+    def positions(self, angles: Array) -> Array:
         """Return the joint positions (n,) for human angles (f, 4); the mean where fingers share."""
         of_finger = dict(zip(self.fingers, angles, strict=True))
         asked = [link.position(of_finger[link.finger]) for link in self.links]
@@ -268,7 +263,7 @@ class BoundJointToJoint(PalmMethod):
         )
         return q
 
-    def _links(self, finger: Finger, leading: np.ndarray) -> list[JointLink]:
+    def _links(self, finger: Finger, leading: Array) -> list[JointLink]:
         """Find which joints of a finger correspond, from where to where they go, and which way."""
         columns = finger.columns.tolist()
         flexes = [column for column in columns if finger.closing[column]] or columns[:1]
@@ -294,7 +289,7 @@ class BoundJointToJoint(PalmMethod):
             start, is_upper, counts_from_rest = self._closed_end(
                 finger, column, leading[leaders[0]], sense[leaders[0]]
             )
-            zero = float(senses @ rest) * counts_from_rest
+            zero = senses @ rest * counts_from_rest
             least, most = np.sort(senses * limits[:, leading], axis=0).sum(axis=1)
             low = self.robot.lower_limits[column]
             high = self.robot.upper_limits[column]

@@ -10,7 +10,6 @@ extended, and that thumb and finger touch. Contact rows keep links apart.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Self
 
@@ -22,7 +21,6 @@ from handmap_qp.hands.shape_pairs import LINK_MARGIN
 from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.alignment import AlignedOptions
-from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import RobotFingers, finger_landmarks, hand_pair
 from handmap_qp.mapping.method import (
@@ -35,7 +33,14 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of, point_indices
 from handmap_qp.options import number, text
-from handmap_qp.se3 import inverse_pose, lengths, smoothstep, transform_points
+from handmap_qp.se3 import (
+    Array,
+    inverse_pose,
+    lengths,
+    mirror_sign,
+    smoothstep,
+    transform_points,
+)
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM = 0.070
@@ -128,10 +133,7 @@ PRESETS = {
     "teleoperation": Preset(
         Teleoperation(),
         FOLLOWING.replaced(
-            rest_weight=0.7,
-            damping=2.0,
-            takes_detours=True,
-            points_follow_wrist=True,
+            rest_weight=0.7, damping=2.0, takes_detours=True, points_follow_wrist=True
         ),
         "gestures and pinches of a tracked hand: each robot finger does what the human's does",
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
@@ -141,63 +143,51 @@ PRESETS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class TeleoperationDiagnostics(Diagnostics):
-    """Results of one sample; see `Diagnostics`.
+def _results(
+    estimate: MotionEstimate,
+    palm_before: Array,
+    palm: Array,
+    gaps: Array,
+    pinching: Array,
+    extensions: Array,
+) -> dict[str, Array]:
+    """Return the results of one sample; see `Diagnostics`.
 
     T is estimated in palm axes, from the human's rest posture. In the world, that posture lies at
-    the palm of the reference, and T_rb is the motion of the palm.
+    the palm of the reference, T_rb is the motion of the palm, and T_def all the rest.
 
-    Attributes:
-        palm: The human's palm now, shape (4, 4).
+    Args:
+        estimate: T in palm axes; its residuals are those of tips and middle joints.
+        palm_before: The human's palm at the reference, shape (4, 4).
+        palm: The same now.
         gaps: Human distance from the thumb tip to each finger's tip [m], shape (p,).
         pinching: Weight of each pinch row as a share of its full weight, shape (p,).
         extensions: Human knuckle-to-tip distance of each common finger as a share of its reach,
             shape (f,).
     """
-
-    _estimate: MotionEstimate
-    _palm_before: np.ndarray
-    palm: np.ndarray
-    gaps: np.ndarray
-    pinching: np.ndarray
-    extensions: np.ndarray
-
-    @property
-    def motion(self) -> np.ndarray:
-        """T in the human's world, shape (4, 4)."""
-        return self.motion_deformation @ self.motion_rigid
-
-    @property
-    def motion_rigid(self) -> np.ndarray:
-        """The motion of the palm, shape (4, 4)."""
-        return self.palm @ inverse_pose(self._palm_before)
-
-    @property
-    def motion_deformation(self) -> np.ndarray:
-        """All the rest of T, shape (4, 4)."""
-        return self.palm @ self._estimate.motion @ inverse_pose(self.palm)
-
-    @property
-    def stretches(self) -> np.ndarray:
-        """Stretches of T, shape (3,)."""
-        return polar(self._estimate.linear).stretches
-
-    @property
-    def pivot_image(self) -> np.ndarray:
-        """Centroid of the points now [m], shape (3,)."""
-        return transform_points(self.palm, self._estimate.centroid_after)
-
-    @property
-    def residual_norms(self) -> np.ndarray:
-        """Distance of tips and middle joints from where T takes them [m], shape (n,)."""
-        return self._estimate.residual_norms
+    rigid = palm @ inverse_pose(palm_before)
+    deformation = palm @ estimate.motion @ inverse_pose(palm)
+    # The smallest one is negative where T mirrors.
+    stretches = np.linalg.svd(estimate.linear, compute_uv=False)
+    stretches[2] *= mirror_sign(estimate.linear)
+    return {
+        "motion": deformation @ rigid,
+        "motion_rigid": rigid,
+        "motion_deformation": deformation,
+        "stretches": stretches,
+        "pivot_image": transform_points(palm, estimate.centroid_after),
+        "residual_norms": estimate.residual_norms,
+        "palm": palm,
+        "gaps": gaps,
+        "pinching": pinching,
+        "extensions": extensions,
+    }
 
 
 @lru_cache(maxsize=32)
 def _distances(robot: RobotFingers, pinched: tuple[str, ...]) -> PointDistances:
     """Lay out the distance rows: extension of each finger, then a pinch with each finger."""
-    chains = [robot.chains[finger] for finger in robot.names]
+    chains = robot.used.values()
     places = [place for chain in chains for place in (chain.knuckle, chain.tip)]
     first = len(places)
     pairs = [(k, k + 1) for k in range(0, first, 2)]
@@ -234,7 +224,7 @@ class BoundTeleoperation(PalmMethod):
         self._prepare_aims()
         self._prepare_margins()
 
-    def start_palm(self, sample: HumanPose) -> np.ndarray:
+    def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm, moved so that the knuckles of both hands have one centre."""
         palm = super().start_palm(sample)
         palm[:3, 3] += palm[:3, :3] @ (
@@ -258,7 +248,7 @@ class BoundTeleoperation(PalmMethod):
             [self.pads[0].radius + pad.radius - _SQUEEZE for pad in self.pads[1:]]
         )
         # Between jaws, an object is as large as between the human's fingers.
-        ratio = 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
+        ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
         count = len(touching)
         self.aim_slopes = np.append(pair.reach_ratios, np.full(count, ratio))
         self.aim_offsets = np.append(
@@ -269,19 +259,19 @@ class BoundTeleoperation(PalmMethod):
         weights = choices.thumb_extension_weight, choices.extension_weight
         self.extension_weights = np.where(np.array(pair.fingers) == THUMB, *weights)
 
-    def aims(self, distances: np.ndarray) -> np.ndarray:
+    def aims(self, distances: Array) -> Array:
         """Return the wanted distance of each row for the human's, shape (k,) both."""
         aims = self.aim_slopes * distances + self.aim_offsets
         return np.clip(aims, self.least_aims, self.largest_aims)
 
-    def pinching(self, gaps: np.ndarray) -> np.ndarray:
+    def pinching(self, gaps: Array) -> Array:
         """Return the share of its weight that each pinch row has at a gap, shape (p,) both.
 
         It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
         """
         return smoothstep((self.pinch_from - gaps) / self.pinch_over)
 
-    def margins(self, gaps: np.ndarray) -> np.ndarray:
+    def margins(self, gaps: Array) -> Array:
         """Return the margin of every contact pair at the human's gaps [m], shape (k,).
 
         That between thumb and finger widens with the gap, so that nothing touches.
@@ -372,7 +362,7 @@ class TeleoperationMap(Compiled, PalmMap):
         vectors = now[pair.partners] - now[self.starts]
         led = self.bases + self.ratios[:, None] * vectors
         points += shares[:, None] * (led - points)
-        return self._asked(
+        parts = [
             *self.placed(palm, points),
             method.aims(distances),
             np.append(method.extension_weights, pinches),
@@ -384,35 +374,26 @@ class TeleoperationMap(Compiled, PalmMap):
             gaps,
             pinching,
             extensions / pair.human_reach,
-        )
+        ]
+        return self._made(parts)
 
-    def asked(self, numbers: np.ndarray, is_clamped: bool) -> Targets:
+    def asked(self, numbers: Array, is_clamped: bool) -> Targets:
         """Return the targets that the core computed."""
         del is_clamped
-        return self._asked(*self._parts.of(numbers))
+        return self._made(self._parts.of(numbers))
 
-    def _asked(
-        self,
-        points: np.ndarray,
-        wrist: np.ndarray,
-        aims: np.ndarray,
-        weights: np.ndarray,
-        margins: np.ndarray,
-        linear: np.ndarray,
-        centroid: np.ndarray,
-        shape: np.ndarray,
-        *results: np.ndarray,
-    ) -> Targets:
-        estimate = self.estimator.estimate_of(linear, centroid, shape)
+    def _made(self, parts: list[Array]) -> Targets:
+        points, wrist, aims, weights, margins, *rest = parts
+        estimate = self.estimator.estimate_of(*rest[:3])
         return Targets(
             points,
             wrist,
-            TeleoperationDiagnostics(estimate, self.palm_before, *results),
+            Diagnostics(_results, (estimate, self.palm_before, *rest[3:])),
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
         )
 
-    def _moved(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
+    def _moved(self, estimate: MotionEstimate, now: Array) -> Array:
         """Move the matched points by T, and add each finger's residual; palm axes, (m, 3).
 
         With s the robot's points and c_r their centre, x and y the human partners at rest and now,

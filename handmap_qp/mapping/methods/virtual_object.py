@@ -47,7 +47,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmMap, PalmMethod
 from handmap_qp.options import number
-from handmap_qp.se3 import lengths, mirror_sign, nearest_rotation
+from handmap_qp.se3 import Array, lengths, mirror_sign, nearest_rotation
 
 # Points on a line leave the turn about it free: least ratio of their second singular value to the
 # first.
@@ -82,7 +82,7 @@ class VirtualObject(AlignedOptions, frozen=True):
         | None
     ) = None
 
-    def enclose(self, points: np.ndarray) -> Enclosing:
+    def enclose(self, points: Array) -> Enclosing:
         """Return the object around points [m], shape (n, 3)."""
         raise NotImplementedError
 
@@ -94,7 +94,7 @@ class VirtualObject(AlignedOptions, frozen=True):
 class VirtualSphere(VirtualObject, frozen=True):
     """Map the motion of the fingertips' enclosing ball."""
 
-    def enclose(self, points: np.ndarray) -> Enclosing:
+    def enclose(self, points: Array) -> Enclosing:
         """Return the smallest ball; its size is the radius [m]."""
         centre, radius = enclosing_ball(points)
         return Enclosing(points, centre, np.eye(3), radius, np.inf)
@@ -111,7 +111,7 @@ class VirtualEllipsoid(VirtualObject, frozen=True):
         ),
     ] = 0.1
 
-    def enclose(self, points: np.ndarray) -> Enclosing:
+    def enclose(self, points: Array) -> Enclosing:
         """Return the smallest ellipsoid; its size is the norm of its semi-axes [m]."""
         centre, axes, semi_axes = enclosing_ellipsoid(points)
         size = float(lengths(semi_axes))
@@ -143,9 +143,9 @@ class ObjectMotion(NamedTuple):
             sphere.
     """
 
-    shift: np.ndarray
-    linear: np.ndarray
-    ratios: np.ndarray
+    shift: Array
+    linear: Array
+    ratios: Array
 
 
 class Enclosing:
@@ -160,12 +160,7 @@ class Enclosing:
     """
 
     def __init__(
-        self,
-        points: np.ndarray,
-        centre: np.ndarray,
-        axes: np.ndarray,
-        size: float,
-        ridge: float,
+        self, points: Array, centre: Array, axes: Array, size: float, ridge: float
     ) -> None:
         self.centre = centre
         self.axes = axes
@@ -177,7 +172,7 @@ class Enclosing:
         floor = _FLAT**2 * self._squares.max()
         self._gain = 1.0 / (self._squares + max(ridge * self._squares.mean(), floor))
 
-    def motion_to(self, points: np.ndarray) -> ObjectMotion:
+    def motion_to(self, points: Array) -> ObjectMotion:
         """Return the motion that best carries the enclosed points to where they are now.
 
         Args:
@@ -264,15 +259,15 @@ class VirtualObjectMap(PalmMap):
         )
 
 
-def _tips(hand: Hand, fewest: int) -> np.ndarray:
+def _tips(hand: Hand, fewest: int) -> Array:
     """Return the indices of the fingertips among a hand's points, or of all points if too few."""
     tips = {f"{finger}_tip" for finger in FINGERS}
     names = [point.partner or point.name for point in hand.reference_points]
     chosen = [k for k, name in enumerate(names) if name in tips]
     if len(names) < fewest:
         raise InvalidOptionsError(
+            f"a virtual object needs {fewest} points, and {hand.name} has {len(names)}",
             option="method",
-            problem=f"a virtual object needs {fewest} points, and {hand.name} has {len(names)}",
             value=len(names),
             advice="choose more reference points",
         )
@@ -280,7 +275,7 @@ def _tips(hand: Hand, fewest: int) -> np.ndarray:
     return np.array(chosen if len(chosen) >= fewest else range(len(names)))
 
 
-def _check_shape(points: np.ndarray) -> None:
+def _check_shape(points: Array) -> None:
     """Reject points that lie on a line or in one place."""
     values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not values[1] > _FLATTEST * values[0]:
@@ -290,8 +285,8 @@ def _check_shape(points: np.ndarray) -> None:
 
 
 def enclosing_ball(
-    points: np.ndarray, surface: tuple[np.ndarray, ...] = ()
-) -> tuple[np.ndarray, float]:
+    points: Array, surface: tuple[Array, ...] = ()
+) -> tuple[Array, float]:
     """Find the smallest ball that encloses points, exactly (Welzl 1991).
 
     A point outside the ball of those before it lies on the surface of the ball of them all.
@@ -317,9 +312,7 @@ def enclosing_ball(
     return centre, radius
 
 
-def enclosing_ellipsoid(
-    points: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def enclosing_ellipsoid(points: Array) -> tuple[Array, Array, Array]:
     """Find the ellipsoid of the smallest volume that encloses points.
 
     Points that lie in a plane or on a line get the smallest ellipse or segment. By Khachiyan's
@@ -344,7 +337,7 @@ def enclosing_ellipsoid(
     return centre, axes, np.sqrt(squares)
 
 
-def _ellipsoid_shares(points: np.ndarray) -> np.ndarray:
+def _ellipsoid_shares(points: Array) -> Array:
     """Return each point's share in the smallest ellipsoid, adding up to 1, shape (n,)."""
     count, rank = points.shape
     lifted = np.column_stack([points, np.ones(count)])

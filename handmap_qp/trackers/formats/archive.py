@@ -19,6 +19,7 @@ from numpy.lib import format as npy
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
+from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     SIDES,
@@ -32,7 +33,7 @@ from handmap_qp.trackers.formats.base import (
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
-Arrays = Mapping[str, np.ndarray]
+Arrays = Mapping[str, Array]
 """Arrays of a file by their names."""
 _KNOWN = (*COLUMNS, *WORDS, "wrist_pose")
 
@@ -87,7 +88,7 @@ class NpzFormat(RecordingFormat):
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand or both."""
         self.check_one_per_hand(recordings)
-        arrays: dict[str, np.ndarray] = {}
+        arrays: dict[str, Array] = {}
         for recording in recordings:
             prefix = f"{recording.side}_" if len(recordings) > 1 else ""
             own = {name: getattr(recording, name) for name in (*COLUMNS, *WORDS)}
@@ -124,9 +125,7 @@ def member_names(file: Path) -> set[str]:
         return set(members)
 
 
-def read_archive(
-    file: Path, names: Container[str] | None = None
-) -> dict[str, np.ndarray]:
+def read_archive(file: Path, names: Container[str] | None = None) -> dict[str, Array]:
     """Read arrays of an `.npz` file.
 
     Args:

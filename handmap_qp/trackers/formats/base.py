@@ -20,7 +20,7 @@ from handmap_qp.errors import (
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
-from handmap_qp.se3 import affine, as_floats, pose_from_xyz_quat
+from handmap_qp.se3 import Array, affine, as_floats, pose_from_xyz_quat
 
 SIDES: tuple[Side, ...] = ("left", "right")
 COLUMNS: dict[str, tuple[str, ...]] = {
@@ -293,7 +293,7 @@ def known_columns(*recordings: Recording) -> list[str]:
     ]
 
 
-def column(recording: Recording, name: str) -> np.ndarray:
+def column(recording: Recording, name: str) -> Array:
     """Return one of `COLUMNS` for all samples, NaN if there is none, shape (T, n); (T,) for one."""
     values = getattr(recording, name)
     count = len(COLUMNS[name])
@@ -303,7 +303,7 @@ def column(recording: Recording, name: str) -> np.ndarray:
     return (values[:, :3] if name == "wrist" else values).reshape(shape)
 
 
-def _if_known(values: Any, name: str) -> np.ndarray | None:
+def _if_known(values: Any, name: str) -> Array | None:
     """Return an array; None if there is none, or all of it is NaN."""
     numbers = np.nan if values is None else as_floats(values, name)
     return None if np.isnan(numbers).all() else np.asarray(numbers)

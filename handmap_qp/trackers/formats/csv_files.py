@@ -18,6 +18,7 @@ from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
+from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     Entry,
@@ -147,7 +148,7 @@ def _rows(reader: Iterable[Row], is_padded: bool) -> Iterator[Row]:
 def numbers(
     rows: Iterable[Row],
     places: Mapping[str, int],
-) -> np.ndarray:
+) -> Array:
     """Read columns of a table; an empty field is NaN.
 
     Args:

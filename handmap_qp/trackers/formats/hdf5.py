@@ -28,7 +28,7 @@ from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
-from handmap_qp.se3 import affine
+from handmap_qp.se3 import Array, affine
 from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
@@ -74,7 +74,7 @@ def numbers(
     group: Any,
     name: str,
     shape: tuple[int, ...],
-) -> np.ndarray:
+) -> Array:
     """Read an array of numbers.
 
     Args:

@@ -21,6 +21,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
+from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     WORDS,
@@ -188,7 +189,7 @@ class LeRobotWriter:
 
     def add(
         self,
-        columns: Mapping[str, np.ndarray],
+        columns: Mapping[str, Array],
         task: str,
         about: Mapping[str, Any] | None = None,
     ) -> None:
@@ -243,7 +244,7 @@ class LeRobotWriter:
         if len(self._episodes) >= _ROW_GROUP:
             self._write_episodes()
 
-    def _write_frames(self, values: Mapping[str, np.ndarray]) -> None:
+    def _write_frames(self, values: Mapping[str, Array]) -> None:
         """Write an episode as a row group of its own, so that it is found without the others."""
         lists = self._pa.FixedSizeListArray
         arrays = {}
@@ -317,7 +318,7 @@ class LeRobotWriter:
             },
         }
         for name, values in (("info", info), ("stats", self._stats)):
-            text = json.dumps(values, indent=1, default=np.ndarray.tolist) + "\n"
+            text = json.dumps(values, indent=1, default=Array.tolist) + "\n"
             self._place(f"meta/{name}.json").write_text(text, encoding="utf-8")
         for writer in self._open.values():
             writer.close()
@@ -328,11 +329,11 @@ class LeRobotWriter:
             writer.is_open = False
 
 
-Stats = dict[str, np.ndarray]
+Stats = dict[str, Array]
 """Statistics of a column by the names that LeRobot gives them, shape (n,); `count` is (1,)."""
 
 
-def episode_stats(values: np.ndarray) -> Stats:
+def episode_stats(values: Array) -> Stats:
     """Return the statistics of one episode, (T,) or (T, n), over the frames without NaN."""
     rows = values.reshape(len(values), -1).astype(float)
     rows = rows[finite_samples(rows)]

@@ -19,7 +19,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.se3 import affine, as_floats, transform_points
+from handmap_qp.se3 import Array, affine, as_floats, transform_points
 from handmap_qp.trackers.formats.archive import (
     Arrays,
     member_names,
@@ -133,14 +133,14 @@ def _joints_of_parameters(
     model: Arrays,
     arrays: Arrays,
     count: int,
-) -> np.ndarray:
+) -> Array:
     """Return the joints of parameters in MANO's order [m], shape (T, 21, 3)."""
     if "flat_hand_mean" not in arrays:
         raise InvalidInputError(
             "has no array 'flat_hand_mean', which says whether a pose of 0 is the flat hand"
         )
 
-    def given(name: str, *shape: int | str, default: Any = None) -> np.ndarray:
+    def given(name: str, *shape: int | str, default: Any = None) -> Array:
         return as_floats(arrays.get(name, default), name, shape=shape, is_finite=True)
 
     if "pose" in arrays:
@@ -188,9 +188,9 @@ _MODEL = {
 
 def _posed_joints(
     model: Arrays,
-    turns: np.ndarray,
-    shape: np.ndarray,
-) -> np.ndarray:
+    turns: Array,
+    shape: Array,
+) -> Array:
     """Compute joints and fingertips.
 
     Args:
@@ -268,7 +268,7 @@ class _Shell:
 
     x: Any = None
 
-    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Array:
         return np.asarray(self.x, dtype=dtype)
 
 

@@ -18,7 +18,7 @@ from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, human_name
 from handmap_qp.output_files import replaced_path
-from handmap_qp.se3 import pose_from_xyz_quat, quat_wxyz_from_rotation
+from handmap_qp.se3 import Array, pose_from_xyz_quat, quat_wxyz_from_rotation
 from handmap_qp.trackers.formats.base import (
     SIDES,
     Entry,
@@ -207,8 +207,8 @@ def _points(message: Any) -> list[tuple[float, float, float]]:
 def _forward(
     messages: Sequence[Any],
     side: Side,
-    wrists: np.ndarray,
-) -> np.ndarray:
+    wrists: Array,
+) -> Array:
     """Return the landmarks of joint states, by the model's own lengths."""
     human = load_hand(human_name(side), points="landmarks")
     rows = np.full((len(messages), LANDMARK_COUNT, 3), np.nan)
@@ -241,9 +241,7 @@ def _write_hand(writer: Any, recording: Recording) -> None:
         if getattr(recording, what, ()) is not None
     }
 
-    def pose(
-        position: np.ndarray, quat_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
-    ) -> Any:
+    def pose(position: Array, quat_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0)) -> Any:
         w, x, y, z = quat_wxyz
         return types["geometry_msgs/msg/Pose"](
             types["geometry_msgs/msg/Point"](*position.tolist()),

@@ -6,13 +6,13 @@ Angles become landmarks through the human model, as long as the person where len
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
 from handmap_qp.hands.spec import Document, Side
-from handmap_qp.se3 import transform_points
+from handmap_qp.se3 import Array, transform_points
 from handmap_qp.trackers.layouts.base import (
     UNITS,
     Hands,
@@ -117,9 +117,9 @@ class AngleLayout(Layout):
 
     def hands(
         self,
-        values: np.ndarray,
+        values: Array,
         side: Side,
-        wrists: np.ndarray | None,
+        wrists: Array | None,
         lengths: HumanLengths | None,
     ) -> Hands:
         """Turn angles into landmarks by the human model; see `Layout.hands`.
@@ -140,14 +140,14 @@ class AngleLayout(Layout):
     def write_posture(
         self,
         human: Hand,
-        q: npt.ArrayLike,
-        wrist: np.ndarray,
-    ) -> np.ndarray:
+        q: ArrayLike,
+        wrist: Array,
+    ) -> Array:
         """Return the angles of a posture; see `Layout.write_posture`."""
         own = np.asarray(q, dtype=float)[self._joints] / UNITS[self.table.unit]
         return (own - self._offsets) / self._scales
 
-    def _check(self, values: np.ndarray, q: np.ndarray) -> None:
+    def _check(self, values: Array, q: Array) -> None:
         """Reject angles of the other unit, and those of a wrong sign."""
         unit = self.table.unit
         largest = float(np.abs(values).max(initial=0.0))

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect
 from handmap_qp.hands.hand import Hand, Points
@@ -29,7 +29,14 @@ from handmap_qp.human.recording import (
     finite_samples,
 )
 from handmap_qp.human.sample import HumanSample, check_side, human_name
-from handmap_qp.se3 import QuatOrder, affine, as_floats, check_poses, pose_from_xyz_quat
+from handmap_qp.se3 import (
+    Array,
+    QuatOrder,
+    affine,
+    as_floats,
+    check_poses,
+    pose_from_xyz_quat,
+)
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.wrist_axes import axes_convention
 
@@ -114,8 +121,8 @@ class Hands(NamedTuple):
         wrists: Wrist poses with our axes, shape (T, 4, 4); None if there are none.
     """
 
-    landmarks: np.ndarray
-    wrists: np.ndarray | None
+    landmarks: Array
+    wrists: Array | None
 
 
 Rows = list[dict[str, Any]]
@@ -158,7 +165,7 @@ class Layout(abc.ABC):
         scales = [-length if axis == table.mirror else length for axis in "xyz"]
         self.world = np.diag([*scales, 1.0])
 
-    def wrist_axes(self, side: Side) -> np.ndarray:
+    def wrist_axes(self, side: Side) -> Array:
         """Return what takes points in our wrist's frame [m] to the tracker's own, shape (4, 4).
 
         A wrist pose of the tracker is ours as `world @ pose @ wrist_axes`.
@@ -173,7 +180,7 @@ class Layout(abc.ABC):
             turn = axes_convention(distal, dorsal)
         return np.linalg.inv(self.world) @ affine(turn.T, np.zeros(3))
 
-    def order(self, side: Side) -> np.ndarray | None:
+    def order(self, side: Side) -> Array | None:
         """Return the index of each of our landmarks among joints; None if there are no joints."""
         return None
 
@@ -184,9 +191,9 @@ class Layout(abc.ABC):
     @abc.abstractmethod
     def hands(
         self,
-        values: np.ndarray,
+        values: Array,
         side: Side,
-        wrists: np.ndarray | None,
+        wrists: Array | None,
         lengths: HumanLengths | None,
     ) -> Hands:
         """Turn values into landmarks and wrist poses.
@@ -205,9 +212,9 @@ class Layout(abc.ABC):
     def write_posture(
         self,
         human: Hand,
-        q: npt.ArrayLike,
-        wrist: np.ndarray,
-    ) -> np.ndarray:
+        q: ArrayLike,
+        wrist: Array,
+    ) -> Array:
         """Return values of the human hand in a posture.
 
         Args:
@@ -219,7 +226,7 @@ class Layout(abc.ABC):
             Values in the usual one of `shapes`.
         """
 
-    def write(self, sample: HumanSample) -> np.ndarray:
+    def write(self, sample: HumanSample) -> Array:
         """Return the values of a sample; angles and markers are of the fitted human model.
 
         Raises:
@@ -237,11 +244,11 @@ class Layout(abc.ABC):
 
     def read(
         self,
-        values: npt.ArrayLike | Mapping[str, float],
+        values: ArrayLike | Mapping[str, float],
         *,
         time: float,
         side: Side,
-        wrist: npt.ArrayLike | None = None,
+        wrist: ArrayLike | None = None,
         valid: bool = True,
         confidence: float = 1.0,
         lengths: HumanLengths | None = None,
@@ -273,11 +280,11 @@ class Layout(abc.ABC):
     def record(
         self,
         name: str,
-        time: npt.ArrayLike,
-        values: npt.ArrayLike,
+        time: ArrayLike,
+        values: ArrayLike,
         side: Side,
         *,
-        wrists: npt.ArrayLike | None = None,
+        wrists: ArrayLike | None = None,
         valid: Any = None,
         lengths: HumanLengths | None = None,
     ) -> Recording:
@@ -315,7 +322,7 @@ class Layout(abc.ABC):
         wrists: Any,
         valid: Any,
         lengths: HumanLengths | None,
-    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+    ) -> tuple[Array, Array | None, Array]:
         """Return landmarks, wrist poses if there are any, and which samples are seen."""
         check_side(side)
         array = self._checked(values)
@@ -367,9 +374,7 @@ class Layout(abc.ABC):
                 )
         return found
 
-    def from_columns(
-        self, given: Mapping[str, npt.ArrayLike], side: Side
-    ) -> np.ndarray:
+    def from_columns(self, given: Mapping[str, ArrayLike], side: Side) -> Array:
         """Put named numbers into the order of `columns`.
 
         Args:
@@ -392,7 +397,7 @@ class Layout(abc.ABC):
         flat = {(int(np.prod(own)),): own for own in self.shapes}
         return shape if shape in self.shapes else flat.get(shape)
 
-    def _checked(self, values: npt.ArrayLike) -> np.ndarray:
+    def _checked(self, values: ArrayLike) -> Array:
         """Return samples as floats in one of the shapes of this layout."""
         array = as_floats(values, "values")
         shape = array.shape[1:]
@@ -409,10 +414,10 @@ class Layout(abc.ABC):
 
     def _wrists_beside(
         self,
-        values: np.ndarray,
+        values: Array,
         side: Side,
-        seen: np.ndarray,
-    ) -> np.ndarray:
+        seen: Array,
+    ) -> Array:
         """Return poses that came beside the values, with our axes, of the samples seen."""
         table = self.wrist_table
         if table is None:

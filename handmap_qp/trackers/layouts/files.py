@@ -15,6 +15,7 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats.archive import Arrays, read_archive
 from handmap_qp.trackers.formats.base import SIDES, reading, side_of
 from handmap_qp.trackers.formats.csv_files import numbers, opened_table
@@ -122,7 +123,7 @@ def _shaped_like(arrays: Arrays) -> str:
     return ""
 
 
-def _better(recording: Recording, values: np.ndarray) -> list[str]:
+def _better(recording: Recording, values: Array) -> list[str]:
     """Return the layouts of the same shape that explain the values without a mistake."""
     names = []
     for name in layouts_of_shape(values.shape[1:]):
@@ -168,7 +169,7 @@ def _wrists_beside(
     arrays: Arrays,
     layout: Layout,
     side: Side | None,
-) -> np.ndarray | None:
+) -> Array | None:
     """Return wrist poses beside the values, where the layout takes them."""
     if layout.wrist_table is None or layout.has_wrist:
         return None
@@ -210,7 +211,7 @@ def _time_units(layout: Layout) -> dict[str, float]:
     return {name: own.get(name) or _TIMES[name] for name in (*own, *_TIMES)}
 
 
-def _time(arrays: Arrays, layout: Layout) -> np.ndarray:
+def _time(arrays: Arrays, layout: Layout) -> Array:
     units = _time_units(layout)
     for name, unit in units.items():
         values = arrays.get(name, np.array(0.0))

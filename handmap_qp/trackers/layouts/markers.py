@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
@@ -11,7 +11,7 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Document, PointSpec, Side, Vector
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.se3 import FARTHEST, rigid_fit, transform_points
+from handmap_qp.se3 import FARTHEST, Array, rigid_fit, transform_points
 from handmap_qp.trackers.layouts.base import (
     Hands,
     Layout,
@@ -98,9 +98,9 @@ class MarkerLayout(Layout):
 
     def hands(
         self,
-        values: np.ndarray,
+        values: Array,
         side: Side,
-        wrists: np.ndarray | None,
+        wrists: Array | None,
         lengths: HumanLengths | None,
     ) -> Hands:
         """Fit the human model to the markers, sample by sample; see `Layout.hands`."""
@@ -125,9 +125,9 @@ class MarkerLayout(Layout):
     def write_posture(
         self,
         human: Hand,
-        q: npt.ArrayLike,
-        wrist: np.ndarray,
-    ) -> np.ndarray:
+        q: ArrayLike,
+        wrist: Array,
+    ) -> Array:
         """Return the markers on the human hand; see `Layout.write_posture`."""
         points = human.with_points(self._points(human.spec.side)).points(q)
         return transform_points(np.linalg.inv(self.world) @ wrist, points)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
@@ -12,6 +12,7 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Document, Side
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, PALM, HumanSample
 from handmap_qp.se3 import (
+    Array,
     QuatOrder,
     affine,
     inverse_pose,
@@ -89,7 +90,7 @@ class PointLayout(Layout):
     def __init__(self, table: PointTable) -> None:
         super().__init__(table)
         left = table.left_landmarks or table.landmarks
-        self._indices: dict[Side, np.ndarray] = {
+        self._indices: dict[Side, Array] = {
             "right": _indices(table.landmarks, "landmarks", table.count),
             "left": _indices(left, "left_landmarks", table.count),
         }
@@ -117,7 +118,7 @@ class PointLayout(Layout):
         """Return the name of a joint."""
         return self.table.names.get(index, f"joint {index}")
 
-    def order(self, side: Side) -> np.ndarray:
+    def order(self, side: Side) -> Array:
         """Return the index of each of our landmarks, shape (21,)."""
         return self._indices[side]
 
@@ -140,9 +141,9 @@ class PointLayout(Layout):
 
     def hands(
         self,
-        values: np.ndarray,
+        values: Array,
         side: Side,
-        wrists: np.ndarray | None,
+        wrists: Array | None,
         lengths: HumanLengths | None,
     ) -> Hands:
         """Turn joints into landmarks and wrist poses; see `Layout.hands`."""
@@ -160,7 +161,7 @@ class PointLayout(Layout):
             wrists = self.world @ poses @ self.wrist_axes(side)
         return Hands(transform_points(frames, positions[:, self.order(side)]), wrists)
 
-    def write(self, sample: HumanSample) -> np.ndarray:
+    def write(self, sample: HumanSample) -> Array:
         """Return the joints of a sample; those between landmarks are placed on lines."""
         expect(
             sample.valid,
@@ -177,19 +178,19 @@ class PointLayout(Layout):
     def write_posture(
         self,
         human: Hand,
-        q: npt.ArrayLike,
-        wrist: np.ndarray,
-    ) -> np.ndarray:
+        q: ArrayLike,
+        wrist: Array,
+    ) -> Array:
         """Return the joints of the human hand; see `Layout.write_posture`."""
         landmarks = human.with_points("landmarks").points(q)
         return self._write(transform_points(wrist, landmarks), wrist, human.spec.side)
 
     def _write(
         self,
-        landmarks: np.ndarray,
-        wrist: np.ndarray,
+        landmarks: Array,
+        wrist: Array,
         side: Side,
-    ) -> np.ndarray:
+    ) -> Array:
         joints = np.tile(landmarks[0], (self.table.count, 1))
         joints[self.order(side)] = landmarks
         places = dict(zip(LANDMARK_NAMES, landmarks, strict=True))
@@ -219,7 +220,7 @@ def _indices(
     given: tuple[int, ...],
     key: str,
     count: int,
-) -> np.ndarray:
+) -> Array:
     """Return the indices of our landmarks among `count` joints, which must all differ."""
     known = set(given) & set(range(count))
     are_right = len(given) == len(known) == LANDMARK_COUNT
