@@ -4,8 +4,6 @@ A user error is one line on stderr and exit code 2. Ctrl-C is exit code 130, but
 `serve`, which end that way. Results go to stdout, progress to stderr.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import inspect

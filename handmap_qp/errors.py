@@ -5,8 +5,6 @@ from them: `argument: expected X, got Y: advice`. Nothing has to parse that text
 one leaves its object as it was.
 """
 
-from __future__ import annotations
-
 import copyreg
 import difflib
 import importlib

@@ -7,8 +7,6 @@ The check, its error, the command line, the messages of the service, the control
 the pages of reference read that line.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from itertools import starmap

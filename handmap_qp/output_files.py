@@ -4,8 +4,6 @@ A file is on the disk before its name is: it is synchronised, renamed, and then 
 synchronised. What is written after it, such as a line about it, can rely on it.
 """
 
-from __future__ import annotations
-
 import errno
 import glob
 import os

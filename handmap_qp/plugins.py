@@ -6,8 +6,6 @@ A package adds to a group in its `pyproject.toml`, and needs no change here:
     my-method = "my_package.my_method:PRESET"
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property

@@ -14,8 +14,6 @@ Arrays may have leading axes, written `...`: one of time for a recording, none f
 expect arrays of finite numbers that fit together.
 """
 
-from __future__ import annotations
-
 import math
 import numbers
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Addresses that service and view listen on, and those that clients connect to."""
 
-from __future__ import annotations
-
 import ipaddress
 import re
 import socket

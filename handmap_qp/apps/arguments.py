@@ -3,8 +3,6 @@
 A field added to `MappingArguments` becomes an option of every command that maps.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, make_dataclass

@@ -1,7 +1,5 @@
 """Connect to the mapping service, and find a session there to watch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command `handmap doctor`: the state of an installation, for users and bug reports."""
 
-from __future__ import annotations
-
 import ctypes.util
 import json
 import os

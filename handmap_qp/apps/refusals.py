@@ -1,7 +1,5 @@
 """What the system refuses, such as a port or a file, as errors of arguments."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

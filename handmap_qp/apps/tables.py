@@ -1,7 +1,5 @@
 """Tables and progress bars of the commands."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

@@ -5,8 +5,6 @@ touch is a minimum of the smallest gap in time, so it is found by time and not b
 medians over 0.1 s first, which single outliers and noise hardly move.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from functools import partial

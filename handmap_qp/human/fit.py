@@ -9,8 +9,6 @@ by Newton's method (`ik.nearest_posture`). The fingers are independent, so that 
 the best of the minima that several starts lead to.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from handmap_qp.errors import expect

@@ -1,7 +1,5 @@
 """A person's hand, measured in a recording, and the human hand scaled to it."""
 
-from __future__ import annotations
-
 import math
 from functools import cache, lru_cache
 

@@ -1,7 +1,5 @@
 """`Person`: lengths and contact gap of one person's hand, measured once and kept in a YAML file."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path

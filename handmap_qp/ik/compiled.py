@@ -4,8 +4,6 @@ The core (`handmap_qp/core`, C++) does what `handmap_qp.ik.qp`, `limits` and `co
 rounding: they are its readable reference. It has kinematics, distances and a QP solver of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property, lru_cache, partial
 from typing import Any, get_args

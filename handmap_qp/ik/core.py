@@ -3,8 +3,6 @@
 Everything that it does is in Python too: the readable reference, which runs where `core` is None.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 import os

@@ -8,8 +8,6 @@ Levenberg-Marquardt term grows with the square of the error. Ours, in `damping_t
 error (see `IkOptions.error_damping`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any

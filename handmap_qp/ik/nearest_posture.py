@@ -8,8 +8,6 @@ points' paths too: the second derivative of a point by the joints i and j, i nea
 the axis of i times the point's derivative by j. Each step solves a QP with the joint limits.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Weights and settings of the inverse kinematics."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

@@ -3,8 +3,6 @@
 `qpsolvers` takes a second to import.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from typing import Any

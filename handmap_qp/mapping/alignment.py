@@ -1,7 +1,5 @@
 """Alignment: how the human's world axes and the robot's correspond."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The mapping methods by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 

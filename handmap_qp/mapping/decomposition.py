@@ -4,8 +4,6 @@
 act about the pivot. `T_rb` carries the pivot to its image under T, and `T_def` keeps it there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ rows of `A` share one (n, 3) system, which depends only on the points before the
 products. With `ridge = 0` the solution is exactly the paper's.
 """
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike

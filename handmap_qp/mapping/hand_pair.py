@@ -3,8 +3,6 @@
 All of it is measured on the two models, once for each pair of hands.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property, lru_cache, partial
 

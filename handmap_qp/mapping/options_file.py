@@ -8,8 +8,6 @@ options of its method and of the QP. Options that are not in the file have the v
     damping: 0.2
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

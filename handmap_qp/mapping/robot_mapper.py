@@ -9,8 +9,6 @@ person's palms are near each other, the robot's have their offset and directions
 references were.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy

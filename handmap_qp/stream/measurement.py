@@ -1,7 +1,5 @@
 """A person's hand and contact gap, from the samples of recordings that the guard lets pass."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

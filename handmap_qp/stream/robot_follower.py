@@ -3,8 +3,6 @@
 Each hand has the guard, the return and the smoothing of a `Follower`; the robot moves once for all.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from copy import deepcopy

@@ -1,7 +1,5 @@
 """`StepTable`: the numbers of many steps, a row a sample, which the compiled core writes too."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import numpy as np

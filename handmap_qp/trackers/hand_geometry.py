@@ -12,8 +12,6 @@ All of them are ratios or angles, so that they hold for every hand and in every 
 and white noise does: the median change over all points is noise, whatever one of them does.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

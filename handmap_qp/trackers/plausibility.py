@@ -9,8 +9,6 @@ asks which mistake explains it, and names it. `check_recording` does the same fo
     finding = check.update(time, landmarks, wrist)      # at every valid sample; None if plausible
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from itertools import permutations

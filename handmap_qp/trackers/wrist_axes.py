@@ -1,7 +1,5 @@
 """The tracker's own wrist poses, checked against the palm that the landmarks show."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from handmap_qp.human.sample import Finding

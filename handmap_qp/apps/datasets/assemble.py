@@ -7,8 +7,6 @@ stays inside them. Where a file has both hands at the same instants, they are on
 set of both robots, a hand that an episode lacks is at rest, and not valid.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby

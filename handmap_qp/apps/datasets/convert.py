@@ -1,7 +1,5 @@
 """The command `handmap convert`."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from itertools import chain

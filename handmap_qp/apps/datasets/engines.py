@@ -5,8 +5,6 @@ and survives workers that die: what was under way then is run again one at a tim
 that is to blame is found. A recording that kills its worker `MOST_KILLS` times is given up.
 """
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence

@@ -4,8 +4,6 @@ A job depends on nothing but its recording and the options, so its columns are t
 process, in any order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from hashlib import file_digest, sha256

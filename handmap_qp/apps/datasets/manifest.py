@@ -4,8 +4,6 @@ The last line of a key says how it stands. A line that was being written when th
 cut off at the next start, and its recording is mapped again.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

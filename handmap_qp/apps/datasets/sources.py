@@ -1,7 +1,5 @@
 """The jobs of a batch: every recording of every input file, with the options of all."""
 
-from __future__ import annotations
-
 import zlib
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Processes that work for a batch: what they do when they start, and calls with a time limit."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

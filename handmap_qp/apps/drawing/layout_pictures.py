@@ -1,7 +1,5 @@
 """Draw the convention of a tracker's layout: indices on both hands, and axes of the wrists."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any

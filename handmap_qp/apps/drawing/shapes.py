@@ -1,7 +1,5 @@
 """The shapes of a URDF's links as meshes of trimesh: `read_shapes`."""
 
-from __future__ import annotations
-
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Callable

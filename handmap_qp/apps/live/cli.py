@@ -1,7 +1,5 @@
 """`handmap track`: lead live samples of a human hand to the service or into a file."""
 
-from __future__ import annotations
-
 import json
 import signal
 from collections.abc import Sequence

@@ -13,8 +13,6 @@ towards the camera; the origin is the camera. Their shape is MediaPipe's own; th
 the camera follows from the field of view.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib

@@ -5,8 +5,6 @@ numpy below 2 and about 1 GB of packages, so it gets a virtual environment of it
 `handmap track mediapipe --install` makes once.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A session of the mapping service as a sink (`ServiceSink`) or as a source (`ServiceSource`)."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Iterator

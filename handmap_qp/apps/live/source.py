@@ -3,8 +3,6 @@
 `Replay` is a recording as a source, `Recorder` a sink that writes one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """The commands `handmap map`, `handmap align` and `handmap calibrate`."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from pathlib import Path

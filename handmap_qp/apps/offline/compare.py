@@ -1,7 +1,5 @@
 """`handmap compare`: from the words of the command line to tables, JSON and pictures."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -12,8 +12,6 @@ holds `q (T, n)` [rad] in the order of the hand's `joint_names`, `step_time (T,)
 last line on stderr says why.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile

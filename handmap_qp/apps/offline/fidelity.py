@@ -10,8 +10,6 @@ landmarks are laid on the robot's by a similarity (Umeyama 1991) in every sample
 displacements are then compared.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What `handmap compare` measures: names, units and meaning of its metrics (`metrics.yaml`)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal

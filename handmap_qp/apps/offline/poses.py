@@ -4,8 +4,6 @@ A pose is told by the raw landmarks alone, so that no fit and no mapping has a s
 showed.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

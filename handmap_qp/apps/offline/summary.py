@@ -1,7 +1,5 @@
 """Holds and summary numbers of a mapped motion, printed by `handmap map`."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

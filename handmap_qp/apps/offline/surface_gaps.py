@@ -1,7 +1,5 @@
 """Distances between a robot hand's surfaces over time: pinches and self-penetration."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from itertools import product
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Map a recorded motion to a robot: `map_recording` returns a `Trajectory`."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ Each answer is *certain* only if two independent kinds of evidence agree: positi
 plane of the knuckles, or names. What is derived from an answer is never surer than it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from itertools import chain
 from typing import NamedTuple

@@ -4,8 +4,6 @@ Each check yields findings, and may yield tables. Those here compare the descrip
 limits, files, shapes and a detection; those of `measure` move the hand.
 """
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

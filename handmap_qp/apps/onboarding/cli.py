@@ -1,7 +1,5 @@
 """The commands `handmap hands`, and of `handmap robots` list, show and check."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Pairs of links: those that overlap, and those that self-collision avoidance keeps apart."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations, compress, pairwise
 

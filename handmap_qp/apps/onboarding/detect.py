@@ -5,8 +5,6 @@ their tips move in flexion, and where the thumb is. Names decide only where that
 answer has its evidence and its confidence.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path

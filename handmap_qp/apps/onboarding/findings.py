@@ -1,7 +1,5 @@
 """What checks of a hand find: findings with advice, tables of what was measured, and a report."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """Anatomical names of fingers and sides in the names of links and joints."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from statistics import mode

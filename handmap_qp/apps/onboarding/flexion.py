@@ -5,8 +5,6 @@ both ways follow the others, fingers without curling joints (jaws) flex towards 
 base joints flex if they move the tip in the same direction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

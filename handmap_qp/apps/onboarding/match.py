@@ -1,7 +1,5 @@
 """The matched posture of a robot hand: solve it, and print it for a hand.yaml."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

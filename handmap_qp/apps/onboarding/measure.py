@@ -1,7 +1,5 @@
 """Checks that measure a hand: reach, size, fist, pinches, an arm, contacts and motions."""
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import compress, pairwise, product
 from statistics import mode

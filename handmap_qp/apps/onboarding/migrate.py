@@ -5,8 +5,6 @@ indices of human landmarks. Both are taken over as reference points; palm, rest 
 are found in the URDF, as by `handmap hands init`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 

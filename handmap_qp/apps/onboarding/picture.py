@@ -1,7 +1,5 @@
 """Pictures to check a description: a hand with its labels, and its matched posture."""
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import chain
 from pathlib import Path

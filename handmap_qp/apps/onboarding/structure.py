@@ -5,8 +5,6 @@ with at least two finger-like branches. Bodies inside such branches that qualify
 metacarpal with two fingers, are not the palm.
 """
 
-from __future__ import annotations
-
 from itertools import chain, compress, groupby
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Comments in the `hand.yaml` explain each key and how its value was found.
 """
 
-from __future__ import annotations
-
 import os
 import textwrap
 from collections.abc import Iterator, Mapping

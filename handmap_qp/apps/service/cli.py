@@ -1,7 +1,5 @@
 """`handmap serve` and `handmap keys`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal

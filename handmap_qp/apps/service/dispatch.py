@@ -4,8 +4,6 @@ It has no sockets. A transport passes every message to `receive` with a callback
 receives the messages of all streams through `sessions.publish`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import re

@@ -4,8 +4,6 @@ A folder of keys holds `server.key_secret` and `server.key`, and such a pair for
 public keys of admitted clients are also in `clients/`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from contextlib import suppress

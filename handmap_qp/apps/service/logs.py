@@ -8,8 +8,6 @@ admitted client, its address where connections are not encrypted, or `server`. T
 appended to. A flood of events is cut: one line then says how many were left out.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

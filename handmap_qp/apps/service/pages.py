@@ -3,8 +3,6 @@
 The page makes no external requests.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import cache

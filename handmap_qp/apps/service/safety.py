@@ -9,8 +9,6 @@ left the robot elsewhere, or that a client switched speed limits off. So the rob
 own (`handmap_qp.ik.limits`), and `StepClock` limits the time that the next command may account for.
 """
 
-from __future__ import annotations
-
 import math
 from enum import Enum, auto
 

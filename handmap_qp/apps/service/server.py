@@ -8,8 +8,6 @@ loopback, both sockets use CURVE and admit only the clients whose public keys ar
 keys. The server also starts WebSocket and HTTP.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

@@ -9,8 +9,6 @@ rest or an exception in the mapper, the mapper continues from the robot's motion
 which is then the reference.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter

@@ -1,7 +1,5 @@
 """The open sessions of a server: open, find and end them."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import hmac

@@ -1,7 +1,5 @@
 """What a server is started with: addresses, files, and limits of what clients may do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Self

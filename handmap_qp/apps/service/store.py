@@ -6,8 +6,6 @@ and a power cut may damage the file. A server does not start with a damaged file
 overlooks that emergency stops are lost.
 """
 
-from __future__ import annotations
-
 import os
 import sqlite3
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """What a mapping commands over time, and when the human pinches: `map_commands`, `find_pinch`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

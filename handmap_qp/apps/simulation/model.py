@@ -4,8 +4,6 @@ Bodies and joints are those of the hand's Pinocchio model, so mirrored, mounted 
 no second reader. Shapes are its collision shapes; meshes are their convex hulls.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import coal

@@ -1,7 +1,5 @@
 """What a simulation assumes: `Physics`, and the object with its shape and mass, `Body`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

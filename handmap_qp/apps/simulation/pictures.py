@@ -3,8 +3,6 @@
 The page plays in a browser without a server, as that of `handmap view` does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 

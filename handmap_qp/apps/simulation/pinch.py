@@ -6,8 +6,6 @@ while ago. From then until the human opens his hand, the object must stay betwee
 `random_trials` draws many objects and places.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Hands as an HTML file that plays without a server: `make_page`."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

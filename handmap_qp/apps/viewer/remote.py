@@ -1,7 +1,5 @@
 """A session of the mapping service, shown and steered from here: `ServiceSession`."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """What the view shows at one instant: `ViewSample`; and over time: `Variant`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

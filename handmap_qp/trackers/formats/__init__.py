@@ -4,8 +4,6 @@ A format is an object of a subclass of `RecordingFormat`. Other packages add the
 of the group `handmap_qp.formats`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple

@@ -4,8 +4,6 @@ Every damage becomes one `RecordingError`. The size of an archive is bounded bef
 nothing in it is unpickled.
 """
 
-from __future__ import annotations
-
 import warnings
 import zipfile
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The seam of file formats: what a format of recordings offers, and what all of them share."""
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

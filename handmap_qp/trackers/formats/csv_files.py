@@ -1,7 +1,5 @@
 """Recordings as CSV, a row for each sample of each hand; and reading any CSV table of numbers."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

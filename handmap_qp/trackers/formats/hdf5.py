@@ -11,8 +11,6 @@ And from that of EgoDex (Hoque et al. 2025, arXiv 2505.11709, and the README of 
 `...IntermediateTip` the DIP joint; the thumb's knuckle is its CMC joint.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

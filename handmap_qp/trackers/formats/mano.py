@@ -5,8 +5,6 @@ Embodied Hands, SIGGRAPH Asia 2017: linear blend skinning with shape and pose of
 joints and the five fingertips are computed.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Recordings as ROS 2 bags in MCAP: joint states, and landmarks as poses."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

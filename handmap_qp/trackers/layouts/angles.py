@@ -3,8 +3,6 @@
 Angles become landmarks through the human model, as long as the person where lengths are given.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

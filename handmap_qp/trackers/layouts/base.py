@@ -5,8 +5,6 @@ optical markers (`markers`). Each kind reads tables: the order of the joints, th
 how the wrist's pose is obtained, and what the tracker does not give.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Mapping, Sequence
 from functools import lru_cache

@@ -3,8 +3,6 @@
 Files in the package's own forms need no layout; `handmap_qp.trackers.formats` reads them.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Layouts of optical markers: names of markers on the links of the human model, which is fitted."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,7 +1,5 @@
 """Layouts of joints as points or poses: headsets, cameras, parametric hand models."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike

@@ -1,7 +1,5 @@
 """The layouts of the package, and tables of the user's own: load them by name or by file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
