@@ -5,8 +5,8 @@ import re
 import socket
 from contextlib import suppress
 
-from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import InvalidInputError, expect
+from .refusals import naming
 
 REQUESTS_PORT = 5570
 """Default port of requests to `handmap serve`."""

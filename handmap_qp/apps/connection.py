@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from handmap_qp.apps.addresses import service_address
 from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
+from .addresses import service_address
 
 try:
     import msgspec

@@ -11,8 +11,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.apps.tables import print_table
 from handmap_qp.ik.core import description
+from .tables import print_table
 
 _PACKAGE = "handmap-qp"
 __version__ = metadata.version(_PACKAGE)

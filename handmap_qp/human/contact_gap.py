@@ -11,10 +11,10 @@ from functools import partial
 
 import numpy as np
 
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import TIPS
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import Array, lengths
+from .recording import Recording
+from .sample import TIPS
 
 CONTACT_GAPS = (0.012, 0.020)
 """Least and largest contact gap that is measured [m]."""

@@ -15,13 +15,13 @@ from handmap_qp.errors import expect
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.recording import HumanMotion, Recording
-from handmap_qp.human.sample import LANDMARK_COUNT, PALM, PalmShape, human_name
 from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.se3 import Array, as_floats, rigid_fit
 from handmap_qp.se3 import lengths as norms
+from .measure import measure_hand
+from .recording import HumanMotion, Recording
+from .sample import LANDMARK_COUNT, PALM, PalmShape, human_name
 
 _WEIGHTS = (0.0, 1.0, 1.0, 2.0)
 """Weights of a finger's landmarks, per 10 mm: its first joint is fixed on the palm, and the mapping

@@ -9,14 +9,6 @@ from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import (
-    FIRST_JOINTS,
-    LANDMARK_COUNT,
-    PALM,
-    expect_hand_length,
-    human_name,
-)
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
@@ -25,6 +17,14 @@ from handmap_qp.se3 import (
     lengths,
     rigid_fit,
     transform_points,
+)
+from .recording import Recording
+from .sample import (
+    FIRST_JOINTS,
+    LANDMARK_COUNT,
+    PALM,
+    expect_hand_length,
+    human_name,
 )
 
 _BENT = math.sin(math.radians(15.0))

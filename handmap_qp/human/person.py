@@ -13,9 +13,9 @@ from msgspec.structs import astuple
 from handmap_qp.errors import HandError, InvalidInputError, expect
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.spec import Document, Vector, read_yaml, typed
-from handmap_qp.human.sample import expect_hand_length
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
+from .sample import expect_hand_length
 
 LARGEST_GAP = 0.04
 """Largest contact gap that a file may give [m]."""

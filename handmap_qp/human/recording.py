@@ -15,8 +15,8 @@ import numpy as np
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import UPRIGHT, Side
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample, check_side
 from handmap_qp.se3 import Array, affine, as_floats, check_poses, frozen
+from .sample import LANDMARK_COUNT, HumanSample, check_side
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 _COLUMNS = ("time", "landmarks", "valid", "wrist", "confidence")

@@ -63,13 +63,13 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
-from handmap_qp.ik.core import Compiled
-from handmap_qp.ik.limits import Rows
-from handmap_qp.ik.tasks import Goal
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
+from .core import Compiled
+from .limits import Rows
+from .tasks import Goal
 
 if TYPE_CHECKING:
-    from handmap_qp.ik.qp import IkResult, PointIk
+    from .qp import IkResult, PointIk
 
 KEPT = 2e-4
 """Pairs do not come nearer than this, or than they are at the start, where a path is measured; and

@@ -12,12 +12,12 @@ import numpy as np
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.core import core
-from handmap_qp.ik.limits import Gate
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult, Status
-from handmap_qp.ik.tasks import Goal, PointDistances, PointOffset, Task
 from handmap_qp.se3 import Array, frozen
+from .core import core
+from .limits import Gate
+from .options import IkOptions
+from .qp import IkResult, Status
+from .tasks import Goal, PointDistances, PointOffset, Task
 
 STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""

@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from handmap_qp.hands.configuration import Configuration
-    from handmap_qp.ik.collision import CollisionLimit, NearPairs
+    from .collision import CollisionLimit, NearPairs
 
 Rows = tuple[Array, Array]
 """G, shape (r, n), and h, shape (r,), of `G x <= h`."""

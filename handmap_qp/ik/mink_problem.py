@@ -19,11 +19,11 @@ import qpsolvers
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.limits import Rows
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import carriers, point_rows, wrist_rows
-from handmap_qp.ik.tasks import Goal, Task
 from handmap_qp.se3 import Array, lengths
+from .limits import Rows
+from .options import IkOptions
+from .qp import carriers, point_rows, wrist_rows
+from .tasks import Goal, Task
 
 ErrorAndJacobian = tuple[Array, Array]
 

@@ -16,9 +16,9 @@ import numpy as np
 from handmap_qp.hands.configuration import moved_by
 from handmap_qp.hands.fingers import joint_motion
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.compiled import core_tree
-from handmap_qp.ik.qp import solve_by_daqp
 from handmap_qp.se3 import Array
+from .compiled import core_tree
+from .qp import solve_by_daqp
 
 _MOST_STEPS = 50
 _SMALLEST_STEP = 1e-8  # rad or m

@@ -27,10 +27,10 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands.configuration import Configuration, moved_by
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.core import Compiled
-from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import Array, as_floats, lengths
+from .core import Compiled
+from .options import LENGTH_UNIT
 
 _SHORTEST = 1e-9
 """Distance below which two points have no direction from one to the other [m]."""

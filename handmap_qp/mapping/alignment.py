@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import upright_axes
-from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.options import number, text
 from handmap_qp.se3 import (
     FARTHEST,
@@ -20,6 +19,7 @@ from handmap_qp.se3 import (
     nearest_rotation,
     unit,
 )
+from .method import MethodOptions
 
 Coordinate = Annotated[float, number("Finite.", -FARTHEST, FARTHEST)]
 Row = tuple[Coordinate, Coordinate, Coordinate]

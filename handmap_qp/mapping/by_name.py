@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from handmap_qp.mapping.method import Method
-from handmap_qp.mapping.presets import PRESETS
+from .method import Method
+from .presets import PRESETS
 
 METHODS: Mapping[str, Callable[..., Method]] = MappingProxyType(
     {name: preset.method.replaced for name, preset in PRESETS.items()}

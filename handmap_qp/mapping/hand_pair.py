@@ -28,8 +28,8 @@ from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
-from handmap_qp.mapping.palm import point_indices, require_points
 from handmap_qp.se3 import Array, frozen, lengths, transform_points, unit
+from .palm import point_indices, require_points
 
 KNUCKLES, _SECONDS, LASTS, TIPS = (
     dict(zip(FINGERS, LANDMARK_NAMES[first::4], strict=True)) for first in range(1, 5)

@@ -33,18 +33,6 @@ from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Task
-from handmap_qp.mapping.method import (
-    BoundMethod,
-    HumanPose,
-    MapStep,
-    Method,
-    RobotCommand,
-    RobotPosture,
-    Stages,
-    TargetMap,
-    Targets,
-)
-from handmap_qp.mapping.presets import default_preset, get_preset
 from handmap_qp.se3 import (
     FARTHEST,
     Array,
@@ -56,6 +44,18 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
+from .method import (
+    BoundMethod,
+    HumanPose,
+    MapStep,
+    Method,
+    RobotCommand,
+    RobotPosture,
+    Stages,
+    TargetMap,
+    Targets,
+)
+from .presets import default_preset, get_preset
 
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 

@@ -15,7 +15,7 @@ import msgspec
 import yaml
 
 from handmap_qp.errors import InvalidInputError, did_you_mean
-from handmap_qp.mapping.presets import Choice, known_options, preset_choice
+from .presets import Choice, known_options, preset_choice
 
 
 def read_options(path: Path | str) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from handmap_qp.errors import HandmapError, InvalidOptionsError, did_you_mean
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping import methods
-from handmap_qp.mapping.method import MethodOptions, Preset
 from handmap_qp.options import Option, options_of
 from handmap_qp.plugins import Plugins
+from .method import MethodOptions, Preset
 
 
 def _own() -> dict[str, Preset]:

@@ -32,16 +32,6 @@ from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, PointIk
 from handmap_qp.ik.tasks import PointOffset, Task
-from handmap_qp.mapping.mapper import HandMapper, check_dt, check_joints, posture_of
-from handmap_qp.mapping.method import (
-    HumanPose,
-    MapStep,
-    Method,
-    RobotCommand,
-    Stages,
-    Targets,
-)
-from handmap_qp.mapping.palm import PalmMap
 from handmap_qp.se3 import (
     Array,
     PoseLike,
@@ -50,6 +40,16 @@ from handmap_qp.se3 import (
     smoothstep,
     transform_points,
 )
+from .mapper import HandMapper, check_dt, check_joints, posture_of
+from .method import (
+    HumanPose,
+    MapStep,
+    Method,
+    RobotCommand,
+    Stages,
+    Targets,
+)
+from .palm import PalmMap
 
 # Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
 _NEAR = 0.4

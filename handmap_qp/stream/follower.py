@@ -26,9 +26,9 @@ from handmap_qp.mapping.mapper import HandMapper, check_dt
 from handmap_qp.mapping.method import HumanPose, MapStep
 from handmap_qp.options import Options, number
 from handmap_qp.se3 import Array, affine, lengths, transform_points
-from handmap_qp.stream.guard import StreamGuard
-from handmap_qp.stream.step_table import StepTable
 from handmap_qp.trackers.hand_geometry import change_rate, learnt_noise, noise_of
+from .guard import StreamGuard
+from .step_table import StepTable
 
 RejoinKind = Literal["glide", "clutch"]
 """How the robot comes back to the human after a hold."""

@@ -10,7 +10,7 @@ from handmap_qp.human.contact_gap import measure_contact_gap
 from handmap_qp.human.measure import measure_hand, scaled_human
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording, mirrored
-from handmap_qp.stream.guard import StreamGuard
+from .guard import StreamGuard
 
 
 def measure_person(*recordings: Recording) -> Person:

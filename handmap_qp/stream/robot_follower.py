@@ -17,7 +17,7 @@ from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
-from handmap_qp.stream.follower import Follower
+from .follower import Follower
 
 _SILENCE = 0.25
 """Time without a sample after which a hand is held [s]."""

@@ -23,7 +23,7 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HAND_LENGTHS, LANDMARK_COUNT, Finding, check_side
 from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.se3 import Array, lengths
-from handmap_qp.trackers.hand_geometry import (
+from .hand_geometry import (
     Distances,
     carried_fingers,
     change_rate,
@@ -35,8 +35,8 @@ from handmap_qp.trackers.hand_geometry import (
     palmar_evidence,
     stuck_fingers,
 )
-from handmap_qp.trackers.layouts import LAYOUTS
-from handmap_qp.trackers.wrist_axes import WristCheck
+from .layouts import LAYOUTS
+from .wrist_axes import WristCheck
 
 
 class _Batch(NamedTuple):

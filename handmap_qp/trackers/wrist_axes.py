@@ -4,7 +4,7 @@ import numpy as np
 
 from handmap_qp.human.sample import Finding
 from handmap_qp.se3 import Array, lengths, nearest_rotation, unit
-from handmap_qp.trackers.hand_geometry import median
+from .hand_geometry import median
 
 _X, _Y, _Z = np.eye(3)
 

@@ -16,14 +16,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from handmap_qp.apps.datasets.episodes import read_episode
-from handmap_qp.apps.datasets.manifest import Line
 from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import Array, unit
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
+from .episodes import read_episode
+from .manifest import Line
 
 WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
 """Names of the wrist's position [m] and quaternion in the state."""

@@ -20,28 +20,28 @@ import tyro
 from msgspec import structs
 
 from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
-from handmap_qp.apps.datasets.assemble import assemble
-from handmap_qp.apps.datasets.engines import (
-    SERIAL,
-    Asked,
-    Engine,
-    pool_engine,
-    ray_engine,
-)
-from handmap_qp.apps.datasets.episodes import is_intact
-from handmap_qp.apps.datasets.manifest import (
-    MOST_KILLS,
-    Line,
-    open_manifest,
-    read_manifests,
-)
-from handmap_qp.apps.datasets.sources import Job, JobOptions, find_files, list_jobs
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import make_folder
 from handmap_qp.trackers.formats.base import first_of
+from .assemble import assemble
+from .engines import (
+    SERIAL,
+    Asked,
+    Engine,
+    pool_engine,
+    ray_engine,
+)
+from .episodes import is_intact
+from .manifest import (
+    MOST_KILLS,
+    Line,
+    open_manifest,
+    read_manifests,
+)
+from .sources import Job, JobOptions, find_files, list_jobs
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 from msgspec import structs
 
-from handmap_qp.apps.datasets.episodes import run_group
-from handmap_qp.apps.datasets.manifest import MOST_KILLS, Line
-from handmap_qp.apps.datasets.sources import Job
-from handmap_qp.apps.datasets.workers import ONE_THREAD, started_pool
 from handmap_qp.errors import HandmapError, require
 from handmap_qp.output_files import remove_torn
+from .episodes import run_group
+from .manifest import MOST_KILLS, Line
+from .sources import Job
+from .workers import ONE_THREAD, started_pool
 
 GROUP_FRAMES = 1024
 """Short recordings are given to a worker in groups of up to so many frames, some 0.3 s of work: a

@@ -16,9 +16,6 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from handmap_qp.apps.datasets.manifest import Line
-from handmap_qp.apps.datasets.sources import Job
-from handmap_qp.apps.datasets.workers import time_limit
 from handmap_qp.apps.offline.look_ahead import map_hand
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
@@ -42,6 +39,9 @@ from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.formats.base import reading
 from handmap_qp.trackers.plausibility import check_recording
+from .manifest import Line
+from .sources import Job
+from .workers import time_limit
 
 _READING = 120
 """Longest time for which a worker reads a recording [s]."""

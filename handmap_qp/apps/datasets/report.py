@@ -12,8 +12,6 @@ import numpy as np
 import tyro
 from scipy.stats import rankdata
 
-from handmap_qp.apps.datasets.episodes import MEASURES
-from handmap_qp.apps.datasets.manifest import Line, read_manifests
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline.fidelity import SETTLING
@@ -26,6 +24,8 @@ from handmap_qp.output_files import make_folder, replaced_file
 from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.formats.archive import Arrays, read_archive
+from .episodes import MEASURES
+from .manifest import Line, read_manifests
 
 FOLDER = "report"
 """Folder of the report, below that of the batch."""

@@ -11,8 +11,6 @@ from pathlib import Path
 import msgspec
 
 from handmap_qp.apps.arguments import MappingArguments, check_names
-from handmap_qp.apps.datasets.manifest import Line
-from handmap_qp.apps.datasets.workers import each_apart
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import HandmapError, InvalidInputError, reason_of
@@ -27,6 +25,8 @@ from handmap_qp.trackers.formats import (
     known_suffixes,
     list_sources,
 )
+from .manifest import Line
+from .workers import each_apart
 
 PATIENCE = 30.0
 """Longest time for listing an HDF5 file [s]."""

@@ -17,15 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handmap_qp.apps.drawing.hands import (
-    UPRIGHT,
-    HandShape,
-    load_shape,
-    require_matplotlib,
-    spheres,
-    tube,
-)
-from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
 from handmap_qp.errors import expect
 from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
@@ -42,6 +33,15 @@ from handmap_qp.se3 import (
     transform_points,
     unit,
 )
+from .hands import (
+    UPRIGHT,
+    HandShape,
+    load_shape,
+    require_matplotlib,
+    spheres,
+    tube,
+)
+from .raster import Camera, Colour, Triangles, merged, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
-from handmap_qp.apps.drawing.shapes import read_shapes
 from handmap_qp.errors import InvalidInputError, require
 from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.se3 import Array, affine, unit
+from .raster import Camera, Colour, Triangles, merged, render
+from .shapes import read_shapes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,15 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.apps.drawing.hands import (
-    AXIS_COLOURS,
-    HUMAN_COLOUR,
-    UPRIGHT,
-    draw_hands,
-    load_shape,
-    save_panels,
-)
-from handmap_qp.apps.drawing.raster import Camera
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
@@ -25,6 +16,15 @@ from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.base import Layout, sized_human
 from handmap_qp.trackers.layouts.markers import MarkerLayout
 from handmap_qp.trackers.layouts.points import PointLayout
+from .hands import (
+    AXIS_COLOURS,
+    HUMAN_COLOUR,
+    UPRIGHT,
+    draw_hands,
+    load_shape,
+    save_panels,
+)
+from .raster import Camera
 
 _PANEL = (430, 500)
 _SKIN = (0.93, 0.80, 0.72)

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.apps.drawing.raster import Colour
 from handmap_qp.errors import require
 from handmap_qp.hands.sources import find_mesh
 from handmap_qp.hands.urdf import get_numbers, origin_of
+from .raster import Colour
 
 LinkShape = tuple[list[Any], Colour | None]
 """Meshes of trimesh, several of some files, and their colour; None for that of the file."""

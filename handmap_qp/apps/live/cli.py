@@ -12,16 +12,16 @@ from rich.console import Console
 
 from handmap_qp.apps import live
 from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
-from handmap_qp.apps.live.mediapipe_source import (
-    MediapipeSource,
-    environment_python,
-    install_environment,
-)
-from handmap_qp.apps.live.source import Recorder, Replay, Sink, Source, run
 from handmap_qp.apps.tables import print_table
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.human.person import read_person
 from handmap_qp.trackers.formats import read_recording
+from .mediapipe_source import (
+    MediapipeSource,
+    environment_python,
+    install_environment,
+)
+from .source import Recorder, Replay, Sink, Source, run
 
 _RARE = (
     "not_in_order",

@@ -18,8 +18,6 @@ from handmap_qp.apps.arguments import (
     fit_side,
     hinted,
 )
-from handmap_qp.apps.offline.look_ahead import map_hand, map_hands
-from handmap_qp.apps.offline.summary import Summary, notes, summarise, table_rows
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
@@ -32,6 +30,8 @@ from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import save_npz
 from handmap_qp.trackers.formats.base import SIDES
+from .look_ahead import map_hand, map_hands
+from .summary import Summary, notes, summarise, table_rows
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,13 @@ from handmap_qp.apps.arguments import (
 )
 from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.drawing.hands import require_matplotlib
-from handmap_qp.apps.offline.comparison import (
+from handmap_qp.apps.tables import progress
+from handmap_qp.errors import expect
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.human.person import Person, read_person
+from handmap_qp.output_files import make_folder, writing
+from .comparison import (
     SMOOTH,
     ComparedMethod,
     Comparison,
@@ -38,15 +44,9 @@ from handmap_qp.apps.offline.comparison import (
     own_methods,
     prepare_take,
 )
-from handmap_qp.apps.offline.metrics import GROUPS, METRICS, Metric, Values
-from handmap_qp.apps.offline.poses import POSES, rank_poses
-from handmap_qp.apps.offline.trajectory import package_versions
-from handmap_qp.apps.tables import progress
-from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import load_hand
-from handmap_qp.human.person import Person, read_person
-from handmap_qp.output_files import make_folder, writing
+from .metrics import GROUPS, METRICS, Metric, Values
+from .poses import POSES, rank_poses
+from .trajectory import package_versions
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""

@@ -26,26 +26,6 @@ import msgspec
 import numpy as np
 
 from handmap_qp.apps.arguments import check_names
-from handmap_qp.apps.offline.fidelity import (
-    SETTLING,
-    assess_fidelity,
-    sample_workspace,
-)
-from handmap_qp.apps.offline.hand_trace import (
-    ByFinger,
-    HandTrace,
-    fingers_of,
-    trace_human,
-    trace_robot,
-)
-from handmap_qp.apps.offline.look_ahead import (
-    LookAhead,
-    look_ahead,
-    smooth_poses,
-)
-from handmap_qp.apps.offline.metrics import Values, mean_values
-from handmap_qp.apps.offline.surface_gaps import measure_gaps
-from handmap_qp.apps.offline.trajectory import held_samples, map_recording
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
@@ -61,6 +41,26 @@ from handmap_qp.se3 import Array, as_floats, inverse_pose
 from handmap_qp.stream.follower import SMOOTH_IK
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import NpzFormat, read_archive
+from .fidelity import (
+    SETTLING,
+    assess_fidelity,
+    sample_workspace,
+)
+from .hand_trace import (
+    ByFinger,
+    HandTrace,
+    fingers_of,
+    trace_human,
+    trace_robot,
+)
+from .look_ahead import (
+    LookAhead,
+    look_ahead,
+    smooth_poses,
+)
+from .metrics import Values, mean_values
+from .surface_gaps import measure_gaps
+from .trajectory import held_samples, map_recording
 
 PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""

@@ -12,10 +12,6 @@ import tyro
 from handmap_qp.apps.arguments import HandName, MappingArguments
 from handmap_qp.apps.drawing.contact_sheet import save_contact_sheet
 from handmap_qp.apps.drawing.hands import require_matplotlib
-from handmap_qp.apps.offline.look_ahead import map_hand
-from handmap_qp.apps.offline.poses import find_poses
-from handmap_qp.apps.offline.summary import summarise, table_rows
-from handmap_qp.apps.offline.trajectory import Told, Trajectory
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import require
 from handmap_qp.hands.library import load_hand
@@ -23,6 +19,10 @@ from handmap_qp.output_files import output_folder
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import DEMO, read_recording
 from handmap_qp.trackers.formats.archive import save_npz
+from .look_ahead import map_hand
+from .poses import find_poses
+from .summary import summarise, table_rows
+from .trajectory import Told, Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,7 +18,13 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
-from handmap_qp.apps.offline.hand_trace import (
+from handmap_qp.errors import expect
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
+from handmap_qp.mapping.decomposition import polar
+from handmap_qp.mapping.estimation import MotionEstimator
+from handmap_qp.se3 import Array, inverse_pose, lengths, rigid_fit, transform_points
+from .hand_trace import (
     KNUCKLE,
     MIDDLE,
     TIP,
@@ -26,15 +32,9 @@ from handmap_qp.apps.offline.hand_trace import (
     HandTrace,
     trace_robot,
 )
-from handmap_qp.apps.offline.metrics import Values, mean_values
-from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
-from handmap_qp.apps.offline.trajectory import rms_derivative
-from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
-from handmap_qp.mapping.decomposition import polar
-from handmap_qp.mapping.estimation import MotionEstimator
-from handmap_qp.se3 import Array, inverse_pose, lengths, rigid_fit, transform_points
+from .metrics import Values, mean_values
+from .surface_gaps import SurfaceGaps
+from .trajectory import rms_derivative
 
 SETTLING = 0.5
 """Time at the start that does not count [s]."""

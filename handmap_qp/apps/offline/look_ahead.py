@@ -22,14 +22,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handmap_qp.apps.offline.trajectory import (
-    Told,
-    Trajectory,
-    held_samples,
-    map_recording,
-    stretches,
-    trajectory_of,
-)
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.robot import Robot
@@ -49,6 +41,14 @@ from handmap_qp.se3 import (
 )
 from handmap_qp.stream.follower import SMOOTH_IK
 from handmap_qp.stream.robot_follower import RobotFollower, paired
+from .trajectory import (
+    Told,
+    Trajectory,
+    held_samples,
+    map_recording,
+    stretches,
+    trajectory_of,
+)
 
 if TYPE_CHECKING:
     from handmap_qp.apps.arguments import MappingArguments

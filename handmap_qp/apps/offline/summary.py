@@ -6,9 +6,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.offline.trajectory import Trajectory, stretches
 from handmap_qp.mapping.method import arm_held_by
 from handmap_qp.se3 import lengths
+from .trajectory import Trajectory, stretches
 
 SLOW_SHARE = 0.2
 """Share of samples held by a speed limit from which `notes` says so."""

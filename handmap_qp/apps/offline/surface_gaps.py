@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.offline.hand_trace import ByFinger, fingers_of
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
@@ -15,6 +14,7 @@ from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, pair_distance
 from handmap_qp.ik.collision import pair_bounds
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.se3 import Array
+from .hand_trace import ByFinger, fingers_of
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""

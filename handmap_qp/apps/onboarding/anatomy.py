@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
-from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.hands import human
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import Array, lengths, unit
+from .finger_names import named_fingers, named_side
+from .flexion import HandFlexion
 
 FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""

@@ -10,30 +10,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.onboarding.anatomy import FINGERS, Clue, angle_between
-from handmap_qp.apps.onboarding.collision_pairs import colliding_links
-from handmap_qp.apps.onboarding.detect import detect_text, left_out_wrist
-from handmap_qp.apps.onboarding.findings import (
-    MOST_NAMES,
-    Finding,
-    Found,
-    Report,
-    advice,
-    fine,
-    warning,
-)
-from handmap_qp.apps.onboarding.measure import (
-    check_arm,
-    check_contacts,
-    check_directions,
-    check_fist,
-    check_motion,
-    check_pinches,
-    check_reach,
-    check_size,
-    palm_rows,
-)
-from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.apps.tables import rows_of
 from handmap_qp.errors import HandError
 from handmap_qp.hands.collision_shapes import parse_with_meshes
@@ -53,6 +29,30 @@ from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.se3 import lengths
 from handmap_qp.trackers.formats.base import first_of
+from .anatomy import FINGERS, Clue, angle_between
+from .collision_pairs import colliding_links
+from .detect import detect_text, left_out_wrist
+from .findings import (
+    MOST_NAMES,
+    Finding,
+    Found,
+    Report,
+    advice,
+    fine,
+    warning,
+)
+from .measure import (
+    check_arm,
+    check_contacts,
+    check_directions,
+    check_fist,
+    check_motion,
+    check_pinches,
+    check_reach,
+    check_size,
+    palm_rows,
+)
+from .robot import Robot
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME = 0.5

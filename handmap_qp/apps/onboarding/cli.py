@@ -11,26 +11,6 @@ import numpy as np
 import tyro
 
 from handmap_qp.apps.arguments import HandName, InputArguments, hinted
-from handmap_qp.apps.onboarding.check import check_hand, check_robot
-from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
-from handmap_qp.apps.onboarding.detect import Detection, detect_hands
-from handmap_qp.apps.onboarding.findings import Rows
-from handmap_qp.apps.onboarding.match import match_hand
-from handmap_qp.apps.onboarding.measure import palm_rows
-from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
-from handmap_qp.apps.onboarding.picture import (
-    draw_hand,
-    draw_match,
-    draw_robot,
-    picture_path,
-)
-from handmap_qp.apps.onboarding.write import (
-    RobotSource,
-    check_free,
-    open_source,
-    write_hand,
-    write_robot,
-)
 from handmap_qp.apps.tables import (
     print_result,
     print_rows,
@@ -59,6 +39,26 @@ from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import HandSpec, Side, read_hand_spec
 from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.output_files import check_output
+from .check import check_hand, check_robot
+from .collision_pairs import with_collision_pairs
+from .detect import Detection, detect_hands
+from .findings import Rows
+from .match import match_hand
+from .measure import palm_rows
+from .migrate import migrate, read_dex_configuration
+from .picture import (
+    draw_hand,
+    draw_match,
+    draw_robot,
+    picture_path,
+)
+from .write import (
+    RobotSource,
+    check_free,
+    open_source,
+    write_hand,
+    write_robot,
+)
 
 OwnName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
 """Name of the hand that is written."""

@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.onboarding.detect import Detection
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import Finger, carrier_of, find_fingers
@@ -22,6 +21,7 @@ from handmap_qp.hands.shape_pairs import (
 )
 from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.se3 import Array, lengths
+from .detect import Detection
 
 MARGIN = 0.0005
 """Least distance between links [m]: pinches close, and the linearised rows hold."""

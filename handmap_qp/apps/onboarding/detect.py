@@ -12,14 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_qp.apps.onboarding.anatomy import Anatomy, Clue
-from handmap_qp.apps.onboarding.flexion import HandFlexion
-from handmap_qp.apps.onboarding.robot import Robot
-from handmap_qp.apps.onboarding.structure import (
-    RobotFinger,
-    find_palms,
-    find_structure,
-)
 from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import ball_in
@@ -34,6 +26,14 @@ from handmap_qp.hands.spec import (
     WristSpec,
 )
 from handmap_qp.se3 import Array, lengths, transform_points
+from .anatomy import Anatomy, Clue
+from .flexion import HandFlexion
+from .robot import Robot
+from .structure import (
+    RobotFinger,
+    find_palms,
+    find_structure,
+)
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
 _REST_SHARE = 0.4

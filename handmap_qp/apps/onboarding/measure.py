@@ -7,17 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.apps.onboarding.anatomy import angle_between
-from handmap_qp.apps.onboarding.collision_pairs import joined_notes
-from handmap_qp.apps.onboarding.findings import (
-    MOST_NAMES,
-    Found,
-    Rows,
-    advice,
-    fine,
-    warning,
-)
-from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.apps.tables import rows_of, table_rows
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.fingers import (
@@ -39,6 +28,17 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.se3 import Array, affine, lengths, unit
 from handmap_qp.trackers.formats.base import first_of
+from .anatomy import angle_between
+from .collision_pairs import joined_notes
+from .findings import (
+    MOST_NAMES,
+    Found,
+    Rows,
+    advice,
+    fine,
+    warning,
+)
+from .flexion import HandFlexion
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""

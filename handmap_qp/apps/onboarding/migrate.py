@@ -11,11 +11,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 import msgspec
 from msgspec import Meta
 
-from handmap_qp.apps.onboarding.detect import Detection, detect, point_sets
-from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError
 from handmap_qp.hands.spec import PointSpec, read_yaml
 from handmap_qp.human.sample import LANDMARK_NAMES, TIPS
+from .detect import Detection, detect, point_sets
+from .robot import Robot
 
 _Kind = Literal["dexpilot", "vector", "position"]
 _Index = Annotated[int, Meta(ge=0, lt=len(LANDMARK_NAMES))]

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.onboarding.anatomy import Clue
-from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import Finger, PalmKinematics, ends_of, zero_posture
 from handmap_qp.se3 import Array, lengths, transform_points, unit
+from .anatomy import Clue
+from .robot import Robot
 
 LONGEST_FINGER = 0.3
 """A longer branch is a leg or an arm [m]."""

@@ -13,7 +13,6 @@ import msgspec
 import yaml
 
 from handmap_qp import hands
-from handmap_qp.apps.onboarding.detect import Detection
 from handmap_qp.errors import (
     HandError,
     MissingExtraError,
@@ -23,6 +22,7 @@ from handmap_qp.errors import (
 from handmap_qp.hands.sources import is_mjcf, package_folder, source_path
 from handmap_qp.hands.spec import is_named_source
 from handmap_qp.output_files import check_new, make_folder, writing
+from .detect import Detection
 
 _WIDTH = 120
 # Allowed difference between the poses of a link in the URDF and in MuJoCo [m].

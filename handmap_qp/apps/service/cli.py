@@ -7,8 +7,8 @@ from typing import Any, Literal
 import tyro
 
 from handmap_qp.apps import service
-from handmap_qp.apps.service.settings import Settings
 from handmap_qp.errors import MissingExtraError
+from .settings import Settings
 
 SCHEMAS = {
     "schema": Path(__file__).with_name("messages.md"),

@@ -28,8 +28,8 @@ from logging import WARNING
 import zmq
 
 from handmap_qp.apps.refusals import naming
-from handmap_qp.apps.service.logs import Metrics, Throttle
-from handmap_qp.apps.service.safety import Bucket
+from .logs import Metrics, Throttle
+from .safety import Bucket
 
 _RATE = 1024.0
 """Credit that a connection gets without a message, for heartbeats and topics [bytes/s]."""

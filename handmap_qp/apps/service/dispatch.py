@@ -16,10 +16,6 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp.apps.service.logs import BUCKETS, Throttle
-from handmap_qp.apps.service.safety import Bucket, refuse_if
-from handmap_qp.apps.service.session import Session
-from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.client import messages
 from handmap_qp.client.messages import (
     LARGEST,
@@ -46,6 +42,10 @@ from handmap_qp.client.messages import (
     Subscribe,
 )
 from handmap_qp.errors import RefusedError
+from .logs import BUCKETS, Throttle
+from .safety import Bucket, refuse_if
+from .session import Session
+from .sessions import Caller, Sessions
 
 Answer = Callable[[bytes], None]
 """Callback of a transport that sends an answer; it must not block."""

@@ -14,8 +14,8 @@ from typing import NamedTuple
 from zmq.auth import create_certificates, load_certificate
 
 from handmap_qp.apps.refusals import naming
-from handmap_qp.apps.service.logs import Throttle, report
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
+from .logs import Throttle, report
 
 _KEY_LENGTH = 40
 """Length of a key as Z85."""

@@ -30,7 +30,7 @@ from prometheus_client.core import (
 )
 
 from handmap_qp.apps.refusals import naming
-from handmap_qp.apps.service.safety import Bucket
+from .safety import Bucket
 
 log = logging.getLogger("handmap_qp.apps.service")
 """Logger of the service; `report` writes to it."""

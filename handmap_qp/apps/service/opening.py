@@ -17,7 +17,6 @@ from typing import Any, TypeVar, get_args
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.service.safety import refuse_if
 from handmap_qp.client.messages import PROTECTING, Configure, Open, Step
 from handmap_qp.errors import (
     HandError,
@@ -54,6 +53,7 @@ from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.robot_follower import RobotFollower
 from handmap_qp.trackers.layouts import LAYOUTS
+from .safety import refuse_if
 
 CALIBRATION_SAMPLES = 30
 """Number of landmark samples that the human hand is measured from."""

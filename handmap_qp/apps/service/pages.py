@@ -15,7 +15,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from handmap_qp.apps.addresses import names_loopback
-from handmap_qp.apps.service.logs import Metrics, websocket_log
+from .logs import Metrics, websocket_log
 
 _FOLDER = Path(__file__).with_name("webxr")
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}

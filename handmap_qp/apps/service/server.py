@@ -30,29 +30,29 @@ from zmq.auth.asyncio import AsyncioAuthenticator
 from zmq.utils.monitor import recv_monitor_message
 
 from handmap_qp.apps.refusals import naming
-from handmap_qp.apps.service.connection_gate import ConnectionGate, cost_of
-from handmap_qp.apps.service.dispatch import Dispatcher
-from handmap_qp.apps.service.keys import (
+from handmap_qp.client.messages import TOPIC_END
+from handmap_qp.errors import InvalidOptionsError, expect
+from .connection_gate import ConnectionGate, cost_of
+from .dispatch import Dispatcher
+from .keys import (
     ClientKeys,
     ServerKeys,
     read_server_keys,
     read_token,
 )
-from handmap_qp.apps.service.logs import (
+from .logs import (
     AuditLog,
     Metrics,
     Throttle,
     logs_on_stderr,
     report,
 )
-from handmap_qp.apps.service.opening import HandCache
-from handmap_qp.apps.service.pages import serve_metrics
-from handmap_qp.apps.service.sessions import Caller, Sessions
-from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.store import PostureStore
-from handmap_qp.apps.service.websocket import WebSocketTransport
-from handmap_qp.client.messages import TOPIC_END
-from handmap_qp.errors import InvalidOptionsError, expect
+from .opening import HandCache
+from .pages import serve_metrics
+from .sessions import Caller, Sessions
+from .settings import Settings
+from .store import PostureStore
+from .websocket import WebSocketTransport
 
 TICK = 0.005
 """Least time between checks of the watchdogs [s]."""

@@ -20,28 +20,6 @@ from typing import Any, TypeVar
 import numpy as np
 from msgspec import structs
 
-from handmap_qp.apps.service.opening import (
-    Calibration,
-    Hands,
-    naming_field,
-    naming_option,
-    read_choice,
-    refused,
-    upright_of,
-    with_changes,
-)
-from handmap_qp.apps.service.safety import (
-    START_TOLERANCE,
-    CommandedRobot,
-    Event,
-    MapperState,
-    SessionState,
-    StepClock,
-    Watchdog,
-    next_state,
-    refuse_if,
-)
-from handmap_qp.apps.service.store import Posture, Record
 from handmap_qp.client.messages import (
     About,
     AnyReply,
@@ -70,6 +48,28 @@ from handmap_qp.mapping.method import MapStep
 from handmap_qp.se3 import Array
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.tables import load_layout
+from .opening import (
+    Calibration,
+    Hands,
+    naming_field,
+    naming_option,
+    read_choice,
+    refused,
+    upright_of,
+    with_changes,
+)
+from .safety import (
+    START_TOLERANCE,
+    CommandedRobot,
+    Event,
+    MapperState,
+    SessionState,
+    StepClock,
+    Watchdog,
+    next_state,
+    refuse_if,
+)
+from .store import Posture, Record
 
 Fields = dict[str, Any]
 """Values of a message or sample by the names of its fields."""

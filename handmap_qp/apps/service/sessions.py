@@ -16,15 +16,15 @@ from weakref import WeakSet
 
 import msgspec
 
-from handmap_qp.apps.service.logs import AuditLog, Metrics, report
-from handmap_qp.apps.service.opening import HandCache, prepare_hands
-from handmap_qp.apps.service.safety import Bucket, refuse_if
-from handmap_qp.apps.service.session import Session
-from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.hand import Hand
+from .logs import AuditLog, Metrics, report
+from .opening import HandCache, prepare_hands
+from .safety import Bucket, refuse_if
+from .session import Session
+from .settings import Settings
+from .store import PostureStore, Record
 
 LEASE = 2.0
 """Time after a request of its owner in which nobody else may have a session [s]."""

@@ -16,10 +16,10 @@ from typing import Self
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.service.logs import Throttle, report
-from handmap_qp.apps.service.settings import MOST_SESSIONS
 from handmap_qp.errors import InvalidInputError, RefusedError, reason_of
 from handmap_qp.se3 import Array
+from .logs import Throttle, report
+from .settings import MOST_SESSIONS
 
 Posture = tuple[Array, Array | None]
 """Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""

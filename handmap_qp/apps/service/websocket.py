@@ -31,14 +31,14 @@ from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
 from handmap_qp.apps.refusals import naming
-from handmap_qp.apps.service.connection_gate import SmallReads
-from handmap_qp.apps.service.dispatch import Dispatcher
-from handmap_qp.apps.service.logs import report, websocket_log
-from handmap_qp.apps.service.pages import page_response
-from handmap_qp.apps.service.safety import Bucket
-from handmap_qp.apps.service.sessions import Caller, Sessions
-from handmap_qp.apps.service.settings import MOST_SESSIONS, Settings
 from handmap_qp.errors import InvalidInputError
+from .connection_gate import SmallReads
+from .dispatch import Dispatcher
+from .logs import report, websocket_log
+from .pages import page_response
+from .safety import Bucket
+from .sessions import Caller, Sessions
+from .settings import MOST_SESSIONS, Settings
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
 """Subprotocol that a browser offers besides `bearer.TOKEN`, because it cannot set headers."""

@@ -10,10 +10,16 @@ from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.offline.comparison import prepare_take
-from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_commands
-from handmap_qp.apps.simulation.physics import Physics, parse_object
-from handmap_qp.apps.simulation.pictures import film, picture, write_page
-from handmap_qp.apps.simulation.pinch import (
+from handmap_qp.apps.tables import print_rows, progress
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.library import load_hand
+from handmap_qp.output_files import check_output
+from handmap_qp.trackers.formats import read_recording
+from handmap_qp.trackers.formats.archive import save_npz
+from .commands import chosen_methods, find_pinch, map_commands
+from .physics import Physics, parse_object
+from .pictures import film, picture, write_page
+from .pinch import (
     Objects,
     PinchOutcome,
     PinchScene,
@@ -23,13 +29,7 @@ from handmap_qp.apps.simulation.pinch import (
     random_trials,
     trial_row,
 )
-from handmap_qp.apps.simulation.simulator import Episode
-from handmap_qp.apps.tables import print_rows, progress
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.library import load_hand
-from handmap_qp.output_files import check_output
-from handmap_qp.trackers.formats import read_recording
-from handmap_qp.trackers.formats.archive import save_npz
+from .simulator import Episode
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 _FILES = {

@@ -11,7 +11,10 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.simulation.physics import (
+from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.hand import Hand
+from handmap_qp.se3 import Array, mirror_sign, quat_wxyz_from_rotation
+from .physics import (
     Body,
     Box,
     Cylinder,
@@ -19,9 +22,6 @@ from handmap_qp.apps.simulation.physics import (
     Physics,
     Sphere,
 )
-from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.hand import Hand
-from handmap_qp.se3 import Array, mirror_sign, quat_wxyz_from_rotation
 
 OBJECT = "/object"
 WRIST = "/wrist"

@@ -10,8 +10,6 @@ import numpy as np
 
 from handmap_qp.apps.drawing.hands import UPRIGHT, load_shape, solid
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
-from handmap_qp.apps.simulation.physics import surface, turn_up
-from handmap_qp.apps.simulation.simulator import Episode, Instant
 from handmap_qp.apps.tables import progress
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
@@ -19,6 +17,8 @@ from handmap_qp.apps.viewer.scene import Display
 from handmap_qp.errors import require
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array, affine
+from .physics import surface, turn_up
+from .simulator import Episode, Instant
 
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)
 _PAPER = (0.965, 0.97, 0.975)

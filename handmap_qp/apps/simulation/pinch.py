@@ -17,8 +17,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
-from handmap_qp.apps.simulation.commands import Commands, PinchWindow
-from handmap_qp.apps.simulation.physics import (
+from handmap_qp.apps.tables import Row
+from handmap_qp.errors import expect
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
+from handmap_qp.hands.pads import find_pads
+from handmap_qp.se3 import Array, affine, inverse_pose, lengths, transform_points
+from .commands import Commands, PinchWindow
+from .physics import (
     KINDS,
     Body,
     Box,
@@ -29,14 +36,7 @@ from handmap_qp.apps.simulation.physics import (
     named_shape,
     turn_up,
 )
-from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
-from handmap_qp.apps.tables import Row
-from handmap_qp.errors import expect
-from handmap_qp.hands.fingers import find_fingers
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
-from handmap_qp.hands.pads import find_pads
-from handmap_qp.se3 import Array, affine, inverse_pose, lengths, transform_points
+from .simulator import Episode, Instant, Simulator
 
 CUBE = Box((0.03, 0.03, 0.03))
 """The nominal object."""

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
-from handmap_qp.apps.simulation.model import OBJECT, WRIST, build_model
-from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import Array, affine, check_pose, quat_wxyz_from_rotation
+from .model import OBJECT, WRIST, build_model
+from .physics import Body, Physics
 
 # Friction of the stand against turning the object acts at the last levers [m]: 2/3 of the radius of
 # a disc of 30 mm under even pressure.

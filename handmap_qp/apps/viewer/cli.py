@@ -26,13 +26,13 @@ from handmap_qp.apps.arguments import (
     hinted,
     person_of,
 )
-from handmap_qp.apps.viewer.live import LiveViewer
-from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
-from handmap_qp.apps.viewer.serving import run_frames, serving
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect, require
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.mapping.presets import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
+from .live import LiveViewer
+from .replay import Replay, ReplayViewer
+from .serving import run_frames, serving
 
 if TYPE_CHECKING:
     import viser

@@ -18,14 +18,14 @@ import msgspec
 import numpy as np
 import yaml
 
-from handmap_qp.apps.viewer.gauges import Gauges
-from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.scene import Display, HandScene
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.presets import PRESETS, Choice
 from handmap_qp.options import Option, Options, options_of
 from handmap_qp.se3 import Array
+from .gauges import Gauges
+from .sample import Variant, ViewSample
+from .scene import Display, HandScene
 
 if TYPE_CHECKING:
     import viser

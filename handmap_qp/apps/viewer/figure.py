@@ -17,7 +17,6 @@ import numpy as np
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_folder
 from handmap_qp.apps.drawing.raster import Colour
 from handmap_qp.apps.drawing.shapes import LinkShape, read_shapes
-from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf import parse_urdf
@@ -31,6 +30,7 @@ from handmap_qp.se3 import (
     transform_points,
 )
 from handmap_qp.trackers.hand_geometry import BONES, NEIGHBOURS
+from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
     import viser

@@ -11,13 +11,6 @@ import numpy as np
 
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.apps.viewer.figure import (
-    DEFORMATION_COLOUR,
-    TARGET_COLOUR,
-    as_bytes,
-    known,
-)
-from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
@@ -25,6 +18,13 @@ from handmap_qp.hands.human import CONTACT_GAP, FINGERS
 from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.ik.qp import wrist_error
 from handmap_qp.se3 import Array
+from .figure import (
+    DEFORMATION_COLOUR,
+    TARGET_COLOUR,
+    as_bytes,
+    known,
+)
+from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
     import viser

@@ -8,22 +8,22 @@ from collections import deque
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING
 
-from handmap_qp.apps.viewer.controls import (
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.mapping.options_file import options_text
+from handmap_qp.mapping.presets import possible_presets
+from .controls import (
     SteeringControls,
     Window,
     add_controls,
     say,
 )
-from handmap_qp.apps.viewer.page import make_page
-from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.mapping.options_file import options_text
-from handmap_qp.mapping.presets import possible_presets
+from .page import make_page
+from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
     import viser
 
-    from handmap_qp.apps.viewer.remote import ServiceSession
+    from .remote import ServiceSession
 
 # Length of the plots' time axis [s].
 _SPAN = 10.0

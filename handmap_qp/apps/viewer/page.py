@@ -8,11 +8,11 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from handmap_qp.apps.viewer.gauges import SCENE_LEGEND, InstantGauges, error_plot
-from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.scene import Display, HandScene
-from handmap_qp.apps.viewer.serving import serving
 from handmap_qp.hands.hand import Hand
+from .gauges import SCENE_LEGEND, InstantGauges, error_plot
+from .sample import Variant, ViewSample
+from .scene import Display, HandScene
+from .serving import serving
 
 # Most samples per second in a page, and most gauges [1/s].
 _RATE = 30.0

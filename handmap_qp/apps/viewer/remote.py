@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 
 from handmap_qp.apps.connection import FAILURES, connected, only_session
-from handmap_qp.apps.viewer.sample import ViewSample
 from handmap_qp.client import Command, ServiceError
 from handmap_qp.client.messages import Pose
 from handmap_qp.errors import HandmapError, InvalidInputError
@@ -23,6 +22,7 @@ from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
 from handmap_qp.se3 import Array, rigid_fit
+from .sample import ViewSample
 
 # Longest wait for an answer once the session is shown [s].
 _TIMEOUT = 1.0

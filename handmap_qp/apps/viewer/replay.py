@@ -8,16 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handmap_qp.apps.viewer.controls import (
-    KEPT,
-    NOTHING,
-    PlayBar,
-    SteeringControls,
-    Window,
-    say,
-)
-from handmap_qp.apps.viewer.page import make_page
-from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
@@ -27,6 +17,16 @@ from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.options_file import options_text
 from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
 from handmap_qp.stream.follower import Follower
+from .controls import (
+    KEPT,
+    NOTHING,
+    PlayBar,
+    SteeringControls,
+    Window,
+    say,
+)
+from .page import make_page
+from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
     import viser

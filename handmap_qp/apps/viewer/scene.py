@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.viewer.figure import (
+from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.alignment import rotation_of
+from handmap_qp.se3 import Array, unit
+from .figure import (
     Figure,
     HumanFigure,
     LandmarkFigure,
     RobotFigure,
     Shape,
 )
-from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.alignment import rotation_of
-from handmap_qp.se3 import Array, unit
+from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
     import viser

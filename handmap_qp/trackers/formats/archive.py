@@ -18,7 +18,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
-from handmap_qp.trackers.formats.base import (
+from .base import (
     COLUMNS,
     SIDES,
     WORDS,

@@ -17,7 +17,7 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
-from handmap_qp.trackers.formats.base import (
+from .base import (
     COLUMNS,
     Entry,
     RecordingFormat,

@@ -27,8 +27,9 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import Array, affine
-from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE
-from handmap_qp.trackers.formats.base import (
+from handmap_qp.trackers.wrist_axes import palm_axes
+from .archive import LARGEST_ARCHIVE
+from .base import (
     COLUMNS,
     SIDES,
     WORDS,
@@ -41,7 +42,6 @@ from handmap_qp.trackers.formats.base import (
     reading,
     side_of,
 )
-from handmap_qp.trackers.wrist_axes import palm_axes
 
 SUFFIXES = (".hdf5", ".h5")
 RATE = 30.0

@@ -22,7 +22,7 @@ from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
 from handmap_qp.se3 import Array
-from handmap_qp.trackers.formats.base import (
+from .base import (
     COLUMNS,
     WORDS,
     Entry,

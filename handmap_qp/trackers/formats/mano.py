@@ -18,13 +18,13 @@ from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.se3 import Array, affine, as_floats, transform_points
-from handmap_qp.trackers.formats.archive import (
+from .archive import (
     Arrays,
     member_names,
     read_archive,
     save_npz,
 )
-from handmap_qp.trackers.formats.base import (
+from .base import (
     Entry,
     RecordingFormat,
     build_recording,

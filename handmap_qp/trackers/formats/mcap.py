@@ -17,7 +17,7 @@ from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, human_name
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import Array, pose_from_xyz_quat, quat_wxyz_from_rotation
-from handmap_qp.trackers.formats.base import (
+from .base import (
     SIDES,
     Entry,
     RecordingFormat,

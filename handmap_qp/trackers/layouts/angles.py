@@ -11,7 +11,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
 from handmap_qp.hands.spec import Document, Side
 from handmap_qp.se3 import Array, transform_points
-from handmap_qp.trackers.layouts.base import (
+from .base import (
     UNITS,
     Hands,
     Layout,

@@ -10,7 +10,7 @@ from handmap_qp.hands.spec import Document, PointSpec, Side, Vector
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import FARTHEST, Array, rigid_fit, transform_points
-from handmap_qp.trackers.layouts.base import (
+from .base import (
     Hands,
     Layout,
     LayoutTable,

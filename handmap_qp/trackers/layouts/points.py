@@ -19,7 +19,7 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
-from handmap_qp.trackers.layouts.base import (
+from .base import (
     Hands,
     Layout,
     LayoutTable,

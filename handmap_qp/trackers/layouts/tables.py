@@ -8,10 +8,10 @@ import msgspec
 
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect, reason_of
 from handmap_qp.trackers.layouts import LAYOUTS
-from handmap_qp.trackers.layouts.angles import AngleLayout, AngleTable
-from handmap_qp.trackers.layouts.base import Layout, LayoutTable
-from handmap_qp.trackers.layouts.markers import MarkerLayout, MarkerTable
-from handmap_qp.trackers.layouts.points import PointLayout, PointTable
+from .angles import AngleLayout, AngleTable
+from .base import Layout, LayoutTable
+from .markers import MarkerLayout, MarkerTable
+from .points import PointLayout, PointTable
 
 _FOLDER = Path(__file__).parent
 
