@@ -338,10 +338,9 @@ def typed(value: Any, kind: type[_Spec], file: Path | None) -> _Spec:
         ) from error
     values = dict(_values(document))
     for key, found in values.items():
-        numbers = found if isinstance(found, list | tuple) else [found]
-        if any(isinstance(each, float) and not math.isfinite(each) for each in numbers):
+        if isinstance(found, float) and not math.isfinite(found):
             raise HandError(
-                f"expected finite numbers, got {found}", file=file, key=key, value=found
+                f"expected a finite number, got {found}", file=file, key=key, value=found
             )
     try:
         return msgspec.convert(

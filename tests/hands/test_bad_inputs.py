@@ -144,7 +144,7 @@ LOADING: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: load_hand(
             "human", points=(PointSpec("p", "palm", xyz=(0.0, np.nan, 0.0)),)
         ),
-        "points[0].xyz",
+        "points[0].xyz[1]",
     ),
     "place of text": (
         lambda: load_hand("human", points=(PointSpec("p", "palm", xyz="abc"),)),  # ty: ignore[invalid-argument-type]
