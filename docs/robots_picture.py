@@ -24,7 +24,7 @@ from handmap_qp.hands.robot import load_robot
 from handmap_qp.stream.measurement import measure_person
 
 ROBOTS = ("g1", "ur5_pair", "tiago_dual")
-TIMES = (0.5, 1.5, 3.3, 6.5)
+TIMES = (0.5, 2.2, 6.2, 6.8)
 """Instants that are drawn, from the first sample on [s]."""
 CELL = (330, 300)
 TURNED = 28.0
@@ -57,7 +57,8 @@ def main(left: Path, right: Path, out: Path) -> None:
             f"{name}: wrist off by {1e3 * motion.wrist_error[rows].max():.0f} mm at most"
         )
     picture = np.concatenate(pictures)
-    Image.fromarray((255.0 * picture).round().astype(np.uint8)).save(out)
+    image = Image.fromarray((255.0 * picture).round().astype(np.uint8))
+    image.save(out, optimize=True)
     print(f"wrote {out}")
 
 
