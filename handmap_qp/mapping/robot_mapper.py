@@ -4,11 +4,12 @@
     step = mapper.map_landmarks({"left": left, "right": right})
     robot.move_joints(step.command.joint_names, step.command.q)
 
-Each hand is mapped by a `Leader`: a `HandMapper` that leaves the motion to the robot. Where the
-person's palms are near each other, the robot's have their offset and directions, whatever the
-references were.
+Each hand is mapped by a `Leader`: a `HandMapper` that leaves the motion to the robot. Soon after
+its reference, the robot's palm has the directions of the person's. Where the person's palms are
+near each other, the robot's have their offset, too.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
@@ -89,10 +90,14 @@ class Leader(HandMapper):
     Attributes:
         asked: What it asked last.
         is_staying: Whether that is to stay.
+        turns_in: As of `RobotMapper` [s].
+        since: Time since its reference [s].
     """
 
     asked: Asked
     is_staying = False
+    turns_in = math.inf
+    since = 0.0
 
     def join(self, ik: PointIk) -> None:
         """Ask the robot that a solver moves."""
@@ -108,6 +113,7 @@ class Leader(HandMapper):
         """Make the next sample the reference; see `HandMapper.clutch`."""
         super().clutch()
         self.is_staying = False
+        self.since = 0.0
 
     def stay_here(self) -> None:
         """Let a hand that stays do so where something else has moved the robot."""
@@ -131,7 +137,17 @@ class Leader(HandMapper):
         palm = None
         leading = self._reference and self._reference.map
         if isinstance(leading, PalmMap):
-            palm = leading, leading.person_at(sample)
+            person = leading.person_at(sample)
+            palm = leading, person
+            self.since += dt
+            own = asked.wrist @ self.robot.wrist_to_palm
+            share = float(smoothstep(self.since / self.turns_in))
+            turn = _turned(own, leading.robot_anchor, person, share)
+            asked = structs.replace(
+                asked,
+                points=transform_points(turn, asked.points),
+                wrist=turn @ asked.wrist,
+            )
         self.asked = Asked(asked, rest, dt, speed, palm)
         self.is_staying = False
         return _unmoved(sample, asked)
@@ -151,6 +167,13 @@ class Leader(HandMapper):
                 np.full((len(self.human.reference_points), 3), np.nan), None
             )
         return MapStep(_unmoved(seen, self.asked.targets), (), 0.0)
+
+
+def _turned(palm: Array, anchor: Array, person: Array, share: float) -> Array:
+    """Return the motion that turns a palm about its anchor to another one's axes, (4, 4)."""
+    centre = transform_points(palm, anchor)
+    turn = pin.exp3(share * pin.log3(person[:3, :3] @ palm[:3, :3].T))
+    return affine(turn, centre - turn @ centre)
 
 
 def _unmoved(pose: HumanPose, asked: Targets) -> Stages:
@@ -189,6 +212,8 @@ class RobotMapper:
         humans: The hands that lead, by side; hands of the package's person if omitted.
         method: As of `HandMapper`, for all hands.
         ik: Weights and settings of the QP; those of the preset if omitted.
+        turns_in: Time after a reference until the robot's palms have the directions of the person's
+            [s]; infinite to keep how they differ at the reference.
         **options: As of `HandMapper`.
 
     Attributes:
@@ -206,6 +231,7 @@ class RobotMapper:
         method: Method | str | None = None,
         *,
         ik: IkOptions | None = None,
+        turns_in: float = 2.0,
         **options: Any,
     ) -> None:
         if humans is None:
@@ -217,6 +243,8 @@ class RobotMapper:
             side: Leader(humans[side], hand, method, ik=ik, **options)
             for side, hand in robot.hands.items()
         }
+        for leader in self.leaders.values():
+            leader.turns_in = turns_in
         self._join(next(iter(self.leaders.values())).ik)
         self.reset()
 
@@ -410,9 +438,8 @@ class RobotMapper:
         own = centres[1] - centres[0]
         aim = own + share * (apart - own)
         for k, person in enumerate((here, there)):
-            turn = pin.exp3(share * pin.log3(person[:3, :3] @ palms[k][:3, :3].T))
-            place = centres[k] + (k - 0.5) * (aim - own)
-            moved = affine(turn, place - turn @ centres[k])
+            moved = _turned(palms[k], anchors[k], person, share)
+            moved[:3, 3] += (k - 0.5) * (aim - own)
             points[k] = transform_points(moved, points[k])
             wrists[k] = moved @ wrists[k]
         places = [*map(palm_place, hands, anchors)]

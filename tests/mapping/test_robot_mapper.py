@@ -78,7 +78,7 @@ def test_hands_on_arms_of_their_own_move_as_if_alone(
 ) -> None:
     # With more iterations, both hands would take those that one of them needs.
     ik = PRESET.ik.replaced(formulation=formulation, max_iterations=1)
-    mapper = RobotMapper(pair, HUMANS, "teleoperation", ik=ik)
+    mapper = RobotMapper(pair, HUMANS, "teleoperation", ik=ik, turns_in=np.inf)
     names = mapper.robot.joint_names
     alone = {
         side: HandMapper(HUMANS[side], pair.hands[side], "teleoperation", ik=ik)
@@ -98,7 +98,8 @@ def test_hands_on_arms_of_their_own_move_as_if_alone(
 
 def test_a_robot_with_one_hand_is_a_hand_on_an_arm(g1: Robot) -> None:
     hand = g1.hands["left"]
-    mapper = RobotMapper(Robot("one", {"left": hand}), HUMANS, "teleoperation")
+    robot = Robot("one", {"left": hand})
+    mapper = RobotMapper(robot, HUMANS, "teleoperation", turns_in=np.inf)
     single = HandMapper(HUMANS["left"], hand, "teleoperation")
     # A hand of its own is put where it is at rest, too.
     for i in range(40):
@@ -149,6 +150,34 @@ def test_near_palms_are_seen_from_each_other_as_the_persons(g1: Robot) -> None:
         # The wrists come near their limits.
         assert np.linalg.norm(off[0]) < 0.15
         assert np.linalg.norm(off[1]) > 1.0
+
+
+@pytest.mark.parametrize("turns_in", [0.5, np.inf])
+def test_palms_turn_to_the_persons_soon_after_a_reference(
+    pair: Robot, turns_in: float
+) -> None:
+    mapper = RobotMapper(pair, HUMANS, "teleoperation", turns_in=turns_in)
+    first = palms(mapper.map_step(*motion(0, apart=1.0), dt=DT), pair)
+    for _ in range(120):
+        step = mapper.map_step(*motion(0, apart=1.0), dt=DT)
+    for leader, own, before in zip(
+        mapper.leaders.values(), palms(step, pair), first, strict=True
+    ):
+        assert leader.asked.palm is not None
+        person = leader.asked.palm[1]
+        wanted = person if turns_in < 1.0 else before
+        np.testing.assert_allclose(own[:3, :3], wanted[:3, :3], atol=1e-2)
+        # They turn about the point that follows the person's.
+        anchor = leader.asked.palm[0].robot_anchor
+        ends = [palm[:3, :3] @ anchor + palm[:3, 3] for palm in (own, before)]
+        np.testing.assert_allclose(*ends, atol=2e-3)
+        assert np.abs(person[:3, :3] - before[:3, :3]).max() > 0.5
+        if turns_in < 1.0:
+            assert leader.since > 1.0
+    mapper.clutch()
+    again = palms(mapper.map_step(*motion(0, apart=1.0), dt=DT), pair)
+    np.testing.assert_allclose(again, palms(step, pair), atol=1e-2)
+    assert all(leader.since == DT for leader in mapper.leaders.values())
 
 
 def test_crossing_hands_do_not_overlap(g1: Robot) -> None:
