@@ -185,6 +185,7 @@ def _hand_arrays(
         "wrist_pose": np.round(poses, 4).astype(np.float32),
         "confidence": np.round(confidence, 3),
         "source": np.array(SOURCE),
+        "upright": np.array("+z up, +y forward"),
     }
 
 
