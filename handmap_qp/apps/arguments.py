@@ -17,6 +17,7 @@ from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.robot import Robot, is_robot, load_robot
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import Person, read_person
 from handmap_qp.human.recording import Recording, mirrored
@@ -132,19 +133,21 @@ class InputArguments:
         return recording
 
     def read_both(
-        self, paths: Sequence[Path], person: Path | None = None
+        self, paths: Sequence[Path], person: Path | None = None, *, mirror: bool = False
     ) -> dict[Side, Recording]:
         """Read a recording of the left and one of the right hand, from one file or from two.
 
         Args:
             paths: One file with both hands, or two files; with a layout the left hand's first.
             person: As of `read`.
+            mirror: Whether the user asked for mirror images, which is refused.
 
         Raises:
             HandmapError: As of `read`.
         """
-        if self.side is not None:
-            raise InvalidInputError("has no effect on both hands", argument="--side")
+        for option, given in (("--side", self.side), ("--mirror", mirror)):
+            if given:
+                raise InvalidInputError("has no effect on both hands", argument=option)
         if self.layout is None:
             hands = read_hands(paths)
             for recording in hands.values():
@@ -165,9 +168,9 @@ def _lengths_of(person: Path | None) -> HumanLengths | None:
     return None if person is None else read_person(person).lengths
 
 
-def person_of(recording: Recording, file: Path | None) -> Person:
-    """Return the person of a recording: from a file, or measured if none is given."""
-    return measure_person(recording) if file is None else read_person(file)
+def person_of(recordings: Sequence[Recording], file: Path | None) -> Person:
+    """Return the person of recordings: from a file, or measured if none is given."""
+    return measure_person(*recordings) if file is None else read_person(file)
 
 
 def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
@@ -334,6 +337,35 @@ class MappingArguments:
         others = "preset", "human_points", "robot_points", "options", "smooth"
         names += filter(vars(self).get, others)
         return [f"--{name.replace('_', '-')}" for name in names]
+
+
+def read_robot(
+    name: str, files: Sequence[Path], command: Any
+) -> tuple[Hand | Robot, list[Recording]]:
+    """Read a robot hand, or a robot with both, and a recording for each hand in its order.
+
+    Args:
+        name: Name or path of the robot.
+        files: Recordings: one, or one of each hand.
+        command: Its `inputs`, `arguments`, `person` and `mirror` say how.
+
+    Raises:
+        HandmapError: If one cannot be read, or they do not fit.
+    """
+    if is_robot(name):
+        robot = load_robot(name)
+        both = command.inputs.read_both(files, command.person, mirror=command.mirror)
+        return robot, [both[side] for side in robot.hands]
+    expect(
+        len(files) == 1,
+        "RECORDING",
+        "one recording with --robot",
+        value=len(files),
+        advice="give a robot with both hands, or --robots LEFT RIGHT of `handmap map`",
+    )
+    hand = command.arguments.load_robot(name)
+    recording = command.inputs.read(files[0], hand.spec.side, command.person)
+    return hand, [fit_side(recording, hand, mirror=command.mirror)]
 
 
 MappingFlags = Annotated[MappingArguments, arg(name="")]

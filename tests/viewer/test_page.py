@@ -414,6 +414,35 @@ def has_both_hands(pixels: np.ndarray) -> bool:
 
 
 @pytest.mark.slow
+def test_the_page_of_a_robot_with_two_hands_draws_all_hands(browser: Browser) -> None:
+    replay = View().replay(Path("demo"), "g1")
+    with serving() as server:
+        light_simply(server)
+        viewer = ReplayViewer(server, replay)
+        viewer.play_bar.toggle()
+        viewer.play_bar.slider.value = 3.0
+        viewer.tick(0.0)
+        browser.resize(1100, 700)
+        with kept_going(lambda: viewer.tick(0.05)):
+            browser.open(f"http://127.0.0.1:{server.get_port()}")
+            browser.wait_for("!!document.querySelector('canvas')")
+            wait_until(
+                lambda: has_hands_beside_robot(later_picture(browser)),
+                "two human hands on the left, or no robot's points on the right",
+                DRAWING,
+            )
+    for text in ("left pinch gaps", "right pinch gaps"):
+        assert browser.evaluate(f"document.body.innerText.includes('{text}')")
+    assert not browser.errors
+
+
+def has_hands_beside_robot(pixels: np.ndarray) -> bool:
+    """Return whether each third of the middle shows what it should: hand, hand, robot."""
+    first, second, robot = np.array_split(pixels[160:, 310:790], 3, axis=1)
+    return min(skin(first), skin(second)) > 40 and reference_points(robot) > 4
+
+
+@pytest.mark.slow
 def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.write_bytes(make_replay().page())

@@ -15,14 +15,15 @@ from handmap_qp.apps.arguments import (
     MappingFlags,
     PersonFile,
     Recordings,
-    fit_side,
     hinted,
+    person_of,
+    read_robot,
 )
 from handmap_qp.apps.tables import print_table, progress
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.robot import Robot, is_robot, load_robot
-from handmap_qp.human.person import read_person, write_person
+from handmap_qp.hands.robot import Robot
+from handmap_qp.human.person import write_person
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import PALM
 from handmap_qp.mapping.alignment import alignment_from_gestures
@@ -119,27 +120,8 @@ class Map:
             "either --robot HAND or --robots LEFT RIGHT",
             advice="name hands of `handmap hands list`",
         )
-        if self.robot is None or is_robot(self.robot):
-            return self._read_both()
-        expect(
-            len(self.recordings) == 1,
-            "RECORDING",
-            "one recording with --robot",
-            value=len(self.recordings),
-            advice="give --robots LEFT RIGHT for both hands",
-        )
-        robot = self.arguments.load_robot(self.robot)
-        recording = self.inputs.read(self.recordings[0], robot.spec.side, self.person)
-        return [(robot, [fit_side(recording, robot, mirror=self.mirror)])]
-
-    def _read_both(self) -> list[tuple[Hand | Robot, list[Recording]]]:
-        """Read a robot with two hands, or two robots, with recordings of both hands."""
-        if self.mirror:
-            raise InvalidInputError("has no effect on both hands", argument="--mirror")
         if self.robot is not None:
-            robot = load_robot(self.robot)
-            hands = self.inputs.read_both(self.recordings, self.person)
-            return [(robot, [hands[side] for side in robot.hands])]
+            return [read_robot(self.robot, self.recordings, self)]
         robots = [self.arguments.load_robot(name) for name in self.robots or ()]
         for robot, side in zip(robots, SIDES, strict=True):
             expect(
@@ -148,7 +130,7 @@ class Map:
                 "a left hand, then a right hand",
                 got=f"{robot.name}, a {robot.spec.side} one",
             )
-        hands = self.inputs.read_both(self.recordings, self.person)
+        hands = self.inputs.read_both(self.recordings, self.person, mirror=self.mirror)
         return [(robot, [hands[robot.spec.side]]) for robot in robots]
 
     def _out(self, recording: Recording, robot: Hand | Robot) -> Path:
@@ -167,7 +149,7 @@ class Map:
         out: Path,
     ) -> Summary:
         """Map the recordings of a robot's hands, write its trajectory, and return the summary."""
-        person = read_person(self.person) if self.person else measure_person(*used)
+        person = person_of(used, self.person)
         with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:
             if isinstance(robot, Robot):
                 trajectory, method = map_hands(

@@ -22,11 +22,12 @@ from handmap_qp.apps.arguments import (
     MappingFlags,
     OpenSession,
     PersonFile,
-    fit_side,
     hinted,
     person_of,
+    read_robot,
 )
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect, require
+from handmap_qp.hands.robot import Robot, joined
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.mapping.presets import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
@@ -50,13 +51,17 @@ class View:
     Examples:
         handmap view recording.npz --robot allegro_right
         handmap view demo --robot allegro_right --compare fingertip-vectors
+        handmap view left.npz right.npz --robot g1
         handmap view recording.npz --robot three_finger --html page.html
         handmap view --live 127.0.0.1      (beside a running handmap serve)
 
     Attributes:
-        recording: Recording of a human hand, as for `handmap map`.
-        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
+        recording: Recording of a human hand, as for `handmap map`; for a robot with both hands, of
+            one of them or of both.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml. Or a robot
+            with both hands: a name of `handmap robots list`, or the path of its robot.yaml.
             Required for a recording. A service names its own.
+        other: Recording of the other hand.
         live: Show a session of a running mapping service instead of a recording. Its client must
             have opened it with has_detail or is_shared. A shared session can also be steered.
         session: Name of the service's session.
@@ -83,6 +88,9 @@ class View:
     robot: Annotated[
         str | None,
         hinted("HAND", "(default: the service's)"),
+    ] = None
+    other: tyro.conf.Positional[
+        Annotated[Path | None, hinted("[RECORDING]", "(of the other hand)")]
     ] = None
     live: Annotated[
         str | None,
@@ -193,13 +201,15 @@ class View:
 
     def replay(self, file: Path, name: str) -> Replay:
         """Return a recording mapped to a robot, as the view shows it."""
-        robot = self.arguments.load_robot(name)
-        recording = self.inputs.read(file, robot.spec.side, self.person)
-        recording = fit_side(recording, robot, mirror=self.mirror)
-        person = person_of(recording, self.person)
-        motion = fit_recording(recording, lengths=person.lengths)
-        human = motion.human.with_points(self.arguments.human_points)
-        names = possible_presets(human, robot)
+        files = [file] if self.other is None else [file, self.other]
+        robot, recordings = read_robot(name, files, self)
+        if isinstance(robot, Robot):
+            robot = joined(robot.name, *robot.hands.values())
+        lengths = person_of(recordings, self.person).lengths
+        motions = [fit_recording(each, lengths=lengths) for each in recordings]
+        humans = [m.human.with_points(self.arguments.human_points) for m in motions]
+        human = joined("human", *humans) if robot.parts else humans[0]
+        names = possible_presets(humans[0], robot.hands[0])
         compared = self.compare
         expect(
             compared in (None, *names),
@@ -208,8 +218,10 @@ class View:
             value=compared,
             advice=did_you_mean(compared or "", names),
         )
-        choice = self.arguments.preset_for(human, robot, recording.upright)
-        replay = Replay(recording, motion, human, robot, choice)
+        upright = recordings[0].upright
+        choice = self.arguments.preset_for(humans[0], robot.hands[0], upright)
+        first, *others = zip(recordings, motions, strict=True)
+        replay = Replay(*first, human, robot, choice, *others)
         if compared is not None:
             replay.compare(compared)
         return replay

@@ -17,8 +17,9 @@ import numpy as np
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_folder
 from handmap_qp.apps.drawing.raster import Colour
 from handmap_qp.apps.drawing.shapes import LinkShape, read_shapes
-from handmap_qp.hands.fingers import finger_tips
+from handmap_qp.hands.fingers import carrier_of, finger_tips
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.robot import joined
 from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.decomposition import polar
@@ -76,6 +77,7 @@ class Figure(ABC):
         variant: Index of the variant whose samples it shows.
 
     Attributes:
+        part: Index of what it shows of a sample, in `ViewSample.parts`.
         axes: From the world's axes to the scene's, shape (3, 3).
         anchor: Position in the scene of the centre, or of the middle of its travel [m], shape (3,).
         room: What the view has room for, along the scene's axes: the box of the centre's positions,
@@ -83,12 +85,16 @@ class Figure(ABC):
             [m], so the shape is (2, 2, 3). NaN until something is known.
     """
 
+    part = 0
+
     def __init__(
         self, server: viser.ViserServer, node: str, colour: Colour, variant: int = 0
     ) -> None:
         self.variant = variant
         self._frame = server.scene.add_frame(f"/{node}", show_axes=False)
-        self._label = server.scene.add_label(f"/{node}_name", "", anchor="top-center")
+        self._label = server.scene.add_label(
+            f"/{node}_name", node.replace("_", " "), anchor="top-center"
+        )
         self.trail = Trail(server, f"/{node}/trail", colour)
         self.anchor = np.zeros(3)
         self.turn(np.eye(3))
@@ -131,7 +137,8 @@ class Figure(ABC):
 
     def fit(self, samples: Iterable[ViewSample]) -> None:
         """Make room for instants that are known beforehand, save for rare excursions."""
-        found = [room for sample in samples if (room := self._room(sample)) is not None]
+        parts = (sample.parts[self.part] for sample in samples)
+        found = [room for part in parts if (room := self._room(part)) is not None]
         if found:
             travel, parts = np.array(found).swapaxes(0, 1)
             self.room[0] = _box_of(travel[:, 0])
@@ -140,7 +147,7 @@ class Figure(ABC):
 
     def include(self, sample: ViewSample) -> None:
         """Make room for one more instant, with a margin where the room has to grow."""
-        if (room := self._room(sample)) is not None:
+        if (room := self._room(sample.parts[self.part])) is not None:
             is_within = _OUTWARDS * (room - self.room) <= 0.0
             self.room = np.where(is_within, self.room, room + _OUTWARDS * _MARGIN)
 
@@ -246,14 +253,13 @@ class Trail:
 class LandmarkFigure(Figure):
     """The landmarks as the tracker gave them, with bones between; hidden at first."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        super().__init__(server, "landmarks", LANDMARK_COLOUR)
+    def __init__(self, server: viser.ViserServer, node: str) -> None:
+        super().__init__(server, node, LANDMARK_COLOUR)
         self.is_shown = False
-        self._label.text = "landmarks"
         self._points = Spheres(
-            server, "/landmarks/points", _LANDMARK_RADIUS, LANDMARK_COLOUR
+            server, f"/{node}/points", _LANDMARK_RADIUS, LANDMARK_COLOUR
         )
-        self._bones = _add_lines(server, "/landmarks/bones", LANDMARK_COLOUR, 3.0)
+        self._bones = _add_lines(server, f"/{node}/bones", LANDMARK_COLOUR, 3.0)
 
     def points(self, sample: ViewSample) -> Array | None:
         """Return the landmarks, unless some are not known."""
@@ -292,7 +298,8 @@ class HandFigure(Figure):
         super().__init__(server, node, colour, variant)
         self.hand = hand
         # Its fingertips, or its own points where no finger has a name.
-        self._tips = hand.with_points(list(finger_tips(hand).values()) or None)
+        tips = (h.with_points([*finger_tips(h).values()] or None) for h in hand.hands)
+        self._tips = joined(hand.name, *tips)
         self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
         self._links: dict[str, Any] = {}
         self._corners: dict[str, Array] = {}
@@ -301,23 +308,24 @@ class HandFigure(Figure):
             self._links[link] = server.scene.add_frame(path, show_axes=False)
             for i, mesh in enumerate(meshes):
                 server.scene.add_mesh_trimesh(f"{path}/{i}", mesh)
-            # On an arm, fit the view to the hand; parts of the arm may lie outside.
-            if hand.is_floating or not hand.has_moving_wrist:
+            if self._is_in_view(link):
                 box = _box_of(np.vstack([mesh.bounds for mesh in meshes]))
                 padded = box + _OUTWARDS * _PADDING
                 self._corners[link] = padded[_UNIT_BOX, range(3)]
-        wrist = hand.frame_pose("wrist", hand.rest)
+        wrist = np.eye(4) if hand.parts else hand.frame_pose("wrist", hand.rest)
         corners = transform_points(inverse_pose(wrist), self._boxes(hand.rest, wrist))
         box = _box_of(corners)
         self._focus = box.mean(axis=0)
-        self.radius = 0.4 * float(np.linalg.norm(box[1] - box[0]))
+        if hand.parts:
+            box = hand.hands[0].points(hand.rest)
+        self.radius = 0.4 * float(np.linalg.norm(np.ptp(box, axis=0)))
         self._points = Spheres(
             server, f"/{node}/points", self.point_size * self.radius, colour
         )
 
     def points(self, sample: ViewSample) -> Array | None:
         """Return the hand's points, which may be known where its posture is not."""
-        return getattr(sample, f"{self.whose}_points")
+        return known(getattr(sample, f"{self.whose}_points"))
 
     def posture(self, sample: ViewSample) -> Posture | None:
         """Return joint angles and wrist, if both are known."""
@@ -352,6 +360,16 @@ class HandFigure(Figure):
                 _place(node, pose)
         self._points.move(self.points(sample))
 
+    def _is_in_view(self, link: str) -> bool:
+        """Return whether the view is fitted to a link.
+
+        Parts of an arm may lie outside, and what does not move of a robot with several hands.
+        """
+        hand = self.hand
+        if hand.parts:
+            return carrier_of(hand, link) > 0
+        return hand.is_floating or not hand.has_moving_wrist
+
     def _boxes(self, q: Array, wrist: Array) -> Array:
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
         pose = self._pose(wrist)
@@ -371,8 +389,8 @@ class HumanFigure(HandFigure):
     """The human hand, and what T_def makes of a ball of the size of its points.
 
     Args:
+        node: Its name.
         hand: The human hand.
-        points: Its reference points at the first sample [m], shape (n_h, 3); None if not known.
 
     Attributes:
         shape: How T_def is shown.
@@ -381,31 +399,28 @@ class HumanFigure(HandFigure):
     point_size = 0.08
     whose = "human"
 
-    def __init__(
-        self, server: viser.ViserServer, hand: Hand, points: Array | None
-    ) -> None:
-        super().__init__(server, "human", hand, HUMAN_COLOUR)
+    def __init__(self, server: viser.ViserServer, node: str, hand: Hand) -> None:
+        super().__init__(server, node, hand, HUMAN_COLOUR)
         self.shape: Shape = "ellipsoid"
-        self._label.text = "human"
-        variance = 0.0 if points is None else points.var(axis=0).sum()
-        self._size = float(np.sqrt(variance))
+        variances = hand.points(hand.rest).var(axis=0)
+        self._size = float(np.sqrt(variances.sum()))
         ball: Any = partial(
             server.scene.add_icosphere, radius=self._size, cast_shadow=False
         )
         self._ellipsoid = ball(
-            "/human/ellipsoid",
+            f"/{node}/ellipsoid",
             color=as_bytes(DEFORMATION_COLOUR),
             subdivisions=4,
             opacity=0.2,
         )
         self._ball = ball(
-            "/human/ball",
+            f"/{node}/ball",
             color=(150, 150, 160),
             subdivisions=2,
             wireframe=True,
             opacity=0.15,
         )
-        self._cube = _add_lines(server, "/human/cube", DEFORMATION_COLOUR, 2.5)
+        self._cube = _add_lines(server, f"/{node}/cube", DEFORMATION_COLOUR, 2.5)
 
     def tips(self, sample: ViewSample) -> Array | None:
         """Return the tracked tips, or else those of the posture."""

@@ -89,30 +89,33 @@ class InstantGauges:
         self._groups = joints_by_finger(robot)
         self._contact_gap = CONTACT_GAP if human is None else human.contact_gap
         try:
-            self._measure = GapMeter(robot).pinches
+            self._measures = [GapMeter(hand).pinches for hand in robot.hands]
         except HandError:
             # Without readable collision shapes, only the pinch gaps are missing.
-            self._measure = lambda _: {}
+            self._measures = [lambda _: {}] * len(robot.hands)
 
     def errors(self, sample: ViewSample) -> Array:
         """Return a robot's errors; NaN for those that are not known.
 
         Returns:
             Mean and largest point error [m], distance [m] and angle [rad] of the wrist from its
-            target if it can move, shape (4,).
+            target if it can move, shape (4,). Of several wrists, the largest.
         """
         points = sample.point_error
-        wrist = (np.nan, np.nan)
-        if sample.wrist_target is not None and self._robot.has_moving_wrist:
-            wrist = wrist_error(sample.robot_wrist, sample.wrist_target)
+        wrists = [
+            wrist_error(each.robot_wrist, each.wrist_target)
+            for each in sample.hands or (sample,)
+            if each.wrist_target is not None and self._robot.has_moving_wrist
+        ]
+        wrist = np.max(wrists or [(np.nan, np.nan)], axis=0)
         return np.array([points.mean(), points.max(), *wrist])
 
-    def pinches(self, sample: ViewSample) -> dict[str, float]:
+    def pinches(self, sample: ViewSample, hand: int = 0) -> dict[str, float]:
         """Return a robot's gap between thumb and each other finger [m], by the finger's name.
 
         It is measured between the surfaces of the last links, and negative where they overlap.
         """
-        gaps = self._measure(sample.robot_q[None])
+        gaps = self._measures[hand](sample.robot_q[None])
         return {finger: float(gap[0]) for finger, gap in gaps.items()}
 
     def human_pinches(self, sample: ViewSample) -> dict[str, float]:
@@ -128,7 +131,11 @@ class InstantGauges:
     def table(self, samples: Sequence[ViewSample]) -> str:
         """Return errors and pinch gaps of one sample of each robot."""
         errors = np.transpose([self.errors(sample) for sample in samples])
-        pinches = [self.human_pinches(samples[0]), *map(self.pinches, samples)]
+        pinches = ""
+        for i, part in enumerate(samples[0].hands or samples[:1]):
+            gaps = [self.pinches(sample, i) for sample in samples]
+            whose = self._robot.hands[i].spec.side if samples[0].hands else ""
+            pinches += _pinch_bars(whose, [self.human_pinches(part), *gaps])
         heads = "".join(
             f'<th style="{_CELL};color:{colour};font-weight:600">{escape(label)}</th>'
             for label, colour in zip(self.labels, cycle(ROBOTS), strict=False)
@@ -145,7 +152,7 @@ class InstantGauges:
         return (
             '<div style="font-size:11px;line-height:15px;padding:2px 14px">'
             f'<table style="width:100%;border-collapse:collapse"><tr><th></th>{heads}</tr>{rows}'
-            f"</table>{_pinch_bars(pinches)}</div>"
+            f"</table>{pinches}</div>"
         )
 
     def bars(self, samples: Sequence[ViewSample]) -> str:
@@ -201,8 +208,8 @@ def _joint_bar(name: str, q: float, shares: Array, colour: str) -> str:
     )
 
 
-def _pinch_bars(tables: Sequence[Mapping[str, float]]) -> str:
-    """Return the gaps of the human and the robots, by finger, as bars and numbers."""
+def _pinch_bars(whose: str, tables: Sequence[Mapping[str, float]]) -> str:
+    """Return the gaps of one hand of the human and the robots, by finger, as bars and numbers."""
     rows = []
     for finger in tables[1]:
         gaps = [table.get(finger, np.nan) for table in tables]
@@ -223,8 +230,8 @@ def _pinch_bars(tables: Sequence[Mapping[str, float]]) -> str:
             f'<span style="flex:1;background:#f1f2f4">{bars}</span>{numbers}</div>'
         )
     title = (
-        '<div style="margin-top:4px;color:#666"><b style="font-weight:600;color:#000">pinch gaps '
-        f'[mm]</b> thumb to finger: <span style="color:{HUMAN}">human</span>, '
+        '<div style="margin-top:4px;color:#666"><b style="font-weight:600;color:#000">'
+        f'{whose} pinch gaps [mm]</b> thumb to finger: <span style="color:{HUMAN}">human</span>, '
         f'<span style="color:{FIRST}">robot</span></div>'
     )
     return "".join([title, *rows]) if rows else ""
@@ -238,17 +245,24 @@ def _text(value: float, unit: str, digits: int = 1) -> str:
 def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
     """Return the joints that move one finger alone, by its name, and all others as `palm`.
 
+    Of a robot with several hands, names begin with the side, and all others are `body and arms`.
+
     Args:
         robot: The robot hand.
 
     Returns:
         Indices into `Hand.joint_names`; every joint once.
     """
-    fingers = find_fingers(robot)
+    fingers = {
+        f"{hand.spec.side} {name}" if robot.parts else name: finger
+        for hand in robot.hands
+        for name, finger in find_fingers(hand).items()
+    }
+    others = "body and arms" if robot.parts else "palm"
     groups: dict[str, list[int]] = {}
     for i in range(len(robot.joint_names)):
         moved = [name for name, finger in fingers.items() if i in finger.columns]
-        groups.setdefault(moved[0] if len(moved) == 1 else "palm", []).append(i)
+        groups.setdefault(moved[0] if len(moved) == 1 else others, []).append(i)
     return groups
 
 

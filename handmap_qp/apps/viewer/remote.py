@@ -116,7 +116,8 @@ class ServiceSession:
             if robot == about["robot"] and robot not in hand_files():
                 raise self._error(
                     f"the session's hand {robot!r} is not known on this machine",
-                    "give its description with --robot hand.yaml",
+                    "give its description with --robot hand.yaml; a session of a robot with two "
+                    "hands cannot be shown",
                 )
             self._given_robot = load_hand(
                 robot,

@@ -10,13 +10,17 @@ import numpy as np
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.robot import Robot
+from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping.alignment import found_alignment
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.options_file import options_text
 from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
+from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.robot_follower import RobotFollower, paired
 from .controls import (
     KEPT,
     NOTHING,
@@ -38,15 +42,17 @@ class Replay:
     Landmarks are mapped as they were measured. Joint angles are fitted for drawing only.
 
     Args:
-        recording: The recording.
+        recording: The recording; for a robot with several hands, of its first one.
         motion: Joint angles and wrist poses fitted to it (`fit_recording`).
-        human: The human hand, scaled to the person, with the reference points to use.
-        robot: The robot hand.
+        human: The human hand, scaled to the person, with the reference points to use; for several,
+            as one (`joined`).
+        robot: The robot hand; for a robot with several, likewise.
         choice: Preset and options.
+        *others: Recording and motion of the robot's other hands, in its order.
 
     Attributes:
         human: The human hand.
-        time: Time since the first instant [s], shape (T,).
+        time: Time since the first instant of the longest recording [s], shape (T,).
         choice: Preset and options of `variant`.
         switches: Sample indices at which the user released (True) or clutched (False).
         variant: The robot as `choice` moves it.
@@ -65,17 +71,19 @@ class Replay:
         human: Hand,
         robot: Hand,
         choice: Choice,
+        *others: tuple[Recording, HumanMotion],
     ) -> None:
         if not motion.valid.any():
             raise InvalidInputError(
                 "no sample is valid, there is nothing to show", argument="motion"
             )
         self.human = human
-        self.time = motion.time - motion.time[0]
-        self.switches: dict[int, bool] = {}
         self._recording = recording
-        self._motion = motion
-        self._given_robot = robot
+        self._seen = (recording, motion), *others
+        self._time = max((each.time for each, _ in self._seen), key=len)
+        self.time = self._time - self._time[0]
+        self.switches: dict[int, bool] = {}
+        self._robot = robot
         self.other: Variant | None = None
         self.compared = NOTHING
         self.remap(choice)
@@ -98,14 +106,14 @@ class Replay:
     @property
     def presets(self) -> tuple[str, ...]:
         """The presets that these hands can be mapped with."""
-        return possible_presets(self.human, self._given_robot)
+        return possible_presets(self.human.hands[0], self._robot.hands[0])
 
     def preset(self, name: str) -> Choice:
         """Return a preset with its own options, the measured contact gap and alignment."""
-        choice = preset_choice(name, self.human)
+        choice = preset_choice(name, self.human.hands[0])
         upright = self._recording.upright
         return choice.with_changes(
-            found_alignment(choice.method, self._given_robot, upright)
+            found_alignment(choice.method, self._robot.hands[0], upright)
         )
 
     def options_text(self) -> str:
@@ -169,44 +177,54 @@ class Replay:
         return bool(earlier) and self.switches[max(earlier)]
 
     def _map(self, choice: Choice, label: str) -> Variant:
-        mapper = HandMapper(
-            self.human,
-            self._given_robot,
-            choice.method,
-            ik=choice.ik,
-        )
-        follower = Follower(mapper)
-        steps = []
-        for i, sample in enumerate(recording_samples(self._recording)):
+        robot = self._robot
+        mapper: Any
+        if robot.parts:
+            humans = _by_side(self.human)
+            whole = Robot(robot.name, _by_side(robot))
+            mapper = RobotMapper(whole, humans, choice.method, ik=choice.ik)
+            follow: Any = RobotFollower(mapper).map_samples
+            samples: Any = paired({each.side: each for each, _ in self._seen})
+        else:
+            mapper = HandMapper(self.human, robot, choice.method, ik=choice.ik)
+            follow = Follower(mapper).map_sample
+            samples = recording_samples(self._recording)
+        steps: list[MapStep] = []
+        for i, sample in enumerate(samples):
             if i in self.switches:
                 (mapper.release if self.switches[i] else mapper.clutch)()
-            steps.append(follower.map_sample(sample))
+            steps.append(follow(sample))
         # Until the hand is first seen, show the reference.
         followed = [not step.is_held for step in steps]
         first = int(np.argmax(followed))
         steps[:first] = [steps[first]] * first
-        samples = tuple(
+        shown = tuple(
             self._sample(i, step, followed[i]) for i, step in enumerate(steps)
         )
-        return Variant(label, mapper.robot, choice, samples)
+        return Variant(label, mapper.robot, choice, shown)
 
-    def _sample(self, i: int, step: MapStep, is_seen: bool) -> ViewSample:
-        """Return what the view shows of one step of a mapper."""
+    def _sample(
+        self, i: int, step: MapStep, is_seen: bool, hand: int = 0
+    ) -> ViewSample:
+        """Return what the view shows of one step of a mapper, or of one hand in it."""
         results = step.diagnostics
         is_released = step.status == "released"
-        recording = self._recording
+        recording, fitted = self._seen[hand]
+        hands: dict[Side, MapStep] = getattr(step, "hands", {})
+        # The newest sample of the hand.
+        k = np.searchsorted(recording.time[1:], self._time[i], "right")
         motion = results.get("motion_deformation")
         return ViewSample(
             time=float(self.time[i]),
             robot_q=step.command.q,
-            robot_wrist=step.command.wrist,
+            robot_wrist=np.eye(4) if hands else step.command.wrist,
             robot_points=step.points,
             targets=None if is_released else step.targets,
             wrist_target=None if is_released else step.wrist_target,
-            human_q=self._motion.q[i],
-            human_wrist=self._motion.wrist[i],
+            human_q=fitted.q[k],
+            human_wrist=fitted.wrist[k],
             human_points=step.human_points,
-            landmarks=recording.landmarks[i] if recording.valid[i] else None,
+            landmarks=recording.landmarks[k] if recording.valid[k] else None,
             deformation=None if motion is None else motion[:3, :3],
             pivot=results.get("pivot_image"),
             is_limited=step.at_bound,
@@ -215,7 +233,15 @@ class Replay:
             rule=step.rule,
             duration=step.duration,
             is_seen=is_seen,
+            hands=[
+                self._sample(i, each, not each.is_held, place)
+                for place, each in enumerate(hands.values())
+            ],
         )
+
+
+def _by_side(whole: Hand) -> dict[Side, Hand]:
+    return {hand.spec.side: hand for hand in whole.hands}
 
 
 class ReplayViewer(Window):

@@ -1,5 +1,7 @@
 """What the view shows at one instant: `ViewSample`; and over time: `Variant`."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +21,7 @@ class ViewSample:
     Attributes:
         time: Time since the start [s].
         robot_q: Robot joint angles [rad], shape (n,).
-        robot_wrist: Robot wrist pose in V, shape (4, 4).
+        robot_wrist: Robot wrist pose in V, shape (4, 4); of several hands, the base's.
         robot_points: Robot reference points in V [m], shape (n_r, 3).
         targets: Targets of the robot reference points in V [m], shape (n_r, 3); None if the source
             does not report them or the robot is released.
@@ -39,6 +41,7 @@ class ViewSample:
         duration: Wall time of the mapping step [s]; NaN if there was none.
         is_seen: Whether the robot followed the sample; if not, the previous one is held.
         note: Line below the robot's name; if empty, why the robot does not follow.
+        hands: Of a robot with several hands, what each does and follows, in the robot's order.
     """
 
     time: float
@@ -61,6 +64,12 @@ class ViewSample:
     duration: float = float("nan")
     is_seen: bool = True
     note: str = ""
+    hands: Sequence[ViewSample] = ()
+
+    @property
+    def parts(self) -> tuple[ViewSample, ...]:
+        """The whole, then each of `hands`; the last ones are of one hand each."""
+        return (self, *self.hands)
 
     @property
     def point_error(self) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -37,6 +38,8 @@ _RESERVED = 60
 _FIELD_OF_VIEW = math.radians(30.0)
 # From the palm side, slightly from above.
 _DIRECTION = unit(np.array([0.0, 0.25, -1.0]))
+# From V to the scene's axes for a robot with several hands, seen from the front (REP 103).
+_FRONT = rotation_of("y-up").T
 # Window assumed before the client reports one: a written page on a portrait screen [px].
 _DEFAULT_WINDOW = (600, 800)
 # Room for the names below the figures, and for a margin on every side [px].
@@ -66,7 +69,7 @@ class HandScene:
     """A row of figures: landmarks, human hand, robot hands.
 
     Args:
-        human: The human hand; None for robots alone.
+        human: The human hand, or several as one (`joined`); None for robots alone.
         variants: The robots from left to right, at least one. The first sample of the first one
             gives the scene's axes.
 
@@ -88,26 +91,35 @@ class HandScene:
         server.scene.world_axes.visible = False
         server.scene.add_grid("/floor", **_FLOOR)
         self.cameras = BrowserCameras(server)
-        self._people: tuple[LandmarkFigure, HumanFigure] | None = None
-        if human is not None:
-            points = variants[0].samples[0].human_points
-            self._people = LandmarkFigure(server), HumanFigure(server, human, points)
+        self._people: list[tuple[LandmarkFigure, HumanFigure]] = []
+        hands = () if human is None else human.hands
+        # From the right hand on, as they are seen.
+        for place, hand in enumerate(reversed(hands), 1):
+            whose = f"_{hand.spec.side}" if hands[1:] else ""
+            landmarks = LandmarkFigure(server, f"landmarks{whose}")
+            figure = HumanFigure(server, f"human{whose}", hand)
+            landmarks.part = figure.part = -place
+            self._people.append((landmarks, figure))
         self._robots: list[RobotFigure] = []
         self.set_variants(variants)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
         """Show these robots, with room for all their samples.
 
-        Both worlds are rotated so that the human's first palm is upright.
+        Both worlds are rotated so that the human's first palm is upright, or so that a robot with
+        several hands is.
 
         Args:
             variants: The robots, all of the hand of the first.
         """
         upright = None
         wrist = variants[0].samples[0].human_wrist
-        if self._people is not None and wrist is not None:
-            upright = (wrist @ self._people[1].hand.wrist_to_palm)[:3, :3].T
-            for figure in self._people:
+        if self._people and wrist is not None:
+            palm = wrist @ self._people[0][1].hand.wrist_to_palm
+            upright = palm[:3, :3].T
+            if variants[0].robot.parts:
+                upright = _FRONT @ rotation_of(_alignment(variants[0]))
+            for figure in chain(*self._people):
                 figure.turn(upright)
         for i, variant in enumerate(variants):
             if i == len(self._robots):
@@ -134,8 +146,7 @@ class HandScene:
             samples: One sample for each variant; the human hand is that of the first.
         """
         is_pinned = self.display.follow == "hands"
-        if self._people is not None:
-            landmarks, human = self._people
+        for landmarks, human in self._people:
             landmarks.is_shown = self.display.has_landmarks
             human.shape = self.display.shape
         row = [
@@ -146,7 +157,7 @@ class HandScene:
         with self.server.atomic():
             low = self._lay_out(row)
             for figure in row:
-                sample = samples[figure.variant]
+                sample = samples[figure.variant].parts[figure.part]
                 figure.draw(sample)
                 if (place := figure.place_of(sample)) is None:
                     continue
@@ -165,7 +176,7 @@ class HandScene:
     @property
     def _figures(self) -> list[Figure]:
         """All figures from left to right."""
-        return [*(self._people or ()), *self._robots]
+        return [*chain(*self._people), *self._robots]
 
     def _lay_out(self, row: Sequence[Figure]) -> float:
         """Place the figures side by side, fit the cameras, and return the height of the names."""
@@ -266,9 +277,15 @@ def _robot_axes(variant: Variant, upright: Array | None) -> Array:
     """
     if variant.axes is not None:
         return variant.axes
-    options = {} if variant.choice is None else variant.choice.method.values
-    alignment = options.get("alignment", "world")
+    if variant.robot.parts:
+        return _FRONT
+    alignment = _alignment(variant)
     if upright is None or alignment == "palm":
         palm = variant.samples[0].robot_wrist @ variant.robot.wrist_to_palm
         return palm[:3, :3].T
     return upright @ rotation_of(alignment).T
+
+
+def _alignment(variant: Variant) -> Any:
+    options = {} if variant.choice is None else variant.choice.method.values
+    return options.get("alignment", "world")
