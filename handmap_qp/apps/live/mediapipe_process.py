@@ -26,8 +26,6 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from handmap_qp.se3 import Array
-
 # From the camera's axes (x right, y down, z forward) to upright ones (x right, y up, z back).
 _UPRIGHT = (1.0, -1.0, -1.0)
 _OTHER = {"Left": "right", "Right": "left"}
@@ -37,11 +35,11 @@ _LOST = 30
 
 
 def position_in_camera(
-    shape: Array,
-    places: Array,
+    shape: np.ndarray,
+    places: np.ndarray,
     focal_length: float,
     centre: tuple[float, float],
-) -> Array:
+) -> np.ndarray:
     """Return where a hand is, from its shape and its picture.
 
     Solves the equations of a pinhole camera, `f (X_k + t_x) = u_k (Z_k + t_z)` and the same of y,
@@ -78,7 +76,7 @@ class HandTracker:
         self._arguments = arguments
         self._hands = Hands(max_num_hands=2, model_complexity=1)
 
-    def find(self, pixels: Array) -> dict[str, Any]:
+    def find(self, pixels: np.ndarray) -> dict[str, Any]:
         """Return what a picture shows of the hand; nothing if it is not there.
 
         Returns:
@@ -109,7 +107,7 @@ class HandTracker:
         return best
 
 
-def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, Array]]:
+def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]]:
     """Yield time [s] and pixels (height, width, 3) of the camera or the video, unmirrored."""
     import cv2
 
@@ -135,7 +133,7 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, Array]]:
         _stop(f"{name} {'gives no more' if count else 'holds no'} pictures")
 
 
-def _read(capture: Any, patience: int) -> Iterator[Array]:
+def _read(capture: Any, patience: int) -> Iterator[np.ndarray]:
     """Yield pictures until more than `patience` in a row are missing."""
     lost = 0
     while lost <= patience:
@@ -217,7 +215,7 @@ def _parse() -> argparse.Namespace:
     return arguments
 
 
-def _rows(landmarks: Any) -> Array:
+def _rows(landmarks: Any) -> np.ndarray:
     return np.array([(point.x, point.y, point.z) for point in landmarks.landmark])
 
 
