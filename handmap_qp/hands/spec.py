@@ -340,7 +340,10 @@ def typed(value: Any, kind: type[_Spec], file: Path | None) -> _Spec:
     for key, found in values.items():
         if isinstance(found, float) and not math.isfinite(found):
             raise HandError(
-                f"expected a finite number, got {found}", file=file, key=key, value=found
+                f"expected a finite number, got {found}",
+                file=file,
+                key=key,
+                value=found,
             )
     try:
         return msgspec.convert(
