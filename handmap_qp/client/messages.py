@@ -8,13 +8,22 @@ SI and radians; poses are of the wrist frame. `handmap serve --schema` prints th
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, dataclass_transform
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 from msgspec.structs import fields, force_setattr
+
+if TYPE_CHECKING:
+    from typing import dataclass_transform
+else:
+
+    def dataclass_transform(**_):
+        """Stand in for that of typing: clients run on Python 3.10 too, which has none."""
+        return lambda kind: kind
+
 
 PROTOCOL = 2
 """Version of the messages."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError, cli
+from handmap_qp.apps.live import mediapipe_process
 from handmap_qp.apps.live.mediapipe_process import position_in_camera
 from handmap_qp.apps.live.mediapipe_source import (
     VARIABLE,
@@ -171,6 +173,19 @@ def test_mirrored_pictures_are_turned_back(stand_in: Path) -> None:
     turned = MediapipeSource(video=stand_in, is_paced=False, is_mirrored=True)
     assert not any(sample.valid for sample in plain)
     assert all(sample.valid for sample in turned)
+
+
+def test_the_program_and_the_client_run_alone_on_python_3_10() -> None:
+    code = """
+import runpy, sys, typing
+import msgspec, numpy.typing, zmq.asyncio, zmq.auth
+sys.modules["handmap_qp"] = None
+for name in ("assert_never", "assert_type", "dataclass_transform", "reveal_type"):
+    delattr(typing, name)
+runpy.run_path(sys.argv[1])["_client_module"]()
+"""
+    program = Path(mediapipe_process.__file__)
+    subprocess.run([sys.executable, "-c", code, program], check=True)
 
 
 def test_the_process_ends_with_its_reader(stand_in: Path) -> None:

@@ -22,7 +22,7 @@ class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         better: Whether `high` or `low` values are better, or those near `zero` or `one`.
         about: What it says, in a few words.
         digits: Decimals to print.
-        enough: Where `low` is better, values up to this are equally good.
+        enough: Values as good as this are equally good; in `best` only where `low` is better.
         in_short: Whether it is one of those that say most, for one table.
     """
 
