@@ -170,7 +170,7 @@ class Map:
         person = read_person(self.person) if self.person else measure_person(*used)
         with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:
             if isinstance(robot, Robot):
-                trajectory, method = map_hands(
+                _, trajectory, method, _ = map_hands(
                     used, robot, person, self.arguments, advance
                 )
             else:
