@@ -32,7 +32,7 @@ from patience import wait_until
 from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.datasets import engines, sources, workers
-from handmap_qp.apps.datasets.assemble import assemble
+from handmap_qp.apps.datasets.assemble import WRIST_NAMES, assemble
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import SERIAL, _next_group, pool_engine
 from handmap_qp.apps.datasets.episodes import MEASURES
@@ -43,10 +43,12 @@ from handmap_qp.apps.datasets.manifest import (
     read_manifests,
 )
 from handmap_qp.apps.datasets.report import _worst_sample
-from handmap_qp.apps.datasets.sources import Job, find_files, list_jobs
+from handmap_qp.apps.datasets.sources import Job, JobOptions, find_files, list_jobs
 from handmap_qp.apps.offline.fidelity import SETTLING
-from handmap_qp.apps.offline.look_ahead import LookAhead
+from handmap_qp.apps.offline.look_ahead import LookAhead, map_hands
 from handmap_qp.cli import main
+from handmap_qp.hands.robot import load_robot
+from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.hdf5 import RobomimicFormat
 
@@ -441,6 +443,90 @@ def test_the_data_set_keeps_limits_and_pairs_hands(form: str, pairs: list[str]) 
     assert seen[-1]
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], str]:
+    """A command for a robot with two hands, and what it prints; one of two files has one hand."""
+    folder = tmp_path_factory.mktemp("whole") / "pour"
+    folder.mkdir()
+    both = [piece(0, 40, "left"), piece(0, 40, "right")]
+    write_recordings(both, folder / "0.npz")
+    write_recordings(both[1:], folder / "1.npz")
+    words = ["--robot", "g1", "--workers", "0", "--fps", "50", "--out"]
+    return ["batch", str(folder.parent), *words, str(folder.parent / "out")], "both"
+
+
+def test_an_episode_of_a_robot_is_what_map_hands_maps(
+    whole: tuple[list[str], str], capsys: pytest.CaptureFixture
+) -> None:
+    command, side = whole
+    out = Path(command[-1])
+    with pytest.raises(SystemExit, match="1"):
+        main(command)
+    assert "pour/1.npz" in capsys.readouterr().err
+    lines = read_manifests(out)
+    assert "got right" in lines["pour/1.npz::"].error
+    done = lines["pour/0.npz::"]
+    assert (done.status, done.side, done.robot, done.frames) == ("done", side, "g1", 40)
+    hands = [piece(0, 40, "left"), piece(0, 40, "right")]
+    robot, arguments = load_robot("g1"), MappingArguments()
+    _, motion, _, followed = map_hands(hands, robot, measure_person(*hands), arguments)
+    with np.load(out / done.out) as columns:
+        np.testing.assert_array_equal(columns["q"], motion.q)
+        np.testing.assert_array_equal(columns["valid"], followed)
+        own = [hand.frame_pose("wrist", motion.q[9]) for hand in robot.hands.values()]
+        np.testing.assert_array_equal(columns["wrist"][9], own)
+        assert list(columns["joint_names"]) == list(robot.hands["left"].joint_names)
+    # The next run only tries again what failed, and the same bytes come again.
+    options = JobOptions({side: "g1"})
+    before = episodes(out)
+    assert len(batch(Path(command[1]), out, options).done) == 0
+    (out / done.out).write_bytes(b"torn")
+    assert [line.key for line in batch(Path(command[1]), out, options).done] == [
+        done.key
+    ]
+    assert episodes(out) == before
+    smooth = batch(Path(command[1]), out, replace(options, smoother=LookAhead()))
+    jerks = [line.metrics["jerk"] or 0.0 for line in (smooth.done[0], done)]
+    assert 0.0 < jerks[0] < jerks[1]
+    assert main(["report", str(out)]) == 0
+    assert (out / "report/worst_g1.png").exists()
+
+
+@pytest.mark.parametrize("form", ["lerobot", "robomimic"])
+def test_a_data_set_of_a_robot_has_its_joints_once(
+    form: str, whole: tuple[list[str], str]
+) -> None:
+    pytest.importorskip("pyarrow")
+    h5py = pytest.importorskip("h5py")
+    command, _ = whole
+    with pytest.raises(SystemExit, match="1"):
+        main([*command, "--format", form])
+    hand = load_robot("g1").hands["left"]
+    wrists = [f"{side}_{name}" for side in ("left", "right") for name in WRIST_NAMES]
+    names = [*hand.joint_names, *wrists]
+    root = Path(command[-1]) / "lerobot"
+    if form == "lerobot":
+        assert list(feature_names(root, "observation.state")) == names
+        assert list(feature_names(root, "observation.valid")) == ["left", "right"]
+        assert json.loads((root / "meta/info.json").read_text())["robot_type"] == "g1"
+        columns = columns_of(root, 0)
+        state, valid = columns["observation.state"], columns["observation.valid"]
+    else:
+        with h5py.File(root.with_name("episodes.hdf5")) as file:
+            env = json.loads(file["data"].attrs["env_args"])
+            assert (env["env_name"], env["env_kwargs"]["state_names"]) == ("g1", names)
+            state, valid = (
+                file[f"data/demo_0/obs/{n}"][()] for n in ("state", "valid")
+            )
+    assert state.shape[1] == len(names)
+    assert valid.shape == (len(state), 2)
+    assert valid.all()
+    q = state[0, : len(hand.joint_names)].astype(float)
+    for part, first in ((hand, -14), (load_robot("g1").hands["right"], -7)):
+        place = part.frame_pose("wrist", q)[:3, 3]
+        np.testing.assert_allclose(state[0, first:][:3], place, atol=1e-5)
+
+
 def test_rounding_to_float32_stays_inside_the_limits(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
     hand = load_hand("allegro_right")
@@ -481,6 +567,7 @@ BAD: dict[tuple[str, ...], str] = {
     ): "--workers: expected a number from 0",
     ("--robot", "three_finger", "--fps", "0"): "--fps: expected a rate",
     ("--robot", "absent_hand"): "absent_hand",
+    ("--robot", "three_finger", "g1"): "--robot: expected no other robot beside",
     (
         "--robot",
         "three_finger",

@@ -1,10 +1,11 @@
 """Put the episodes of a batch together into one data set for training.
 
 An episode has the robot's state (joint positions, then the wrist's position and quaternion wxyz)
-and the action, which is the state of the next frame; the last frame repeats. Episodes are
-interpolated to a fixed rate, between two samples of a motion that is inside its limits, so that it
-stays inside them. Where a file has both hands at the same instants, they are one episode. In a data
-set of both robots, a hand that an episode lacks is at rest, and not valid.
+and the action, which is the state of the next frame; the last frame repeats. That of a robot with
+two hands has all its joints once, then both wrists. Episodes are interpolated to a fixed rate,
+between two samples of a motion that is inside its limits, so that it stays inside them. Where a
+file has both hands at the same instants, they are one episode. In a data set of both robots, a hand
+that an episode lacks is at rest, and not valid.
 """
 
 import json
@@ -18,20 +19,21 @@ import numpy as np
 
 from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import Array, unit
+from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 from .episodes import read_episode
 from .manifest import Line
+from .sources import BOTH
 
 WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
 """Names of the wrist's position [m] and quaternion in the state."""
 _NO_WRIST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
-Robots = Mapping[Side, Hand]
-"""Robot hands by side."""
+Robots = Mapping[str, Hand]
+"""Robot hands by side, or a robot with two hands by `BOTH`."""
 
 
 class Episode(NamedTuple):
@@ -82,11 +84,14 @@ def assemble(
 
 def state_names(hands: Robots) -> tuple[str, ...]:
     """Return the names of the numbers of a state; with both hands, their side is in front."""
-    return tuple(
-        (f"{side}_" if len(hands) > 1 else "") + name
-        for side, hand in hands.items()
-        for name in (*hand.joint_names, *WRIST_NAMES)
-    )
+    names: list[str] = []
+    for side, hand in hands.items():
+        before = f"{side}_" if len(hands) > 1 else ""
+        names += [before + name for name in hand.joint_names]
+        for part in hand.hands:
+            before = f"{part.spec.side}_" if hand.parts else before
+            names += [before + name for name in WRIST_NAMES]
+    return tuple(names)
 
 
 def _write_lerobot(
@@ -99,7 +104,7 @@ def _write_lerobot(
     features = {
         "observation.state": Feature("float32", names),
         "action": Feature("float32", names),
-        "observation.valid": Feature("bool", tuple(hands)),
+        "observation.valid": Feature("bool", SIDES if BOTH in hands else tuple(hands)),
     }
     with writing_set(
         root,
@@ -187,7 +192,7 @@ def _episode(
     valid = []
     for side, hand in hands.items():
         state = np.tile([*hand.rest, *_NO_WRIST], (count, 1))
-        seen = np.zeros(count, dtype=bool)
+        seen = np.zeros((count, 1), dtype=bool)
         if side in by_side:
             state, seen = _resampled(by_side[side], instants)
         states.append(_as_float32(state, hand))
@@ -199,19 +204,23 @@ def _episode(
         task=folder.replace("_", " ") or "human hand motion",
         state=whole,
         action=np.concatenate([whole[1:], whole[-1:]]),
-        valid=np.stack(valid, axis=1),
+        valid=np.hstack(valid),
     )
 
 
 def _resampled(columns: dict[str, Array], instants: Array) -> tuple[Array, Array]:
-    """Interpolate joints and wrist; a frame is valid between two valid samples."""
-    wrist = columns["wrist"]
-    quats = continuous_quats(wrist[:, :3, :3])
-    rows = np.column_stack([columns["q"], wrist[:, :3, 3], quats, columns["valid"]])
-    found = [np.interp(instants, columns["time"], column) for column in rows.T]
-    state = np.stack(found[:-1], axis=1)
-    state[:, -4:] = unit(state[:, -4:])
-    return state, found[-1] == 1.0
+    """Interpolate joints and wrists; a frame is valid between two valid samples."""
+    time = columns["time"]
+
+    def resample(values: Array) -> Array:
+        rows = values.reshape(len(time), -1).T
+        return np.transpose([np.interp(instants, time, column) for column in rows])
+
+    state = [resample(columns["q"])]
+    for wrist in columns["wrist"].reshape(len(time), -1, 4, 4).swapaxes(0, 1):
+        quats = resample(continuous_quats(wrist[:, :3, :3]))
+        state += [resample(wrist[:, :3, 3]), unit(quats)]
+    return np.hstack(state), resample(columns["valid"]) == 1.0
 
 
 def _as_float32(state: Array, hand: Hand) -> Array:

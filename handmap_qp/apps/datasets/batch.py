@@ -23,25 +23,13 @@ from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import make_folder
 from handmap_qp.trackers.formats.base import first_of
 from .assemble import assemble
-from .engines import (
-    SERIAL,
-    Asked,
-    Engine,
-    pool_engine,
-    ray_engine,
-)
+from .engines import SERIAL, Asked, Engine, pool_engine, ray_engine
 from .episodes import is_intact
-from .manifest import (
-    MOST_KILLS,
-    Line,
-    open_manifest,
-    read_manifests,
-)
-from .sources import Job, JobOptions, find_files, list_jobs
+from .manifest import MOST_KILLS, Line, open_manifest, read_manifests
+from .sources import BOTH, Job, JobOptions, find_files, list_jobs, load_whole
 
 
 @dataclass(frozen=True)
@@ -61,14 +49,16 @@ class Batch:
     Examples:
         handmap batch recordings/ --robot allegro_right --out mapped
         handmap batch egodex/part1 --robot allegro_left allegro_right --out mapped
+        handmap batch egodex/part1 --robot g1 --out mapped --format lerobot
         handmap batch recordings/ --robot allegro_right --out mapped --look-ahead
         handmap batch egodex/ --robot L.yaml R.yaml --out mapped --shard 3/16
         handmap report mapped
 
     Attributes:
         inputs: Files, data sets, or folders of them; forms as of `handmap convert --help`.
-        robot: Robot hand; for both human hands a left and a right one. Recordings of a hand
-            without a robot fail.
+        robot: Robot hand; for both human hands a left and a right one, or a robot with both
+            (`handmap robots list`), which needs files with both. Recordings of a hand without a
+            robot fail.
         out: Folder to write to.
         format: Data set to write besides the episodes.
         fps: Frames per second of that data set; episodes are interpolated to it.
@@ -82,10 +72,7 @@ class Batch:
     """
 
     inputs: tyro.conf.Positional[
-        Annotated[
-            tuple[Path, ...],
-            hinted("INPUT...", "(required)"),
-        ]
+        Annotated[tuple[Path, ...], hinted("INPUT...", "(required)")]
     ]
     robot: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HAND [HAND]")]
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
@@ -162,12 +149,17 @@ class Batch:
         """Check the options, and collect what all jobs have in common."""
         rate = "a rate of at most 1000 per second, and > 0"
         expect(0.0 < self.fps <= 1000.0, "--fps", rate, value=self.fps)
-        robots: dict[Side, str] = {}
+        robots: dict[str, str] = {}
         for name in self.robot:
-            side = self.arguments.load_robot(name).spec.side
+            robot = load_whole(name, self.arguments.robot_points)
+            side = BOTH if robot.parts else robot.spec.side
             got = f"{robots.get(side)} and {name}, both {side}"
             expect(side not in robots, "--robot", "one robot for each side", got=got)
             robots[side] = name
+        alone = "no other robot beside one with two hands"
+        expect(
+            BOTH not in robots or len(robots) < 2, "--robot", alone, value=self.robot
+        )
         if self.look_ahead and self.arguments.smooth:
             problem = "has no effect with --look-ahead, which smooths itself"
             raise InvalidInputError(problem, argument="--smooth")

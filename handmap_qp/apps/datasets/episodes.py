@@ -4,7 +4,8 @@ A job depends on nothing but its recording and the options, so its columns are t
 process, in any order.
 """
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from hashlib import file_digest, sha256
 from io import BytesIO
@@ -16,7 +17,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from handmap_qp.apps.offline.look_ahead import map_hand
+from handmap_qp.apps.offline.look_ahead import map_hand, map_hands
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
@@ -25,22 +26,24 @@ from handmap_qp.errors import (
     HandmapError,
     InvalidInputError,
     RecordingError,
+    expect,
     reason_of,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.robot import Robot
 from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.human.recording import Recording
 from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.se3 import Array, lengths
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats import read_hands
+from handmap_qp.trackers.formats.archive import Arrays, read_archive
 from handmap_qp.trackers.formats.base import reading
 from handmap_qp.trackers.plausibility import check_recording
 from .manifest import Line
-from .sources import Job
+from .sources import BOTH, Job, load_whole
 from .workers import time_limit
 
 _READING = 120
@@ -98,31 +101,49 @@ def _run(job: Job) -> dict[str, Any]:
     """Map one recording, write its episode, and return the results for its line."""
     if job.source is None:
         raise InvalidInputError(job.line.error)
-    side = job.source.entry.side
+    side = job.line.side
     options = job.options
     if side not in options.robots:
         raise InvalidInputError(
             f"there is no robot for the {side} hand", argument="--robot"
         )
     with time_limit(_READING):
-        recording = job.source.read()
-    check_recording(recording)
-    robot = _robot(options.robots[side], points=options.arguments.robot_points)
-    person = measure_person(recording)
-    recording, trajectory, _ = map_hand(
-        recording, robot, person, options.arguments, smoother=options.smoother
-    )
-    metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))
+        recordings = [job.source.read()]
+        if side == BOTH:
+            recordings = [*read_hands([job.line.path]).values()]
+    for recording in recordings:
+        check_recording(recording)
+    robot = _robot(options.robots[side], options.arguments.robot_points)
+    hands = {hand.spec.side: hand for hand in robot.hands}
+    person = measure_person(*recordings)
+    shared = person, options.arguments
+    columns = {"side": np.array(side)}
+    if side == BOTH:
+        recordings, trajectory, _, valid = map_hands(
+            recordings, Robot(robot.name, hands), *shared, smoother=options.smoother
+        )
+        at_once = valid.all(axis=1)
+        expect(at_once.any(), "hands", "both at once", got="one at a time")
+        trajectory = dataclasses.replace(trajectory, valid=at_once)
+        wrists = [[h.frame_pose("wrist", q) for h in robot.hands] for q in trajectory.q]
+        columns |= {"valid": valid, "wrist": np.array(wrists)}
+    else:
+        recording, trajectory, _ = map_hand(
+            recordings[0], robot, *shared, smoother=options.smoother
+        )
+        recordings = [recording]
+    measured = {recording: _meter(hands[recording.side]) for recording in recordings}
+    metrics = measure_episode(measured, trajectory, person.contact_gap)
     return {
         "status": "done",
-        "frames": len(recording),
+        "frames": len(trajectory.time),
         "metrics": metrics,
         "out": job.out,
-        "sha256": save_episode(job.folder / job.out, trajectory, side),
+        "sha256": save_episode(job.folder / job.out, trajectory.columns | columns),
     }
 
 
-_robot = lru_cache(maxsize=8)(load_hand)
+_robot = lru_cache(maxsize=8)(load_whole)
 """Loads a robot once in each process."""
 
 
@@ -136,32 +157,34 @@ def _meter(robot: Hand) -> GapMeter | None:
 
 
 def measure_episode(
-    recording: Recording,
+    meters: Mapping[Recording, GapMeter | None],
     trajectory: Trajectory,
     contact_gap: float,
-    meter: GapMeter | None,
 ) -> dict[str, float | None]:
     """Measure an episode.
 
     Args:
-        recording: What the human did.
-        trajectory: What the robot does.
+        meters: What each hand of the human did, with the surfaces of the robot's hand that
+            follows it; None where it has none.
+        trajectory: What the robot does, valid where it follows all of them.
         contact_gap: Gap of tip landmarks where the skin touches [m].
-        meter: The robot's surfaces; None where it has none.
 
     Returns:
-        Values by the keys of `MEASURES`, rounded to six digits; None where a question does not
-        arise.
+        Values by the keys of `MEASURES`, rounded to six digits, the worse one where they differ
+        between hands; None where a question does not arise.
     """
     measure = _measured if core is None else core.measure_episode
-    values = measure(recording, trajectory)
-    if meter is not None:
-        values |= _surfaces(recording, trajectory, contact_gap, meter)
-    found = ((each.key, values.get(each.key, np.nan)) for each in MEASURES)
-    return {
-        key: float(f"{value:.6g}") if np.isfinite(value) else None
-        for key, value in found
-    }
+    found = []
+    for recording, meter in meters.items():
+        found.append(measure(recording, trajectory))
+        if meter is not None:
+            found[-1] |= _surfaces(recording, trajectory, contact_gap, meter)
+    rounded = {}
+    for each in MEASURES:
+        worse = np.fmax if each.better == "low" else np.fmin
+        value = worse.reduce([values.get(each.key, np.nan) for values in found])
+        rounded[each.key] = float(f"{value:.6g}") if np.isfinite(value) else None
+    return rounded
 
 
 def _measured(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
@@ -194,8 +217,9 @@ def _surfaces(
     meter: GapMeter,
 ) -> dict[str, float]:
     """Measure pinches and self-penetration in some of the samples."""
-    count = len(recording)
-    pinching = tip_gaps(recording.landmarks) < contact_gap + _PINCHING
+    count = len(trajectory.time)
+    newest = np.searchsorted(recording.time, trajectory.time, "right") - 1
+    pinching = tip_gaps(recording.landmarks)[newest] < contact_gap + _PINCHING
     pinching &= trajectory.valid[:, None]
     pinches = np.flatnonzero(pinching.any(axis=1))
     chosen = pinches[:: max(1, -(-len(pinches) // MOST_SURFACES))]
@@ -214,8 +238,8 @@ def _surfaces(
     return found
 
 
-def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
-    """Write the columns of an episode, without those that a reader can compute again.
+def save_episode(file: Path, columns: Arrays) -> str:
+    """Write the columns of an episode.
 
     It is on the disk when its group is (`run_group`). Columns are not compressed: that would save a
     fifth of the space, and take as long as reading the recording.
@@ -226,7 +250,6 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
     Raises:
         InvalidInputError: If the file cannot be written.
     """
-    columns = trajectory.columns | {"side": np.array(side)}
     # Written at once: the parts of an archive, one by one, take twice as long.
     archive = BytesIO()
     np.savez(archive, allow_pickle=False, **columns)
@@ -245,7 +268,8 @@ def read_episode(folder: Path, line: Line) -> dict[str, Array]:
             arrays are read, because the archive has a checksum of each.
 
     Returns:
-        `time`, `q`, `wrist` and `valid`, each with `line.frames` rows.
+        `time`, `q`, `wrist` and `valid`, each with `line.frames` rows; the last two have one more
+        axis for the hands of a robot with two.
 
     Raises:
         RecordingError: If the file is missing, or is not what was written.

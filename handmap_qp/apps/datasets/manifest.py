@@ -37,8 +37,8 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         mtime_ns: Its last change, of all files of a folder the last [ns].
         options: Digest of robot and options.
         entries: How many recordings the file has.
-        side: Which hand.
-        robot: Robot hand, by name or path.
+        side: Which hand, or `both` of a robot with two.
+        robot: Robot, by name or path.
         frames: Number of samples.
         cpu_s: CPU time [s].
         kills: How often the worker died over it.

@@ -18,7 +18,6 @@ from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.tables import csv_text, markdown_table, print_result
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
-from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import make_folder, replaced_file
 from handmap_qp.se3 import Array
@@ -26,6 +25,7 @@ from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.formats.archive import Arrays, read_archive
 from .episodes import MEASURES
 from .manifest import Line, read_manifests
+from .sources import load_whole
 
 FOLDER = "report"
 """Folder of the report, below that of the batch."""
@@ -79,8 +79,12 @@ class Report:
             "worst": worst_rows(quality, self.worst),
             "files": list(map(str, files)),
         }
-        title = f"{document['episodes']} episodes, {quality.kept} kept"
-        tables = {title: document["measures"], "Worst episodes": document["worst"]}
+        tables = {
+            f"{document['episodes']} episodes, {quality.kept} kept": document[
+                "measures"
+            ],
+            "Worst episodes": document["worst"],
+        }
         print_result(document, tables, as_json=self.json)
         for file in () if self.json else files:
             print(f"wrote {file}")
@@ -89,10 +93,11 @@ class Report:
         """Write report, table, filter and pictures, and return the files."""
         out = self.folder / FOLDER
         make_folder(out, "DIR")
-        pictures: list[Path] = []
-        if self.pictures:
-            drawn = min(self.worst, _MOST_DRAWN)
-            pictures = draw_report(self.folder, quality, drawn, out)
+        pictures = (
+            draw_report(self.folder, quality, min(self.worst, _MOST_DRAWN), out)
+            if self.pictures
+            else []
+        )
         rows = [
             {
                 "episode": line.key,
@@ -261,12 +266,7 @@ def _text(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
-def draw_report(
-    folder: Path,
-    quality: Quality,
-    count: int,
-    out: Path,
-) -> list[Path]:
+def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
     """Draw `distributions.png`, and the worst episodes of each robot, `worst_ROBOT.png`.
 
     Of each robot's episodes in the folder of the batch, the `count` worst ones are drawn. Those
@@ -316,12 +316,7 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     figure.savefig(file)
 
 
-def _draw_worst(
-    folder: Path,
-    quality: Quality,
-    count: int,
-    out: Path,
-) -> list[Path]:
+def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
     """Draw human and robot in the worst sample of the worst episodes, a picture for each robot.
 
     The sample is the worst one in what the episode is worst in, and else the one with the largest
@@ -332,12 +327,13 @@ def _draw_worst(
     for rank, (line, _, worst, _) in enumerate(quality.episodes, start=1):
         own = rows.setdefault(line.robot, [])
         if len(own) < count:
-            with suppress(HandmapError):
+            # ValueError: of another length, or with hands at other instants.
+            with suppress(HandmapError, ValueError):
                 own.append(_worst_row(folder, line, rank, worst))
     files = []
     for name, own in rows.items():
         if own:
-            robot = load_hand(name)
+            robot = load_whole(name)
             figure = contact_sheet(
                 [(robot.name, robot)],
                 own,
@@ -356,7 +352,7 @@ def _worst_row(
     measure: Metric,
 ) -> SheetRow:
     """Return the worst sample of an episode, with its rank, name and measure."""
-    recording = read_recording(line.source)
+    recording = read_recording(line.source, "left")
     names = {"q", "point_error", "valid", "at_limit", "at_speed_limit"}
     columns = read_archive(folder / line.out, names)
     sample = _worst_sample(recording, columns, measure)
@@ -369,7 +365,7 @@ def _worst_row(
 
 def _worst_sample(recording: Recording, columns: Arrays, measure: Metric) -> int:
     """Return the index of the sample that is worst in a measure, or in reach."""
-    usable = columns["valid"] & recording.valid
+    usable = columns["valid"].reshape(len(recording), -1).all(axis=1) & recording.valid
     settled = usable & (recording.time >= recording.time[0] + SETTLING)
     usable = settled if settled.any() else usable
     error = columns["point_error"].max(axis=1)

@@ -15,8 +15,9 @@ from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import HandmapError, InvalidInputError, reason_of
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.robot import is_robot, joined, load_robot
 from handmap_qp.hands.sources import urdf_path
-from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats import (
     FORMATS,
     SEPARATOR,
@@ -32,24 +33,36 @@ PATIENCE = 30.0
 """Longest time for listing an HDF5 file [s]."""
 
 
+BOTH = "both"
+"""The side of a robot with two hands."""
+
+
+def load_whole(name: str, points: str | None = None) -> Hand:
+    """Load a robot hand, or the hands of a robot as one; `HandError` if there is none."""
+    if not is_robot(name):
+        return load_hand(name, points=points)
+    robot = load_robot(name)
+    return joined(robot.name, *robot.hands.values())
+
+
 @dataclass(frozen=True)
 class JobOptions:
     """What all jobs of a batch have in common.
 
     Attributes:
-        robots: Name of the robot hand for each human hand.
+        robots: Name of the robot hand for each human hand, or of the robot for `BOTH`.
         arguments: Reference points and options of the mapping.
         smoother: How the whole recording is used to smooth and to fill gaps; None for a mapping
             that knows the past only, as online.
     """
 
-    robots: dict[Side, str]
+    robots: dict[str, str]
     arguments: MappingArguments = field(default_factory=MappingArguments)
     smoother: LookAhead | None = None
 
-    def load_robot(self, side: Side) -> Hand:
-        """Load the robot hand of a side, with its reference points; `HandError` without one."""
-        return self.arguments.load_robot(self.robots[side])
+    def load_robot(self, side: str) -> Hand:
+        """Load the robot of a side, with its reference points; `HandError` without one."""
+        return load_whole(self.robots[side], self.arguments.robot_points)
 
     @property
     def digest(self) -> str:
@@ -58,8 +71,14 @@ class JobOptions:
         files = [self.arguments.options] if self.arguments.options else []
         for side in sorted(self.robots):
             robot = self.load_robot(side)
-            digest.update(side.encode() + msgspec.json.encode(robot.spec, enc_hook=str))
-            files.append(urdf_path(robot.spec))
+            for hand in robot.hands:
+                digest.update(
+                    side.encode() + msgspec.json.encode(hand.spec, enc_hook=str)
+                )
+                files.append(urdf_path(hand.spec))
+            if robot.parts:
+                # What hands stand on, and joints that they lock, are in it alone.
+                digest.update(robot.urdf_text.encode())
         for file in files:
             with naming("--options", f"{file}: cannot be read"):
                 digest.update(file.read_bytes())
@@ -68,12 +87,13 @@ class JobOptions:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording of one hand to map.
+    """One recording of one hand to map, or a file with both hands.
 
     Attributes:
         line: What is known of it; `error` says why its file could not be listed, and `kills` how
             often its worker has died.
-        source: The recording in its file; None where the file could not be listed.
+        source: The recording in its file, or the first of both; None where the file could not be
+            listed.
         options: What it has in common with the others.
         folder: Folder of the batch.
     """
@@ -161,6 +181,7 @@ def list_jobs(
     apart = each_apart(_listing, [files[name] for name in risky], PATIENCE)
     listings = dict(zip(risky, apart, strict=True))
     jobs = []
+    is_whole = BOTH in options.robots
     for name in own:
         path = files[name]
         stats = [p.stat() for p in (path, *path.rglob("*")) if p.is_file()]
@@ -169,8 +190,10 @@ def list_jobs(
         )
         found = listings[name] if name in listings else _listing(path)
         sources, error = found or ((), problem)
-        for source in sources or (None,):
+        for source in sources[: 1 if is_whole else None] or (None,):
             entry, side, frames = source.entry if source else ("", "", 0)
+            if is_whole:
+                entry, side = "", BOTH
             line = Line(
                 f"{name}{SEPARATOR}{entry}",
                 "listed",

@@ -152,7 +152,7 @@ class Map:
         person = person_of(used, self.person)
         with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:
             if isinstance(robot, Robot):
-                trajectory, method = map_hands(
+                _, trajectory, method, _ = map_hands(
                     used, robot, person, self.arguments, advance
                 )
             else:

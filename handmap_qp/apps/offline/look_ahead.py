@@ -16,7 +16,7 @@ smoothing (`SMOOTH_IK`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,7 @@ from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import PALM
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
 from handmap_qp.se3 import (
     Array,
     affine,
@@ -206,14 +206,19 @@ def map_hands(
     person: Person,
     arguments: MappingArguments,
     progress: Told = None,
-) -> tuple[Trajectory, Any]:
+    *,
+    smoother: LookAhead | None = None,
+) -> tuple[Sequence[Recording], Trajectory, Any, Array]:
     """Map a recording of each hand of a robot, in its order; arguments as of `map_hand`.
 
     Returns:
-        The motion of the whole robot at the instants of the longest recording, and the method;
-        points are of all hands, one after the other, and wrist poses of the first.
+        The recordings as they were mapped; the motion of the whole robot at the instants of the
+        longest; the method; and whether each hand was followed, shape (T, number of hands). Points
+        are of all hands, one after the other, and wrist poses of the first.
     """
     points = arguments.human_points
+    if smoother is not None:
+        recordings = [look_ahead(recording, smoother) for recording in recordings]
     used = {recording.side: recording for recording in recordings}
     humans = {
         side: scaled_human(recording, points=points, lengths=person.lengths)
@@ -222,11 +227,21 @@ def map_hands(
     side = next(iter(robot.hands))
     upright = used[side].upright
     choice = arguments.preset_for(humans[side], robot.hands[side], upright)
-    follower = RobotFollower(RobotMapper(robot, humans, choice.method, ik=choice.ik))
-    steps = map(follower.map_samples, paired(used))
+    ik = choice.ik if smoother is None else choice.ik.replaced(**SMOOTH_IK)
+    follower = RobotFollower(RobotMapper(robot, humans, choice.method, ik=ik))
+    followed: list[list[bool]] = []
+
+    def steps() -> Iterator[RobotStep]:
+        for samples in paired(used):
+            step = follower.map_samples(samples)
+            # A hand that has had no sample yet has no verdict.
+            hands = step.hands.values()
+            followed.append([bool(h.verdict) and not h.is_held for h in hands])
+            yield step
+
     time = max(recordings, key=len).time
-    trajectory = trajectory_of(follower.mapper.robot, time, steps, progress)
-    return trajectory, choice.method
+    trajectory = trajectory_of(follower.mapper.robot, time, steps(), progress)
+    return recordings, trajectory, choice.method, np.array(followed)
 
 
 def continuous_quats(rotations: Array) -> Array:
