@@ -263,7 +263,9 @@ class CommandedRobot(Gate):
 
     def is_led_by(self, gate: Gate) -> bool:
         """Return whether the robot still moves as a gate that it follows."""
-        return self._read is not None and self._read is gate._read
+        if self._read is not None:
+            return self._read is gate._read
+        return all(map(np.array_equal, self.motion, gate.motion))
 
     @property
     def q(self) -> Array:
