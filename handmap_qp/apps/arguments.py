@@ -18,7 +18,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.robot import Robot, is_robot, load_robot
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Names, Side
 from handmap_qp.human.person import Person, read_person
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.alignment import found_alignment
@@ -233,7 +233,7 @@ def _flags(name: str, about: str, *, are_of_qp: bool) -> type:
         ]
         kind = reduce(or_, [item.plain for _, item in said.values()]) | None
         # tyro would show a list's type in braces.
-        metavar = "NAME ..." if kind == tuple[str, ...] | None else None
+        metavar = "NAME ..." if kind == Names | None else None
         settings = arg(help=" ".join(texts), help_behavior_hint="", metavar=metavar)
         items.append((option, Annotated[kind, settings], field(default=None)))
     # The module lets copies of it be pickled.

@@ -16,6 +16,7 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from handmap_qp.errors import HandError, expect
+from handmap_qp.hands.spec import Names
 from handmap_qp.se3 import Array, as_floats, frozen
 from .sources import urdf_directory
 from .urdf import (
@@ -35,7 +36,7 @@ THUMB = FINGERS[0]
 _THUMB_JOINTS = ("TM_abduction", "TM_flexion", "MCP_flexion", "IP_flexion")
 _FINGER_JOINTS = ("MCP_abduction", "MCP_flexion", "PIP_flexion", "DIP_flexion")
 
-HUMAN_JOINTS: tuple[str, ...] = tuple(
+HUMAN_JOINTS: Names = tuple(
     f"{finger}_{joint}"
     for finger in FINGERS
     for joint in (_THUMB_JOINTS if finger == "thumb" else _FINGER_JOINTS)
@@ -264,7 +265,7 @@ def _checked_length(value: float, name: str) -> float:
     return length
 
 
-def _chain(finger: str) -> tuple[str, ...]:
+def _chain(finger: str) -> Names:
     """Return a finger's four joints and the fixed one of its tip, outwards."""
     first = 4 * FINGERS.index(finger)
     return (*HUMAN_JOINTS[first : first + 4], f"{finger}_tip_joint")

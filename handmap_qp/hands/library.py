@@ -27,7 +27,7 @@ from .human import (
 )
 from .model import compose_urdf
 from .sources import read_urdf, source_file, urdf_directory
-from .spec import HandSpec, Mount, is_named_source, read_hand_spec
+from .spec import HandSpec, Mount, Names, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
 _ROBOT_FILES = (".urdf", ".xml", ".mjcf", ".xacro")
@@ -66,7 +66,7 @@ def why_missing(spec: HandSpec) -> str:
     return ""
 
 
-def hand_names() -> tuple[str, ...]:
+def hand_names() -> Names:
     """Return the names of the hands that are installed."""
     missing = missing_hands()
     return tuple(name for name in hand_files() if name not in missing)

@@ -24,6 +24,7 @@ import trimesh
 from trimesh.exchange.stl import export_stl
 
 from handmap_qp.errors import HandError, reason_of
+from handmap_qp.hands.spec import Names
 from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
 from .sources import root_tag
@@ -59,7 +60,7 @@ def convert_mjcf(file: Path, meshes: str = "meshes") -> ConvertedMjcf:
     return ConvertedMjcf(model, name, notes, meshes)
 
 
-def _compile(file: Path) -> tuple[mujoco.MjModel, str, tuple[str, ...]]:
+def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
     """Return a compiled file, its name, and a note if its unit of angles was guessed.
 
     MuJoCo's default unit of angles is the degree. Parts of robots that other files include often
@@ -74,7 +75,7 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, tuple[str, ...]]:
         # Keep bodies without joints, and shapes that only show.
         spec.compiler.fusestatic = spec.compiler.discardvisual = False
         model = spec.compile()
-        notes: tuple[str, ...] = ()
+        notes: Names = ()
         is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
         ranges = model.jnt_range[is_hinge & (model.jnt_limited != 0)]
         widest = np.ptp(ranges, axis=1).max(initial=0.0)
@@ -191,7 +192,7 @@ class ConvertedMjcf:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, name: str, notes: tuple[str, ...], folder: str
+        self, model: mujoco.MjModel, name: str, notes: Names, folder: str
     ) -> None:
         self.model = model
         self.notes = notes

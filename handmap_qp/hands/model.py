@@ -23,6 +23,7 @@ from .spec import (
     HandSpec,
     MimicSpec,
     Mount,
+    Names,
     Positions,
     Problems,
     Rules,
@@ -266,7 +267,7 @@ def expansion_matrix(
     return Expansion(matrix, offset)
 
 
-def tighten_model(model: pin.Model, rules: Rules) -> tuple[str, ...]:
+def tighten_model(model: pin.Model, rules: Rules) -> Names:
     """Tighten the limits of leaders in a model so that their followers stay inside theirs.
 
     Limits that would leave a leader almost no range contradict the rule, and are dropped. A

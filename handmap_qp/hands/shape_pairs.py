@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from handmap_qp.hands.spec import Names
 from handmap_qp.se3 import Array
 from .collision_shapes import read_collision_shapes
 from .fingers import Finger, zero_posture
@@ -37,7 +38,7 @@ class ShapePairs(NamedTuple):
     """
 
     geometry: pin.GeometryModel
-    fingers: tuple[str, ...]
+    fingers: Names
     joined: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -160,9 +161,7 @@ def common_pairs(
     return ShapePairs(_paired(of[0].geometry, common), fingers), pinching
 
 
-def _pinching_fingers(
-    geometry: pin.GeometryModel, chains: dict[str, Finger]
-) -> tuple[str, ...]:
+def _pinching_fingers(geometry: pin.GeometryModel, chains: dict[str, Finger]) -> Names:
     """Return the finger that each pair brings together with the thumb; empty where none."""
     owners = {
         shape: finger

@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from handmap_qp.errors import HandError, reason_of
 
+Names = tuple[str, ...]
 Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
 Vector = tuple[float, float, float]
@@ -183,12 +184,12 @@ class ArmSpec(Document, frozen=True):
     name: str
     urdf: str
     tip: str
-    joints: tuple[str, ...]
+    joints: Names
     rest: Positions
     xyz: Vector = ORIGIN
     rpy: Vector = ORIGIN
     root: str | None = None
-    without: tuple[str, ...] = ()
+    without: Names = ()
     locked: Positions = {}
     limits: dict[str, LimitSpec] = {}
     directory: Path | None = None
@@ -206,10 +207,10 @@ class _HandFields(Document, frozen=True):
     side: Side
     palm: PalmSpec
     wrist: WristSpec
-    joints: Annotated[tuple[str, ...], Meta(min_length=1)]
+    joints: Annotated[Names, Meta(min_length=1)]
     rest: Positions
     points: tuple[PointSpec, ...]
-    sets: dict[str, tuple[str, ...]]
+    sets: dict[str, Names]
     reference: str
     mirror: bool = False
     collision: CollisionSpec | None = None
@@ -263,7 +264,7 @@ class HandSpec(_HandFields, frozen=True):
     """
 
     @property
-    def all_joints(self) -> tuple[str, ...]:
+    def all_joints(self) -> Names:
         """Joints of arm and hand: the order of every `q`."""
         return self.joints if self.arm is None else (*self.arm.joints, *self.joints)
 

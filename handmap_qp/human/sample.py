@@ -17,14 +17,14 @@ import numpy as np
 from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import PointSpec, Side
+from handmap_qp.hands.spec import Names, PointSpec, Side
 from handmap_qp.se3 import Array, as_floats, check_pose, frozen, transform_points
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
 UNSEEN = np.full((LANDMARK_COUNT, 3), np.nan)
 """Landmarks of a hand that was not seen."""
-LANDMARK_NAMES: tuple[str, ...] = (
+LANDMARK_NAMES: Names = (
     "wrist",
     *(f"thumb_{joint}" for joint in ("cmc", "mcp", "ip", "tip")),
     *(

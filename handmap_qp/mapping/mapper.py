@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from handmap_qp import ik
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import Names
 from handmap_qp.human.sample import (
     LANDMARK_COUNT,
     LANDMARK_NAMES,
@@ -269,7 +270,7 @@ class HandMapper:
         dt: float | None = None,
         *,
         speed: float = 1.0,
-        out_of_range: tuple[str, ...] = (),
+        out_of_range: Names = (),
         started: float | None = None,
     ) -> MapStep:
         """Map one sample with known points: targets by the method, motion by the QP.
@@ -571,7 +572,7 @@ class LandmarkReader(Compiled):
 
     def read(
         self, landmarks: ArrayLike, wrist: PoseLike | None = None
-    ) -> tuple[HumanPose, tuple[str, ...]]:
+    ) -> tuple[HumanPose, Names]:
         """Return a sample; landmarks have no limits that they could be outside.
 
         Args:
@@ -614,9 +615,7 @@ class JointReader(Compiled):
         self.vector = human.configuration_vector(human.rest)
         self._placed = human.configuration()
 
-    def read(
-        self, q: ArrayLike, wrist_pose: PoseLike
-    ) -> tuple[HumanPose, tuple[str, ...]]:
+    def read(self, q: ArrayLike, wrist_pose: PoseLike) -> tuple[HumanPose, Names]:
         """Return a sample, and the names of the joints that are outside their limits.
 
         Args:

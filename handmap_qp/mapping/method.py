@@ -35,6 +35,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import Names
 from handmap_qp.human.sample import Finding, Rule, Verdict
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import WRIST_LEVERS, IkResult, Status, wrist_error
@@ -137,7 +138,7 @@ class Targets(msgspec.Struct, frozen=True, eq=False):
     diagnostics: Mapping[str, Array] = {}
     tasks: tuple[Task, ...] = ()
     margins: Array | None = None
-    flags: tuple[str, ...] = ()
+    flags: Names = ()
 
 
 class TargetMap(Protocol):
@@ -276,7 +277,7 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
         wrist: Pose of the wrist frame in the robot's world, shape (4, 4).
     """
 
-    joint_names: tuple[str, ...]
+    joint_names: Names
     q: Array
     wrist: Array
 
@@ -294,7 +295,7 @@ class StepSummary(NamedTuple):
     point_error: Sequence[float]
     at_bound: Sequence[bool]
     residual: float
-    flags: tuple[str, ...]
+    flags: Names
 
 
 class Stages(msgspec.Struct, frozen=True, eq=False):
@@ -344,7 +345,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     """
 
     stages: Stages
-    out_of_range: tuple[str, ...]
+    out_of_range: Names
     duration: float
     verdict: Verdict | None = None
     confidence: float = 1.0
@@ -376,7 +377,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return self.stages.ik
 
     @property
-    def held_by(self) -> tuple[str, ...]:
+    def held_by(self) -> Names:
         """Both links of the pair that keeps the hand from its targets; empty if none does."""
         return self.ik.held_by
 

@@ -5,15 +5,16 @@ from typing import get_args
 import numpy as np
 
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import Names
 from handmap_qp.human.sample import RULES
 from handmap_qp.ik.core import Parts
 from handmap_qp.ik.qp import Status
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.se3 import Array
 
-STATUS_NAMES: tuple[str, ...] = (*get_args(Status), "held", "gliding")
+STATUS_NAMES: Names = (*get_args(Status), "held", "gliding")
 """Outcomes of a step (`MapStep.status`); rows have the index."""
-RULE_NAMES: tuple[str, ...] = ("", *RULES)
+RULE_NAMES: Names = ("", *RULES)
 """Names of what is wrong with a sample (`MapStep.rule`), likewise."""
 
 

@@ -29,7 +29,7 @@ from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Names, Side
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording, mirrored, turned
@@ -178,7 +178,7 @@ class Comparison(NamedTuple):
 
     robot: Hand
     takes: tuple[Take, ...]
-    methods: tuple[str, ...]
+    methods: Names
     runs: tuple[Run, ...]
 
     def of_method(self, method: str) -> list[Run]:
@@ -319,7 +319,7 @@ def compare_methods(
     return Comparison(robot, tuple(takes), names, tuple(runs))
 
 
-def own_methods() -> tuple[str, ...]:
+def own_methods() -> Names:
     """Return the names of the package's own methods, without `+smooth`."""
     # `fixed_wrist` is for hands that cannot follow a palm.
     return tuple(name for name in PRESETS if name != "fixed_wrist")

@@ -16,7 +16,7 @@ import numpy as np
 from handmap_qp.hands.fingers import PalmKinematics, find_fingers, zero_posture
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB, HumanLengths
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Names, Side
 from handmap_qp.human.sample import FIRST_JOINTS, PALM, TIPS
 from handmap_qp.se3 import (
     Array,
@@ -54,7 +54,7 @@ class HandTrace(NamedTuple):
             mean over the fingers without the thumb [m].
     """
 
-    names: tuple[str, ...]
+    names: Names
     points: Array
     reach: Array
     palm: Array

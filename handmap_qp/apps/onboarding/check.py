@@ -26,7 +26,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.robot import Robot as WholeRobot
 from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
-from handmap_qp.hands.spec import HandSpec
+from handmap_qp.hands.spec import HandSpec, Names
 from handmap_qp.se3 import lengths
 from handmap_qp.trackers.formats.base import first_of
 from .anatomy import FINGERS, Clue, angle_between
@@ -325,7 +325,7 @@ def _compare_axes(
             yield warning(f"palm.{name}", what, f"try [{better}]")
 
 
-def _compare_fingers(hand: Hand, chains: dict[str, tuple[str, ...]]) -> Found:
+def _compare_fingers(hand: Hand, chains: dict[str, Names]) -> Found:
     """Find points that name another finger than the one whose joints move them."""
     # A joint of several fingers is the first one's.
     pairs = reversed(chains.items())

@@ -18,6 +18,7 @@ from handmap_qp.hands.pads import ball_in
 from handmap_qp.hands.spec import (
     HandSpec,
     LimitSpec,
+    Names,
     PadSpec,
     PalmSpec,
     PointSpec,
@@ -62,8 +63,8 @@ class Detection(NamedTuple):
 
     spec: HandSpec
     clues: tuple[Clue, ...]
-    notes: tuple[str, ...]
-    chains: dict[str, tuple[str, ...]]
+    notes: Names
+    chains: dict[str, Names]
 
 
 def detect(urdf: Path, **given: Any) -> Detection:
@@ -351,7 +352,7 @@ class _FoundHand:
 
 def point_sets(
     points: Iterable[PointSpec],
-) -> tuple[tuple[PointSpec, ...], dict[str, tuple[str, ...]]]:
+) -> tuple[tuple[PointSpec, ...], dict[str, Names]]:
     """Return all points of a hand, the fingertips first, and the sets of their names."""
     every = sorted(points, key=lambda point: not point.name.endswith("_tip"))
     names = tuple(point.name for point in every)
@@ -372,7 +373,7 @@ def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
     return names, robot.carriers(near[0])[-1] if near else ""
 
 
-def _arm(robot: Robot, hand: str) -> tuple[str, ...]:
+def _arm(robot: Robot, hand: str) -> Names:
     """Return the active joints between the root of a robot and the link of a hand.
 
     Raises:

@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.spec import PointSpec, read_yaml
+from handmap_qp.hands.spec import Names, PointSpec, read_yaml
 from handmap_qp.human.sample import LANDMARK_NAMES, TIPS
 from .detect import Detection, detect, point_sets
 from .robot import Robot
@@ -51,7 +51,7 @@ class DexConfiguration(NamedTuple):
     file: Path
     urdf: str
     links: dict[str, str]
-    notes: tuple[str, ...]
+    notes: Names
 
 
 def read_dex_configuration(path: Path) -> DexConfiguration:

@@ -20,7 +20,7 @@ from handmap_qp.errors import (
     expect,
 )
 from handmap_qp.hands.sources import is_mjcf, package_folder, source_path
-from handmap_qp.hands.spec import is_named_source
+from handmap_qp.hands.spec import Names, is_named_source
 from handmap_qp.output_files import check_new, make_folder, writing
 from .detect import Detection
 
@@ -74,7 +74,7 @@ class RobotSource(NamedTuple):
 
     urdf: Path
     reference: str
-    notes: tuple[str, ...] = ()
+    notes: Names = ()
     written: tuple[Path, ...] = ()
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.robot import Robot
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Names, Side
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping.alignment import found_alignment
 from handmap_qp.mapping.mapper import HandMapper
@@ -104,7 +104,7 @@ class Replay:
         return (self.variant,) if self.other is None else (self.variant, self.other)
 
     @property
-    def presets(self) -> tuple[str, ...]:
+    def presets(self) -> Names:
         """The presets that these hands can be mapped with."""
         return possible_presets(self.human.hands[0], self._robot.hands[0])
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Names, Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.plugins import Plugins
 from handmap_qp.trackers.formats.archive import NpzFormat
@@ -165,7 +165,7 @@ def read_recording(path: Path | str, side: Side | None = None) -> Recording:
     return sources[0].read()
 
 
-def known_suffixes() -> tuple[str, ...]:
+def known_suffixes() -> Names:
     """Return the suffixes of all formats."""
     return tuple(
         dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes)
@@ -226,7 +226,7 @@ def write_recordings(
     recordings: Sequence[Recording],
     path: Path | str,
     form: RecordingFormat | None = None,
-) -> tuple[str, ...]:
+) -> Names:
     """Write recordings to one file or data set.
 
     Args:

@@ -15,13 +15,13 @@ from handmap_qp.errors import (
     expect,
     reason_of,
 )
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Names, Side
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
 from handmap_qp.se3 import Array, affine, as_floats, pose_from_xyz_quat
 
 SIDES: tuple[Side, ...] = ("left", "right")
-COLUMNS: dict[str, tuple[str, ...]] = {
+COLUMNS: dict[str, Names] = {
     "time": ("time",),
     "landmarks": tuple(f"{name}_{a}" for name in LANDMARK_NAMES for a in "xyz"),
     "valid": ("valid",),
@@ -109,9 +109,9 @@ class RecordingFormat(abc.ABC):
     """
 
     name: str
-    suffixes: tuple[str, ...]
+    suffixes: Names
     about: str
-    lacks: ClassVar[tuple[str, ...]] = ()
+    lacks: ClassVar[Names] = ()
 
     def recognises(self, path: Path) -> bool:
         """Tell whether an existing file with one of the suffixes, or a folder, is of this form."""
@@ -125,11 +125,11 @@ class RecordingFormat(abc.ABC):
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one recording."""
 
-    def unread(self, path: Path) -> tuple[str, ...]:
+    def unread(self, path: Path) -> Names:
         """Name what a file holds besides what `Recording` can hold."""
         return ()
 
-    def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
+    def losses(self, recordings: Sequence[Recording]) -> Names:
         """Name what of these recordings the format cannot hold."""
         lacks = (LOSSES[name] for name in self.lacks)
         return tuple(words for words, is_lost in lacks if any(map(is_lost, recordings)))

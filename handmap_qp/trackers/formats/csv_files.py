@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Names, Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
@@ -65,7 +65,7 @@ class CsvFormat(RecordingFormat):
             columns[field] = block if len(names) > 1 else block[:, 0]
         return build_recording(path, entry, **columns)
 
-    def unread(self, path: Path) -> tuple[str, ...]:
+    def unread(self, path: Path) -> Names:
         """Name the columns that a recording cannot hold."""
         with opened_table(path) as (header, _):
             known = {"side", *chain(*COLUMNS.values())}

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect, require
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Names, Side
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import Array, affine
@@ -195,7 +195,7 @@ class RobomimicFormat(_Hdf5Format):
                 columns[key] = str(demo.attrs.get(key, ""))
         return build_recording(path, entry, **columns, prefix=f"data/{entry.name}/obs/")
 
-    def unread(self, path: Path) -> tuple[str, ...]:
+    def unread(self, path: Path) -> Names:
         """Name the arrays that a recording cannot hold."""
         with opened(path) as file:
             found: set[str] = set()
@@ -222,7 +222,7 @@ class RobomimicFormat(_Hdf5Format):
                     obs[name] = column(recording, name)
 
 
-def joint_names(side: Side) -> tuple[str, ...]:
+def joint_names(side: Side) -> Names:
     """Return the names of the 21 landmarks of a hand."""
     return (
         f"{side}Hand",
@@ -282,7 +282,7 @@ class EgoDexFormat(_Hdf5Format):
             confidence=confidence,
         )
 
-    def unread(self, path: Path) -> tuple[str, ...]:
+    def unread(self, path: Path) -> Names:
         """Name the joints and groups that a recording cannot hold."""
         with opened(path) as file:
             known = {name for side in SIDES for name in joint_names(side)}

@@ -11,7 +11,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Names, Side
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, human_name
@@ -103,7 +103,7 @@ class McapFormat(RecordingFormat):
             confidence=[shares.get(log, np.nan) for log in logs],
         )
 
-    def unread(self, path: Path) -> tuple[str, ...]:
+    def unread(self, path: Path) -> Names:
         """Name the topics that a recording cannot hold."""
         with _opened(path) as bag:
             rest = set(bag.topics).difference(*map(dict.values, _hands(bag).values()))

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
-from handmap_qp.hands.spec import Document, Side
+from handmap_qp.hands.spec import Document, Names, Side
 from handmap_qp.se3 import Array, transform_points
 from .base import (
     UNITS,
@@ -44,7 +44,7 @@ class AngleEntry(Document, frozen=True):
     joint: str
     scale: float = 1.0
     offset: float = 0.0
-    aliases: tuple[str, ...] = ()
+    aliases: Names = ()
     default: float | None = None
 
 

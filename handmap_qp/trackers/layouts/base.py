@@ -18,7 +18,7 @@ from handmap_qp.errors import InvalidInputError, did_you_mean, expect
 from handmap_qp.hands.hand import Hand, Points
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Document, Side, Upright
+from handmap_qp.hands.spec import Document, Names, Side, Upright
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.recording import (
     Recording,
@@ -100,14 +100,14 @@ class LayoutTable(Document, frozen=True, tag_field="kind"):
 
     name: str
     title: str
-    sources: tuple[str, ...]
+    sources: Names
     unit: Unit
     axes: str
     values: str
-    missing: tuple[str, ...] = ()
+    missing: Names = ()
     upright: Upright = ""
     mirror: Literal["x", "y", "z"] | None = None
-    arrays: tuple[str, ...] = ()
+    arrays: Names = ()
     time: dict[str, float] = msgspec.field(default_factory=dict)
 
 
@@ -155,8 +155,8 @@ class Layout(abc.ABC):
         self.title = table.title
         self.wrist_table: WristTable | None = getattr(table, "wrist", None)
         self.shapes: tuple[tuple[int, ...], ...] = ()
-        self.columns: tuple[str, ...] = ()
-        self.aliases: dict[str, tuple[str, ...]] = {}
+        self.columns: Names = ()
+        self.aliases: dict[str, Names] = {}
         self.defaults: dict[str, float] = {}
         self.has_wrist = False
         length = 1.0 if table.unit in ("deg", "rad") else UNITS[table.unit]
