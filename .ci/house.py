@@ -232,9 +232,7 @@ def import_arrows(
     package: str, modules: list[Module], room_of: Callable[[str], str]
 ) -> set[tuple[str, str]]:
     """Return which rooms import which others; `room_of` gives the room of a module's name."""
-    rooms = {
-        module.name: room_of(module.name) for module in modules if not module.is_init
-    }
+    rooms = {module.name: room_of(module.name) for module in modules if module.name}
     arrows = set()
     for module in modules:
         for name in {} if module.is_init else _loaded(package, module):

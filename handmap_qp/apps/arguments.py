@@ -14,11 +14,17 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, HumanLengths
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.robot import Robot, is_robot, load_robot
-from handmap_qp.hands.spec import Names, Side
+from handmap_qp.hands import (
+    FINGERS,
+    Hand,
+    HumanLengths,
+    Names,
+    Robot,
+    Side,
+    is_robot,
+    load_hand,
+    load_robot,
+)
 from handmap_qp.human.person import Person, read_person
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.alignment import found_alignment

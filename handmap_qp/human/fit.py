@@ -12,9 +12,7 @@ the best of the minima that several starts lead to.
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.human import FINGERS, HumanLengths
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import FINGERS, HumanLengths, Side, load_hand
 from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.se3 import Array, as_floats, rigid_fit

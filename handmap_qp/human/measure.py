@@ -6,9 +6,7 @@ from functools import cache, lru_cache
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
-from handmap_qp.hands.library import load_hand
+from handmap_qp.hands import FINGERS, LARGEST_ROLL, Hand, HumanLengths, load_hand
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,

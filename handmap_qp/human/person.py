@@ -11,8 +11,7 @@ import yaml
 from msgspec.structs import astuple
 
 from handmap_qp.errors import HandError, InvalidInputError, expect
-from handmap_qp.hands.human import FINGERS, HumanLengths
-from handmap_qp.hands.spec import Document, Vector, read_yaml, typed
+from handmap_qp.hands import FINGERS, Document, HumanLengths, Vector, read_yaml, typed
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
 from .sample import expect_hand_length

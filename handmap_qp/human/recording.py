@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import UPRIGHT, Side
+from handmap_qp.hands import UPRIGHT, Hand, Side
 from handmap_qp.se3 import Array, affine, as_floats, check_poses, frozen
 from .sample import LANDMARK_COUNT, HumanSample, check_side
 

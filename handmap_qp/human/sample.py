@@ -16,8 +16,7 @@ import numpy as np
 
 from handmap_qp import ik
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import Names, PointSpec, Side
+from handmap_qp.hands import Hand, Names, PointSpec, Side
 from handmap_qp.se3 import Array, as_floats, check_pose, frozen, transform_points
 
 LANDMARK_COUNT = 21

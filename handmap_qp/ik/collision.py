@@ -60,9 +60,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration, moved_by
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
+from handmap_qp.hands import Configuration, Hand, ShapePairs, moved_by, named_pairs
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
 from .core import Compiled
 from .limits import Rows

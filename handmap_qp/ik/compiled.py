@@ -10,8 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Configuration, Hand
 from handmap_qp.se3 import Array, frozen
 from .core import core
 from .limits import Gate

@@ -59,13 +59,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from handmap_qp.hands.hand import LONGEST_STOP, Hand
+from handmap_qp.hands import LONGEST_STOP, Hand
 from handmap_qp.se3 import Array
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from handmap_qp.hands.configuration import Configuration
+    from handmap_qp.hands import Configuration
     from .collision import CollisionLimit, NearPairs
 
 Rows = tuple[Array, Array]

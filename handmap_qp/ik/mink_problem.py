@@ -17,8 +17,7 @@ import numpy as np
 import pinocchio as pin
 import qpsolvers
 
-from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Configuration, Hand
 from handmap_qp.se3 import Array, lengths
 from .limits import Rows
 from .options import IkOptions

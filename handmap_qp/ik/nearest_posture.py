@@ -13,9 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands.configuration import moved_by
-from handmap_qp.hands.fingers import joint_motion
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand, joint_motion, moved_by
 from handmap_qp.se3 import Array
 from .compiled import core_tree
 from .qp import solve_by_daqp

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.options import Options, number, text
 from handmap_qp.se3 import Array
 

@@ -24,15 +24,14 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp import ik
-from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Configuration, Hand
 from handmap_qp.se3 import Array, frozen, lengths, transform_points
 from .limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
 from .options import IkOptions
 from .tasks import Goal, Task, tasks_named
 
 if TYPE_CHECKING:
-    from handmap_qp.hands.shape_pairs import ShapePairs
+    from handmap_qp.hands import ShapePairs
     from .collision import CollisionLimit, Detours, NearPairs
 
 # At DAQP's default tolerance of 1e-6 a joint was left 4e-7 rad outside its limit. Beyond 1000

@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidOptionsError, expect
-from handmap_qp.hands.configuration import Configuration, moved_by
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Configuration, Hand, moved_by
 from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import Array, as_floats, lengths
 from .core import Compiled

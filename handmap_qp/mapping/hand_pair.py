@@ -10,18 +10,21 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.fingers import (
+from handmap_qp.hands import (
+    FINGERS,
+    THUMB,
     Finger,
+    Hand,
+    Pad,
     PalmKinematics,
     Place,
+    PointSpec,
+    ShapePairs,
+    all_pairs,
     find_fingers,
+    find_pads,
     partner_names,
 )
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, THUMB
-from handmap_qp.hands.pads import Pad, find_pads
-from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
-from handmap_qp.hands.spec import PointSpec
 from handmap_qp.human.sample import LANDMARK_NAMES, landmarks_at_rest
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.nearest_posture import nearest_posture

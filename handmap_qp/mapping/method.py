@@ -34,8 +34,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import Names
+from handmap_qp.hands import Hand, Names
 from handmap_qp.human.sample import Finding, Rule, Verdict
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import WRIST_LEVERS, IkResult, Status, wrist_error
@@ -44,7 +43,7 @@ from handmap_qp.options import Options
 from handmap_qp.se3 import Array, lengths, transform_points
 
 if TYPE_CHECKING:
-    from handmap_qp.hands.shape_pairs import ShapePairs
+    from handmap_qp.hands import ShapePairs
 
 
 class HumanPose(msgspec.Struct, frozen=True, eq=False):

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 from .alignment import AlignedOptions, in_robot_world, rotation_of
 from .method import HumanPose, RobotPosture
 
 if TYPE_CHECKING:
-    from handmap_qp.hands.shape_pairs import ShapePairs
+    from handmap_qp.hands import ShapePairs
 
 _ORIGIN = frozen(np.zeros(3))
 

@@ -12,7 +12,7 @@ from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError, did_you_mean
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping import methods
 from handmap_qp.options import Option, options_of

@@ -23,11 +23,16 @@ from msgspec import structs
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.robot import Robot, joined
-from handmap_qp.hands.shape_pairs import LINK_MARGIN, ShapePairs, common_pairs
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import (
+    LINK_MARGIN,
+    Hand,
+    Robot,
+    ShapePairs,
+    Side,
+    common_pairs,
+    joined,
+    load_hand,
+)
 from handmap_qp.human.sample import Verdict, human_name
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions

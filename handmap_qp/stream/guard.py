@@ -20,8 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Hand, Side
 from handmap_qp.human.recording import (
     Recording,
     SampleColumns,

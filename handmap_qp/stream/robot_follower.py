@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
 from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.mapping.method import MapStep

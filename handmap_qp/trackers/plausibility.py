@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.human import FINGERS
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import FINGERS, Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HAND_LENGTHS, LANDMARK_COUNT, Finding, check_side
 from handmap_qp.ik.core import Compiled, in_core

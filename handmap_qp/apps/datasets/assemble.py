@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from handmap_qp.apps.offline.look_ahead import continuous_quats
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array, unit
 from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
@@ -95,10 +95,7 @@ def state_names(hands: Robots) -> tuple[str, ...]:
 
 
 def _write_lerobot(
-    episodes: Iterator[Episode],
-    root: Path,
-    fps: float,
-    hands: Robots,
+    episodes: Iterator[Episode], root: Path, fps: float, hands: Robots
 ) -> Path:
     names = state_names(hands)
     features = {
@@ -159,10 +156,7 @@ def _robot_names(hands: Robots) -> str:
 
 
 def _episodes(
-    lines: Sequence[Line],
-    folder: Path,
-    fps: float,
-    hands: Robots,
+    lines: Sequence[Line], folder: Path, fps: float, hands: Robots
 ) -> Iterator[Episode]:
     """Read the episodes one after the other, by the names of their files."""
     known = sorted(
@@ -178,9 +172,7 @@ def _episodes(
 
 
 def _episode(
-    pairs: Sequence[tuple[Line, dict[str, Array]]],
-    fps: float,
-    hands: Robots,
+    pairs: Sequence[tuple[Line, dict[str, Array]]], fps: float, hands: Robots
 ) -> Episode:
     """Put the hands of one recording side by side, at a fixed rate."""
     by_side = {line.side: columns for line, columns in pairs}

@@ -83,10 +83,7 @@ class Batch:
         int | None, tyro.conf.arg(help_behavior_hint="(default: one for each CPU)")
     ] = None
     engine: Literal["pool", "ray"] = "pool"
-    shard: Annotated[
-        str | None,
-        hinted("I/N", "(default: everything)"),
-    ] = None
+    shard: Annotated[str | None, hinted("I/N", "(default: everything)")] = None
     json: bool = False
     arguments: MappingFlags = field(default_factory=MappingArguments)
 
@@ -112,10 +109,7 @@ class Batch:
             raise SystemExit(1)
 
     def _map(
-        self,
-        options: JobOptions,
-        engine: Engine,
-        shard: tuple[int, int],
+        self, options: JobOptions, engine: Engine, shard: tuple[int, int]
     ) -> Tally:
         """List the recordings, say what is odd about them, and map those that are not done."""
         with progress("listing"):

@@ -48,10 +48,7 @@ class Convert:
     """
 
     paths: tyro.conf.Positional[
-        Annotated[
-            tuple[Path, ...],
-            hinted("IN... OUT", "(required)"),
-        ]
+        Annotated[tuple[Path, ...], hinted("IN... OUT", "(required)")]
     ]
     format: Annotated[
         str | None,
@@ -60,10 +57,7 @@ class Convert:
             help_behavior_hint="(default: by the suffix of OUT)",
         ),
     ] = None
-    mano: Annotated[
-        Path | None,
-        hinted("FILE", "(default: $HANDMAP_MANO)"),
-    ] = None
+    mano: Annotated[Path | None, hinted("FILE", "(default: $HANDMAP_MANO)")] = None
     json: bool = False
 
     def run(self) -> None:

@@ -84,10 +84,7 @@ class Engine(NamedTuple):
                 yield from self._share(waiting, suspects, is_stopped)
 
     def _share(
-        self,
-        waiting: deque[Job],
-        suspects: deque[Job],
-        is_stopped: Asked,
+        self, waiting: deque[Job], suspects: deque[Job], is_stopped: Asked
     ) -> Iterator[Line]:
         """Run jobs until all are done, or a worker dies: what was under way is suspect then."""
         flying: dict[Work, Group] = {}

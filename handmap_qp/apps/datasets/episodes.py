@@ -29,9 +29,7 @@ from handmap_qp.errors import (
     expect,
     reason_of,
 )
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
-from handmap_qp.hands.robot import Robot
+from handmap_qp.hands import FINGERS, Hand, Robot
 from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.human.recording import Recording
 from handmap_qp.ik.core import core
@@ -55,8 +53,7 @@ MOST_SURFACES = 60
 _CLOSED, _DEEP = 0.003, 0.001  # m
 _PINCHING = 0.004  # m above the contact gap
 MEASURES: tuple[Metric, ...] = msgspec.yaml.decode(
-    Path(__file__).with_suffix(".yaml").read_bytes(),
-    type=tuple[Metric, ...],
+    Path(__file__).with_suffix(".yaml").read_bytes(), type=tuple[Metric, ...]
 )
 """All measures, in the order of the report."""
 
@@ -211,10 +208,7 @@ def _measured(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
 
 
 def _surfaces(
-    recording: Recording,
-    trajectory: Trajectory,
-    contact_gap: float,
-    meter: GapMeter,
+    recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter
 ) -> dict[str, float]:
     """Measure pinches and self-penetration in some of the samples."""
     count = len(trajectory.time)

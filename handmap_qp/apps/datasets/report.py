@@ -335,22 +335,14 @@ def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[P
         if own:
             robot = load_whole(name)
             figure = contact_sheet(
-                [(robot.name, robot)],
-                own,
-                side=robot.spec.side,
-                title="worst episodes",
+                [(robot.name, robot)], own, side=robot.spec.side, title="worst episodes"
             )
             files.append(out / f"worst_{robot.name}.png")
             figure.savefig(files[-1], dpi=100)
     return files
 
 
-def _worst_row(
-    folder: Path,
-    line: Line,
-    rank: int,
-    measure: Metric,
-) -> SheetRow:
+def _worst_row(folder: Path, line: Line, rank: int, measure: Metric) -> SheetRow:
     """Return the worst sample of an episode, with its rank, name and measure."""
     recording = read_recording(line.source, "left")
     names = {"q", "point_error", "valid", "at_limit", "at_speed_limit"}

@@ -14,10 +14,7 @@ from handmap_qp.apps.arguments import MappingArguments, check_names
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import HandmapError, InvalidInputError, reason_of
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.robot import is_robot, joined, load_robot
-from handmap_qp.hands.sources import urdf_path
+from handmap_qp.hands import Hand, is_robot, joined, load_hand, load_robot, urdf_path
 from handmap_qp.trackers.formats import (
     FORMATS,
     SEPARATOR,
@@ -220,10 +217,7 @@ def _listing(path: Path) -> tuple[tuple[Source, ...], str]:
 
 
 def _paths_of(
-    given: Path,
-    own: object,
-    seen: set[object],
-    repeated: list[Path],
+    given: Path, own: object, seen: set[object], repeated: list[Path]
 ) -> Iterator[Path]:
     """Yield the path itself, or the files and data sets below it, except the folder `own`.
 

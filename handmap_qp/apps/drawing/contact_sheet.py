@@ -18,9 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.fingers import carrier_of
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Hand, Side, carrier_of
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import FIRST_JOINTS, LANDMARK_COUNT, PALM, TIPS

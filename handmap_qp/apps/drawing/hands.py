@@ -17,10 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, require
-from handmap_qp.hands.fingers import carrier_of
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.sources import urdf_path
-from handmap_qp.hands.urdf import parse_urdf
+from handmap_qp.hands import Hand, carrier_of, parse_urdf, urdf_path
 from handmap_qp.se3 import Array, affine, unit
 from .raster import Camera, Colour, Triangles, merged, render
 from .shapes import read_shapes

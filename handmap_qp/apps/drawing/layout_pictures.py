@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import FINGERS, HUMAN_JOINTS, Hand, Side
 from handmap_qp.se3 import Array, lengths, transform_points, unit
 from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.layouts.angles import AngleLayout

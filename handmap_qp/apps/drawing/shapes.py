@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from handmap_qp.errors import require
-from handmap_qp.hands.sources import find_mesh
-from handmap_qp.hands.urdf import get_numbers, origin_of
+from handmap_qp.hands import find_mesh, get_numbers, origin_of
 from .raster import Colour
 
 LinkShape = tuple[list[Any], Colour | None]

@@ -20,7 +20,7 @@ import tyro
 
 from handmap_qp.apps.arguments import hinted
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
 from handmap_qp.human.sample import UNSEEN, HumanSample
 
 VARIABLE = "HANDMAP_MEDIAPIPE"

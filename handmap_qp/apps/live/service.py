@@ -11,7 +11,7 @@ import numpy as np
 from handmap_qp.apps.connection import GONE, connected, only_session
 from handmap_qp.client import Command, ServiceError, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
 from handmap_qp.human.person import Person
 from handmap_qp.human.sample import HumanSample
 

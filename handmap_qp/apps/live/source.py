@@ -14,7 +14,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
 from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.output_files import check_output

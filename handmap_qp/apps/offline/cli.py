@@ -21,8 +21,7 @@ from handmap_qp.apps.arguments import (
 )
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.robot import Robot
+from handmap_qp.hands import Hand, Robot
 from handmap_qp.human.person import write_person
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import PALM

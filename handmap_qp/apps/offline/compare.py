@@ -26,8 +26,7 @@ from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import load_hand
+from handmap_qp.hands import Hand, load_hand
 from handmap_qp.human.person import Person, read_person
 from handmap_qp.output_files import make_folder, writing
 from .comparison import (

@@ -27,9 +27,7 @@ import numpy as np
 
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Names, Side
+from handmap_qp.hands import Hand, Names, Side, load_hand
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording, mirrored, turned

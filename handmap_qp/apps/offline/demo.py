@@ -14,7 +14,7 @@ from handmap_qp.apps.drawing.contact_sheet import save_contact_sheet
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import require
-from handmap_qp.hands.library import load_hand
+from handmap_qp.hands import load_hand
 from handmap_qp.output_files import output_folder
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import DEMO, read_recording

@@ -19,8 +19,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
+from handmap_qp.hands import THUMB, Hand
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.se3 import Array, inverse_pose, lengths, rigid_fit, transform_points

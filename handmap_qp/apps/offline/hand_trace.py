@@ -13,10 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands.fingers import PalmKinematics, find_fingers, zero_posture
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, THUMB, HumanLengths
-from handmap_qp.hands.spec import Names, Side
+from handmap_qp.hands import (
+    FINGERS,
+    THUMB,
+    Hand,
+    HumanLengths,
+    Names,
+    PalmKinematics,
+    Side,
+    find_fingers,
+    zero_posture,
+)
 from handmap_qp.human.sample import FIRST_JOINTS, PALM, TIPS
 from handmap_qp.se3 import (
     Array,

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.robot import Robot
+from handmap_qp.hands import Hand, Robot
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording

@@ -7,10 +7,14 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
-from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, pair_distances
+from handmap_qp.hands import (
+    THUMB,
+    Hand,
+    all_pairs,
+    distal_shapes,
+    pair_distances,
+    read_collision_shapes,
+)
 from handmap_qp.ik.collision import pair_bounds
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.se3 import Array

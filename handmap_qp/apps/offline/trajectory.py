@@ -11,7 +11,7 @@ from time import thread_time_ns
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.human.recording import (
     Recording,
     recording_samples,

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands import human
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side, human
 from handmap_qp.se3 import Array, lengths, unit
 from .finger_names import named_fingers, named_side
 from .flexion import HandFlexion

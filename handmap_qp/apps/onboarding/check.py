@@ -12,21 +12,23 @@ import pinocchio as pin
 
 from handmap_qp.apps.tables import rows_of
 from handmap_qp.errors import HandError
-from handmap_qp.hands.collision_shapes import parse_with_meshes
-from handmap_qp.hands.fingers import (
+from handmap_qp.hands import (
+    Hand,
+    HandSpec,
+    Names,
     PalmKinematics,
     carrier_of,
     find_fingers,
+    load_hand,
+    named_pairs,
+    parse_with_meshes,
     partner_names,
     place_of,
+    read_urdf,
+    urdf_path,
     zero_posture,
 )
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.robot import Robot as WholeRobot
-from handmap_qp.hands.shape_pairs import named_pairs
-from handmap_qp.hands.sources import read_urdf, urdf_path
-from handmap_qp.hands.spec import HandSpec, Names
+from handmap_qp.hands import Robot as WholeRobot
 from handmap_qp.se3 import lengths
 from handmap_qp.trackers.formats.base import first_of
 from .anatomy import FINGERS, Clue, angle_between

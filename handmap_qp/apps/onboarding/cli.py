@@ -19,25 +19,26 @@ from handmap_qp.apps.tables import (
     table_rows,
 )
 from handmap_qp.errors import expect
-from handmap_qp.hands.fingers import find_fingers
-from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.hands.library import (
+from handmap_qp.hands import (
+    BASE,
     HUMAN_HANDS,
+    LONGEST_STOP,
+    Hand,
+    HandSpec,
+    Robot,
+    Side,
+    find_fingers,
     hand_files,
     load_hand,
-    why_missing,
-)
-from handmap_qp.hands.robot import (
-    BASE,
-    Robot,
     load_robot,
+    parse_urdf,
+    read_hand_spec,
     read_hands,
     read_robot_spec,
     robot_files,
+    urdf_path,
+    why_missing,
 )
-from handmap_qp.hands.sources import urdf_path
-from handmap_qp.hands.spec import HandSpec, Side, read_hand_spec
-from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.output_files import check_output
 from .check import check_hand, check_robot
 from .collision_pairs import with_collision_pairs

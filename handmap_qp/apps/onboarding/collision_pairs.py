@@ -8,18 +8,20 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import Finger, carrier_of, find_fingers
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
-from handmap_qp.hands.shape_pairs import (
+from handmap_qp.hands import (
+    THUMB,
+    CollisionSpec,
+    Finger,
+    Hand,
     ShapePairs,
     all_pairs,
+    carrier_of,
+    find_fingers,
     named_pairs,
     pair_distances,
     random_postures,
+    read_collision_shapes,
 )
-from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.se3 import Array, lengths
 from .detect import Detection
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handmap_qp.errors import HandError, reason_of
-from handmap_qp.hands.human import FINGERS, THUMB
-from handmap_qp.hands.pads import ball_in
-from handmap_qp.hands.spec import (
+from handmap_qp.hands import (
+    FINGERS,
+    THUMB,
     HandSpec,
     LimitSpec,
     Names,
@@ -25,6 +25,7 @@ from handmap_qp.hands.spec import (
     Side,
     Vector,
     WristSpec,
+    ball_in,
 )
 from handmap_qp.se3 import Array, lengths, transform_points
 from .anatomy import Anatomy, Clue

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import HandError, HandmapError
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 
 MOST_NAMES = 3
 """Names in one finding."""

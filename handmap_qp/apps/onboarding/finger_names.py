@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable
 from statistics import mode
 
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import Side
 
 # Long names of fingers, found anywhere in a name; all patterns name the finger by its group.
 _WORDS = re.compile(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handmap_qp.hands.fingers import (
+from handmap_qp.hands import (
     PARALLEL,
     Finger,
     Jointed,

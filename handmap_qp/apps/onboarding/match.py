@@ -6,8 +6,7 @@ import numpy as np
 import yaml
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import load_hand
+from handmap_qp.hands import Hand, load_hand
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.human.sample import human_name

@@ -9,18 +9,21 @@ import numpy as np
 
 from handmap_qp.apps.tables import rows_of, table_rows
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.fingers import (
+from handmap_qp.hands import (
+    FINGERS,
+    THUMB,
     Finger,
+    Hand,
+    Pad,
     PalmKinematics,
+    Robot,
+    all_pairs,
     find_fingers,
+    find_pads,
+    load_hand,
+    random_postures,
     zero_posture,
 )
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, THUMB
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.pads import Pad, find_pads
-from handmap_qp.hands.robot import Robot
-from handmap_qp.hands.shape_pairs import all_pairs, random_postures
 from handmap_qp.human.recording import upright_axes
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.alignment import rotation_onto

@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.spec import Names, PointSpec, read_yaml
+from handmap_qp.hands import Names, PointSpec, read_yaml
 from handmap_qp.human.sample import LANDMARK_NAMES, TIPS
 from .detect import Detection, detect, point_sets
 from .robot import Robot

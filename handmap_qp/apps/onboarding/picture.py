@@ -25,9 +25,7 @@ from handmap_qp.apps.drawing.hands import (
     tube,
 )
 from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged
-from handmap_qp.hands.fingers import PalmKinematics, place_of
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.robot import Robot
+from handmap_qp.hands import Hand, PalmKinematics, Robot, place_of
 from handmap_qp.mapping.hand_pair import resting_posture
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points, unit
 from .match import Match

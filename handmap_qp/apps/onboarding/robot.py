@@ -19,26 +19,26 @@ import pinocchio as pin
 
 from handmap_qp.apps.drawing.shapes import shape_meshes
 from handmap_qp.errors import HandError, reason_of
-from handmap_qp.hands.fingers import Place, zero_posture
-from handmap_qp.hands.model import (
-    expansion_matrix,
-    read_mimic_rules,
-    tighten_model,
-)
-from handmap_qp.hands.spec import LimitSpec, MimicSpec
-from handmap_qp.hands.urdf import (
+from handmap_qp.hands import (
     MOVABLE,
+    LimitSpec,
+    MimicSpec,
+    Place,
     check_tree,
     child_of,
     cut_subtree,
     edges,
+    expansion_matrix,
     fix_free_joints,
     joints_by_name,
     mimics_of,
     origin_of,
     parse_urdf,
     prepare_urdf,
+    read_mimic_rules,
     root_links,
+    tighten_model,
+    zero_posture,
 )
 from handmap_qp.se3 import Array, transform_points
 

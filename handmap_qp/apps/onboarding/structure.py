@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.fingers import Finger, PalmKinematics, ends_of, zero_posture
+from handmap_qp.hands import Finger, PalmKinematics, ends_of, zero_posture
 from handmap_qp.se3 import Array, lengths, transform_points, unit
 from .anatomy import Clue
 from .robot import Robot

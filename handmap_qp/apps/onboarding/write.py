@@ -19,8 +19,13 @@ from handmap_qp.errors import (
     MissingPackageError,
     expect,
 )
-from handmap_qp.hands.sources import is_mjcf, package_folder, source_path
-from handmap_qp.hands.spec import Names, is_named_source
+from handmap_qp.hands import (
+    Names,
+    is_mjcf,
+    is_named_source,
+    package_folder,
+    source_path,
+)
 from handmap_qp.output_files import check_new, make_folder, writing
 from .detect import Detection
 

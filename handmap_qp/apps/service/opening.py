@@ -25,11 +25,22 @@ from handmap_qp.errors import (
     InvalidOptionsError,
     RefusedError,
 )
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
-from handmap_qp.hands.robot import Robot, load_robot, read_robot_spec, robot_files
-from handmap_qp.hands.spec import Mount, Side, read_document, read_hand_spec
+from handmap_qp.hands import (
+    HUMAN_HANDS,
+    Hand,
+    HumanLengths,
+    Mount,
+    Robot,
+    Side,
+    hand_files,
+    load_hand,
+    load_robot,
+    missing_hands,
+    read_document,
+    read_hand_spec,
+    read_robot_spec,
+    robot_files,
+)
 from handmap_qp.human.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
 from handmap_qp.human.measure import check_length, measure_hand
 from handmap_qp.human.recording import Recording

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import RefusedError
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.ik.limits import (
     SHORTEST_DT,
     Gate,

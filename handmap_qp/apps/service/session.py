@@ -38,8 +38,7 @@ from handmap_qp.client.messages import (
     Step,
 )
 from handmap_qp.errors import HandmapError, RefusedError
-from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import LONGEST_STOP, Hand, Side
 from handmap_qp.human.contact_gap import ContactGapMeter
 from handmap_qp.human.sample import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik.limits import Motion

@@ -18,7 +18,7 @@ import msgspec
 
 from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from .logs import AuditLog, Metrics, report
 from .opening import HandCache, prepare_hands
 from .safety import Bucket, refuse_if

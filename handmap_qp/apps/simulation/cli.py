@@ -12,7 +12,7 @@ from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.library import load_hand
+from handmap_qp.hands import load_hand
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.formats.archive import save_npz

@@ -14,7 +14,7 @@ from handmap_qp.apps.offline.comparison import (
     own_methods,
 )
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.se3 import Array, lengths
 

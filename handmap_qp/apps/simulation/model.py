@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand, read_collision_shapes
 from handmap_qp.se3 import Array, mirror_sign, quat_wxyz_from_rotation
 from .physics import (
     Body,

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect, require
-from handmap_qp.hands.spec import Vector
+from handmap_qp.hands import Vector
 from handmap_qp.options import Options, number, text
 from handmap_qp.se3 import Array, as_floats, lengths, unit
 

@@ -19,10 +19,7 @@ from scipy.stats import binomtest
 
 from handmap_qp.apps.tables import Row
 from handmap_qp.errors import expect
-from handmap_qp.hands.fingers import find_fingers
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
-from handmap_qp.hands.pads import find_pads
+from handmap_qp.hands import THUMB, Hand, find_fingers, find_pads
 from handmap_qp.se3 import Array, affine, inverse_pose, lengths, transform_points
 from .commands import Commands, PinchWindow
 from .physics import (

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array, affine, check_pose, quat_wxyz_from_rotation
 from .model import OBJECT, WRIST, build_model
 from .physics import Body, Physics

@@ -1,3 +1,1 @@
-from . import (
-    remote as remote,
-)
+from . import remote as remote

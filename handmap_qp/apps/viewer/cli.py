@@ -27,7 +27,7 @@ from handmap_qp.apps.arguments import (
     read_robot,
 )
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect, require
-from handmap_qp.hands.robot import Robot, joined
+from handmap_qp.hands import Robot, joined
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.mapping.presets import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
@@ -80,34 +80,19 @@ class View:
     """
 
     recording: tyro.conf.Positional[
-        Annotated[
-            Path | None,
-            hinted("[RECORDING]", "(or give --live)"),
-        ]
+        Annotated[Path | None, hinted("[RECORDING]", "(or give --live)")]
     ] = None
-    robot: Annotated[
-        str | None,
-        hinted("HAND", "(default: the service's)"),
-    ] = None
+    robot: Annotated[str | None, hinted("HAND", "(default: the service's)")] = None
     other: tyro.conf.Positional[
         Annotated[Path | None, hinted("[RECORDING]", "(of the other hand)")]
     ] = None
-    live: Annotated[
-        str | None,
-        hinted("HOST[:PORT]", "(port: 5570)"),
-    ] = None
+    live: Annotated[str | None, hinted("HOST[:PORT]", "(port: 5570)")] = None
     session: OpenSession = None
     keys: KeyFiles = None
     mirror: bool = False
     person: PersonFile = None
-    compare: Annotated[
-        str | None,
-        hinted("METHOD"),
-    ] = None
-    html: Annotated[
-        Path | None,
-        hinted("PAGE.html", "(default: serve)"),
-    ] = None
+    compare: Annotated[str | None, hinted("METHOD")] = None
+    html: Annotated[Path | None, hinted("PAGE.html", "(default: serve)")] = None
     host: str = "127.0.0.1"
     port: int = 8080
     open: bool = False

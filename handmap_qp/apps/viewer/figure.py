@@ -17,10 +17,7 @@ import numpy as np
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_folder
 from handmap_qp.apps.drawing.raster import Colour
 from handmap_qp.apps.drawing.shapes import LinkShape, read_shapes
-from handmap_qp.hands.fingers import carrier_of, finger_tips
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.robot import joined
-from handmap_qp.hands.urdf import parse_urdf
+from handmap_qp.hands import Hand, carrier_of, finger_tips, joined, parse_urdf
 from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.se3 import (

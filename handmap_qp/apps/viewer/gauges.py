@@ -12,18 +12,11 @@ import numpy as np
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.errors import HandError
-from handmap_qp.hands.fingers import find_fingers
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import CONTACT_GAP, FINGERS
+from handmap_qp.hands import CONTACT_GAP, FINGERS, Hand, find_fingers
 from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.ik.qp import wrist_error
 from handmap_qp.se3 import Array
-from .figure import (
-    DEFORMATION_COLOUR,
-    TARGET_COLOUR,
-    as_bytes,
-    known,
-)
+from .figure import DEFORMATION_COLOUR, TARGET_COLOUR, as_bytes, known
 from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
@@ -358,10 +351,7 @@ class Gauges:
     """Numbers, plots and joint bars, where viser adds controls."""
 
     def __init__(
-        self,
-        server: viser.ViserServer,
-        variants: Sequence[Variant],
-        human: Hand,
+        self, server: viser.ViserServer, variants: Sequence[Variant], human: Hand
     ) -> None:
         gui = server.gui
         gui.add_html(SCENE_LEGEND)

@@ -8,7 +8,7 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from .gauges import SCENE_LEGEND, InstantGauges, error_plot
 from .sample import Variant, ViewSample
 from .scene import Display, HandScene

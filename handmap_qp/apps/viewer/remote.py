@@ -15,9 +15,7 @@ from handmap_qp.apps.connection import FAILURES, connected, only_session
 from handmap_qp.client import Command, ServiceError
 from handmap_qp.client.messages import Pose
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.library import hand_files, load_hand
+from handmap_qp.hands import Hand, HumanLengths, hand_files, load_hand
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
@@ -120,9 +118,7 @@ class ServiceSession:
                     "hands cannot be shown",
                 )
             self._given_robot = load_hand(
-                robot,
-                points=about["robot_points"],
-                mount=about["mount"],
+                robot, points=about["robot_points"], mount=about["mount"]
             )
             self.robot = self._with_method_points()
             # Landmarks are mapped as they are; joint angles are fitted for drawing only.

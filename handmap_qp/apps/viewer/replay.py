@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.robot import Robot
-from handmap_qp.hands.spec import Names, Side
+from handmap_qp.hands import Hand, Names, Robot, Side
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping.alignment import found_alignment
 from handmap_qp.mapping.mapper import HandMapper
@@ -21,14 +19,7 @@ from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.robot_follower import RobotFollower, paired
-from .controls import (
-    KEPT,
-    NOTHING,
-    PlayBar,
-    SteeringControls,
-    Window,
-    say,
-)
+from .controls import KEPT, NOTHING, PlayBar, SteeringControls, Window, say
 from .page import make_page
 from .sample import Variant, ViewSample
 

@@ -15,16 +15,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.mapping.alignment import rotation_of
 from handmap_qp.se3 import Array, unit
-from .figure import (
-    Figure,
-    HumanFigure,
-    LandmarkFigure,
-    RobotFigure,
-    Shape,
-)
+from .figure import Figure, HumanFigure, LandmarkFigure, RobotFigure, Shape
 from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
@@ -79,10 +73,7 @@ class HandScene:
     """
 
     def __init__(
-        self,
-        server: viser.ViserServer,
-        human: Hand | None,
-        variants: Sequence[Variant],
+        self, server: viser.ViserServer, human: Hand | None, variants: Sequence[Variant]
     ) -> None:
         self.server = server
         self.display = Display()

@@ -21,8 +21,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.fingers import find_fingers
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand, find_fingers
 from handmap_qp.mapping.alignment import AlignedOptions
 from handmap_qp.mapping.hand_pair import (
     KNUCKLES,

@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.hands.hand import Hand
+from handmap_qp.hands import Hand
 from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.alignment import (

@@ -25,17 +25,19 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.fingers import (
+from handmap_qp.hands import (
+    FINGERS,
+    HUMAN_JOINTS,
+    THUMB,
+    Configuration,
     Finger,
+    Hand,
     PalmKinematics,
     ends_of,
     find_fingers,
     nearing,
     zero_posture,
 )
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS, THUMB
 from handmap_qp.human.sample import LANDMARK_NAMES
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.alignment import AlignedOptions

@@ -15,9 +15,7 @@ from typing import Annotated, Self
 
 import numpy as np
 
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import CONTACT_GAP, FINGERS, THUMB
-from handmap_qp.hands.shape_pairs import LINK_MARGIN
+from handmap_qp.hands import CONTACT_GAP, FINGERS, LINK_MARGIN, THUMB, Hand
 from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.alignment import AlignedOptions

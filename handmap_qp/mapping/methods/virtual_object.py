@@ -35,8 +35,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands import FINGERS, Hand
 from handmap_qp.mapping.alignment import AlignedOptions
 from handmap_qp.mapping.method import (
     FOLLOWING,

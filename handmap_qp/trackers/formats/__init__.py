@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands.spec import Names, Side
+from handmap_qp.hands import Names, Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.plugins import Plugins
 from handmap_qp.trackers.formats.archive import NpzFormat

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect, require
-from handmap_qp.hands.human import HUMAN_JOINTS
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Names, Side
+from handmap_qp.hands import HUMAN_JOINTS, Names, Side, load_hand
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, human_name

@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import did_you_mean, expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
-from handmap_qp.hands.spec import Document, Names, Side
+from handmap_qp.hands import HUMAN_JOINTS, Document, Hand, HumanLengths, Names, Side
 from handmap_qp.se3 import Array, transform_points
 from .base import (
     UNITS,

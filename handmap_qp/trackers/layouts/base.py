@@ -15,10 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect
-from handmap_qp.hands.hand import Hand, Points
-from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Document, Names, Side, Upright
+from handmap_qp.hands import (
+    Document,
+    Hand,
+    HumanLengths,
+    Names,
+    Points,
+    Side,
+    Upright,
+    load_hand,
+)
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.recording import (
     Recording,

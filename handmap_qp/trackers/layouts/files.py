@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands import HumanLengths, Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.se3 import Array

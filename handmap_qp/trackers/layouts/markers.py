@@ -4,9 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import Document, PointSpec, Side, Vector
+from handmap_qp.hands import Document, Hand, HumanLengths, PointSpec, Side, Vector
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import FARTHEST, Array, rigid_fit, transform_points

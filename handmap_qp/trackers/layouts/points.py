@@ -5,9 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import Document, Side
+from handmap_qp.hands import Document, Hand, HumanLengths, Side
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, PALM, HumanSample
 from handmap_qp.se3 import (
     Array,
