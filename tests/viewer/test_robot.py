@@ -38,7 +38,9 @@ def test_both_hands_are_mapped_as_by_the_command_map() -> None:
     replay = replay_of_demo()
     hands = list(read_hands([DEMO]).values())
     robot = load_robot("g1")
-    _, expected, *_ = map_hands(hands, robot, measure_person(*hands), MappingArguments())
+    _, expected, *_ = map_hands(
+        hands, robot, measure_person(*hands), MappingArguments()
+    )
     samples = replay.samples
     np.testing.assert_allclose([s.robot_q for s in samples], expected.q, atol=1e-12)
     np.testing.assert_allclose(
