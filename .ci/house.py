@@ -17,7 +17,8 @@ It measures the tree that it is in, prints a table, and exits with 1 if a row ex
   imports another one, inside functions and for type checks too.
 - A circle is a group of folders or top-level modules, folders inside folders included, that import
   each other.
-- Closure, files of a sample, rooms, arrows and circles leave `__init__` modules out.
+- Closure, files of a sample and rooms leave `__init__` modules out. Arrows and circles count them
+  where they are imported: they may be the door of a room.
 - The paths of a function are 1, and 1 for each condition, loop, exception handler, `and`, `or`,
   assertion, case, and each `for` and `if` of a comprehension: those of radon, which counts more
   than ruff's C901. A function inside another one counts for itself.
