@@ -516,3 +516,13 @@ def test_sessions_that_cannot_be_shown_are_explained(service: Server) -> None:
         pytest.raises(InvalidInputError, match="of another hand"),
     ):
         next(samples)
+
+
+@pytest.mark.slow
+def test_a_robot_with_two_hands_is_refused_by_name(service: Server) -> None:
+    choices = {"input": "landmarks", "hand_length": 0.18, "has_detail": True}
+    with (
+        connected(service, "g1", None, name="lab", **choices),
+        pytest.raises(InvalidInputError, match="'g1' has two hands"),
+    ):
+        ServiceSession(host_of(service), patience=PATIENCE)

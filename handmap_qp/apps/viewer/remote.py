@@ -15,7 +15,7 @@ from handmap_qp.apps.connection import FAILURES, connected, only_session
 from handmap_qp.client import Command, ServiceError
 from handmap_qp.client.messages import Pose
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands import Hand, HumanLengths, hand_files, load_hand
+from handmap_qp.hands import Hand, HumanLengths, hand_files, is_robot, load_hand
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
@@ -111,11 +111,13 @@ class ServiceSession:
                 human_name(about["side"]), points=about["human_points"], lengths=lengths
             )
             robot = robot or about["robot"]
+            if is_robot(str(robot)):
+                problem = f"{robot!r} has two hands, which are not shown live"
+                raise self._error(problem, "view a recording of both hands")
             if robot == about["robot"] and robot not in hand_files():
                 raise self._error(
                     f"the session's hand {robot!r} is not known on this machine",
-                    "give its description with --robot hand.yaml; a session of a robot with two "
-                    "hands cannot be shown",
+                    "give its description with --robot hand.yaml",
                 )
             self._given_robot = load_hand(
                 robot, points=about["robot_points"], mount=about["mount"]
