@@ -159,7 +159,9 @@ export class RobotSession extends HandSession {
   }
 
   lastOf(side) {
-    return this.last && { ...this.last, ...this.last.hands?.[side] };
+    const { last } = this;
+    // A stop is that of the whole robot, whatever its hands say.
+    return last?.status === "stopped" ? last : last && { ...last, ...last.hands?.[side] };
   }
 }
 
