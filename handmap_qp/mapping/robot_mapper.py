@@ -239,6 +239,7 @@ class RobotMapper:
         turns_in: float = 2.0,
         **options: Any,
     ) -> None:
+        expect(turns_in > 0.0, "turns_in", "a time > 0 s", value=turns_in)
         if humans is None:
             names = {side: human_name(side) for side in robot.hands}
             humans = {s: load_hand(n, points="landmarks") for s, n in names.items()}

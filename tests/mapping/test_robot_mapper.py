@@ -387,3 +387,9 @@ def test_the_points_of_a_hand_go_with_its_own_wrist(g1: Robot) -> None:
     assert np.linalg.norm(result.errors, axis=1).max() < 0.01
     assert result.status != "converged"
     assert result.wrists.shape == (2, 4, 4)
+
+
+@pytest.mark.parametrize("turns_in", [0.0, -1.0, np.nan])
+def test_palms_need_a_time_to_turn_in(g1: Robot, turns_in: float) -> None:
+    with pytest.raises(InvalidInputError, match="turns_in"):
+        RobotMapper(g1, HUMANS, turns_in=turns_in)
