@@ -94,6 +94,11 @@ class Robot(NamedTuple):
     name: str
     hands: dict[Side, Hand]
 
+    @property
+    def whole(self) -> Hand:
+        """The robot as one hand, with the reference points of all; see `joined`."""
+        return joined(self.name, *self.hands.values())
+
 
 def joined(name: str, *hands: Hand) -> Hand:
     """Return the hands of a robot as one, which a QP moves; `Hand.parts` has them.

@@ -47,19 +47,8 @@ from .findings import Rows
 from .match import match_hand
 from .measure import palm_rows
 from .migrate import migrate, read_dex_configuration
-from .picture import (
-    draw_hand,
-    draw_match,
-    draw_robot,
-    picture_path,
-)
-from .write import (
-    RobotSource,
-    check_free,
-    open_source,
-    write_hand,
-    write_robot,
-)
+from .picture import draw_hand, draw_match, draw_robot, picture_path
+from .write import RobotSource, check_free, open_source, write_hand, write_robot
 
 OwnName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
 """Name of the hand that is written."""

@@ -189,7 +189,7 @@ class View:
         files = [file] if self.other is None else [file, self.other]
         robot, recordings = read_robot(name, files, self)
         if isinstance(robot, Robot):
-            robot = joined(robot.name, *robot.hands.values())
+            robot = robot.whole
         lengths = person_of(recordings, self.person).lengths
         motions = [fit_recording(each, lengths=lengths) for each in recordings]
         humans = [m.human.with_points(self.arguments.human_points) for m in motions]
