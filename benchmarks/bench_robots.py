@@ -121,17 +121,17 @@ def measure(name: str, robot: Robot, hands: Hands, alignment: str) -> dict[str, 
         motion.append(step.command.q)
         wrists.append([each.wrist_error[0] for each in step.hands.values()])
         overlaps.append(meter.depth(mapper.motion.q))
-        asked = [leader.asked.palm for leader in mapper.leaders.values()]
+        asked = [leader.asked for leader in mapper.leaders.values()]
         ends = [
             transform_points(each.command.wrist @ leader.robot.wrist_to_palm, own)
             for each, leader, own in zip(
                 step.hands.values(),
                 mapper.leaders.values(),
-                [palm[0].robot_anchor for palm in asked if palm],
+                [each.map.robot_anchor for each in asked],
                 strict=True,
             )
         ]
-        (_, here), (_, there) = (palm for palm in asked if palm)
+        here, there = (each.map.person_at(each.pose) for each in asked)
         near.append(lengths((there - here)[:3, 3]))
         off.append(lengths(ends[1] - ends[0] - (there - here)[:3, 3]))
     near, off = np.array(near), np.array(off)

@@ -341,12 +341,7 @@ inline Estimator make_estimator(const Fields& from) {
   return estimator;
 }
 
-inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) {
-  const Fields from(owner);
-  TeleoperationMap& map = *new (self) TeleoperationMap();
-  map.needs_wrist = true;
-  map.rest = from.numbers("rest");
-  map.human_points = from.get<Array>("pair.human_rest").shape(0);
+inline void set_palm(PalmMap& map, const Fields& from) {
   map.human_wrist_to_palm = from.pose("human_wrist_to_palm");
   map.robot_palm_to_wrist = from.pose("robot_palm_to_wrist");
   map.start = from.pose("start");
@@ -356,8 +351,18 @@ inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) 
   map.origin = from.point("origin");
   map.offset = from.point("offset");
   map.human_anchor = from.point("human_anchor");
+  map.robot_anchor = from.point("robot_anchor");
   map.human_start = from.point("human_start");
   map.further = from.get<double>("further");
+}
+
+inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) {
+  const Fields from(owner);
+  TeleoperationMap& map = *new (self) TeleoperationMap();
+  set_palm(map, from);
+  map.needs_wrist = true;
+  map.rest = from.numbers("rest");
+  map.human_points = from.get<Array>("pair.human_rest").shape(0);
   map.estimator = make_estimator(from);
   map.shape_points = from.indices("pair.shape_points");
   map.from = from.indices("from_points");

@@ -119,17 +119,26 @@ struct StepReader {
   nb::object joint_names;
   nb::object targets;         // makes `Targets` of numbers
   nb::object result;          // makes `IkResult` of a step
-  std::vector<Vec3> centred;  // the human points that T is estimated from, at the reference
+  std::vector<Vec3> centred = {};  // the human points that T is estimated from, at the reference
   std::vector<int> columns;   // see Hand.joint_columns
   nb::object command = module_of("handmap_qp.mapping.method").object("RobotCommand");
   nb::object summary = module_of("handmap_qp.mapping.method").object("StepSummary");
   nb::object statuses = module_of("handmap_qp.ik.compiled").object("STATUSES");
 
-  StepReader(const nb::object& target_map, const nb::object& robot, nb::object make_result)
-      : joint_names(nb::getattr(robot, "joint_names")), targets(nb::getattr(target_map, "asked")),
-        result(std::move(make_result)), centred(Fields(target_map).points("estimator._centred")),
-        columns(Fields(robot).indices("joint_columns")) {}
+  StepReader(const nb::object& robot, nb::object make_targets, nb::object make_result)
+      : joint_names(nb::getattr(robot, "joint_names")), targets(std::move(make_targets)),
+        result(std::move(make_result)), columns(Fields(robot).indices("joint_columns")) {}
 };
+
+// Of one hand, whose targets come from a map of Python.
+inline std::shared_ptr<const StepReader> reader_of(const nb::object& target_map,
+                                                   const nb::object& robot,
+                                                   const nb::object& make_result) {
+  auto reader =
+      std::make_shared<StepReader>(robot, nb::getattr(target_map, "asked"), make_result);
+  reader->centred = Fields(target_map).points("estimator._centred");
+  return reader;
+}
 
 // `Stages` of a step, whose objects Python gets when it asks for them.
 struct Stages : Step {
@@ -159,9 +168,10 @@ struct Stages : Step {
   }
 
  private:
-  // RMS distance of the points from where T takes them. The diagnostics of every map begin with T's
-  // linear part, the centroid and the points, after the motion.
+  // RMS distance of the points from where T takes them; 0 without T. The diagnostics of every map
+  // begin with T's linear part, the centroid and the points, after the motion.
   double residual() const {
+    if (reader->centred.empty()) return 0.0;
     const double* from = asked.diagnostics.data();
     Mat3 linear;
     std::copy(from, from + 9, linear.m);
@@ -176,6 +186,15 @@ struct Stages : Step {
     return std::sqrt(sum / static_cast<double>(reader->centred.size()));
   }
 };
+
+// Stages to be filled, and the object of Python that owns them.
+inline std::pair<nb::object, Stages&> new_stages(std::shared_ptr<const StepReader> reader) {
+  nb::object made = nb::inst_alloc(nb::type<Stages>());
+  Stages& stages = *new (nb::inst_ptr<Stages>(made)) Stages();
+  nb::inst_mark_ready(made);
+  stages.reader = std::move(reader);
+  return {made, stages};
+}
 
 inline nb::object read_ik(const nb::object& self) {
   Stages& stages = nb::cast<Stages&>(self);
@@ -201,21 +220,17 @@ inline nb::object motion_of(const Step& step) {
                 step.motion.dt, frozen(array_of(step.motion.stop_times)));
 }
 
-// What a `HandMapper` does with the samples after its reference, in one call each.
-class SampleMapper {
+// Reads the samples after a reference as they come in, and hands them on; one call each.
+class SampleReader {
  public:
-  // Of a core's `Ik`, its gate, a map of Python with a core, the robot hand, and a function that
-  // makes `IkResult`.
-  SampleMapper(nb::object ik, nb::object gate, const nb::object& target_map,
-               const nb::object& robot, const nb::object& result)
-      : ik_owner_(std::move(ik)), gate_(std::move(gate)),
-        map_owner_(nb::getattr(target_map, "core")), ik_(nb::cast<Ik&>(ik_owner_)),
-        map_(nb::cast<const TargetMap&>(map_owner_)),
-        reader_(std::make_shared<StepReader>(target_map, robot, result)),
+  // `target_map` is one of Python, with a core.
+  explicit SampleReader(const nb::object& target_map)
+      : map_owner_(target_map), map_(Fields(target_map).get<const TargetMap&>("core")),
         map_step_(nb::module_::import_("handmap_qp.mapping.method").attr("MapStep")) {}
-  SampleMapper(const SampleMapper&) = delete;
+  SampleReader(const SampleReader&) = delete;
+  virtual ~SampleReader() = default;
 
-  // Move the hand for a pose, and return the stages.
+  // The stages for a pose.
   nb::object follow(const nb::object& pose, double dt, double speed) {
     return moved(pose_from(pose), dt, speed);
   }
@@ -259,6 +274,45 @@ class SampleMapper {
     }
   }
 
+ protected:
+  nb::object map_owner_;
+  const TargetMap& map_;
+
+  virtual nb::object moved(HumanPose&& pose, double dt, double speed) = 0;
+  static double unproven_speed() {
+    static const double speed =
+        module_of("handmap_qp.human.sample").get<double>("UNPROVEN_SPEED");
+    return speed;
+  }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  nb::object map_step_;
+
+  static double seconds_since(Clock::time_point started) {
+    return std::chrono::duration<double>(Clock::now() - started).count();
+  }
+
+  nb::object step_of(std::optional<HumanPose>&& pose, const nb::object& given,
+                     Clock::time_point started) {
+    const std::optional<double> dt = plain_dt(given);
+    if (!pose || !dt) return nb::none();
+    nb::object stages = moved(std::move(*pose), *dt, 1.0);
+    return map_step_(stages, nb::tuple(), seconds_since(started));
+  }
+};
+
+// What a `HandMapper` does with the samples after its reference.
+class SampleMapper : public SampleReader {
+ public:
+  // Of a core's `Ik`, its gate, a map of Python with a core, the robot hand, and a function that
+  // makes `IkResult`.
+  SampleMapper(nb::object ik, nb::object gate, const nb::object& target_map,
+               const nb::object& robot, const nb::object& result)
+      : SampleReader(target_map), ik_owner_(std::move(ik)), gate_(std::move(gate)),
+        ik_(nb::cast<Ik&>(ik_owner_)), reader_(reader_of(target_map, robot, result)) {}
+
   // Map samples of a recording; see run.hpp. Return the first that is left out, the verdict about it
   // if it was judged, and the pose that was mapped last, if any.
   nb::tuple run(PythonGuard& guard, PythonSmoother& smoother, const LandmarkReader& reader,
@@ -289,49 +343,26 @@ class SampleMapper {
                           run.has_seen ? nb::cast(std::move(run.seen)) : nb::none());
   }
 
- private:
-  using Clock = std::chrono::steady_clock;
-
-  nb::object ik_owner_, gate_, map_owner_;
-  Ik& ik_;
-  const TargetMap& map_;
-  std::shared_ptr<const StepReader> reader_;
-  nb::object map_step_;
-  Goal goal_;
-
-  static double seconds_since(Clock::time_point started) {
-    return std::chrono::duration<double>(Clock::now() - started).count();
-  }
-  static double unproven_speed() {
-    static const double speed =
-        module_of("handmap_qp.human.sample").get<double>("UNPROVEN_SPEED");
-    return speed;
-  }
-
-  nb::object moved(HumanPose&& pose, double dt, double speed) {
+ protected:
+  nb::object moved(HumanPose&& pose, double dt, double speed) override {
     check_map(ik_, map_, pose);
     take_motion(ik_, gate_);
-    nb::object made = nb::inst_alloc(nb::type<Stages>());
-    Stages& stages = *new (nb::inst_ptr<Stages>(made)) Stages();
-    nb::inst_mark_ready(made);
-    stages.reader = reader_;
+    auto [made, stages] = new_stages(reader_);
     stages.pose = std::move(pose);
     handmap::follow(ik_, map_, stages.pose, dt, speed, goal_, stages);
     leave_motion(gate_, made);
     return made;
   }
 
-  nb::object step_of(std::optional<HumanPose>&& pose, const nb::object& given,
-                     Clock::time_point started) {
-    const std::optional<double> dt = plain_dt(given);
-    if (!pose || !dt) return nb::none();
-    nb::object stages = moved(std::move(*pose), *dt, 1.0);
-    return map_step_(stages, nb::tuple(), seconds_since(started));
-  }
+ private:
+  nb::object ik_owner_, gate_;
+  Ik& ik_;
+  std::shared_ptr<const StepReader> reader_;
+  Goal goal_;
 };
 
 // A mapper of Python that is copied makes its own: None takes the place of this one.
-inline nb::tuple without_copy(const SampleMapper&) {
+inline nb::tuple without_copy(const SampleReader&) {
   return nb::make_tuple(nb::none().type(), nb::tuple());
 }
 

@@ -9,9 +9,9 @@
 #include "arrays.hpp"
 #include "build_guard.hpp"
 #include "episode.hpp"
-#include "mapper.hpp"
 #include "person.hpp"
 #include "posture.hpp"
+#include "robot.hpp"
 
 using namespace nb::literals;
 
@@ -388,19 +388,37 @@ NB_MODULE(_core, m) {
       .def_prop_ro("asked", &Stages::read_asked)
       .def_prop_ro("ik", &read_ik)
       .def_prop_ro("command", &Stages::read_command);
-  nb::class_<SampleMapper>(m, "SampleMapper")
+  nb::class_<SampleReader>(m, "SampleReader")
+      .def("__reduce__", &without_copy)
+      .def("follow", &SampleReader::follow)
+      .def("map", &SampleReader::map_joints, "reader"_a.none(), "q"_a.none(), "wrist"_a.none(),
+           "dt"_a.none())
+      .def("map", &SampleReader::map_landmarks, "reader"_a.none(), "landmarks"_a.none(),
+           "wrist"_a.none(), "dt"_a.none())
+      .def("map_sample", &SampleReader::map_sample, "guard"_a, "smoother"_a, "reader"_a,
+           "sample"_a, "dt"_a.none(), "arrival"_a.none());
+  nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
       .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&,
                     const nb::object&>(),
            "ik"_a, "gate"_a, "target_map"_a, "robot"_a, "result"_a)
-      .def("__reduce__", &without_copy)
-      .def("follow", &SampleMapper::follow)
-      .def("map", &SampleMapper::map_joints, "reader"_a.none(), "q"_a.none(), "wrist"_a.none(),
-           "dt"_a.none())
-      .def("map", &SampleMapper::map_landmarks, "reader"_a.none(), "landmarks"_a.none(),
-           "wrist"_a.none(), "dt"_a.none())
-      .def("map_sample", &SampleMapper::map_sample, "guard"_a, "smoother"_a, "reader"_a,
-           "sample"_a, "dt"_a.none(), "arrival"_a.none())
       .def("run", &SampleMapper::run);
+  nb::class_<Asker, SampleReader>(m, "Asker")
+      .def(nb::init<const nb::object&, const nb::object&, const nb::object&>(), "target_map"_a,
+           "robot"_a, "result"_a);
+  nb::class_<Ask>(m, "Ask")
+      .def("__reduce__", &reduced_ask)
+      .def_ro("pose", &Ask::pose)
+      .def_ro("map", &Ask::target_map)
+      .def_ro("dt", &Ask::dt)
+      .def_ro("speed", &Ask::speed)
+      .def_prop_ro("rest", &Ask::rest)
+      .def_prop_ro("targets", &Ask::read_targets);
+  nb::class_<RobotMover>(m, "RobotMover")
+      .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&,
+                    const nb::object&, const nb::list&, const nb::list&>(),
+           "ik"_a, "gate"_a, "robot"_a, "targets"_a, "result"_a, "own"_a, "pinching"_a)
+      .def("__reduce__", &without_mover)
+      .def("move", &RobotMover::move);
   nb::class_<HumanPose>(m, "HumanPose")
       .def("__reduce__", &reduced_pose)
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })

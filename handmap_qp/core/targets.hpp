@@ -150,25 +150,49 @@ struct Asked {
   bool is_clamped = false;
 };
 
+// How a robot's palm follows the human's: see palm.PalmMap.
+struct PalmMap {
+  Pose human_wrist_to_palm, robot_palm_to_wrist, start;
+  bool is_still = false;
+  Mat3 alignment, rotation;
+  Vec3 origin, offset, human_anchor, robot_anchor, human_start;
+  double further = 0.0;
+
+  // The target of the robot's palm for the human's.
+  Pose follow(const Pose& human) const {
+    if (is_still) return start;
+    Pose palm{human.R * rotation, human * origin + offset};
+    if (further != 0.0) palm.p += further * (human * human_anchor - human_start);
+    return {alignment * palm.R, alignment * palm.p};
+  }
+
+  // The human's palm in the robot's world, about its anchor.
+  Pose person_at(const Pose& wrist) const {
+    const Pose palm = wrist * human_wrist_to_palm;
+    return {alignment * palm.R, alignment * ((1.0 + further) * (palm * human_anchor))};
+  }
+};
+
+// Go from 0 to 1 with no slope at either end; see se3.smoothstep.
+inline double smoothstep(double x) {
+  x = clip(x, 0.0, 1.0);
+  return x * x * (3.0 - 2.0 * x);
+}
+
 class TargetMap {
  public:
   virtual ~TargetMap() = default;
   virtual void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const = 0;
+  // How the palm follows; null for methods that move it otherwise.
+  virtual const PalmMap* palm() const { return nullptr; }
   size_t human_points = 0;
   bool needs_wrist = false;
   Vector rest;  // joint positions that the QP's rest term pulls to
 };
 
 // See methods.teleoperation.TeleoperationMap.
-class TeleoperationMap : public TargetMap {
+class TeleoperationMap : public TargetMap, public PalmMap {
  public:
-  // PalmMap
-  Pose human_wrist_to_palm, robot_palm_to_wrist, start;
-  bool is_still = false;
-  Mat3 alignment, rotation;
-  Vec3 origin, offset, human_anchor, human_start;
-  double further = 0.0;
-  // TeleoperationMap
   Estimator estimator;
   std::vector<int> shape_points, from, to, partners;
   int fingers = 0;
@@ -185,16 +209,13 @@ class TeleoperationMap : public TargetMap {
   double contact_slope = 0.0, contact_from = 0.0, contact_most = 0.0;
   DistanceTask distances;
 
+  const PalmMap* palm() const override { return this; }
+
   void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const override {
     const Pose human = *wrist * human_wrist_to_palm, to_palm = inverse(human);
     std::vector<Vec3> now(points.size()), shape(shape_points.size());
     for (size_t k = 0; k < points.size(); ++k) now[k] = to_palm * points[k];
-    Pose palm = start;
-    if (!is_still) {
-      palm = {human.R * rotation, human * origin + offset};
-      if (further != 0.0) palm.p += further * (human * human_anchor - human_start);
-      palm = {alignment * palm.R, alignment * palm.p};
-    }
+    const Pose palm = follow(human);
     for (size_t k = 0; k < shape.size(); ++k) shape[k] = now[shape_points[k]];
     const Estimator::Estimate estimate = estimator.estimate(shape.data(), nullptr);
     const size_t rows = from.size(), pinches = rows - fingers;
@@ -211,9 +232,8 @@ class TeleoperationMap : public TargetMap {
         asked.weights[k] = extension_weights[k];
       } else {
         const size_t p = k - fingers;
-        const double x = clip((pinch_far - distance) / pinch_over, 0.0, 1.0);
         gaps[p] = distance;
-        pinching[p] = x * x * (3.0 - 2.0 * x);
+        pinching[p] = smoothstep((pinch_far - distance) / pinch_over);
         asked.weights[k] = pinch_weight * pinching[p];
       }
     }

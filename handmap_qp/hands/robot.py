@@ -18,7 +18,7 @@ from copy import copy
 from functools import reduce
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from msgspec import Meta
@@ -73,12 +73,14 @@ class RobotSpec(Document, frozen=True):
     Attributes:
         name: Short name of the robot.
         hands: Its hands by their side.
+        base: `floating` where it walks or drives; see `RobotMapper.base_pose`.
         directory: Folder at which relative paths start; that of `robot.yaml`.
         file: The file that the description was read from, for messages.
     """
 
     name: str
     hands: Annotated[dict[Side, RobotHandSpec], Meta(min_length=1)]
+    base: Literal["fixed", "floating"] = "fixed"
     directory: Path | None = None
     file: Path | None = None
 
@@ -89,10 +91,12 @@ class Robot(NamedTuple):
     Attributes:
         name: Short name of the robot.
         hands: Its hands by their side; each has all joints of the robot.
+        is_floating: Whether its base walks or drives.
     """
 
     name: str
     hands: dict[Side, Hand]
+    is_floating: bool = False
 
     @property
     def whole(self) -> Hand:
@@ -188,7 +192,7 @@ def load_robot(robot: str | Path | RobotSpec) -> Robot:
         side: Hand(_on_robot(specs[side], robot.name, prefix, rest), urdf_text=text)
         for side, prefix in sorted(prefixes.items())
     }
-    return Robot(robot.name, hands)
+    return Robot(robot.name, hands, robot.base == "floating")
 
 
 def _check_roots(robot: RobotSpec, specs: Sequence[HandSpec]) -> None:

@@ -29,8 +29,11 @@ class CompiledIk:
         self._hand = hand
         self.core = core_ik
         self._gate = gate
-        # Without the gate, which refers to the steps.
-        self._result = partial(_result_of, hand, gate.links)
+        self._result = self._result_of(hand)
+
+    def _result_of(self, hand: Hand) -> Any:
+        """Return what makes the result of a hand; without the gate, which refers to the steps."""
+        return partial(_result_of, hand, self._gate.links)
 
     def solve(
         self, goal: Goal, dt: float, margins: Array | None, speed: float
@@ -75,6 +78,17 @@ class CompiledIk:
         return core.SampleMapper(
             self.core, self._gate, target_map, self._hand, self._result
         )
+
+    def asker(self, target_map: Any, hand: Hand) -> Any:
+        """Return the core's way from samples of one hand to what it asks of the robot."""
+        assert core is not None
+        return core.Asker(target_map, hand, self._result_of(hand))
+
+    def robot_mover(self, targets: Any, own: Any, pinching: Any) -> Any:
+        """Return the core's way from what all hands ask to a step; see `RobotMapper`."""
+        assert core is not None
+        arguments = self._hand, targets, self._result, own, pinching
+        return core.RobotMover(self.core, self._gate, *arguments)
 
     def _linearise(self, tasks: Sequence[Task], q: Array) -> tuple[Array, Array, Array]:
         """Return the rows of tasks that are written in Python, at a configuration."""

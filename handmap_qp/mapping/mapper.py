@@ -358,7 +358,11 @@ class HandMapper:
         is_python = self._is_released or plan.tasks or ik.options.tasks
         if is_python or ik.core is None or not getattr(reference.map, "core", None):
             return None
-        return self.core or ik.core.sample_mapper(reference.map)
+        return self.core or self._core_by(ik.core, reference.map)
+
+    def _core_by(self, core: Any, target_map: TargetMap) -> Any:
+        """Return the core's mapper by a map that it has too."""
+        return core.sample_mapper(target_map)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Brake, and keep the robot's posture.

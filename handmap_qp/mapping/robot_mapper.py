@@ -9,7 +9,6 @@ its reference, the robot's palm has the directions of the person's. Where the pe
 near each other, the robot's have their offset, too.
 """
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
@@ -22,7 +21,12 @@ import pinocchio as pin
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import HandmapError, InvalidInputError, expect
+from handmap_qp.errors import (
+    HandmapError,
+    InvalidInputError,
+    InvalidOptionsError,
+    expect,
+)
 from handmap_qp.hands import (
     LINK_MARGIN,
     Hand,
@@ -34,6 +38,7 @@ from handmap_qp.hands import (
     load_hand,
 )
 from handmap_qp.human.sample import Verdict, human_name
+from handmap_qp.ik.core import Parts
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, PointIk
@@ -42,6 +47,8 @@ from handmap_qp.se3 import (
     Array,
     PoseLike,
     affine,
+    check_pose,
+    inverse_pose,
     lengths,
     smoothstep,
     transform_points,
@@ -53,6 +60,7 @@ from .method import (
     Method,
     RobotCommand,
     Stages,
+    TargetMap,
     Targets,
 )
 from .palm import PalmMap
@@ -69,45 +77,44 @@ _common_pairs = lru_cache(maxsize=16)(common_pairs)
 
 
 class Asked(NamedTuple):
-    """What one hand of a person asks of the robot.
+    """What one hand of a person asks of the robot. The core has it, too, as `Ask`.
 
     Attributes:
-        targets: Of the robot's hand.
+        pose: The person's hand.
+        targets: Of the robot's hand, before its palm is turned.
         rest: Joint positions that the QP's rest term pulls to, shape (n,).
         dt: Time since the last sample [s].
         speed: Share of the speed limits at which the robot may move.
-        palm: The map that the palm follows, and the person's palm in the robot's world, shape (4,
-            4); None where the robot's hand stays, or the method moves no palm.
+        map: What made the targets; None where the robot's hand stays.
     """
 
+    pose: HumanPose
     targets: Targets
     rest: Array
     dt: float
     speed: float = 1.0
-    palm: tuple[PalmMap, Array] | None = None
+    map: Any = None
 
 
 class Leader(HandMapper):
     """A hand of a person that asks a robot to move; see `HandMapper`.
 
-    Its steps have no motion before the robot has moved.
+    The stages of its steps are what it asks.
 
     Attributes:
-        asked: What it asked last.
-        is_staying: Whether that is to stay.
-        turns_in: As of `RobotMapper` [s].
+        asked: What it asked last, as `Asked` or as the core has it.
         since: Time since its reference [s].
+        base: Where the robot's base was at its reference, shape (4, 4).
     """
 
-    asked: Asked
-    is_staying = False
-    turns_in = math.inf
+    asked: Any = None
     since = 0.0
+    base = np.eye(4)
 
     def join(self, ik: PointIk) -> None:
         """Ask the robot that a solver moves."""
         self._plan = self._plan._replace(ik=ik)
-        self._start = None
+        self._start = self.core = None
 
     @property
     def contacts(self) -> ShapePairs | None:
@@ -117,18 +124,10 @@ class Leader(HandMapper):
     def clutch(self) -> None:
         """Make the next sample the reference; see `HandMapper.clutch`."""
         super().clutch()
-        self.is_staying = False
         self.since = 0.0
 
-    def stay_here(self) -> None:
-        """Let a hand that stays do so where something else has moved the robot."""
-        if self.is_staying:
-            self.is_staying = False
-            self.hold(self.dt)
-
-    def _core_at(self, reference: Any) -> Any:
-        """Return None: the robot moves, not this hand."""
-        del reference
+    def _core_by(self, core: Any, target_map: TargetMap) -> Any:
+        return core.asker(target_map, self.robot)
 
     def _moved(
         self,
@@ -137,54 +136,64 @@ class Leader(HandMapper):
         rest: Array,
         dt: float,
         speed: float,
-    ) -> Stages:
+    ) -> Any:
         """Ask for targets."""
-        palm = None
         leading = self._reference and self._reference.map
-        if isinstance(leading, PalmMap):
-            person = leading.person_at(sample)
-            palm = leading, person
-            self.since += dt
-            own = asked.wrist @ self.robot.wrist_to_palm
-            share = float(smoothstep(self.since / self.turns_in))
-            turn = _turned(own, leading.robot_anchor, person, share)
-            asked = structs.replace(
-                asked,
-                points=transform_points(turn, asked.points),
-                wrist=turn @ asked.wrist,
-            )
-        self.asked = Asked(asked, rest, dt, speed, palm)
-        self.is_staying = False
-        return _unmoved(sample, asked)
+        return Asked(sample, asked, rest, dt, speed, leading)
+
+    @property
+    def is_staying(self) -> bool:
+        """Whether the robot's hand is to stay."""
+        return self.asked and self.asked.map is None
+
+    def stay(self) -> None:
+        """Ask that the robot's hand stays where it is now."""
+        at = posture_of(self.robot, self.motion.q)
+        margins = self.asked and self.asked.targets.margins
+        unseen = np.full((len(self.human.reference_points), 3), np.nan)
+        targets = Targets(at.points, at.wrist, margins=margins)
+        self.asked = Asked(HumanPose(unseen, None), targets, at.q, self.dt)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Ask that the robot's hand stays where it is; arguments as of `HandMapper.hold`."""
-        check_dt(dt)
-        before: Any = vars(self).get("asked")
-        if not (before and self.is_staying):
-            at = posture_of(self.robot, self.motion.q)
-            margins = before and before.targets.margins
-            before = Asked(Targets(at.points, at.wrist, margins=margins), at.q, dt)
-        self.asked = before._replace(dt=dt)
-        self.is_staying = True
-        if seen is None:
-            seen = HumanPose(
-                np.full((len(self.human.reference_points), 3), np.nan), None
-            )
-        return MapStep(_unmoved(seen, self.asked.targets), (), 0.0)
+        if not self.is_staying:
+            self.stay()
+        asked = self.asked._replace(dt=check_dt(dt))
+        self.asked = asked if seen is None else asked._replace(pose=seen)
+        return MapStep(self.asked, (), 0.0)
 
 
-def _turned(palm: Array, anchor: Array, person: Array, share: float) -> Array:
-    """Return the motion that turns a palm about its anchor to another one's axes, (4, 4)."""
-    centre = transform_points(palm, anchor)
+def _aimed(asked: Asked, world: Array, share: float) -> tuple[Targets, Array | None]:
+    """Return targets whose palm has turned to the person's by a share, and the person's palm.
+
+    All are seen from the robot's base, where its world at the reference is at (4, 4). There is no
+    palm, (4, 4), where the robot's hand stays, or the method moves none.
+    """
+    targets = _moved_by(world, asked.targets)
+    if not isinstance(asked.map, PalmMap):
+        return targets, None
+    person = world @ asked.map.person_at(asked.pose)
+    return _turned(asked.map, targets, person, share), person
+
+
+def _turned(
+    leading: PalmMap,
+    targets: Targets,
+    person: Array,
+    share: float,
+    shift: Array | float = 0.0,
+) -> Targets:
+    """Return targets whose palm has turned about its anchor to the axes of a palm, and shifted."""
+    palm = targets.wrist @ inverse_pose(leading.robot_palm_to_wrist)
+    centre = transform_points(palm, leading.robot_anchor)
     turn = pin.exp3(share * pin.log3(person[:3, :3] @ palm[:3, :3].T))
-    return affine(turn, centre - turn @ centre)
+    return _moved_by(affine(turn, centre - turn @ centre + shift), targets)
 
 
-def _unmoved(pose: HumanPose, asked: Targets) -> Stages:
-    """Return stages before the robot has moved."""
-    nothing: Any = None
-    return Stages(pose, asked, nothing, nothing)
+def _moved_by(motion: Array, targets: Targets) -> Targets:
+    """Return the targets of a hand after a motion, shape (4, 4)."""
+    points = transform_points(motion, targets.points)
+    return structs.replace(targets, points=points, wrist=motion @ targets.wrist)
 
 
 class RobotStep(MapStep, frozen=True, eq=False, kw_only=True):
@@ -249,8 +258,9 @@ class RobotMapper:
             side: Leader(humans[side], hand, method, ik=ik, **options)
             for side, hand in robot.hands.items()
         }
-        for leader in self.leaders.values():
-            leader.turns_in = turns_in
+        self._is_floating = robot.is_floating
+        self._base = np.eye(4)
+        self._turns_in = turns_in
         self._join(next(iter(self.leaders.values())).ik)
         self.reset()
 
@@ -286,7 +296,31 @@ class RobotMapper:
     def motion(self, motion: Motion) -> None:
         self._ik.gate.motion = motion
         for leader in self.leaders.values():
-            leader.stay_here()
+            if leader.is_staying:
+                leader.stay()
+
+    @property
+    def base_pose(self) -> Array:
+        """Where a floating base is in the robot's world, shape (4, 4). Set it before each sample.
+
+        Targets stay in that world as the base moves; commands, points and wrists are seen from the
+        base.
+
+        Raises:
+            InvalidOptionsError: If the base is fixed.
+            InvalidInputError: If it is no pose.
+        """
+        return self._base
+
+    @base_pose.setter
+    def base_pose(self, pose: PoseLike) -> None:
+        if not self._is_floating:
+            raise InvalidOptionsError(
+                option="base_pose",
+                problem=f"the base of {self._name} is fixed",
+                advice="if it moves, say `base: floating` in robot.yaml",
+            )
+        self._base = check_pose(pose, "base_pose")
 
     def map_landmarks(
         self,
@@ -352,44 +386,33 @@ class RobotMapper:
                 argument="hands", problem="a step needs a sample of a hand at least"
             )
         with self._unless_refused():
-            steps = self._last | {side: ask() for side, ask in asking.items()}
-            result = self._moved(max(self.leaders[side].asked.dt for side in asking))
-        self._last = steps
+            steps: Any = {side: ask() for side, ask in asking.items()}
+            for side, step in steps.items():
+                leader = self.leaders[side]
+                leader.asked = asked = step.stages
+                leader.base = leader.base if leader.since else self._base
+                leader.since += asked.dt
+            dt = max(self.leaders[side].asked.dt for side in steps)
+            stages, parts = self._moved(dt)
+        self._last = self._last | steps
         duration = perf_counter() - started
-        hands = {}
-        first = 0
-        for k, (side, leader) in enumerate(self.leaders.items()):
-            own = slice(first, first + len(leader.robot.reference_points))
-            first = own.stop
-            part = structs.replace(
-                result,
-                points=result.points[own],
-                targets=result.targets[own],
-                wrists=result.wrists[k : k + 1],
-                hand=leader.robot,
-            )
-            asked = structs.replace(
-                leader.asked.targets, points=part.targets, wrist=self._wrists[k]
-            )
-            stages = _stages(steps[side].stages.pose, asked, part)
-            hands[side] = structs.replace(steps[side], stages=stages, duration=duration)
-        return self._whole(hands, result, duration)
+        hands = {
+            side: structs.replace(step, stages=part, duration=duration)
+            for (side, step), part in zip(self._last.items(), parts, strict=True)
+        }
+        return self._whole(hands, stages, duration)
 
     def _whole(
-        self, hands: dict[Side, MapStep], result: IkResult, duration: float
+        self, hands: dict[Side, MapStep], stages: Stages, duration: float
     ) -> RobotStep:
         """Return the step of all hands."""
         steps = hands.values()
-        poses = [step.stages.pose for step in steps]
-        points = np.concatenate([pose.points for pose in poses])
-        flags = tuple(flag for step in steps for flag in step.asked.flags)
-        asked = Targets(result.targets, self._wrists[0], flags=flags)
         verdicts = [step.verdict for step in steps if step.verdict]
         # That of a hand with a rule comes first.
         verdicts.sort(key=lambda verdict: not verdict.rule)
         is_held = all(step.is_held for step in steps)
         return RobotStep(
-            stages=_stages(HumanPose(points, poses[0].wrist), asked, result),
+            stages=stages,
             out_of_range=tuple(name for step in steps for name in step.out_of_range),
             duration=duration,
             verdict=verdicts[0]._replace(is_held=is_held) if verdicts else None,
@@ -398,68 +421,103 @@ class RobotMapper:
             hands=hands,
         )
 
-    def _moved(self, dt: float) -> IkResult:
-        """Move the robot for what all hands ask, or bring it to a stop."""
-        asked = [leader.asked for leader in self.leaders.values()]
-        rest = self.robot.rest.copy()
-        for own, each in zip(self._own, asked, strict=True):
-            rest[own] = each.rest[own]
-        points = [each.targets.points for each in asked]
-        wrists = np.array([each.targets.wrist for each in asked])
-        tasks = self._together(asked, points, wrists)
-        self._wrists = wrists
+    def _moved(self, dt: float) -> tuple[Stages, list[Stages]]:
+        """Move the robot for what all hands ask, or bring it to a stop.
+
+        Returns:
+            The stages of the robot, and those of each hand.
+        """
+        leaders = self.leaders.values()
+        asked = [leader.asked for leader in leaders]
+        turning = [leader.since / self._turns_in for leader in leaders]
+        to_base = inverse_pose(self._base)
+        worlds = [to_base @ leader.base for leader in leaders]
+        is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
+        if self._ik.core and not is_python:
+            parts = self._targets, self._own, self._pinching
+            self._core = self._core or self._ik.core.robot_mover(*parts)
+            return self._core.move(asked, turning, worlds, dt)
+        aimed = map(_aimed, asked, worlds, smoothstep(turning).tolist())
+        targets, persons = map(list, zip(*aimed, strict=True))
+        tasks = self._together([each.map for each in asked], targets, persons)
+        wrists = np.array([each.wrist for each in targets])
         if self._is_released:
-            return self._ik.hold(dt)
-        return self._ik.solve(
-            np.concatenate(points),
-            wrists,
-            dt,
-            rest=rest,
-            tasks=(*tasks, *(task for each in asked for task in each.targets.tasks)),
-            margins=self._margins(asked),
-            speed=min(each.speed for each in asked),
-        )
+            result = self._ik.hold(dt)
+        else:
+            rest = self.robot.rest.copy()
+            for own, each in zip(self._own, asked, strict=True):
+                rest[own] = each.rest[own]
+            result = self._ik.solve(
+                np.concatenate([each.points for each in targets]),
+                wrists,
+                dt,
+                rest=rest,
+                tasks=(*tasks, *(task for each in targets for task in each.tasks)),
+                margins=self._margins(targets),
+                speed=min(each.speed for each in asked),
+            )
+        parts = []
+        for k, own in enumerate(self._ik.configuration.parts):
+            part = structs.replace(
+                result,
+                points=result.points[own],
+                targets=result.targets[own],
+                wrists=result.wrists[k : k + 1],
+                hand=self.robot.hands[k],
+            )
+            moved = structs.replace(targets[k], points=part.targets)
+            parts.append(_stages(asked[k].pose, moved, part))
+        points = np.concatenate([each.pose.points for each in asked])
+        flags = tuple(flag for each in targets for flag in each.flags)
+        whole = Targets(result.targets, wrists[0], flags=flags)
+        pose = HumanPose(points, asked[0].pose.wrist)
+        return _stages(pose, whole, result), parts
+
+    def _targets(self, numbers: Array, is_clamped: bool) -> Targets:
+        """Return the targets of all hands that the core computed."""
+        points, wrist = Parts((len(self.robot.reference_points), 3), (4, 4)).of(numbers)
+        return Targets(points, wrist, flags=("stretch_clamped",) * is_clamped)
 
     def _together(
-        self, asked: list[Asked], points: list[Array], wrists: Array
+        self, maps: list[Any], targets: list[Targets], persons: list[Any]
     ) -> list[Task]:
         """Move the targets of near palms to where one is seen from the other as the person's is.
 
         Returns:
             The task of their offset, for palms that cannot come there.
         """
-        palms = [each.palm for each in asked if each.palm]
-        if len(palms) < 2:
+        if len(persons) < 2 or any(palm is None for palm in persons):
             return []
-        (first, here), (other, there) = palms
-        apart = (there - here)[:3, 3]
+        first, other = maps
+        apart = (persons[1] - persons[0])[:3, 3]
         gap = lengths(apart) / (1.0 + first.further)
         share = float(smoothstep((_NEAR - gap) / (_NEAR - _TOGETHER)))
         if share == 0.0 or not np.array_equal(first.alignment, other.alignment):
             return []
-        hands = [leader.robot for leader in self.leaders.values()]
+        hands = self.robot.hands
         anchors = first.robot_anchor, other.robot_anchor
-        palms = [w @ hand.wrist_to_palm for w, hand in zip(wrists, hands, strict=True)]
-        centres = [*map(transform_points, palms, anchors)]
-        own = centres[1] - centres[0]
+        own = np.subtract(
+            *(
+                transform_points(targets[k].wrist @ hands[k].wrist_to_palm, anchors[k])
+                for k in (1, 0)
+            )
+        )
         aim = own + share * (apart - own)
-        for k, person in enumerate((here, there)):
-            moved = _turned(palms[k], anchors[k], person, share)
-            moved[:3, 3] += (k - 0.5) * (aim - own)
-            points[k] = transform_points(moved, points[k])
-            wrists[k] = moved @ wrists[k]
+        for k, person in enumerate(persons):
+            shift = (k - 0.5) * (aim - own)
+            targets[k] = _turned(maps[k], targets[k], person, share, shift)
         places = [*map(palm_place, hands, anchors)]
         weight = _TOGETHER_SHARE * share * self._ik.options.wrist_position_weight
         return [PointOffset(self.robot, places, aim, weight)]
 
-    def _margins(self, asked: list[Asked]) -> Array | None:
+    def _margins(self, targets: list[Targets]) -> Array | None:
         """Return the margin of each pair: that of the hand whose thumb and finger it is."""
         if not self._pinching:
             return None
         found = LINK_MARGIN * np.ones(len(self._ik.gate.links) - 1)
-        for each, (rows, own) in zip(asked, self._pinching, strict=True):
-            if (margins := each.targets.margins) is not None:
-                found[rows] = margins[own]
+        for each, (rows, own) in zip(targets, self._pinching, strict=True):
+            if each.margins is not None:
+                found[rows] = each.margins[own]
         return found
 
     def _join(self, options: IkOptions, motion: Motion | None = None) -> None:
@@ -470,7 +528,8 @@ class RobotMapper:
         pairs, self._pinching = _common_pairs(contacts) if contacts else (None, [])
         self._ik = PointIk(whole, options, motion, contacts=pairs)
         moves = [leader.robot.moves_points.any(axis=0) for leader in leaders]
-        self._own = [moved & ~whole.moves_wrist for moved in moves]
+        self._own = [np.flatnonzero(moved & ~whole.moves_wrist) for moved in moves]
+        self._core: Any = None
         for leader in leaders:
             leader.join(self._ik)
 
@@ -514,7 +573,7 @@ class RobotMapper:
         self._last: dict[Side, MapStep] = {}
         for side, leader in self.leaders.items():
             leader.clutch()
-            leader.is_staying = False
+            leader.stay()
             self._last[side] = leader.hold(leader.dt)
 
     def configure(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -61,13 +62,18 @@ def palms(step: RobotStep, robot: Robot) -> np.ndarray:
     return np.array([hand.frame_pose("palm", q) for hand in robot.hands.values()])
 
 
+def persons(mapper: RobotMapper) -> list[Any]:
+    """Palms of the person in the robot's world, shape (4, 4) each."""
+    asked = [leader.asked for leader in mapper.leaders.values()]
+    return [each.map.person_at(each.pose) for each in asked]
+
+
 def knuckle_distance(mapper: RobotMapper, step: RobotStep) -> float:
     """Distance of the points of both palms that correspond to the person's knuckles [m]."""
     ends = []
     for side, leader in mapper.leaders.items():
         palm = step.hands[side].command.wrist @ leader.robot.wrist_to_palm
-        assert leader.asked.palm is not None
-        anchor = leader.asked.palm[0].robot_anchor
+        anchor = leader.asked.map.robot_anchor
         ends.append(palm[:3, :3] @ anchor + palm[:3, 3])
     return float(np.linalg.norm(ends[1] - ends[0]))
 
@@ -136,9 +142,7 @@ def test_near_palms_are_seen_from_each_other_as_the_persons(g1: Robot) -> None:
     start = palms(step, g1)
     for i in range(200):
         step = mapper.map_step(*motion(i, apart=0.7, nearing=0.55), dt=DT)
-    here = [
-        leader.asked.palm[1] for leader in mapper.leaders.values() if leader.asked.palm
-    ]
+    here = persons(mapper)
     wanted = np.linalg.norm((here[0] - here[1])[:3, 3])
     assert wanted < 0.2
     # By displacements alone, they would have come nearer by 0.55 m.
@@ -160,15 +164,13 @@ def test_palms_turn_to_the_persons_soon_after_a_reference(
     first = palms(mapper.map_step(*motion(0, apart=1.0), dt=DT), pair)
     for _ in range(120):
         step = mapper.map_step(*motion(0, apart=1.0), dt=DT)
-    for leader, own, before in zip(
-        mapper.leaders.values(), palms(step, pair), first, strict=True
+    for leader, person, own, before in zip(
+        mapper.leaders.values(), persons(mapper), palms(step, pair), first, strict=True
     ):
-        assert leader.asked.palm is not None
-        person = leader.asked.palm[1]
         wanted = person if turns_in < 1.0 else before
         np.testing.assert_allclose(own[:3, :3], wanted[:3, :3], atol=1e-2)
         # They turn about the point that follows the person's.
-        anchor = leader.asked.palm[0].robot_anchor
+        anchor = leader.asked.map.robot_anchor
         ends = [palm[:3, :3] @ anchor + palm[:3, 3] for palm in (own, before)]
         np.testing.assert_allclose(*ends, atol=2e-3)
         assert np.abs(person[:3, :3] - before[:3, :3]).max() > 0.5
@@ -393,3 +395,47 @@ def test_the_points_of_a_hand_go_with_its_own_wrist(g1: Robot) -> None:
 def test_palms_need_a_time_to_turn_in(g1: Robot, turns_in: float) -> None:
     with pytest.raises(InvalidInputError, match="turns_in"):
         RobotMapper(g1, HUMANS, turns_in=turns_in)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_palms_stay_in_the_world_while_the_base_walks(
+    g1: Robot, formulation: str
+) -> None:
+    ik = PRESET.ik.replaced(formulation=formulation)
+    mapper = RobotMapper(g1, HUMANS, "teleoperation", ik=ik)
+    still = RobotMapper(g1, HUMANS, "teleoperation", ik=ik)
+    # One that began elsewhere in the world is no different.
+    begun = pin.SE3(pin.exp3(np.array([0.0, 0.0, 2.0])), np.array([5.0, -3.0, 1.0]))
+    base = np.eye(4)
+    for i in range(150):
+        turn = pin.exp3(np.array([0.0, 0.0, 0.003 * min(i, 60)]))
+        way = np.array([4e-4, 2e-4, -2e-4]) * min(i, 60)
+        base = pin.SE3(turn, way).homogeneous
+        mapper.base_pose = begun.homogeneous @ base
+        step = mapper.map_step(*motion(0), dt=DT)
+        other = still.map_step(*motion(0), dt=DT)
+    for side in SIDES:
+        ours = base @ step.hands[side].command.wrist
+        np.testing.assert_allclose(
+            ours, other.hands[side].command.wrist, atol=5e-3, err_msg=side
+        )
+        np.testing.assert_allclose(
+            base @ step.hands[side].wrist_target,
+            other.hands[side].wrist_target,
+            atol=1e-9,
+        )
+    assert np.abs(step.command.wrist - other.command.wrist).max() > 0.02
+    mapper.clutch()
+    again = mapper.map_step(*motion(0), dt=DT)
+    # Counted from here.
+    assert max(each.wrist_error[0] for each in again.hands.values()) < 5e-3
+
+
+def test_only_a_floating_base_is_elsewhere(g1: Robot, pair: Robot) -> None:
+    mapper = RobotMapper(pair, HUMANS, "teleoperation")
+    with pytest.raises(InvalidOptionsError, match="base: floating"):
+        mapper.base_pose = np.eye(4)
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    with pytest.raises(InvalidInputError, match="base_pose"):
+        mapper.base_pose = 2.0 * np.eye(4)
+    np.testing.assert_array_equal(mapper.base_pose, np.eye(4))

@@ -1,0 +1,247 @@
+// Both hands of a person on one robot: see mapping/robot_mapper.py, whose names these are.
+#pragma once
+
+#include "mapper.hpp"
+
+namespace handmap {
+
+// What a hand of a person asks of a robot; see robot_mapper.Asked.
+struct Ask {
+  nb::object target_map;  // of Python
+  const TargetMap* map;
+  std::shared_ptr<const StepReader> reader;
+  HumanPose pose;
+  double dt, speed;
+
+  void targets(Asked& asked) const {
+    map->targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, asked);
+  }
+  nb::object rest() const { return nb::getattr(target_map, "rest"); }
+  nb::object read_targets() const {
+    Asked asked;
+    targets(asked);
+    return reader->targets(numbers_of(asked), asked.is_clamped);
+  }
+};
+
+// A copy, by copy or pickle, is one of Python: there may be no core.
+inline nb::tuple reduced_ask(const nb::object& self) {
+  const nb::object kind = nb::module_::import_("handmap_qp.mapping.robot_mapper").attr("Asked");
+  nb::list parts;
+  for (const char* name : {"pose", "targets", "rest", "dt", "speed", "map"})
+    parts.append(nb::getattr(self, name));
+  return nb::make_tuple(kind, nb::tuple(parts));
+}
+
+// Lets a `Leader` ask with each sample after its reference.
+class Asker : public SampleReader {
+ public:
+  // Of a map of Python with a core, the robot's hand, and a function that makes `IkResult`.
+  Asker(const nb::object& target_map, const nb::object& robot, const nb::object& result)
+      : SampleReader(target_map), reader_(reader_of(target_map, robot, result)) {}
+
+ protected:
+  nb::object moved(HumanPose&& pose, double dt, double speed) override {
+    if (pose.points.size() != map_.human_points || (map_.needs_wrist && !pose.has_wrist))
+      throw std::invalid_argument("the map is of another hand");
+    return nb::cast(Ask{map_owner_, &map_, reader_, std::move(pose), dt, speed});
+  }
+
+ private:
+  std::shared_ptr<const StepReader> reader_;
+};
+
+// The motion that turns a palm about its anchor to another one's axes.
+inline Pose turned(const Pose& palm, const Vec3& anchor, const Pose& to, double share) {
+  const Vec3 centre = palm * anchor;
+  const Mat3 turn = exp3(share * log3(to.R * transposed(palm.R)));
+  return {turn, centre - turn * centre};
+}
+
+// Moves a robot for what its hands ask.
+class RobotMover {
+ public:
+  // Of a core's `Ik`, its gate, the robot as one hand, functions that make `Targets` and `IkResult`
+  // of all hands, the joints of each hand alone, and its pairs that pinch.
+  RobotMover(nb::object ik, nb::object gate, const nb::object& robot, const nb::object& targets,
+             const nb::object& result, const nb::list& own, const nb::list& pinching)
+      : ik_owner_(std::move(ik)), gate_(std::move(gate)), ik_(nb::cast<Ik&>(ik_owner_)),
+        reader_(std::make_shared<StepReader>(robot, targets, result)),
+        rest_(Fields(robot).numbers("rest")) {
+    const Fields constants = module_of("handmap_qp.mapping.robot_mapper");
+    near_ = constants.get<double>("_NEAR");
+    together_ = constants.get<double>("_TOGETHER");
+    together_share_ = constants.get<double>("_TOGETHER_SHARE");
+    for (const nb::handle& each : nb::getattr(robot, "hands")) {
+      const Fields hand(nb::borrow(each));
+      const Fields palm(item(hand.object("model.frames"), hand.get<size_t>("palm_frame_id")));
+      hands_.push_back({palm.get<int>("parentJoint") - 1, palm.pose("placement.homogeneous")});
+    }
+    if (own.size() != hands_.size()) throw std::invalid_argument("wrong number of hands");
+    for (size_t k = 0; k < hands_.size(); ++k) {
+      hands_[k].joints = indices_of(own[k]);
+      if (k >= pinching.size()) continue;
+      hands_[k].pinching = indices_of(nb::borrow(pinching[k])[nb::int_(0)]);
+      hands_[k].among_own = indices_of(nb::borrow(pinching[k])[nb::int_(1)]);
+    }
+    if (pinching.size() > 0)
+      margins_.assign(ik_.pairs->size(), module_of("handmap_qp.hands").get<double>("LINK_MARGIN"));
+  }
+  RobotMover(const RobotMover&) = delete;
+
+  // Move the robot for an `Ask` of each hand; `turning` says how far their palms have turned to the
+  // person's, and `worlds` where the world of each hand's reference is from the robot's base. Return
+  // the stages of the robot, and those of each hand.
+  nb::tuple move(const nb::list& given, const Vector& turning, const std::vector<Array>& worlds,
+                 double dt) {
+    std::vector<const Ask*> asks;
+    for (const nb::handle& each : given) asks.push_back(nb::cast<const Ask*>(each));
+    if (asks.size() != hands_.size() || turning.size() != hands_.size() ||
+        worlds.size() != hands_.size())
+      throw std::invalid_argument("wrong number of hands");
+    aim(asks, turning, worlds);
+    goal_.postures = ik_.postures(wanted_rest_, std::max(dt, kShortestDt));
+    double speed = 1.0;
+    for (const Ask* ask : asks) speed = std::min(speed, ask->speed);
+    take_motion(ik_, gate_);
+    auto [made, whole] = new_stages(reader_);
+    seek(ik_, goal_, dt, wanted_margins_, speed, whole.result);
+    finish(ik_, whole);
+    whole.asked.points = whole.result.targets;
+    whole.asked.wrist = goal_.wrists[0];
+    whole.pose = {{}, asks[0]->pose.has_wrist, asks[0]->pose.wrist};
+    nb::list parts;
+    for (size_t k = 0; k < asks.size(); ++k) {
+      for (const Vec3& point : asks[k]->pose.points) whole.pose.points.push_back(point);
+      whole.asked.is_clamped |= asked_[k].is_clamped;
+      parts.append(part_of(whole, *asks[k], k));
+    }
+    leave_motion(gate_, made);
+    return nb::make_tuple(made, parts);
+  }
+
+ private:
+  struct RobotHand {
+    int palm_joint;
+    Pose palm;  // on that joint
+    Indices joints = {}, pinching = {}, among_own = {};
+  };
+
+  static Indices indices_of(const nb::handle& array) {
+    return nb::cast<Indices>(nb::getattr(array, "tolist")());
+  }
+
+  // Set the goal to what the hands ask.
+  void aim(const std::vector<const Ask*>& asks, const Vector& turning,
+           const std::vector<Array>& worlds) {
+    const size_t count = asks.size();
+    goal_.points.clear();
+    goal_.wrists.clear();
+    goal_.distances.clear();
+    goal_.offsets.clear();
+    wanted_rest_ = rest_;
+    wanted_margins_ = margins_;
+    asked_.resize(count);
+    persons_.resize(count);
+    for (size_t k = 0; k < count; ++k) {
+      Asked& asked = asked_[k];
+      asks[k]->targets(asked);
+      if (asked.points.size() != ik_.tree.parts[k].end - ik_.tree.parts[k].first ||
+          asks[k]->map->rest.size() != rest_.size())
+        throw std::invalid_argument("the map is of another hand");
+      expect_size(worlds[k], 16, "worlds");
+      const Pose world = pose_of(worlds[k].data());
+      move_targets(k, world);
+      if (const PalmMap* palm = asks[k]->map->palm()) {
+        persons_[k] = world * palm->person_at(asks[k]->pose.wrist);
+        turn(*palm, k, smoothstep(turning[k]));
+      }
+      for (const int i : hands_[k].joints) wanted_rest_[i] = asks[k]->map->rest[i];
+      if (asked.margins.empty()) continue;
+      for (size_t i = 0; i < hands_[k].pinching.size(); ++i)
+        wanted_margins_.at(hands_[k].pinching[i]) = asked.margins.at(hands_[k].among_own[i]);
+    }
+    if (count == 2) bring_together(asks);
+    for (const Asked& asked : asked_) {
+      goal_.points.insert(goal_.points.end(), asked.points.begin(), asked.points.end());
+      goal_.wrists.push_back(asked.wrist);
+      if (asked.distances)
+        goal_.distances.push_back({asked.distances, asked.aims, asked.weights});
+    }
+  }
+
+  // The target of a palm.
+  Pose palm_of(const PalmMap& map, size_t k) const {
+    return asked_[k].wrist * inverse(map.robot_palm_to_wrist);
+  }
+
+  void move_targets(size_t k, const Pose& motion) {
+    for (Vec3& point : asked_[k].points) point = motion * point;
+    asked_[k].wrist = motion * asked_[k].wrist;
+  }
+
+  // Turn targets about a palm's anchor to the person's axes, and shift them.
+  void turn(const PalmMap& map, size_t k, double share, const Vec3& shift = {}) {
+    Pose motion = turned(palm_of(map, k), map.robot_anchor, persons_[k], share);
+    motion.p += shift;
+    move_targets(k, motion);
+  }
+
+  // Move the targets of near palms to where one is seen from the other as the person's is.
+  void bring_together(const std::vector<const Ask*>& asks) {
+    const PalmMap *first = asks[0]->map->palm(), *other = asks[1]->map->palm();
+    if (!first || !other) return;
+    const Vec3 apart = persons_[1].p - persons_[0].p;
+    const double gap = norm(apart) / (1.0 + first->further);
+    const double share = smoothstep((near_ - gap) / (near_ - together_));
+    if (share == 0.0 || !std::equal(first->alignment.m, first->alignment.m + 9, other->alignment.m))
+      return;
+    const Vec3 own =
+        palm_of(*other, 1) * other->robot_anchor - palm_of(*first, 0) * first->robot_anchor;
+    const Vec3 aim = own + share * (apart - own);
+    turn(*first, 0, share, -0.5 * (aim - own));
+    turn(*other, 1, share, 0.5 * (aim - own));
+    goal_.offsets.push_back({{hands_[0].palm_joint, hands_[0].palm * first->robot_anchor},
+                             {hands_[1].palm_joint, hands_[1].palm * other->robot_anchor},
+                             aim,
+                             together_share_ * share * ik_.weights.wrist_position});
+  }
+
+  // The stages of one hand.
+  nb::object part_of(const Stages& whole, const Ask& ask, size_t k) const {
+    auto [made, stages] = new_stages(ask.reader);
+    const Part& part = ik_.tree.parts[k];
+    const auto own = [&part](const std::vector<Vec3>& of) {
+      return std::vector<Vec3>(of.begin() + part.first, of.begin() + part.end);
+    };
+    stages.pose = ask.pose;
+    stages.asked = asked_[k];
+    stages.asked.points = own(whole.result.targets);
+    stages.result = whole.result;
+    stages.result.targets = stages.asked.points;
+    stages.result.points = own(whole.result.points);
+    stages.result.wrists = {whole.result.wrists[k]};
+    stages.motion = whole.motion;
+    stages.q = whole.q;
+    return made;
+  }
+
+  nb::object ik_owner_, gate_;
+  Ik& ik_;
+  std::shared_ptr<const StepReader> reader_;
+  Vector rest_, margins_;
+  double near_, together_, together_share_;
+  std::vector<RobotHand> hands_;
+  // What the hands ask, where the person's palms are in the robot's world, and what the QP is to do.
+  std::vector<Asked> asked_;
+  std::vector<Pose> persons_;
+  Vector wanted_rest_, wanted_margins_;
+  Goal goal_;
+};
+
+// A copy makes its own.
+inline nb::tuple without_mover(const RobotMover&) {
+  return nb::make_tuple(nb::none().type(), nb::tuple());
+}
+
+}  // namespace handmap
