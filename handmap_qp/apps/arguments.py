@@ -25,8 +25,7 @@ from handmap_qp.hands import (
     load_hand,
     load_robot,
 )
-from handmap_qp.human.person import Person, read_person
-from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.human import Person, Recording, mirrored, read_person
 from handmap_qp.mapping.alignment import found_alignment
 from handmap_qp.mapping.options_file import read_options
 from handmap_qp.mapping.presets import (

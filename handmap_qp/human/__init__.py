@@ -1,1 +1,8 @@
-"""What was measured of a human hand: samples, recordings, and a person's lengths."""
+"""What was measured of a human hand: samples, recordings, and a person's lengths.
+
+Names of `__init__.pyi` are imported at their first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands import Hand
-from handmap_qp.human.recording import upright_axes
+from handmap_qp.human import upright_axes
 from handmap_qp.options import number, text
 from handmap_qp.se3 import (
     FARTHEST,

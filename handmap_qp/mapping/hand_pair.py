@@ -25,7 +25,7 @@ from handmap_qp.hands import (
     find_pads,
     partner_names,
 )
-from handmap_qp.human.sample import LANDMARK_NAMES, landmarks_at_rest
+from handmap_qp.human import LANDMARK_NAMES, landmarks_at_rest
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.ik.options import IkOptions

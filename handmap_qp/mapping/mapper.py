@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from handmap_qp import ik
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands import Hand, Names
-from handmap_qp.human.sample import (
+from handmap_qp.human import (
     LANDMARK_COUNT,
     LANDMARK_NAMES,
     PALM,

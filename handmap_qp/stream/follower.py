@@ -18,8 +18,7 @@ import pinocchio as pin
 from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError
-from handmap_qp.human.recording import SampleColumns
-from handmap_qp.human.sample import HumanSample, Verdict
+from handmap_qp.human import HumanSample, SampleColumns, Verdict
 from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.mapping.mapper import HandMapper, check_dt

@@ -21,20 +21,18 @@ import pinocchio as pin
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Side
-from handmap_qp.human.recording import (
-    Recording,
-    SampleColumns,
-    recording_samples,
-)
-from handmap_qp.human.sample import (
+from handmap_qp.human import (
     PALM,
     Finding,
     HumanSample,
     PalmShape,
+    Recording,
     Rule,
+    SampleColumns,
     Verdict,
     landmarks_at_rest,
     palm_sizes,
+    recording_samples,
 )
 from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.se3 import Array, lengths, nearest_rotation

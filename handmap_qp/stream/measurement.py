@@ -6,10 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.human.contact_gap import measure_contact_gap
-from handmap_qp.human.measure import measure_hand, scaled_human
-from handmap_qp.human.person import Person
-from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.human import (
+    Person,
+    Recording,
+    measure_contact_gap,
+    measure_hand,
+    mirrored,
+    scaled_human,
+)
 from .guard import StreamGuard
 
 

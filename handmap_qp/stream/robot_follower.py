@@ -13,8 +13,7 @@ import numpy as np
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands import Side
-from handmap_qp.human.recording import Recording, sample_columns
-from handmap_qp.human.sample import HumanSample, Verdict
+from handmap_qp.human import HumanSample, Recording, Verdict, sample_columns
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
 from .follower import Follower

@@ -5,7 +5,7 @@ from typing import get_args
 import numpy as np
 
 from handmap_qp.hands import Hand, Names
-from handmap_qp.human.sample import RULES
+from handmap_qp.human import RULES
 from handmap_qp.ik.core import Parts
 from handmap_qp.ik.qp import Status
 from handmap_qp.mapping.method import MapStep

@@ -18,8 +18,13 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import FINGERS, Side
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import HAND_LENGTHS, LANDMARK_COUNT, Finding, check_side
+from handmap_qp.human import (
+    HAND_LENGTHS,
+    LANDMARK_COUNT,
+    Finding,
+    Recording,
+    check_side,
+)
 from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.se3 import Array, lengths
 from .hand_geometry import (

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from handmap_qp.human.sample import Finding
+from handmap_qp.human import Finding
 from handmap_qp.se3 import Array, lengths, nearest_rotation, unit
 from .hand_geometry import median
 

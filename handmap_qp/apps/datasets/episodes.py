@@ -30,8 +30,7 @@ from handmap_qp.errors import (
     reason_of,
 )
 from handmap_qp.hands import FINGERS, Hand, Robot
-from handmap_qp.human.contact_gap import tip_gaps
-from handmap_qp.human.recording import Recording
+from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.se3 import Array, lengths

@@ -18,7 +18,7 @@ from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.tables import csv_text, markdown_table, print_result
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
-from handmap_qp.human.recording import Recording
+from handmap_qp.human import Recording
 from handmap_qp.output_files import make_folder, replaced_file
 from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats import read_recording

@@ -19,9 +19,14 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Side, carrier_of
-from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import FIRST_JOINTS, LANDMARK_COUNT, PALM, TIPS
+from handmap_qp.human import (
+    FIRST_JOINTS,
+    LANDMARK_COUNT,
+    PALM,
+    TIPS,
+    Recording,
+    measure_hand,
+)
 from handmap_qp.se3 import (
     Array,
     as_floats,

@@ -22,9 +22,7 @@ from handmap_qp.apps.arguments import (
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Robot
-from handmap_qp.human.person import write_person
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import PALM
+from handmap_qp.human import PALM, Recording, write_person
 from handmap_qp.mapping.alignment import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream.measurement import measure_person

@@ -27,7 +27,7 @@ from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, load_hand
-from handmap_qp.human.person import Person, read_person
+from handmap_qp.human import Person, read_person
 from handmap_qp.output_files import make_folder, writing
 from .comparison import (
     SMOOTH,

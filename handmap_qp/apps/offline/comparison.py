@@ -28,10 +28,14 @@ import numpy as np
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
 from handmap_qp.hands import Hand, Names, Side, load_hand
-from handmap_qp.human.fit import fit_recording
-from handmap_qp.human.person import Person
-from handmap_qp.human.recording import Recording, mirrored, turned
-from handmap_qp.human.sample import human_name
+from handmap_qp.human import (
+    Person,
+    Recording,
+    fit_recording,
+    human_name,
+    mirrored,
+    turned,
+)
 from handmap_qp.mapping.alignment import rotation_onto
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import PRESETS, preset_choice

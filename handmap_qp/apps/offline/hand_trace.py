@@ -24,7 +24,7 @@ from handmap_qp.hands import (
     find_fingers,
     zero_posture,
 )
-from handmap_qp.human.sample import FIRST_JOINTS, PALM, TIPS
+from handmap_qp.human import FIRST_JOINTS, PALM, TIPS
 from handmap_qp.se3 import (
     Array,
     affine,

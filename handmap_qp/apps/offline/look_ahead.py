@@ -24,10 +24,7 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Robot
-from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.person import Person
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import PALM
+from handmap_qp.human import PALM, Person, Recording, scaled_human
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
 from handmap_qp.se3 import (

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands import FINGERS
-from handmap_qp.human.contact_gap import tip_gaps
-from handmap_qp.human.recording import Recording
+from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.se3 import Array, as_floats, lengths
 
 STRAIGHT = 60.0

@@ -12,12 +12,13 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Hand
-from handmap_qp.human.recording import (
+from handmap_qp.human import (
+    RULES,
     Recording,
+    Rule,
     recording_samples,
     sample_columns,
 )
-from handmap_qp.human.sample import RULES, Rule
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.se3 import Array, lengths

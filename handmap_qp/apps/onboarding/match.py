@@ -7,9 +7,7 @@ import yaml
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Hand, load_hand
-from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.recording import Recording, mirrored
-from handmap_qp.human.sample import human_name
+from handmap_qp.human import Recording, human_name, mirrored, scaled_human
 from handmap_qp.mapping.hand_pair import HandPair
 from handmap_qp.se3 import Array
 

@@ -24,8 +24,7 @@ from handmap_qp.hands import (
     random_postures,
     zero_posture,
 )
-from handmap_qp.human.recording import upright_axes
-from handmap_qp.human.sample import human_name
+from handmap_qp.human import human_name, upright_axes
 from handmap_qp.mapping.alignment import rotation_onto
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep

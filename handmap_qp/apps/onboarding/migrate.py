@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands import Names, PointSpec, read_yaml
-from handmap_qp.human.sample import LANDMARK_NAMES, TIPS
+from handmap_qp.human import LANDMARK_NAMES, TIPS
 from .detect import Detection, detect, point_sets
 from .robot import Robot
 

@@ -41,10 +41,17 @@ from handmap_qp.hands import (
     read_robot_spec,
     robot_files,
 )
-from handmap_qp.human.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
-from handmap_qp.human.measure import check_length, measure_hand
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import HumanSample, Rule, human_name
+from handmap_qp.human import (
+    TOUCH_GAP,
+    HumanSample,
+    Recording,
+    Rule,
+    check_length,
+    clipped_gap,
+    human_name,
+    measure_hand,
+    smallest_gap,
+)
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.alignment import found_alignment
 from handmap_qp.mapping.hand_pair import hand_pair

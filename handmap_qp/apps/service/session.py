@@ -39,8 +39,7 @@ from handmap_qp.client.messages import (
 )
 from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hands import LONGEST_STOP, Hand, Side
-from handmap_qp.human.contact_gap import ContactGapMeter
-from handmap_qp.human.sample import UNSEEN, HumanSample, PalmShape
+from handmap_qp.human import UNSEEN, ContactGapMeter, HumanSample, PalmShape
 from handmap_qp.ik.limits import Motion
 from handmap_qp.mapping.mapper import check_joints
 from handmap_qp.mapping.method import MapStep

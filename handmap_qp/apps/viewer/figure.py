@@ -18,7 +18,7 @@ from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_folde
 from handmap_qp.apps.drawing.raster import Colour
 from handmap_qp.apps.drawing.shapes import LinkShape, read_shapes
 from handmap_qp.hands import Hand, carrier_of, finger_tips, joined, parse_urdf
-from handmap_qp.human.sample import TIPS
+from handmap_qp.human import TIPS
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.se3 import (
     Array,

@@ -13,7 +13,7 @@ from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.errors import HandError
 from handmap_qp.hands import CONTACT_GAP, FINGERS, Hand, find_fingers
-from handmap_qp.human.contact_gap import tip_gaps
+from handmap_qp.human import tip_gaps
 from handmap_qp.ik.qp import wrist_error
 from handmap_qp.se3 import Array
 from .figure import DEFORMATION_COLOUR, TARGET_COLOUR, as_bytes, known

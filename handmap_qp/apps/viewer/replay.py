@@ -10,7 +10,7 @@ import numpy as np
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import Hand, Names, Robot, Side
-from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
+from handmap_qp.human import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping.alignment import found_alignment
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep

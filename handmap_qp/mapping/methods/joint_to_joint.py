@@ -38,7 +38,7 @@ from handmap_qp.hands import (
     nearing,
     zero_posture,
 )
-from handmap_qp.human.sample import LANDMARK_NAMES
+from handmap_qp.human import LANDMARK_NAMES
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.alignment import AlignedOptions
 from handmap_qp.mapping.hand_pair import RobotFingers, points_in_palm

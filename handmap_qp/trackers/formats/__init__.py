@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import Names, Side
-from handmap_qp.human.recording import Recording
+from handmap_qp.human import Recording
 from handmap_qp.plugins import Plugins
 from handmap_qp.trackers.formats.archive import NpzFormat
 from handmap_qp.trackers.formats.base import (

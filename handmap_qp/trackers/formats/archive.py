@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.human.recording import Recording
+from handmap_qp.human import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
 from .base import (

@@ -16,8 +16,13 @@ from handmap_qp.errors import (
     reason_of,
 )
 from handmap_qp.hands import Names, Side
-from handmap_qp.human.recording import Recording, as_flags, finite_samples
-from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
+from handmap_qp.human import (
+    LANDMARK_COUNT,
+    LANDMARK_NAMES,
+    Recording,
+    as_flags,
+    finite_samples,
+)
 from handmap_qp.se3 import Array, affine, as_floats, pose_from_xyz_quat
 
 SIDES: tuple[Side, ...] = ("left", "right")

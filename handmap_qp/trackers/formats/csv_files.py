@@ -14,7 +14,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Names, Side
-from handmap_qp.human.recording import Recording
+from handmap_qp.human import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
 from .base import (

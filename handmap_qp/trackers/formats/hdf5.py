@@ -24,7 +24,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands import Names, Side
-from handmap_qp.human.recording import Recording, finite_samples
+from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import Array, affine
 from handmap_qp.trackers.wrist_axes import palm_axes

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.human import LANDMARK_COUNT, Recording
 from handmap_qp.se3 import Array, affine, as_floats, transform_points
 from .archive import (
     Arrays,

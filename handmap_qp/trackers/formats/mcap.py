@@ -10,9 +10,13 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands import HUMAN_JOINTS, Names, Side, load_hand
-from handmap_qp.human.fit import fit_recording
-from handmap_qp.human.recording import Recording, finite_samples
-from handmap_qp.human.sample import LANDMARK_COUNT, human_name
+from handmap_qp.human import (
+    LANDMARK_COUNT,
+    Recording,
+    finite_samples,
+    fit_recording,
+    human_name,
+)
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import Array, pose_from_xyz_quat, quat_wxyz_from_rotation
 from .base import (

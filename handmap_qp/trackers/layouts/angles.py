@@ -9,15 +9,7 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands import HUMAN_JOINTS, Document, Hand, HumanLengths, Names, Side
 from handmap_qp.se3 import Array, transform_points
-from .base import (
-    UNITS,
-    Hands,
-    Layout,
-    LayoutTable,
-    Rows,
-    WristTable,
-    sized_human,
-)
+from .base import UNITS, Hands, Layout, LayoutTable, Rows, WristTable, sized_human
 
 # No joint of a hand turns farther, so larger numbers are in degrees; and no hand is so straight
 # that all its angles are smaller, so smaller ones are in radians.
@@ -81,12 +73,7 @@ class AngleLayout(Layout):
                 value=entry.joint,
                 advice=did_you_mean(entry.joint, HUMAN_JOINTS),
             )
-            expect(
-                entry.scale != 0.0,
-                f"{entry.joint}.scale",
-                "not 0",
-                value=0.0,
-            )
+            expect(entry.scale != 0.0, f"{entry.joint}.scale", "not 0", value=0.0)
         expect(table.unit in ("deg", "rad"), "unit", "deg or rad", value=table.unit)
         self._joints = np.array([HUMAN_JOINTS.index(joint) for joint in joints])
         self._scales = np.array([entry.scale for entry in table.angles])
@@ -133,12 +120,7 @@ class AngleLayout(Layout):
             landmarks = transform_points(wrists, landmarks)
         return Hands(landmarks, wrists)
 
-    def write_posture(
-        self,
-        human: Hand,
-        q: ArrayLike,
-        wrist: Array,
-    ) -> Array:
+    def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return the angles of a posture; see `Layout.write_posture`."""
         own = np.asarray(q, dtype=float)[self._joints] / UNITS[self.table.unit]
         return (own - self._offsets) / self._scales

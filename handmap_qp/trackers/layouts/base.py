@@ -25,14 +25,16 @@ from handmap_qp.hands import (
     Upright,
     load_hand,
 )
-from handmap_qp.human.fit import LandmarkFitter
-from handmap_qp.human.recording import (
+from handmap_qp.human import (
+    HumanSample,
+    LandmarkFitter,
     Recording,
     as_flags,
     axis_direction,
+    check_side,
     finite_samples,
+    human_name,
 )
-from handmap_qp.human.sample import HumanSample, check_side, human_name
 from handmap_qp.se3 import (
     Array,
     QuatOrder,

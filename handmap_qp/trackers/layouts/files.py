@@ -10,8 +10,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import HumanLengths, Side
-from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.human import LANDMARK_COUNT, Recording
 from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats.archive import Arrays, read_archive
 from handmap_qp.trackers.formats.base import SIDES, reading, side_of

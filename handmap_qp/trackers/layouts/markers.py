@@ -8,13 +8,7 @@ from handmap_qp.hands import Document, Hand, HumanLengths, PointSpec, Side, Vect
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import FARTHEST, Array, rigid_fit, transform_points
-from .base import (
-    Hands,
-    Layout,
-    LayoutTable,
-    Rows,
-    sized_human,
-)
+from .base import Hands, Layout, LayoutTable, Rows, sized_human
 
 _FIT = IkOptions(
     rest_weight=0.01,
@@ -70,12 +64,7 @@ class MarkerLayout(Layout):
         links = np.array([entry.link for entry in table.markers])
         self._on_palm = np.flatnonzero(links == "palm")
         count = len(self._on_palm)
-        expect(
-            count >= 3,
-            "markers",
-            "three markers on the palm",
-            value=count,
-        )
+        expect(count >= 3, "markers", "three markers on the palm", value=count)
         self.shapes = ((len(names), 3),)
         self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")
         self.has_wrist = True
@@ -118,12 +107,7 @@ class MarkerLayout(Layout):
         found = [landmarks.points(fit.q[human.q_indices], fit.wrist) for fit in fits]
         return Hands(np.array(found), np.array([fit.wrist for fit in fits]))
 
-    def write_posture(
-        self,
-        human: Hand,
-        q: ArrayLike,
-        wrist: Array,
-    ) -> Array:
+    def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return the markers on the human hand; see `Layout.write_posture`."""
         points = human.with_points(self._points(human.spec.side)).points(q)
         return transform_points(np.linalg.inv(self.world) @ wrist, points)

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Document, Hand, HumanLengths, Side
-from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, PALM, HumanSample
+from handmap_qp.human import LANDMARK_COUNT, LANDMARK_NAMES, PALM, HumanSample
 from handmap_qp.se3 import (
     Array,
     QuatOrder,
