@@ -26,23 +26,26 @@ from handmap_qp.hands import (
     load_robot,
 )
 from handmap_qp.human import Person, Recording, mirrored, read_person
-from handmap_qp.mapping.alignment import found_alignment
-from handmap_qp.mapping.options_file import read_options
-from handmap_qp.mapping.presets import (
+from handmap_qp.mapping import (
     PRESETS,
     Choice,
+    found_alignment,
     get_preset,
     known_options,
     preset_choice,
     preset_with,
+    read_options,
 )
-from handmap_qp.stream.follower import SMOOTH_IK
-from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.formats import read_hands, read_recording
-from handmap_qp.trackers.formats.base import SIDES
-from handmap_qp.trackers.layouts.files import layout_hint, read_with_layout
-from handmap_qp.trackers.layouts.tables import load_layout
-from handmap_qp.trackers.plausibility import check_recording
+from handmap_qp.stream import SMOOTH_IK, measure_person
+from handmap_qp.trackers import (
+    SIDES,
+    check_recording,
+    layout_hint,
+    load_layout,
+    read_hands,
+    read_recording,
+    read_with_layout,
+)
 
 
 def check_names(

@@ -16,9 +16,9 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from handmap_qp.errors import HandError, expect
-from handmap_qp.hands.spec import Names
 from handmap_qp.se3 import Array, as_floats, frozen
 from .sources import urdf_directory
+from .spec import Names
 from .urdf import (
     child_of,
     get_numbers,

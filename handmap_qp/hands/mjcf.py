@@ -24,10 +24,10 @@ import trimesh
 from trimesh.exchange.stl import export_stl
 
 from handmap_qp.errors import HandError, reason_of
-from handmap_qp.hands.spec import Names
 from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
 from .sources import root_tag
+from .spec import Names
 from .urdf import set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)

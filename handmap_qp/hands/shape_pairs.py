@@ -8,12 +8,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from handmap_qp.hands.spec import Names
 from handmap_qp.se3 import Array
 from .collision_shapes import read_collision_shapes
 from .fingers import Finger, zero_posture
 from .hand import Hand
 from .human import THUMB
+from .spec import Names
 
 LINK_MARGIN = 0.001
 """Margin between all links but those that pinch [m]."""

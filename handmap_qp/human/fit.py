@@ -13,8 +13,8 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import FINGERS, HumanLengths, Side, load_hand
+from handmap_qp.ik import LENGTH_UNIT
 from handmap_qp.ik.nearest_posture import nearest_posture
-from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.se3 import Array, as_floats, rigid_fit
 from handmap_qp.se3 import lengths as norms
 from .measure import measure_hand

@@ -1,6 +1,6 @@
 """From targets to motion: a QP with limits.
 
-Modules of `__init__.pyi` are imported at their first use: those that not every mapping needs.
+Names and modules of `__init__.pyi` are imported at their first use.
 """
 
 import lazy_loader

@@ -1,1 +1,8 @@
-"""The method: from a human sample to the targets and the command of a robot hand."""
+"""The method: from a human sample to the targets and the command of a robot hand.
+
+Names of `__init__.pyi` are imported at their first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -26,11 +26,8 @@ from handmap_qp.hands import (
     partner_names,
 )
 from handmap_qp.human import LANDMARK_NAMES, landmarks_at_rest
-from handmap_qp.ik.compiled import core_tree
+from handmap_qp.ik import AttachedPoints, IkOptions, PointDistances, PointIk, core_tree
 from handmap_qp.ik.nearest_posture import nearest_posture
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.se3 import Array, frozen, lengths, transform_points, unit
 from .palm import point_indices, require_points
 

@@ -28,11 +28,8 @@ from handmap_qp.human import (
     PALM,
     landmarks_at_rest,
 )
+from handmap_qp.ik import IkOptions, Motion, PointIk, Task
 from handmap_qp.ik.core import Compiled
-from handmap_qp.ik.limits import Motion
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import Task
 from handmap_qp.se3 import (
     FARTHEST,
     Array,

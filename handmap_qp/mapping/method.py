@@ -36,9 +36,7 @@ import numpy as np
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import Finding, Rule, Verdict
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import WRIST_LEVERS, IkResult, Status, wrist_error
-from handmap_qp.ik.tasks import Task
+from handmap_qp.ik import WRIST_LEVERS, IkOptions, IkResult, Status, Task, wrist_error
 from handmap_qp.options import Options
 from handmap_qp.se3 import Array, lengths, transform_points
 

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError, did_you_mean
 from handmap_qp.hands import Hand
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping import methods
+from handmap_qp.ik import IkOptions
 from handmap_qp.options import Option, options_of
 from handmap_qp.plugins import Plugins
+from . import methods
 from .method import MethodOptions, Preset
 
 

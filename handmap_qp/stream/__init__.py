@@ -1,1 +1,8 @@
-"""Which samples of a tracker the robot follows."""
+"""Which samples of a tracker the robot follows.
+
+Names of `__init__.pyi` are imported at their first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -19,13 +19,12 @@ from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError
 from handmap_qp.human import HumanSample, SampleColumns, Verdict
+from handmap_qp.ik import SHORTEST_DT
 from handmap_qp.ik.core import Compiled, in_core
-from handmap_qp.ik.limits import SHORTEST_DT
-from handmap_qp.mapping.mapper import HandMapper, check_dt
-from handmap_qp.mapping.method import HumanPose, MapStep
+from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
 from handmap_qp.options import Options, number
 from handmap_qp.se3 import Array, affine, lengths, transform_points
-from handmap_qp.trackers.hand_geometry import change_rate, learnt_noise, noise_of
+from handmap_qp.trackers import change_rate, learnt_noise, noise_of
 from .guard import StreamGuard
 from .step_table import StepTable
 

@@ -36,14 +36,14 @@ from handmap_qp.human import (
 )
 from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.se3 import Array, lengths, nearest_rotation
-from handmap_qp.trackers.hand_geometry import (
+from handmap_qp.trackers import (
     BONES,
     NEIGHBOURS,
+    InputCheck,
     change_rate,
     learnt_noise,
     noise_of,
 )
-from handmap_qp.trackers.plausibility import InputCheck
 
 # -- time
 

@@ -14,8 +14,7 @@ import numpy as np
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample, Recording, Verdict, sample_columns
-from handmap_qp.mapping.method import MapStep
-from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
+from handmap_qp.mapping import MapStep, RobotMapper, RobotStep
 from .follower import Follower
 
 _SILENCE = 0.25

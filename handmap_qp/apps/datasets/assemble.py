@@ -20,7 +20,7 @@ import numpy as np
 from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array, unit
-from handmap_qp.trackers.formats.base import SIDES
+from handmap_qp.trackers import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 from .episodes import read_episode

@@ -24,7 +24,7 @@ from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.output_files import make_folder
-from handmap_qp.trackers.formats.base import first_of
+from handmap_qp.trackers import first_of
 from .assemble import assemble
 from .engines import SERIAL, Asked, Engine, pool_engine, ray_engine
 from .episodes import is_intact

@@ -11,8 +11,13 @@ import tyro
 from handmap_qp.apps.arguments import check_names, hinted
 from handmap_qp.errors import expect
 from handmap_qp.output_files import check_output, make_folder
-from handmap_qp.trackers.formats import FORMATS, Source, format_to_write, list_sources
-from handmap_qp.trackers.formats.mano import ManoFormat
+from handmap_qp.trackers import (
+    FORMATS,
+    ManoFormat,
+    Source,
+    format_to_write,
+    list_sources,
+)
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,14 @@ from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.se3 import Array, lengths
-from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.formats import read_hands
-from handmap_qp.trackers.formats.archive import Arrays, read_archive
-from handmap_qp.trackers.formats.base import reading
-from handmap_qp.trackers.plausibility import check_recording
+from handmap_qp.stream import measure_person
+from handmap_qp.trackers import (
+    Arrays,
+    check_recording,
+    read_archive,
+    read_hands,
+    reading,
+)
 from .manifest import Line
 from .sources import BOTH, Job, load_whole
 from .workers import time_limit

@@ -17,7 +17,7 @@ import msgspec
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import sync, writing
-from handmap_qp.trackers.formats import SEPARATOR
+from handmap_qp.trackers import SEPARATOR
 
 Status = Literal["listed", "done", "failed", "killed"]
 MOST_KILLS = 3

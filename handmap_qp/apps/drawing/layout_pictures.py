@@ -9,11 +9,14 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import FINGERS, HUMAN_JOINTS, Hand, Side
 from handmap_qp.se3 import Array, lengths, transform_points, unit
-from handmap_qp.trackers.formats.base import SIDES
-from handmap_qp.trackers.layouts.angles import AngleLayout
-from handmap_qp.trackers.layouts.base import Layout, sized_human
-from handmap_qp.trackers.layouts.markers import MarkerLayout
-from handmap_qp.trackers.layouts.points import PointLayout
+from handmap_qp.trackers import (
+    SIDES,
+    AngleLayout,
+    Layout,
+    MarkerLayout,
+    PointLayout,
+    sized_human,
+)
 from .hands import (
     AXIS_COLOURS,
     HUMAN_COLOUR,

@@ -23,11 +23,10 @@ from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Robot
 from handmap_qp.human import PALM, Recording, write_person
-from handmap_qp.mapping.alignment import alignment_from_gestures
+from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
-from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.formats.archive import save_npz
-from handmap_qp.trackers.formats.base import SIDES
+from handmap_qp.stream import measure_person
+from handmap_qp.trackers import SIDES, save_npz
 from .look_ahead import map_hand, map_hands
 from .summary import Summary, notes, summarise, table_rows
 

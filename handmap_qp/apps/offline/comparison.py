@@ -36,13 +36,10 @@ from handmap_qp.human import (
     mirrored,
     turned,
 )
-from handmap_qp.mapping.alignment import rotation_onto
-from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.presets import PRESETS, preset_choice
+from handmap_qp.mapping import PRESETS, HandMapper, preset_choice, rotation_onto
 from handmap_qp.se3 import Array, as_floats, inverse_pose
-from handmap_qp.stream.follower import SMOOTH_IK
-from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.formats.archive import NpzFormat, read_archive
+from handmap_qp.stream import SMOOTH_IK, measure_person
+from handmap_qp.trackers import NpzFormat, read_archive
 from .fidelity import (
     SETTLING,
     assess_fidelity,

@@ -16,9 +16,8 @@ from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import require
 from handmap_qp.hands import load_hand
 from handmap_qp.output_files import output_folder
-from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.formats import DEMO, read_recording
-from handmap_qp.trackers.formats.archive import save_npz
+from handmap_qp.stream import measure_person
+from handmap_qp.trackers import DEMO, read_recording, save_npz
 from .look_ahead import map_hand
 from .poses import find_poses
 from .summary import summarise, table_rows

@@ -20,8 +20,7 @@ from scipy.stats import spearmanr
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Hand
-from handmap_qp.mapping.decomposition import polar
-from handmap_qp.mapping.estimation import MotionEstimator
+from handmap_qp.mapping import MotionEstimator, polar
 from handmap_qp.se3 import Array, inverse_pose, lengths, rigid_fit, transform_points
 from .hand_trace import (
     KNUCKLE,

@@ -11,9 +11,7 @@ from handmap_qp.apps.drawing.layout_pictures import save_layout_picture
 from handmap_qp.apps.tables import print_result, table_rows
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import check_new, check_output, replaced_file
-from handmap_qp.trackers.layouts import LAYOUTS
-from handmap_qp.trackers.layouts.base import Layout
-from handmap_qp.trackers.layouts.tables import load_layout, table_text
+from handmap_qp.trackers import LAYOUTS, Layout, load_layout, table_text
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,7 @@ import numpy as np
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Robot
 from handmap_qp.human import PALM, Person, Recording, scaled_human
-from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
+from handmap_qp.mapping import HandMapper, RobotMapper, RobotStep
 from handmap_qp.se3 import (
     Array,
     affine,
@@ -35,8 +34,7 @@ from handmap_qp.se3 import (
     rotation_from_quat_wxyz,
     transform_points,
 )
-from handmap_qp.stream.follower import SMOOTH_IK
-from handmap_qp.stream.robot_follower import RobotFollower, paired
+from handmap_qp.stream import SMOOTH_IK, RobotFollower, paired
 from .trajectory import (
     Told,
     Trajectory,

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from handmap_qp.mapping.method import arm_held_by
+from handmap_qp.mapping import arm_held_by
 from handmap_qp.se3 import lengths
 from .trajectory import Trajectory, stretches
 

@@ -15,8 +15,7 @@ from handmap_qp.hands import (
     pair_distances,
     read_collision_shapes,
 )
-from handmap_qp.ik.collision import pair_bounds
-from handmap_qp.ik.compiled import core_tree
+from handmap_qp.ik import core_tree, pair_bounds
 from handmap_qp.se3 import Array
 from .hand_trace import ByFinger, fingers_of
 

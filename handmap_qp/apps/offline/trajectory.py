@@ -19,11 +19,9 @@ from handmap_qp.human import (
     recording_samples,
     sample_columns,
 )
-from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping import HandMapper, MapStep
 from handmap_qp.se3 import Array, lengths
-from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
+from handmap_qp.stream import RULE_NAMES, STATUS_NAMES, Follower, StepTable
 
 Told = Callable[[int], None] | None
 """Called after each sample with the number of samples done."""

@@ -30,7 +30,7 @@ from handmap_qp.hands import (
 )
 from handmap_qp.hands import Robot as WholeRobot
 from handmap_qp.se3 import lengths
-from handmap_qp.trackers.formats.base import first_of
+from handmap_qp.trackers import first_of
 from .anatomy import FINGERS, Clue, angle_between
 from .collision_pairs import colliding_links
 from .detect import detect_text, left_out_wrist

@@ -25,11 +25,9 @@ from handmap_qp.hands import (
     zero_posture,
 )
 from handmap_qp.human import human_name, upright_axes
-from handmap_qp.mapping.alignment import rotation_onto
-from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping import HandMapper, MapStep, rotation_onto
 from handmap_qp.se3 import Array, affine, lengths, unit
-from handmap_qp.trackers.formats.base import first_of
+from handmap_qp.trackers import first_of
 from .anatomy import angle_between
 from .collision_pairs import joined_notes
 from .findings import (

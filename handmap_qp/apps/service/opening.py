@@ -52,25 +52,24 @@ from handmap_qp.human import (
     measure_hand,
     smallest_gap,
 )
-from handmap_qp.ik.qp import PointIk
-from handmap_qp.mapping.alignment import found_alignment
-from handmap_qp.mapping.hand_pair import hand_pair
-from handmap_qp.mapping.mapper import HandMapper, LandmarkReader
-from handmap_qp.mapping.presets import (
+from handmap_qp.ik import PointIk
+from handmap_qp.mapping import (
     IK_NAMES,
     Choice,
+    HandMapper,
+    LandmarkReader,
+    RobotMapper,
+    found_alignment,
     kept_options,
     known_options,
     preset_choice,
     preset_with,
 )
-from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.options import Options
 from handmap_qp.se3 import Array
-from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.guard import StreamGuard
-from handmap_qp.stream.robot_follower import RobotFollower
-from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.stream import Follower, RobotFollower, StreamGuard
+from handmap_qp.trackers import LAYOUTS
 from .safety import refuse_if
 
 CALIBRATION_SAMPLES = 30

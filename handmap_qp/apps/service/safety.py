@@ -17,15 +17,16 @@ import pinocchio as pin
 
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands import Hand
-from handmap_qp.ik.limits import (
+from handmap_qp.ik import (
     SHORTEST_DT,
     Gate,
     Motion,
+    PointIk,
     braking_displacement,
     feasible,
+    solve_by_daqp,
 )
-from handmap_qp.ik.qp import PointIk, solve_by_daqp
-from handmap_qp.mapping.method import RobotCommand
+from handmap_qp.mapping import RobotCommand
 from handmap_qp.se3 import Array
 
 # Displacements of a sample are near this size [rad]; the solver is exact near one.

@@ -40,12 +40,10 @@ from handmap_qp.client.messages import (
 from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hands import LONGEST_STOP, Hand, Side
 from handmap_qp.human import UNSEEN, ContactGapMeter, HumanSample, PalmShape
-from handmap_qp.ik.limits import Motion
-from handmap_qp.mapping.mapper import check_joints
-from handmap_qp.mapping.method import MapStep
+from handmap_qp.ik import Motion
+from handmap_qp.mapping import MapStep, check_joints
 from handmap_qp.se3 import Array
-from handmap_qp.trackers.layouts import LAYOUTS
-from handmap_qp.trackers.layouts.tables import load_layout
+from handmap_qp.trackers import LAYOUTS, load_layout
 from .opening import (
     Calibration,
     Hands,

@@ -29,7 +29,7 @@ from handmap_qp.apps.arguments import (
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect, require
 from handmap_qp.hands import Robot, joined
 from handmap_qp.human import fit_recording
-from handmap_qp.mapping.presets import possible_presets
+from handmap_qp.mapping import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
 from .live import LiveViewer
 from .replay import Replay, ReplayViewer

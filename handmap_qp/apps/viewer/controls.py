@@ -20,7 +20,7 @@ import yaml
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands import Hand
-from handmap_qp.mapping.presets import PRESETS, Choice
+from handmap_qp.mapping import PRESETS, Choice
 from handmap_qp.options import Option, Options, options_of
 from handmap_qp.se3 import Array
 from .gauges import Gauges

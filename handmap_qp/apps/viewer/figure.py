@@ -19,7 +19,7 @@ from handmap_qp.apps.drawing.raster import Colour
 from handmap_qp.apps.drawing.shapes import LinkShape, read_shapes
 from handmap_qp.hands import Hand, carrier_of, finger_tips, joined, parse_urdf
 from handmap_qp.human import TIPS
-from handmap_qp.mapping.decomposition import polar
+from handmap_qp.mapping import polar
 from handmap_qp.se3 import (
     Array,
     inverse_pose,
@@ -27,7 +27,7 @@ from handmap_qp.se3 import (
     quat_wxyz_from_rotation,
     transform_points,
 )
-from handmap_qp.trackers.hand_geometry import BONES, NEIGHBOURS
+from handmap_qp.trackers import BONES, NEIGHBOURS
 from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:

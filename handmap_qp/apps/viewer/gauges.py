@@ -14,7 +14,7 @@ from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.errors import HandError
 from handmap_qp.hands import CONTACT_GAP, FINGERS, Hand, find_fingers
 from handmap_qp.human import tip_gaps
-from handmap_qp.ik.qp import wrist_error
+from handmap_qp.ik import wrist_error
 from handmap_qp.se3 import Array
 from .figure import DEFORMATION_COLOUR, TARGET_COLOUR, as_bytes, known
 from .sample import Variant, ViewSample

@@ -9,8 +9,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.mapping.options_file import options_text
-from handmap_qp.mapping.presets import possible_presets
+from handmap_qp.mapping import options_text, possible_presets
 from .controls import SteeringControls, Window, add_controls, say
 from .page import make_page
 from .sample import Variant, ViewSample

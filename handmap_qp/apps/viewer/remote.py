@@ -17,7 +17,7 @@ from handmap_qp.client.messages import Pose
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import Hand, HumanLengths, hand_files, is_robot, load_hand
 from handmap_qp.human import LandmarkFitter, human_name
-from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
+from handmap_qp.mapping import IK_NAMES, Choice, preset_choice
 from handmap_qp.se3 import Array, rigid_fit
 from .sample import ViewSample
 

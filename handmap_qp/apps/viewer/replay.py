@@ -11,14 +11,17 @@ import numpy as np
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import Hand, Names, Robot, Side
 from handmap_qp.human import HumanMotion, Recording, recording_samples
-from handmap_qp.mapping.alignment import found_alignment
-from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.method import MapStep
-from handmap_qp.mapping.options_file import options_text
-from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
-from handmap_qp.mapping.robot_mapper import RobotMapper
-from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.robot_follower import RobotFollower, paired
+from handmap_qp.mapping import (
+    Choice,
+    HandMapper,
+    MapStep,
+    RobotMapper,
+    found_alignment,
+    options_text,
+    possible_presets,
+    preset_choice,
+)
+from handmap_qp.stream import Follower, RobotFollower, paired
 from .controls import KEPT, NOTHING, PlayBar, SteeringControls, Window, say
 from .page import make_page
 from .sample import Variant, ViewSample

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handmap_qp.hands import Hand
-from handmap_qp.mapping.presets import Choice
+from handmap_qp.mapping import Choice
 from handmap_qp.se3 import Array
 
 

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.hands import Hand
-from handmap_qp.mapping.alignment import rotation_of
+from handmap_qp.mapping import rotation_of
 from handmap_qp.se3 import Array, unit
 from .figure import Figure, HumanFigure, LandmarkFigure, RobotFigure, Shape
 from .sample import Variant, ViewSample

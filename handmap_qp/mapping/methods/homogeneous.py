@@ -17,8 +17,8 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands import Hand
+from handmap_qp.ik import IkOptions
 from handmap_qp.ik.core import Compiled, Parts
-from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.alignment import (
     AlignedOptions,
     Row,

@@ -39,7 +39,7 @@ from handmap_qp.hands import (
     zero_posture,
 )
 from handmap_qp.human import LANDMARK_NAMES
-from handmap_qp.ik.tasks import TaskRows
+from handmap_qp.ik import TaskRows
 from handmap_qp.mapping.alignment import AlignedOptions
 from handmap_qp.mapping.hand_pair import RobotFingers, points_in_palm
 from handmap_qp.mapping.method import (

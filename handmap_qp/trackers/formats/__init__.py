@@ -12,19 +12,19 @@ from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import Names, Side
 from handmap_qp.human import Recording
 from handmap_qp.plugins import Plugins
-from handmap_qp.trackers.formats.archive import NpzFormat
-from handmap_qp.trackers.formats.base import (
+from .archive import NpzFormat
+from .base import (
     Entry,
     RecordingFormat,
     entry_stem,
     first_of,
     reading,
 )
-from handmap_qp.trackers.formats.csv_files import CsvFormat
-from handmap_qp.trackers.formats.hdf5 import EgoDexFormat, RobomimicFormat
-from handmap_qp.trackers.formats.lerobot import LeRobotFormat
-from handmap_qp.trackers.formats.mano import ManoFormat
-from handmap_qp.trackers.formats.mcap import McapFormat
+from .csv_files import CsvFormat
+from .hdf5 import EgoDexFormat, RobomimicFormat
+from .lerobot import LeRobotFormat
+from .mano import ManoFormat
+from .mcap import McapFormat
 
 _OWN = (
     NpzFormat(),

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from handmap_qp.plugins import Plugins
 
 if TYPE_CHECKING:
-    from handmap_qp.trackers.layouts.base import Layout
+    from .base import Layout
 
 
 LAYOUTS: Mapping[str, Layout] = Plugins(

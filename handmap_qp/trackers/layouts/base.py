@@ -43,8 +43,8 @@ from handmap_qp.se3 import (
     check_poses,
     pose_from_xyz_quat,
 )
-from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.wrist_axes import axes_convention
+from . import LAYOUTS
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]

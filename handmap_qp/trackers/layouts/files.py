@@ -15,8 +15,8 @@ from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats.archive import Arrays, read_archive
 from handmap_qp.trackers.formats.base import SIDES, reading, side_of
 from handmap_qp.trackers.formats.csv_files import numbers, opened_table
-from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.plausibility import examine_recording
+from . import LAYOUTS
 from .base import Layout, layouts_of_shape
 
 _TIMES = {

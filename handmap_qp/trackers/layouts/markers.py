@@ -5,8 +5,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Document, Hand, HumanLengths, PointSpec, Side, Vector
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik import IkOptions, PointIk
 from handmap_qp.se3 import FARTHEST, Array, rigid_fit, transform_points
 from .base import Hands, Layout, LayoutTable, Rows, sized_human
 

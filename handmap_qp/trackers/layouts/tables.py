@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect, reason_of
-from handmap_qp.trackers.layouts import LAYOUTS
+from . import LAYOUTS
 from .angles import AngleLayout, AngleTable
 from .base import Layout, LayoutTable
 from .markers import MarkerLayout, MarkerTable

@@ -1,0 +1,9 @@
+from .follower import SMOOTH_IK as SMOOTH_IK
+from .follower import Follower as Follower
+from .guard import StreamGuard as StreamGuard
+from .measurement import measure_person as measure_person
+from .robot_follower import RobotFollower as RobotFollower
+from .robot_follower import paired as paired
+from .step_table import RULE_NAMES as RULE_NAMES
+from .step_table import STATUS_NAMES as STATUS_NAMES
+from .step_table import StepTable as StepTable
