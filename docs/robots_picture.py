@@ -50,7 +50,9 @@ def main(left: Path, right: Path, out: Path) -> None:
     pictures = [row_of(people)]
     for name in ROBOTS:
         robot = load_robot(name)
-        _, motion, *_ = map_hands([*hands.values()], robot, person, MappingArguments())
+        _, motion, *_ = map_hands(
+            [*hands.values()], robot.whole, person, MappingArguments()
+        )
         shape = load_shape(next(iter(robot.hands.values())))
         pictures.append(row_of([shape.triangles(q) for q in motion.q[rows]]))
         print(

@@ -19,11 +19,9 @@ from handmap_qp.hands import (
     Hand,
     HumanLengths,
     Names,
-    Robot,
     Side,
-    is_robot,
     load_hand,
-    load_robot,
+    load_whole,
 )
 from handmap_qp.human import Person, Recording, mirrored, read_person
 from handmap_qp.mapping import (
@@ -349,8 +347,8 @@ class MappingArguments:
 
 def read_robot(
     name: str, files: Sequence[Path], command: Any
-) -> tuple[Hand | Robot, list[Recording]]:
-    """Read a robot hand, or a robot with both, and a recording for each hand in its order.
+) -> tuple[Hand, list[Recording]]:
+    """Read a robot hand, or a robot with both as one, and a recording of each in its order.
 
     Args:
         name: Name or path of the robot.
@@ -360,10 +358,10 @@ def read_robot(
     Raises:
         HandmapError: If one cannot be read, or they do not fit.
     """
-    if is_robot(name):
-        robot = load_robot(name)
+    robot = load_whole(name, command.arguments.robot_points)
+    if robot.parts:
         both = command.inputs.read_both(files, command.person, mirror=command.mirror)
-        return robot, [both[side] for side in robot.hands]
+        return robot, [both[side] for side in robot.by_side]
     expect(
         len(files) == 1,
         "RECORDING",
@@ -371,9 +369,8 @@ def read_robot(
         value=len(files),
         advice="give a robot with both hands, or --robots LEFT RIGHT of `handmap map`",
     )
-    hand = command.arguments.load_robot(name)
-    recording = command.inputs.read(files[0], hand.spec.side, command.person)
-    return hand, [fit_side(recording, hand, mirror=command.mirror)]
+    recording = command.inputs.read(files[0], robot.spec.side, command.person)
+    return robot, [fit_side(recording, robot, mirror=command.mirror)]
 
 
 MappingFlags = Annotated[MappingArguments, arg(name="")]

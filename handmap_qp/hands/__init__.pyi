@@ -44,6 +44,7 @@ from .robot import Robot as Robot
 from .robot import is_robot as is_robot
 from .robot import joined as joined
 from .robot import load_robot as load_robot
+from .robot import load_whole as load_whole
 from .robot import read_hands as read_hands
 from .robot import read_robot_spec as read_robot_spec
 from .robot import robot_files as robot_files

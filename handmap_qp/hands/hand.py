@@ -38,6 +38,7 @@ from .spec import (
     PointSpec,
     Positions,
     Rules,
+    Side,
     check_point,
     twice,
 )
@@ -187,6 +188,11 @@ class Hand:
     def hands(self) -> tuple[Hand, ...]:
         """The hands of a robot that is moved as one; else this hand alone."""
         return self.parts or (self,)
+
+    @property
+    def by_side(self) -> dict[Side, Hand]:
+        """The same by their side."""
+        return {hand.spec.side: hand for hand in self.hands}
 
     @property
     def moves_wrist(self) -> Array:

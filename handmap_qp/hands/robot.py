@@ -27,7 +27,7 @@ from msgspec.structs import replace
 from handmap_qp.errors import HandError
 from handmap_qp.se3 import affine, rotation_from_rpy
 from .hand import Hand
-from .library import find_file
+from .library import find_file, load_hand
 from .model import compose_urdf
 from .sources import read_urdf, source_file, urdf_directory, urdf_path
 from .spec import (
@@ -193,6 +193,21 @@ def load_robot(robot: str | Path | RobotSpec) -> Robot:
         for side, prefix in sorted(prefixes.items())
     }
     return Robot(robot.name, hands, robot.base == "floating")
+
+
+def load_whole(name: str, points: str | None = None) -> Hand:
+    """Load a robot hand, or the hands of a robot as one (`joined`).
+
+    Args:
+        name: Name or path of a hand or of a robot.
+        points: Set of reference points of a single hand; its own if omitted.
+
+    Raises:
+        HandError: If there is none, or its description cannot be used.
+        MissingExtraError: If a URDF lies in a package that is not installed.
+    """
+    is_single = not is_robot(name)
+    return load_hand(name, points=points) if is_single else load_robot(name).whole
 
 
 def _check_roots(robot: RobotSpec, specs: Sequence[HandSpec]) -> None:

@@ -469,7 +469,9 @@ def test_an_episode_of_a_robot_is_what_map_hands_maps(
     assert (done.status, done.side, done.robot, done.frames) == ("done", side, "g1", 40)
     hands = [piece(0, 40, "left"), piece(0, 40, "right")]
     robot, arguments = load_robot("g1"), MappingArguments()
-    _, motion, _, followed = map_hands(hands, robot, measure_person(*hands), arguments)
+    _, motion, _, followed = map_hands(
+        hands, robot.whole, measure_person(*hands), arguments
+    )
     with np.load(out / done.out) as columns:
         np.testing.assert_array_equal(columns["q"], motion.q)
         np.testing.assert_array_equal(columns["valid"], followed)

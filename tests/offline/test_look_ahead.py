@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.offline.look_ahead import (
     LookAhead,
     look_ahead,
-    map_hand,
+    map_hands,
     smooth_poses,
     whittaker,
 )
@@ -122,11 +123,10 @@ def test_a_recording_that_is_used_as_a_whole_is_smoother_without_more_lag() -> N
     recording = Recording("wave", time, landmarks, np.ones(count), "right")
     robot = load_hand("allegro_right")
     person = measure_person(recording)
-    _, online, _ = map_hand(recording, robot, person, MappingArguments())
-    _, filtered, _ = map_hand(recording, robot, person, MappingArguments(smooth=True))
-    _, ahead, _ = map_hand(
-        recording, robot, person, MappingArguments(), smoother=LookAhead()
-    )
+    mapped = partial(map_hands, [recording], robot, person)
+    _, online, *_ = mapped(MappingArguments())
+    _, filtered, *_ = mapped(MappingArguments(smooth=True))
+    _, ahead, *_ = mapped(MappingArguments(), smoother=LookAhead())
 
     def lag(q: np.ndarray) -> float:
         """Phase of the middle finger's bend behind the human's [s]."""

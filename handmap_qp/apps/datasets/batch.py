@@ -23,13 +23,14 @@ from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_qp.hands import load_whole
 from handmap_qp.output_files import make_folder
 from handmap_qp.trackers import first_of
 from .assemble import assemble
 from .engines import SERIAL, Asked, Engine, pool_engine, ray_engine
 from .episodes import is_intact
 from .manifest import MOST_KILLS, Line, open_manifest, read_manifests
-from .sources import BOTH, Job, JobOptions, find_files, list_jobs, load_whole
+from .sources import BOTH, Job, JobOptions, find_files, list_jobs
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from handmap_qp.apps.offline.look_ahead import map_hand, map_hands
+from handmap_qp.apps.offline.look_ahead import map_hands
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
@@ -29,7 +29,7 @@ from handmap_qp.errors import (
     expect,
     reason_of,
 )
-from handmap_qp.hands import FINGERS, Hand, Robot
+from handmap_qp.hands import FINGERS, Hand, load_whole
 from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
@@ -43,7 +43,7 @@ from handmap_qp.trackers import (
     reading,
 )
 from .manifest import Line
-from .sources import BOTH, Job, load_whole
+from .sources import BOTH, Job
 from .workers import time_limit
 
 _READING = 120
@@ -113,25 +113,20 @@ def _run(job: Job) -> dict[str, Any]:
     for recording in recordings:
         check_recording(recording)
     robot = _robot(options.robots[side], options.arguments.robot_points)
-    hands = {hand.spec.side: hand for hand in robot.hands}
     person = measure_person(*recordings)
-    shared = person, options.arguments
+    recordings, trajectory, _, valid = map_hands(
+        recordings, robot, person, options.arguments, smoother=options.smoother
+    )
     columns = {"side": np.array(side)}
     if side == BOTH:
-        recordings, trajectory, _, valid = map_hands(
-            recordings, Robot(robot.name, hands), *shared, smoother=options.smoother
-        )
         at_once = valid.all(axis=1)
         expect(at_once.any(), "hands", "both at once", got="one at a time")
         trajectory = dataclasses.replace(trajectory, valid=at_once)
         wrists = [[h.frame_pose("wrist", q) for h in robot.hands] for q in trajectory.q]
         columns |= {"valid": valid, "wrist": np.array(wrists)}
-    else:
-        recording, trajectory, _ = map_hand(
-            recordings[0], robot, *shared, smoother=options.smoother
-        )
-        recordings = [recording]
-    measured = {recording: _meter(hands[recording.side]) for recording in recordings}
+    measured = {
+        recording: _meter(robot.by_side[recording.side]) for recording in recordings
+    }
     metrics = measure_episode(measured, trajectory, person.contact_gap)
     return {
         "status": "done",

@@ -18,13 +18,13 @@ from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.tables import csv_text, markdown_table, print_result
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
+from handmap_qp.hands import load_whole
 from handmap_qp.human import Recording
 from handmap_qp.output_files import make_folder, replaced_file
 from handmap_qp.se3 import Array
 from handmap_qp.trackers import Arrays, read_archive, read_recording
 from .episodes import MEASURES
 from .manifest import Line, read_manifests
-from .sources import load_whole
 
 FOLDER = "report"
 """Folder of the report, below that of the batch."""

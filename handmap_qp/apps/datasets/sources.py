@@ -14,7 +14,7 @@ from handmap_qp.apps.arguments import MappingArguments, check_names
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import HandmapError, InvalidInputError, reason_of
-from handmap_qp.hands import Hand, is_robot, load_hand, load_robot, urdf_path
+from handmap_qp.hands import Hand, load_whole, urdf_path
 from handmap_qp.trackers.formats import (
     FORMATS,
     SEPARATOR,
@@ -32,13 +32,6 @@ PATIENCE = 30.0
 
 BOTH = "both"
 """The side of a robot with two hands."""
-
-
-def load_whole(name: str, points: str | None = None) -> Hand:
-    """Load a robot hand, or the hands of a robot as one; `HandError` if there is none."""
-    if not is_robot(name):
-        return load_hand(name, points=points)
-    return load_robot(name).whole
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ from handmap_qp.apps.arguments import (
 )
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, Robot
+from handmap_qp.hands import Hand
 from handmap_qp.human import PALM, Recording, write_person
 from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import SIDES, save_npz
-from .look_ahead import map_hand, map_hands
+from .look_ahead import map_hands
 from .summary import Summary, notes, summarise, table_rows
 
 
@@ -108,7 +108,7 @@ class Map:
                 print(note)
             print(f"wrote {summary['out']}")
 
-    def _read(self) -> list[tuple[Hand | Robot, list[Recording]]]:
+    def _read(self) -> list[tuple[Hand, list[Recording]]]:
         """Read each robot with the recordings of its hands."""
         expect(
             (self.robot is None) != (self.robots is None),
@@ -129,7 +129,7 @@ class Map:
         hands = self.inputs.read_both(self.recordings, self.person, mirror=self.mirror)
         return [(robot, [hands[robot.spec.side]]) for robot in robots]
 
-    def _out(self, recording: Recording, robot: Hand | Robot) -> Path:
+    def _out(self, recording: Recording, robot: Hand) -> Path:
         """Check the file to write."""
         out = Path(f"{recording.name}_{robot.name}.npz")
         if self.out is not None:
@@ -140,22 +140,16 @@ class Map:
 
     def _map(
         self,
-        robot: Hand | Robot,
+        robot: Hand,
         used: list[Recording],
         out: Path,
     ) -> Summary:
         """Map the recordings of a robot's hands, write its trajectory, and return the summary."""
         person = person_of(used, self.person)
         with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:
-            if isinstance(robot, Robot):
-                _, trajectory, method, _ = map_hands(
-                    used, robot, person, self.arguments, advance
-                )
-            else:
-                _, trajectory, mapper = map_hand(
-                    used[0], robot, person, self.arguments, progress=advance
-                )
-                method = mapper.method
+            _, trajectory, method, _ = map_hands(
+                used, robot, person, self.arguments, advance
+            )
         save_npz(out, trajectory.all_columns)
         return {
             "recording": " and ".join(each.name for each in used),

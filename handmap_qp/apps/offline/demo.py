@@ -18,7 +18,7 @@ from handmap_qp.hands import load_hand
 from handmap_qp.output_files import output_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import DEMO, read_recording, save_npz
-from .look_ahead import map_hand
+from .look_ahead import map_hands
 from .poses import find_poses
 from .summary import summarise, table_rows
 from .trajectory import Told, Trajectory
@@ -92,8 +92,8 @@ def run_demo(
     recording = read_recording(DEMO, robot.spec.side)
     person = measure_person(recording)
     with output_folder(directory) as folder:
-        _, trajectory, _ = map_hand(
-            recording, robot, person, MappingArguments(), progress=progress
+        _, trajectory, *_ = map_hands(
+            [recording], robot, person, MappingArguments(), progress
         )
         save_npz(folder / "trajectory.npz", trajectory.all_columns)
         columns = [(trajectory.robot.name, trajectory.robot, trajectory.q)]

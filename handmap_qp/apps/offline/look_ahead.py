@@ -157,72 +157,53 @@ def whittaker(
     return splu(matrix.tocsc()).solve(weights[:, None] * known)
 
 
-def map_hand(
-    recording: Recording,
-    robot: Hand,
-    person: Person,
-    arguments: MappingArguments,
-    *,
-    smoother: LookAhead | None = None,
-    progress: Told = None,
-) -> tuple[Recording, Trajectory, HandMapper]:
-    """Map a recording of a person with the options of a command.
-
-    Args:
-        recording: The recording.
-        robot: The robot hand.
-        person: The person.
-        arguments: Reference points and options.
-        smoother: How the recording is smoothed as a whole; None for a mapping that knows the past
-            only, as online.
-        progress: Called after each sample with the number of samples done.
-
-    Returns:
-        The recording as it was mapped, the trajectory, and the mapper.
-
-    Raises:
-        HandmapError: If the recording cannot be mapped.
-    """
-    if smoother is not None:
-        recording = look_ahead(recording, smoother)
-    human = scaled_human(
-        recording, points=arguments.human_points, lengths=person.lengths
-    )
-    choice = arguments.preset_for(human, robot, recording.upright)
-    ik = choice.ik if smoother is None else choice.ik.replaced(**SMOOTH_IK)
-    mapper = HandMapper(human, robot, choice.method, ik=ik)
-    return recording, map_recording(mapper, recording, progress), mapper
-
-
 def map_hands(
     recordings: Sequence[Recording],
-    robot: Robot,
+    robot: Hand,
     person: Person,
     arguments: MappingArguments,
     progress: Told = None,
     *,
     smoother: LookAhead | None = None,
 ) -> tuple[Sequence[Recording], Trajectory, Any, Array]:
-    """Map a recording of each hand of a robot, in its order; arguments as of `map_hand`.
+    """Map recordings of a person with the options of a command.
+
+    Args:
+        recordings: A recording for the robot hand, or of each hand of the robot in its order.
+        robot: The robot hand, or the hands of the robot as one.
+        person: The person.
+        arguments: Reference points and options.
+        progress: Called after each sample with the number of samples done.
+        smoother: How the recordings are smoothed as a whole; None for a mapping that knows the past
+            only, as online.
 
     Returns:
         The recordings as they were mapped; the motion of the whole robot at the instants of the
         longest; the method; and whether each hand was followed, shape (T, number of hands). Points
         are of all hands, one after the other, and wrist poses of the first.
+
+    Raises:
+        HandmapError: If a recording cannot be mapped.
     """
-    points = arguments.human_points
     if smoother is not None:
         recordings = [look_ahead(recording, smoother) for recording in recordings]
     used = {recording.side: recording for recording in recordings}
     humans = {
-        side: scaled_human(recording, points=points, lengths=person.lengths)
+        side: scaled_human(
+            recording, points=arguments.human_points, lengths=person.lengths
+        )
         for side, recording in used.items()
     }
-    side = next(iter(robot.hands))
-    upright = used[side].upright
-    choice = arguments.preset_for(humans[side], robot.hands[side], upright)
+    side, first = next(iter(used.items()))
+    human = humans[side]
+    choice = arguments.preset_for(human, robot.hands[0], first.upright)
     ik = choice.ik if smoother is None else choice.ik.replaced(**SMOOTH_IK)
-    follower = RobotFollower(RobotMapper(robot, humans, choice.method, ik=ik))
+    if not robot.parts:
+        mapper = HandMapper(human, robot, choice.method, ik=ik)
+        trajectory = map_recording(mapper, first, progress)
+        return recordings, trajectory, mapper.method, trajectory.valid[:, None]
+    whole = Robot(robot.name, robot.by_side)
+    follower = RobotFollower(RobotMapper(whole, humans, choice.method, ik=ik))
     followed: list[list[bool]] = []
 
     def steps() -> Iterator[RobotStep]:

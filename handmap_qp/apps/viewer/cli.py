@@ -27,7 +27,7 @@ from handmap_qp.apps.arguments import (
     read_robot,
 )
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect, require
-from handmap_qp.hands import Robot, joined
+from handmap_qp.hands import joined
 from handmap_qp.human import fit_recording
 from handmap_qp.mapping import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
@@ -188,8 +188,6 @@ class View:
         """Return a recording mapped to a robot, as the view shows it."""
         files = [file] if self.other is None else [file, self.other]
         robot, recordings = read_robot(name, files, self)
-        if isinstance(robot, Robot):
-            robot = robot.whole
         lengths = person_of(recordings, self.person).lengths
         motions = [fit_recording(each, lengths=lengths) for each in recordings]
         humans = [m.human.with_points(self.arguments.human_points) for m in motions]

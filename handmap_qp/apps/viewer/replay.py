@@ -174,8 +174,8 @@ class Replay:
         robot = self._robot
         mapper: Any
         if robot.parts:
-            humans = _by_side(self.human)
-            whole = Robot(robot.name, _by_side(robot))
+            whole = Robot(robot.name, robot.by_side)
+            humans = self.human.by_side
             mapper = RobotMapper(whole, humans, choice.method, ik=choice.ik)
             follow: Any = RobotFollower(mapper).map_samples
             samples: Any = paired({each.side: each for each, _ in self._seen})
@@ -232,10 +232,6 @@ class Replay:
                 for place, each in enumerate(hands.values())
             ],
         )
-
-
-def _by_side(whole: Hand) -> dict[Side, Hand]:
-    return {hand.spec.side: hand for hand in whole.hands}
 
 
 class ReplayViewer(Window):
