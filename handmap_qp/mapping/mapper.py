@@ -28,8 +28,7 @@ from handmap_qp.human import (
     PALM,
     landmarks_at_rest,
 )
-from handmap_qp.ik import IkOptions, Motion, PointIk, Task
-from handmap_qp.ik.core import Compiled
+from handmap_qp.ik import Compiled, IkOptions, Motion, PointIk, Task
 from handmap_qp.se3 import (
     FARTHEST,
     Array,

@@ -19,8 +19,7 @@ from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError
 from handmap_qp.human import HumanSample, SampleColumns, Verdict
-from handmap_qp.ik import SHORTEST_DT
-from handmap_qp.ik.core import Compiled, in_core
+from handmap_qp.ik import SHORTEST_DT, Compiled, in_core
 from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
 from handmap_qp.options import Options, number
 from handmap_qp.se3 import Array, affine, lengths, transform_points

@@ -34,7 +34,7 @@ from handmap_qp.human import (
     palm_sizes,
     recording_samples,
 )
-from handmap_qp.ik.core import Compiled, in_core
+from handmap_qp.ik import Compiled, in_core
 from handmap_qp.se3 import Array, lengths, nearest_rotation
 from handmap_qp.trackers import (
     BONES,

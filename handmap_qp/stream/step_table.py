@@ -6,8 +6,7 @@ import numpy as np
 
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import RULES
-from handmap_qp.ik import Status
-from handmap_qp.ik.core import Parts
+from handmap_qp.ik import Parts, Status
 from handmap_qp.mapping import MapStep
 from handmap_qp.se3 import Array
 

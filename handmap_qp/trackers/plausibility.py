@@ -25,7 +25,7 @@ from handmap_qp.human import (
     Recording,
     check_side,
 )
-from handmap_qp.ik.core import Compiled, in_core
+from handmap_qp.ik import Compiled, in_core
 from handmap_qp.se3 import Array, lengths
 from .hand_geometry import (
     Distances,

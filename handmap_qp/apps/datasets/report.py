@@ -12,8 +12,8 @@ import numpy as np
 import tyro
 from scipy.stats import rankdata
 
+from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
-from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.tables import csv_text, markdown_table, print_result

@@ -1,1 +1,8 @@
-"""A software renderer for hands, without a display."""
+"""A software renderer for hands, without a display.
+
+Names of `__init__.pyi` are imported at their first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -22,8 +22,8 @@ from handmap_qp.apps.arguments import (
     check_names,
     hinted,
 )
+from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
-from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, load_hand

@@ -10,8 +10,7 @@ import numpy as np
 import tyro
 
 from handmap_qp.apps.arguments import HandName, MappingArguments
-from handmap_qp.apps.drawing.contact_sheet import save_contact_sheet
-from handmap_qp.apps.drawing.hands import require_matplotlib
+from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import require
 from handmap_qp.hands import load_hand

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 
 from handmap_qp.apps.arguments import hinted
-from handmap_qp.apps.drawing.layout_pictures import save_layout_picture
+from handmap_qp.apps.drawing import save_layout_picture
 from handmap_qp.apps.tables import print_result, table_rows
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import check_new, check_output, replaced_file

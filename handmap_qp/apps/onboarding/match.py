@@ -8,7 +8,7 @@ import yaml
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Hand, load_hand
 from handmap_qp.human import Recording, human_name, mirrored, scaled_human
-from handmap_qp.mapping.hand_pair import HandPair
+from handmap_qp.mapping import HandPair
 from handmap_qp.se3 import Array
 
 # Positions are written with four decimals: 0.1 mrad or 0.1 mm.

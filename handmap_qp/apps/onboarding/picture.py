@@ -7,26 +7,29 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.apps.drawing.contact_sheet import (
-    FINGER_COLOURS,
-    SheetRow,
-    contact_sheet,
-)
-from handmap_qp.apps.drawing.hands import (
+from handmap_qp.apps.drawing import (
     AXIS_COLOURS,
     GREY,
     UPRIGHT,
+    Camera,
+    Colour,
+    Triangles,
     draw_hands,
     load_shape,
+    merged,
     require_matplotlib,
     save_panels,
     save_picture,
     spheres,
     tube,
 )
-from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged
+from handmap_qp.apps.drawing.contact_sheet import (
+    FINGER_COLOURS,
+    SheetRow,
+    contact_sheet,
+)
 from handmap_qp.hands import Hand, PalmKinematics, Robot, place_of
-from handmap_qp.mapping.hand_pair import resting_posture
+from handmap_qp.mapping import resting_posture
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points, unit
 from .match import Match
 

@@ -17,7 +17,7 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.drawing.shapes import shape_meshes
+from handmap_qp.apps.drawing import shape_meshes
 from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands import (
     MOVABLE,

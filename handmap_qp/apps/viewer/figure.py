@@ -14,9 +14,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_folder
-from handmap_qp.apps.drawing.raster import Colour
-from handmap_qp.apps.drawing.shapes import LinkShape, read_shapes
+from handmap_qp.apps.drawing import (
+    HUMAN_COLOUR,
+    ROBOT_COLOUR,
+    Colour,
+    LinkShape,
+    mesh_folder,
+    read_shapes,
+)
 from handmap_qp.hands import Hand, carrier_of, finger_tips, joined, parse_urdf
 from handmap_qp.human import TIPS
 from handmap_qp.mapping import polar

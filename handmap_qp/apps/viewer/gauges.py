@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
+from handmap_qp.apps.drawing import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.errors import HandError
 from handmap_qp.hands import CONTACT_GAP, FINGERS, Hand, find_fingers

@@ -22,21 +22,21 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand, find_fingers
-from handmap_qp.mapping.alignment import AlignedOptions
-from handmap_qp.mapping.hand_pair import (
-    KNUCKLES,
-    bone_lengths,
-    points_in_palm,
-    require_partners,
-)
-from handmap_qp.mapping.method import (
+from handmap_qp.mapping import (
     FOLLOWING,
+    KNUCKLES,
+    AlignedOptions,
     HumanPose,
+    PalmMap,
+    PalmMethod,
     Preset,
     RobotPosture,
     Targets,
+    bone_lengths,
+    points_in_palm,
+    require_partners,
+    require_points,
 )
-from handmap_qp.mapping.palm import PalmMap, PalmMethod, require_points
 from handmap_qp.options import number, text
 from handmap_qp.se3 import Array, lengths
 

@@ -17,26 +17,24 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands import Hand
-from handmap_qp.ik import IkOptions
-from handmap_qp.ik.core import Compiled, Parts
-from handmap_qp.mapping.alignment import (
+from handmap_qp.ik import Compiled, IkOptions, Parts
+from handmap_qp.mapping import (
+    FOLLOWING,
     AlignedOptions,
+    Diagnostics,
+    HumanPose,
+    MotionEstimate,
+    MotionEstimator,
+    Preset,
+    RobotPosture,
     Row,
+    Targets,
     in_robot_world,
+    known_palm,
+    require_partners,
     rotation_of,
 )
 from handmap_qp.mapping.decomposition import about, polar
-from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
-from handmap_qp.mapping.hand_pair import require_partners
-from handmap_qp.mapping.method import (
-    FOLLOWING,
-    Diagnostics,
-    HumanPose,
-    Preset,
-    RobotPosture,
-    Targets,
-)
-from handmap_qp.mapping.palm import known_palm
 from handmap_qp.options import number, text
 from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 

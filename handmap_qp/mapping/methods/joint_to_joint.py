@@ -40,16 +40,19 @@ from handmap_qp.hands import (
 )
 from handmap_qp.human import LANDMARK_NAMES
 from handmap_qp.ik import TaskRows
-from handmap_qp.mapping.alignment import AlignedOptions
-from handmap_qp.mapping.hand_pair import RobotFingers, points_in_palm
-from handmap_qp.mapping.method import (
+from handmap_qp.mapping import (
     FOLLOWING,
+    AlignedOptions,
     HumanPose,
+    PalmMap,
+    PalmMethod,
     Preset,
+    RobotFingers,
     RobotPosture,
     Targets,
+    points_in_palm,
+    require_points,
 )
-from handmap_qp.mapping.palm import PalmMap, PalmMethod, require_points
 from handmap_qp.se3 import Array, lengths, unit
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.

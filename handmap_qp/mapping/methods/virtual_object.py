@@ -36,15 +36,16 @@ import numpy as np
 
 from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
 from handmap_qp.hands import FINGERS, Hand
-from handmap_qp.mapping.alignment import AlignedOptions
-from handmap_qp.mapping.method import (
+from handmap_qp.mapping import (
     FOLLOWING,
+    AlignedOptions,
     HumanPose,
+    PalmMap,
+    PalmMethod,
     Preset,
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmMap, PalmMethod
 from handmap_qp.options import number
 from handmap_qp.se3 import Array, lengths, mirror_sign, nearest_rotation
 
