@@ -20,6 +20,7 @@ from handmap_qp.hands import (
     HumanLengths,
     Names,
     Side,
+    Values,
     load_hand,
     load_whole,
 )
@@ -377,6 +378,6 @@ MappingFlags = Annotated[MappingArguments, arg(name="")]
 """Reference points and options of a command."""
 
 
-def _given(flags: Any) -> dict[str, Any]:
+def _given(flags: Any) -> Values:
     """Return the options that were given, by name."""
     return {name: value for name, value in vars(flags).items() if value is not None}

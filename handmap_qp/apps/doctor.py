@@ -9,8 +9,8 @@ import sys
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
+from handmap_qp.hands import Values
 from handmap_qp.ik.core import description
 from .tables import print_table
 
@@ -109,9 +109,7 @@ def folders() -> dict[str, str]:
 def libraries() -> dict[str, str]:
     """Return the system libraries for solvers and for MuJoCo's rendering."""
     # Slim images lack libgomp, to which compiled dependencies link.
-    found: dict[str, Any] = {
-        name: ctypes.util.find_library(name) for name in ("gomp", *_GL)
-    }
+    found: Values = {name: ctypes.util.find_library(name) for name in ("gomp", *_GL)}
     state = {f"lib{name}": path or "not found" for name, path in found.items()}
     return state | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "not set")}
 

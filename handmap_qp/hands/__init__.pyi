@@ -75,6 +75,7 @@ from .spec import PalmSpec as PalmSpec
 from .spec import PointSpec as PointSpec
 from .spec import Side as Side
 from .spec import Upright as Upright
+from .spec import Values as Values
 from .spec import Vector as Vector
 from .spec import WristSpec as WristSpec
 from .spec import is_named_source as is_named_source

@@ -39,6 +39,7 @@ from .spec import (
     Positions,
     Rules,
     Side,
+    Values,
     check_point,
     twice,
 )
@@ -231,11 +232,11 @@ class Hand:
             f"Hand({self.name!r}, side={self.side!r}, mount={self.mount!r}, {counts})"
         )
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> Values:
         """Return all that is not cached: a copy has a workspace of its own, for another thread."""
         return {key: value for key, value in vars(self).items() if key not in _CACHED}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: Values) -> None:
         """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
         vars(self).update(state)
         for value in (*state.values(), *(self.expansion or ())):

@@ -20,6 +20,8 @@ from msgspec import Meta
 from handmap_qp.errors import HandError, reason_of
 
 Names = tuple[str, ...]
+Values = dict[str, Any]
+"""Values by name."""
 Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
 Vector = tuple[float, float, float]
@@ -402,7 +404,7 @@ def read_yaml(path: Path) -> Any:
         raise HandError(f"is not valid YAML: {reason_of(error)}", file=path) from error
 
 
-def read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
+def read_document(path: Path, extending: tuple[Path, ...] = ()) -> Values:
     """Read a file's keys, with those of the file that it extends, and its folder."""
     document = read_yaml(path)
     if not isinstance(document, dict):
@@ -420,9 +422,7 @@ def read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any
     return _extended(document, path, extending) | folder
 
 
-def _extended(
-    document: dict[str, Any], path: Path, extending: tuple[Path, ...]
-) -> dict[str, Any]:
+def _extended(document: Values, path: Path, extending: tuple[Path, ...]) -> Values:
     """Add the keys of the file that the key `extends` names, where a mapping lacks them.
 
     Its relative paths keep their meaning.

@@ -5,18 +5,18 @@
 
 import warnings
 from collections.abc import Callable
-from typing import Any
 
 import qpsolvers
 
 from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands import Values
 from handmap_qp.se3 import Array
 
 # Settings for a solution nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6. quadprog
 # needs no setting. With smaller tolerances interior-point methods (clarabel, piqp) report failure,
 # and OSQP often reaches its maximum number of iterations. ProxQP converges in some ten, or in its
 # own 10,000 not either, which took half a minute on a hostile problem.
-_EXACT: dict[str, dict[str, Any]] = {
+_EXACT: dict[str, Values] = {
     "clarabel": {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},
     "daqp": {"primal_tol": 1e-12},
     "osqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 50_000, "raise_error": False},

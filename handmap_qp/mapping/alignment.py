@@ -1,12 +1,12 @@
 """Alignment: how the human's world axes and the robot's correspond."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidOptionsError, expect
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Values
 from handmap_qp.human import upright_axes
 from handmap_qp.options import number, text
 from handmap_qp.se3 import (
@@ -86,7 +86,7 @@ def rotation_onto(robot: Hand, upright: str) -> Array | None:
     return None
 
 
-def found_alignment(method: MethodOptions, robot: Hand, upright: str) -> dict[str, Any]:
+def found_alignment(method: MethodOptions, robot: Hand, upright: str) -> Values:
     """Return the change of options that lays a tracker's up and forward onto an arm's.
 
     Args:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp import ik
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
-from handmap_qp.hands import Hand, Names
+from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.human import (
     LANDMARK_COUNT,
     LANDMARK_NAMES,
@@ -683,7 +683,7 @@ def _bound_again(reference: _Reference, bound: BoundMethod) -> _Reference | None
 
 
 def _method_of(
-    method: Method | str | None, options: dict[str, Any]
+    method: Method | str | None, options: Values
 ) -> tuple[Method, IkOptions]:
     """Return the method that the arguments of `HandMapper` ask for, and the QP weights with it."""
     if isinstance(method, str) and not options:

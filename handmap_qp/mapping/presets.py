@@ -12,7 +12,7 @@ from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError, did_you_mean
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Values
 from handmap_qp.ik import IkOptions
 from handmap_qp.options import Option, options_of
 from handmap_qp.plugins import Plugins
@@ -132,7 +132,7 @@ class Choice(NamedTuple):
             method=start.method.replaced(**rest), ik=start.ik.replaced(**ik)
         )
 
-    def changes_to(self, other: Choice) -> dict[str, Any]:
+    def changes_to(self, other: Choice) -> Values:
         """Return the changes that turn this choice into another one."""
         if self.preset != other.preset:
             start = preset_choice(other.preset)
@@ -144,7 +144,7 @@ IK_NAMES = frozenset(option.name for option in options_of(IkOptions))
 """Names of the options of the QP; no method has an option of such a name."""
 
 
-def kept_options(options: Mapping[str, Any], preset: str) -> dict[str, Any]:
+def kept_options(options: Mapping[str, Any], preset: str) -> Values:
     """Return the options that another preset keeps, which describe the setup: the alignment."""
     names = {"alignment"} & get_preset(preset).method.values.keys()
     return {name: options[name] for name in names & options.keys()}

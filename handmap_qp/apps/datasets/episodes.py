@@ -11,7 +11,6 @@ from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
 from time import process_time
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -29,7 +28,7 @@ from handmap_qp.errors import (
     expect,
     reason_of,
 )
-from handmap_qp.hands import FINGERS, Hand, load_whole
+from handmap_qp.hands import FINGERS, Hand, Values, load_whole
 from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
@@ -83,7 +82,7 @@ def run_job(job: Job) -> Line:
         DiskFullError: If the disk is full: no other recording of the batch can be written either.
     """
     started = process_time()
-    results: dict[str, Any] = {"status": "failed"}
+    results: Values = {"status": "failed"}
     try:
         results = _run(job)
     except DiskFullError:
@@ -96,7 +95,7 @@ def run_job(job: Job) -> Line:
     return replace(job.line, kills=0, cpu_s=cpu_s, **results)
 
 
-def _run(job: Job) -> dict[str, Any]:
+def _run(job: Job) -> Values:
     """Map one recording, write its episode, and return the results for its line."""
     if job.source is None:
         raise InvalidInputError(job.line.error)
@@ -181,7 +180,7 @@ def measure_episode(
     return rounded
 
 
-def _measured(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
+def _measured(recording: Recording, trajectory: Trajectory) -> Values:
     """Measure all but surfaces; see `MEASURES`."""
     seen = trajectory.valid
     errors = 1e3 * trajectory.point_error[seen]

@@ -13,12 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, Side, carrier_of
+from handmap_qp.hands import Hand, Side, Values, carrier_of
 from handmap_qp.human import (
     FIRST_JOINTS,
     LANDMARK_COUNT,
@@ -193,8 +193,8 @@ def contact_sheet(
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.imshow(canvas, extent=(0.0, width, height, 0.0), interpolation="nearest")
         axes.set_axis_off()
-        bold: dict[str, Any] = {"color": _INK, "fontweight": "bold", "va": "center"}
-        pale: dict[str, Any] = {"color": _PALE, "va": "center"}
+        bold: Values = {"color": _INK, "fontweight": "bold", "va": "center"}
+        pale: Values = {"color": _PALE, "va": "center"}
         for i, name in enumerate(["human", *(name for name, _ in columns)]):
             middle = _LEFT + (i + 0.5) * span
             axes.text(middle, 24, name, ha="center", fontsize=10, **bold)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import FINGERS, HUMAN_JOINTS, Hand, Side
+from handmap_qp.hands import FINGERS, HUMAN_JOINTS, Hand, Side, Values
 from handmap_qp.se3 import Array, lengths, transform_points, unit
 from handmap_qp.trackers import (
     SIDES,
@@ -112,7 +112,7 @@ def _draw_axes(axes: Any, camera: Camera, ends: Array, directions: Array) -> Non
         axes.text(x + 5, y + 11, text, fontsize=9, color=colour, zorder=6, **_halo())
 
 
-def _halo() -> dict[str, Any]:
+def _halo() -> Values:
     from matplotlib import patheffects
 
     return {"path_effects": [patheffects.withStroke(linewidth=2.5, foreground="white")]}

@@ -21,14 +21,14 @@ from handmap_qp.apps.arguments import (
 )
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Values
 from handmap_qp.human import PALM, Recording, write_person
 from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import SIDES, save_npz
 from .look_ahead import map_hands
-from .summary import Summary, notes, summarise, table_rows
+from .summary import notes, summarise, table_rows
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class Map:
         robot: Hand,
         used: list[Recording],
         out: Path,
-    ) -> Summary:
+    ) -> Values:
         """Map the recordings of a robot's hands, write its trajectory, and return the summary."""
         person = person_of(used, self.person)
         with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:

@@ -26,7 +26,7 @@ from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, load_hand
+from handmap_qp.hands import Hand, Values, load_hand
 from handmap_qp.human import Person, read_person
 from handmap_qp.output_files import make_folder, writing
 from .comparison import (
@@ -43,7 +43,7 @@ from .comparison import (
     own_methods,
     prepare_take,
 )
-from .metrics import GROUPS, METRICS, Metric, Values
+from .metrics import GROUPS, METRICS, Metric
 from .poses import POSES, rank_poses
 from .trajectory import package_versions
 
@@ -195,7 +195,7 @@ def notes_of(comparison: Comparison) -> list[str]:
     return notes
 
 
-def results_of(comparison: Comparison) -> dict[str, Any]:
+def results_of(comparison: Comparison) -> Values:
     """Return everything that was measured as plain values; JSON has null for NaN.
 
     Returns:
@@ -205,7 +205,7 @@ def results_of(comparison: Comparison) -> dict[str, Any]:
     """
     pinches = _pinch_samples(comparison)
     methods = {method: {"about": ""} for method in comparison.methods}
-    runs: dict[str, dict[str, Any]] = {take.name: {} for take in comparison.takes}
+    runs: dict[str, Values] = {take.name: {} for take in comparison.takes}
     for run in comparison.runs:
         if run.motion is not None:
             methods[run.method] = {"about": run.motion.about}

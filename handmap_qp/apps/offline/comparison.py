@@ -27,7 +27,7 @@ import numpy as np
 
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
-from handmap_qp.hands import Hand, Names, Side, load_hand
+from handmap_qp.hands import Hand, Names, Side, Values, load_hand
 from handmap_qp.human import (
     Person,
     Recording,
@@ -57,7 +57,7 @@ from .look_ahead import (
     look_ahead,
     smooth_poses,
 )
-from .metrics import Values, mean_values
+from .metrics import mean_values
 from .surface_gaps import measure_gaps
 from .trajectory import held_samples, map_recording
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
 from handmap_qp.errors import expect
-from handmap_qp.hands import THUMB, Hand
+from handmap_qp.hands import THUMB, Hand, Values
 from handmap_qp.mapping import MotionEstimator, polar
 from handmap_qp.se3 import Array, inverse_pose, lengths, rigid_fit, transform_points
 from .hand_trace import (
@@ -30,7 +30,7 @@ from .hand_trace import (
     HandTrace,
     trace_robot,
 )
-from .metrics import Values, mean_values
+from .metrics import mean_values
 from .surface_gaps import SurfaceGaps
 from .trajectory import rms_derivative
 

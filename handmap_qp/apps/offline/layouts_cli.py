@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -10,6 +10,7 @@ from handmap_qp.apps.arguments import hinted
 from handmap_qp.apps.drawing import save_layout_picture
 from handmap_qp.apps.tables import print_result, table_rows
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands import Values
 from handmap_qp.output_files import check_new, check_output, replaced_file
 from handmap_qp.trackers import LAYOUTS, Layout, load_layout, table_text
 
@@ -90,7 +91,7 @@ class Layouts:
         print_result(rows, {"Layouts": rows}, as_json=self.json)
 
 
-def _summary(layout: Layout) -> dict[str, Any]:
+def _summary(layout: Layout) -> Values:
     """Return one row of the list."""
     wrist = "none" if layout.wrist_table is None else "beside them"
     if layout.has_wrist:
@@ -104,10 +105,10 @@ def _summary(layout: Layout) -> dict[str, Any]:
     }
 
 
-def _facts(layout: Layout) -> dict[str, Any]:
+def _facts(layout: Layout) -> Values:
     """Return what the table says, in words."""
     table = layout.table
-    facts: dict[str, Any] = {
+    facts: Values = {
         "tracker": layout.title,
         "values": table.values,
         "one sample": [str(shape) for shape in layout.shapes],

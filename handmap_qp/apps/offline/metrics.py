@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
 
+from handmap_qp.hands import Values
+
 Better = Literal["high", "low", "zero", "one"]
-Values = dict[str, Any]
-"""Metrics by their keys; those that are missing are NaN."""
 
 
 class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

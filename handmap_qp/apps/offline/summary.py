@@ -1,11 +1,11 @@
 """Holds and summary numbers of a mapped motion, printed by `handmap map`."""
 
 from collections import Counter
-from typing import Any
 
 import msgspec
 import numpy as np
 
+from handmap_qp.hands import Values
 from handmap_qp.mapping import arm_held_by
 from handmap_qp.se3 import lengths
 from .trajectory import Trajectory, stretches
@@ -18,11 +18,7 @@ _NAMED_JOINTS = 3
 _NAMED_HOLDS = 5
 
 
-Summary = dict[str, Any]
-"""Numbers of a mapped motion by name, with the unit in the name."""
-
-
-def summarise(trajectory: Trajectory) -> Summary:
+def summarise(trajectory: Trajectory) -> Values:
     """Summarise a mapped motion by numbers, with the unit in their name.
 
     Errors and times are taken over the samples that the robot followed, `samples_at_limit` over
@@ -74,7 +70,7 @@ def summarise(trajectory: Trajectory) -> Summary:
     return msgspec.to_builtins(found, enc_hook=np.generic.item)
 
 
-def find_holds(trajectory: Trajectory) -> list[dict[str, Any]]:
+def find_holds(trajectory: Trajectory) -> list[Values]:
     """Find the holds of a mapped motion, in the order of time.
 
     Each has the `rule` that began it (`human.sample.RULES`); `start`, the time of its first sample
@@ -99,7 +95,7 @@ def count_rules(trajectory: Trajectory) -> dict[str, int]:
     return dict(Counter(rules).most_common())
 
 
-def notes(summary: Summary) -> list[str]:
+def notes(summary: Values) -> list[str]:
     """Return a line if speed limits, and one if a short arm, kept the robot from following."""
     lines = []
     share = summary["speed_limited_share"]
@@ -126,7 +122,7 @@ def notes(summary: Summary) -> list[str]:
     return lines
 
 
-def table_rows(summary: Summary) -> dict[str, str]:
+def table_rows(summary: Values) -> dict[str, str]:
     """Return the values of a summary as text, with their units, by label."""
     events = summary["events"]
     holds = [
@@ -158,7 +154,7 @@ def table_rows(summary: Summary) -> dict[str, str]:
     }
 
 
-def _arm(trajectory: Trajectory) -> dict[str, Any] | None:
+def _arm(trajectory: Trajectory) -> Values | None:
     """Measure how far a motion leaves the reach of an arm; None if the arm follows.
 
     The scale is the largest one at which no target is farther from the first sample than the wrist

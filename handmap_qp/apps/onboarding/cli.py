@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -27,6 +27,7 @@ from handmap_qp.hands import (
     HandSpec,
     Robot,
     Side,
+    Values,
     find_fingers,
     hand_files,
     load_hand,
@@ -122,7 +123,7 @@ def _available(*hands: HandSpec) -> str:
     return f"no: {missing[0]}" if missing else "yes"
 
 
-def describe_hand(hand: str | Path) -> dict[str, Any]:
+def describe_hand(hand: str | Path) -> Values:
     """Describe one hand in plain values for JSON: frames, joints with limits, reference points.
 
     Args and errors are those of `load_hand`.
@@ -149,7 +150,7 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
     }
 
 
-def describe_robot(robot: str | Path) -> dict[str, Any]:
+def describe_robot(robot: str | Path) -> Values:
     """Describe a robot in plain values for JSON: its hands, and its joints by part.
 
     Args and errors are those of `load_robot`.
@@ -192,7 +193,7 @@ def _joint_rows(hand: Hand, **more: Sequence[str]) -> Rows:
     return rows_of(columns)
 
 
-def print_description(said: dict[str, Any], *, as_json: bool) -> None:
+def print_description(said: Values, *, as_json: bool) -> None:
     """Print a description: its single values as a table, and each list of rows as another."""
     tables = {
         _TITLES.get(key, key.capitalize()): rows
@@ -318,9 +319,7 @@ class HandsInit:
         kind = "robots" if "hands" in result else "hands"
         print(_WROTE.format(result["out"], kind))
 
-    def _write_robot(
-        self, source: RobotSource, hands: list[Detection]
-    ) -> dict[str, Any]:
+    def _write_robot(self, source: RobotSource, hands: list[Detection]) -> Values:
         """Write the left and the right hand of a robot, and its `robot.yaml`."""
         out = self.out.with_name("robot.yaml")
         files = [out.with_name(f"{hand.spec.side}.yaml") for hand in hands]
@@ -337,7 +336,7 @@ class HandsInit:
 
     def _write(
         self, source: RobotSource, found: Detection, out: Path, name: str
-    ) -> dict[str, Any]:
+    ) -> Values:
         """Write a hand, and print what was found unless JSON is to be printed; return that."""
         spec = msgspec.structs.replace(found.spec, urdf=source.reference, name=name)
         found = found._replace(spec=spec, notes=(*source.notes, *found.notes))

@@ -4,18 +4,18 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import HandError, HandmapError
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Values
 
 MOST_NAMES = 3
 """Names in one finding."""
 Level = Literal["error", "warning", "advice", "fine"]
 LEVELS = get_args(Level)
 """All levels, the worst first."""
-Rows = list[dict[str, Any]]
+Rows = list[Values]
 """Rows of a table: values by column."""
 
 

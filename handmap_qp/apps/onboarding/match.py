@@ -1,12 +1,12 @@
 """The matched posture of a robot hand: solve it, and print it for a hand.yaml."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import yaml
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import Hand, load_hand
+from handmap_qp.hands import Hand, Values, load_hand
 from handmap_qp.human import Recording, human_name, mirrored, scaled_human
 from handmap_qp.mapping import HandPair
 from handmap_qp.se3 import Array
@@ -30,7 +30,7 @@ class Match(NamedTuple):
     q: Array
 
     @property
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Values]:
         """Return a table row for every joint of the hand: limits, rest and matched position."""
         robot = self.robot
         columns = {

@@ -32,6 +32,7 @@ from handmap_qp.hands import (
     Mount,
     Robot,
     Side,
+    Values,
     hand_files,
     load_hand,
     load_robot,
@@ -367,7 +368,7 @@ def upright_of(request: Open) -> str:
     return request.upright or (layout.table.upright if layout else "")
 
 
-def _changed(field: str, start: Chosen, values: dict[str, Any]) -> Chosen:
+def _changed(field: str, start: Chosen, values: Values) -> Chosen:
     """Return options with the values of a field of a request."""
     try:
         return start.replaced(**values)

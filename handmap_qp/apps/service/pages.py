@@ -8,13 +8,13 @@ from collections.abc import Callable
 from functools import cache
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from handmap_qp.apps.addresses import names_loopback
+from handmap_qp.hands import Values
 from .logs import Metrics, websocket_log
 
 _FOLDER = Path(__file__).with_name("webxr")
@@ -54,7 +54,7 @@ def page_response(request: Request) -> Response | None:
 async def serve_metrics(
     port: int,
     metrics: Metrics,
-    health: Callable[[], dict[str, Any]],
+    health: Callable[[], Values],
 ) -> Server:
     """Answer `GET /metrics`, and `GET /health` as JSON.
 

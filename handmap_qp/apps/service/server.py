@@ -22,7 +22,6 @@ from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from logging import ERROR, INFO, WARNING
-from typing import Any
 
 import zmq
 import zmq.asyncio
@@ -32,6 +31,7 @@ from zmq.utils.monitor import recv_monitor_message
 from handmap_qp.apps.refusals import naming
 from handmap_qp.client.messages import TOPIC_END
 from handmap_qp.errors import InvalidOptionsError, expect
+from handmap_qp.hands import Values
 from .connection_gate import ConnectionGate, cost_of
 from .dispatch import Dispatcher
 from .keys import (
@@ -215,7 +215,7 @@ class Server:
         if self._tasks:
             report(INFO, "stopped")
 
-    def health(self) -> dict[str, Any]:
+    def health(self) -> Values:
         """Return the result of the health check."""
         is_alive = self._tasks and not any(task.done() for task in self._tasks)
         return {

@@ -38,7 +38,7 @@ from handmap_qp.client.messages import (
     Step,
 )
 from handmap_qp.errors import HandmapError, RefusedError
-from handmap_qp.hands import LONGEST_STOP, Hand, Side
+from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
 from handmap_qp.human import UNSEEN, ContactGapMeter, HumanSample, PalmShape
 from handmap_qp.ik import Motion
 from handmap_qp.mapping import MapStep, check_joints
@@ -67,8 +67,6 @@ from .safety import (
 )
 from .store import Posture, Record
 
-Fields = dict[str, Any]
-"""Values of a message or sample by the names of its fields."""
 Humans = dict[Side, Any]
 """Each hand of a sample, by side: a `HumanSample`; None if it has joint angles or points."""
 T = TypeVar("T")
@@ -138,7 +136,7 @@ class SampleForm:
         self._check(sample)
         if self._kind != "landmarks":
             return None
-        common: Fields = {
+        common: Values = {
             "time": sample.time,
             "side": side,
             "wrist": to_matrix(sample.wrist),
@@ -291,7 +289,7 @@ class Session:
         measured = self._hands.lengths
         wanted = self.request
         shared = {name: getattr(wanted, name) for name in About.__struct_fields__}
-        about: Fields = shared | {
+        about: Values = shared | {
             "upright": upright_of(wanted),
             "robot": self.robot.name,
             "lengths": measured
@@ -631,7 +629,7 @@ class Session:
 
     def _diagnostics(
         self, step: MapStep, sample: Step, landmarks: Array | None
-    ) -> Fields:
+    ) -> Values:
         """Return the fields of a command that describe the mapping."""
         error, at_bound, residual, _ = step.stages.summary
         detail = None
@@ -690,7 +688,7 @@ class Session:
         )
 
 
-def _trust(step: MapStep) -> Fields:
+def _trust(step: MapStep) -> Values:
     """Return the fields of a command that say how much a sample is to be trusted."""
     consistency = step.consistency
     hands: dict[str, MapStep] = getattr(step, "hands", {})

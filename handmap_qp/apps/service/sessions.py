@@ -18,7 +18,7 @@ import msgspec
 
 from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Values
 from .logs import AuditLog, Metrics, report
 from .opening import HandCache, prepare_hands
 from .safety import Bucket, refuse_if
@@ -184,7 +184,7 @@ class Sessions:
         self.by_secret[request.session] = session
         self.note(session)
         self.metrics.counts["opened"] += 1
-        event: dict[str, Any] = {
+        event: Values = {
             "session": name,
             "robot": robot.name,
             "restored": former is not None,
@@ -220,7 +220,7 @@ class Sessions:
         self.send(
             session.name, msgspec.msgpack.encode(Error(code=code, message=reason))
         )
-        event: dict[str, Any] = {"session": session.name, "reason": reason}
+        event: Values = {"session": session.name, "reason": reason}
         self.audit.note("closed", by, **event)
         report(INFO, "closed", **event, counts=dict(session.counts))
 

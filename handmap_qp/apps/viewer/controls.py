@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Values
 from handmap_qp.mapping import PRESETS, Choice
 from handmap_qp.options import Option, Options, options_of
 from handmap_qp.se3 import Array
@@ -116,7 +116,7 @@ class _Control:
             self.handle.value = self._taken = shown
 
 
-def _take_changes(controls: dict[str, _Control]) -> dict[str, Any]:
+def _take_changes(controls: dict[str, _Control]) -> Values:
     """Return what the user has changed since the last call, by name."""
     return {name: each.take() for name, each in controls.items() if each.is_changed}
 
@@ -232,7 +232,7 @@ class OptionControls:
         handles: The viser controls of the method and the QP, by option name.
     """
 
-    handles: dict[str, Any]
+    handles: Values
 
     def __init__(self, server: viser.ViserServer, choice: Choice) -> None:
         self._gui = server.gui
@@ -244,7 +244,7 @@ class OptionControls:
         self._controls = self._ik
         self.show(choice)
 
-    def take_changes(self) -> dict[str, Any]:
+    def take_changes(self) -> Values:
         """Return the options that the user has changed since the last call, by name."""
         return _take_changes(self._controls)
 

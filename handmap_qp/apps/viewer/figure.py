@@ -22,7 +22,7 @@ from handmap_qp.apps.drawing import (
     mesh_folder,
     read_shapes,
 )
-from handmap_qp.hands import Hand, carrier_of, finger_tips, joined, parse_urdf
+from handmap_qp.hands import Hand, Values, carrier_of, finger_tips, joined, parse_urdf
 from handmap_qp.human import TIPS
 from handmap_qp.mapping import polar
 from handmap_qp.se3 import (
@@ -303,7 +303,7 @@ class HandFigure(Figure):
         tips = (h.with_points([*finger_tips(h).values()] or None) for h in hand.hands)
         self._tips = joined(hand.name, *tips)
         self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
-        self._links: dict[str, Any] = {}
+        self._links: Values = {}
         self._corners: dict[str, Array] = {}
         for link, meshes in link_meshes(hand).items():
             path = f"/{node}/body/{link}"

@@ -15,7 +15,7 @@ from handmap_qp.apps.connection import FAILURES, connected, only_session
 from handmap_qp.client import Command, ServiceError
 from handmap_qp.client.messages import Pose
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands import Hand, HumanLengths, hand_files, is_robot, load_hand
+from handmap_qp.hands import Hand, HumanLengths, Values, hand_files, is_robot, load_hand
 from handmap_qp.human import LandmarkFitter, human_name
 from handmap_qp.mapping import IK_NAMES, Choice, preset_choice
 from handmap_qp.se3 import Array, rigid_fit
@@ -92,7 +92,7 @@ class ServiceSession:
         patience: float = 10.0,
     ) -> None:
         self._host = host
-        self._detail: dict[str, Any] = {}
+        self._detail: Values = {}
         self._requests: deque[Callable[[], Any]] = deque()
         with connected("--live", host, keys, refused="--live") as (self._client, _):
             about = self._find_session(session, time.monotonic() + patience)
@@ -184,7 +184,7 @@ class ServiceSession:
         """
         self._requests.append(partial(getattr(self._client, name), *values, **fields))
 
-    def configure(self, changes: dict[str, Any]) -> None:
+    def configure(self, changes: Values) -> None:
         """Request another preset or other values of some options, as of `Choice`."""
         rest = dict(changes)
         preset = rest.pop("preset", None)
@@ -220,7 +220,7 @@ class ServiceSession:
         self.is_released = state.is_released
         self.stop_number = state.stop
 
-    def _find_session(self, session: str | None, end: float) -> dict[str, Any]:
+    def _find_session(self, session: str | None, end: float) -> Values:
         """Wait until a session is open and its human hand is measured; return its properties."""
         while True:
             self.name = only_session(self._client, session)
@@ -264,7 +264,7 @@ class ServiceSession:
         self._start = self._start or command.server_time
         q = np.array(command.q)
         wrist = command.wrist.matrix
-        arrays: dict[str, Any] = {
+        arrays: Values = {
             name: np.array(detail[name]) for name in _ARRAYS if detail[name] is not None
         }
         posture = self._human_posture(arrays, detail["human_wrist"])
@@ -291,9 +291,7 @@ class ServiceSession:
             is_seen=command.detail is not None,
         )
 
-    def _human_posture(
-        self, arrays: dict[str, Any], wrist: Any
-    ) -> tuple[Array | None, Array]:
+    def _human_posture(self, arrays: Values, wrist: Any) -> tuple[Array | None, Array]:
         """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
         landmarks = arrays.get("landmarks")
         if landmarks is not None and self._fitter is not None:
@@ -315,6 +313,6 @@ class ServiceSession:
         )
 
 
-def _choice(about: dict[str, Any]) -> Choice:
+def _choice(about: Values) -> Choice:
     choice = preset_choice(about["preset"])
     return choice.with_changes(about["options"] | about["ik"])

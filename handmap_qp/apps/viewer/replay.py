@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands import Hand, Names, Robot, Side
+from handmap_qp.hands import Hand, Names, Robot, Side, Values
 from handmap_qp.human import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping import (
     Choice,
@@ -254,7 +254,7 @@ class ReplayViewer(Window):
         )
         # Options count from `_base`: the initial ones, or those of a preset chosen later.
         self._start = self._base = replay.choice
-        self._changes: dict[str, Any] = {}
+        self._changes: Values = {}
         self._pending: list[Callable[[], None]] = []
         with self.control:
             self.play_bar = PlayBar(server, float(replay.time[-1]))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Values
 from handmap_qp.mapping import rotation_of
 from handmap_qp.se3 import Array, unit
 from .figure import Figure, HumanFigure, LandmarkFigure, RobotFigure, Shape
@@ -207,7 +207,7 @@ class BrowserCameras:
             self._server.initial_camera.position = distance * _DIRECTION + middle
 
     @property
-    def view(self) -> dict[str, Any]:
+    def view(self) -> Values:
         """What a page needs to fit the view to its window, as `_view` does."""
         width, height, depth = self._size.tolist()
         return {

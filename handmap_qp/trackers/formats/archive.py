@@ -9,12 +9,12 @@ import zipfile
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands import Values
 from handmap_qp.human import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
@@ -74,7 +74,7 @@ class NpzFormat(RecordingFormat):
             [prefix + n for n in names] for names in (("time", "landmarks"), _KNOWN)
         )
         arrays = _read(path, needed, known)
-        own: dict[str, Any] = {n.removeprefix(prefix): arrays[n] for n in arrays}
+        own: Values = {n.removeprefix(prefix): arrays[n] for n in arrays}
         own |= {name: str(own.get(name, "")) for name in WORDS}
         return build_recording(path, entry, **own, prefix=prefix)
 

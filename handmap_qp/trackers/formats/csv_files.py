@@ -8,12 +8,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Names, Side
+from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
@@ -59,7 +58,7 @@ class CsvFormat(RecordingFormat):
             given = {f: names for f, names in COLUMNS.items() if names[0] in header}
             places = {name: header[name] for name in chain(*given.values())}
             table = numbers(own, places)
-        columns: dict[str, Any] = {}
+        columns: Values = {}
         for field, names in given.items():
             block, table = np.split(table, [len(names)], axis=1)
             columns[field] = block if len(names) > 1 else block[:, 0]

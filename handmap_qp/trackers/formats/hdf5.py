@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect, require
-from handmap_qp.hands import Names, Side
+from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import Array, affine
@@ -186,7 +186,7 @@ class RobomimicFormat(_Hdf5Format):
         with opened(path) as file:
             demo = file["data"][entry.name]
             obs = demo["obs"]
-            columns: dict[str, Any] = {
+            columns: Values = {
                 name: numbers(obs, name, (entry.samples,))
                 for name in COLUMNS
                 if name in obs or name == "time"

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_qp.hands import Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
 from handmap_qp.se3 import Array
@@ -183,9 +184,9 @@ class LeRobotWriter:
         self._features = {**features, "timestamp": Feature("float32"), **indices}
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, Stats] = {}
-        self._episodes: list[dict[str, Any]] = []
+        self._episodes: list[Values] = []
         self._episode_count = self._frame_count = self._file_index = self._file_size = 0
-        self._open: dict[str, Any] = {}
+        self._open: Values = {}
 
     def add(
         self,

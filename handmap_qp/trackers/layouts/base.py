@@ -23,6 +23,7 @@ from handmap_qp.hands import (
     Points,
     Side,
     Upright,
+    Values,
     load_hand,
 )
 from handmap_qp.human import (
@@ -131,7 +132,7 @@ class Hands(NamedTuple):
     wrists: Array | None
 
 
-Rows = list[dict[str, Any]]
+Rows = list[Values]
 """A table: values by column, row by row."""
 
 
