@@ -126,7 +126,8 @@ def _field(name: str, value: Any) -> Any:
         }
     if name == "values":
         return np.ravel(value)
-    return Pose.of(value, name) if name.endswith("wrist") else value
+    is_pose = name.endswith(("wrist", "base"))
+    return Pose.of(value, name) if is_pose else value
 
 
 class _Core:
@@ -495,8 +496,8 @@ class Client(_Core):
             **human: Fields of `messages.Step`: `q`, `landmarks`, `points` or `values`, as `open`
                 chose, and `wrist`, a pose as in `open`. Of a robot with two hands, `hands` has
                 these fields of one or both by side, as in
-                `step(hands={"left": {"landmarks": points}})`. `time` is the monotonic clock of this
-                machine if omitted [s].
+                `step(hands={"left": {"landmarks": points}})`, and `base` is a pose, too. `time` is
+                the monotonic clock of this machine if omitted [s].
 
         Raises:
             ValueError: If `wrist` is not a pose.

@@ -318,6 +318,7 @@ class Step(Request):
             in the axes and unit of the layout.
         valid: Whether the tracker saw the hand; only with `landmarks`. If not, it holds.
         confidence: The tracker's own confidence; 0 counts as not seen.
+        base: Where the floating base of a robot is in its world; as it was if omitted.
         hands: One or both hands by side, in place of all fields above but `time`; for a robot with
             two hands. Without one of them, its side of the robot goes on to what it was asked for
             last, and holds after 0.25 s.
@@ -331,6 +332,7 @@ class Step(Request):
     wrist: Pose | None = None
     valid: bool = True
     confidence: Confidence = 1.0
+    base: Pose | None = None
     hands: dict[Side, HandSample] | None = None
 
 

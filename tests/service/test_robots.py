@@ -41,8 +41,11 @@ def opened_with(**choices: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The description of a robot."""
-    return write_robot(tmp_path_factory.mktemp("twin"))
+    """The description of a robot that walks."""
+    file = write_robot(tmp_path_factory.mktemp("twin"))
+    text = file.read_text(encoding="utf-8")
+    file.write_text(f"{text}base: floating\n", encoding="utf-8")
+    return file
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +100,10 @@ def test_commands_are_those_of_a_follower_in_this_process(
             valid = "landmarks" in hands[side]
             points = landmarks_at(side, time)
             samples[side] = HumanSample(time, side, points, valid=valid)
-        command = client.step(time=time, hands=hands)
+        base = np.eye(4)
+        base[:2, 3] = 0.1 * np.sin(time), 0.05 * time
+        command = client.step(time=time, hands=hands, base=base)
+        mapper.base_pose = base
         step = follower.map_samples(samples, dt=command.dt)
         np.testing.assert_allclose(command.q, step.command.q, atol=1e-9)
         assert (command.status, command.rule) == (step.status, step.rule)
@@ -349,3 +355,29 @@ def test_a_hand_alone_says_what_holds_its_arm(server: Server) -> None:
             command = client.step(time=time, landmarks=points)
         assert command.wrist_error[0] > 0.1
         assert command.arm_held_by in ("speed", "limit", "reach")
+
+
+def test_only_a_robot_that_walks_has_its_base_elsewhere(
+    server: Server, file: Path, client: Client
+) -> None:
+    walk(client, 40)
+    base = np.eye(4)
+    base[0, 3] = np.nan
+    with pytest.raises(ServiceError, match="base"):
+        client.step(time=2.0, hands=hands_at(2.0), base=base)
+    fixed = file.read_text(encoding="utf-8").replace("floating", "fixed")
+    still = file.with_name("still.yaml")
+    still.write_text(fixed.replace("twin", "still"), encoding="utf-8")
+    with (
+        serving(hand=(still,), simulated_time=True) as other,
+        connected(other, "still", time_from="client", **OPEN) as standing,
+    ):
+        walk(standing, 40)
+        with pytest.raises(ServiceError, match="base: floating"):
+            standing.step(time=2.0, hands=hands_at(2.0), base=np.eye(4))
+    with connected(server, "allegro_right", time_from="client", **OPEN) as alone:
+        points = landmarks_at("right", 0.0)
+        for i in range(40):
+            alone.step(time=i * PERIOD, landmarks=points)
+        with pytest.raises(ServiceError, match="no floating base"):
+            alone.step(time=2.0, landmarks=points, base=np.eye(4))

@@ -143,7 +143,8 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
 
 def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
     """Yield field and message of poses that cannot be used; infinity and NaN cannot either."""
-    poses = {name: getattr(request, name, None) for name in ("wrist", "robot_wrist")}
+    names = "wrist", "robot_wrist", "base"
+    poses = {name: getattr(request, name, None) for name in names}
     hands = getattr(request, "hands", None) or {}
     poses |= {f"hands.{side}.wrist": hand.wrist for side, hand in hands.items()}
     for name, pose in poses.items():

@@ -505,6 +505,9 @@ class Session:
     def _map(self, humans: Humans, sample: Step, now: float) -> MapStep:
         """Map a sample within the time granted."""
         mapper: Any = self._hands.mapper
+        if sample.base is not None:
+            refuse_if(not self.robot.parts, "a hand alone has no floating base", "base")
+            mapper.base_pose = to_matrix(sample.base)
         if self.request.input != "landmarks":
             wrist = to_matrix(sample.wrist)
             if sample.points is not None:
