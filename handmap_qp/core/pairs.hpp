@@ -44,17 +44,28 @@ struct Pair {
   Sparse signs;  // 1 where a coordinate moves the first shape, -1 where it moves the second
 };
 
-// How far a body reaches along a direction in its joint's axes, from the joint.
+// A box around all shapes of a joint, along its axes.
+struct JointBox {
+  int joint;
+  Vec3 centre, half;
+};
+
+// How far a body or a box reaches along a direction in its joint's axes, from the joint.
 inline double reach_of(const Body& body, const Vec3& d) {
   return dot(d, body.placement.p) + reach(body.shape, tmul(body.placement.R, d));
+}
+inline double reach_of(const JointBox& box, const Vec3& d) {
+  const Vec3& half = box.half;
+  return dot(d, box.centre) +
+         (half.x * std::abs(d.x) + half.y * std::abs(d.y) + half.z * std::abs(d.z));
 }
 
 // What never changes of the pairs of a hand.
 struct PairBounds {
   std::vector<Body> bodies;
   std::vector<Pair> pairs;
-  std::vector<size_t> order;  // of the pairs, by their joints
-  std::vector<Body> boxes;    // around all shapes of each joint, that of the world first
+  std::vector<size_t> order;    // of the pairs, by their joints
+  std::vector<JointBox> boxes;  // of each joint, that of the world first
 
   std::pair<int, int> joints(size_t k) const {
     return {bodies[pairs[k].first].joint, bodies[pairs[k].second].joint};
@@ -70,7 +81,7 @@ struct PairBounds {
   }
 
  private:
-  Body box(int joint) const {
+  JointBox box(int joint) const {
     Vec3 least, most;
     for (int i = 0; i < 3; ++i) {
       Vec3 d;
@@ -84,8 +95,7 @@ struct PairBounds {
       least[i] = low;
       most[i] = high;
     }
-    const Vec3 centre = 0.5 * (least + most);
-    return {joint, {{}, centre}, make_box(0.5 * (most - least)), centre};
+    return {joint, 0.5 * (least + most), 0.5 * (most - least)};
   }
 };
 
@@ -112,20 +122,21 @@ class Pairs {
     warm_.resize(size());
     keys_.assign(size(), -kInfinity);
     group_of_.resize(size());
+    make_chains();
     for (size_t k = 0; k < size(); ++k) {
       const auto [a, b] = all.joints(all.order[k]);
-      if (k == 0 || all.joints(all.order[k - 1]) != std::make_pair(a, b))
+      if (k == 0 || all.joints(all.order[k - 1]) != std::make_pair(a, b)) {
         groups_.push_back({k, k, {&all.boxes[a + 1], &all.boxes[b + 1], groups_.size(), {}}});
+        group_ends_.push_back(ends_of(bodies.size() + a + 1, bodies.size() + b + 1));
+      }
       ++groups_.back().end;
       group_of_[all.order[k]] = groups_.size() - 1;
       partings_.push_back(
           {&bodies[pair(k).first], &bodies[pair(k).second], groups_.size() - 1, {}});
+      pair_ends_.push_back(ends_of(pair(k).first, pair(k).second));
     }
-    const size_t count = groups_.size();
-    group_keys_.assign(count, -kInfinity);
-    group_margins_.assign(count, 0.0);
-    so_far_.assign(count, 0.0);
-    for (Group& group : groups_) set_levers(group);
+    group_keys_.assign(groups_.size(), -kInfinity);
+    group_margins_.assign(groups_.size(), 0.0);
   }
   Pairs(const Pairs&) = delete;
 
@@ -147,7 +158,7 @@ class Pairs {
     travel_along(moved_.data());
     set_margins(margins);
     near_.clear();
-    const auto farthest_of = [&](size_t g) { return group_margins_[g] + within(travels_[g]); };
+    const auto farthest_of = [&](size_t g) { return group_margins_[g] + within(travel_of_group(g)); };
     const auto is_far = [&](size_t g) {
       return raised(at, groups_[g].parting, group_keys_[g]) > farthest_of(g);
     };
@@ -155,9 +166,10 @@ class Pairs {
       const size_t place = bounds_->order[k], g = partings_[k].group;
       const bool is_known = stamps_[k] == stamp_;
       const double kept = margins_[place];
-      if (!is_known && raised(at, partings_[k], keys_[k]) > kept + within(travels_[g])) return;
+      if (!is_known && raised(at, partings_[k], keys_[k]) > kept + within(travel_of_group(g)))
+        return;
       const double farthest = kept + within(travel_of(k));
-      if (!is_known && keys_[k] - so_far_[g] > farthest) return;
+      if (!is_known && keys_[k] - so_far(g) > farthest) return;
       if (found(at, k).distance <= farthest) near_.push_back({place, k});
     });
     std::sort(near_.begin(), near_.end());
@@ -185,11 +197,9 @@ class Pairs {
     parts_.clear();
     met_.clear();
     bool is_clear = true;
-    const auto farthest_of = [&](size_t g) { return kKept + travels_[g]; };
+    const auto farthest_of = [&](size_t g) { return kKept + travel_of_group(g); };
     const auto is_far = [&](size_t g) {
-      Group& group = groups_[g];
-      group.bend = pair(group.begin).turns.dot(turned_.data());  // as of all its pairs
-      return stays_apart(at, end, group.parting, group_keys_[g], travels_[g]);
+      return stays_apart(at, end, groups_[g].parting, group_keys_[g], travel_of_group(g));
     };
     visit(farthest_of, is_far, [&](size_t k) {
       const double travel = travel_of(k);
@@ -242,10 +252,10 @@ class Pairs {
   void arrive(const Placed& at, const Placed& end) {
     if (q_.empty() || longest(at.q, end.q) != 0.0) return;
     const Pose moved = tree_.is_floating ? at.pose(0) * inverse(end.pose(0)) : Pose{};
-    for (size_t g = 0; g < groups_.size(); ++g) so_far_[g] += travels_[g];
+    for (size_t i = 0; i < sums_.size(); ++i) so_far_[i] += sums_[i];
     q_ = at.q;
     ++stamp_;
-    for (const Low& low : lows_) *low.key = std::max(*low.key, low.distance + so_far_[low.group]);
+    for (const Low& low : lows_) *low.key = std::max(*low.key, low.distance + so_far(low.group));
     for (const auto& [k, found] : ends_)
       know(at, k, {found.distance, moved.R * found.normal, moved * found.point});
   }
@@ -254,9 +264,10 @@ class Pairs {
   size_t place(size_t k) const { return bounds_->order[k]; }
   const Pair& pair(size_t k) const { return bounds_->pairs[place(k)]; }
 
-  // Two bodies and a unit direction: their distance is at least that along the direction.
+  // Two bodies or boxes and a unit direction: their distance is at least that along the direction.
+  template <class Thing>
   struct Parting {
-    const Body *a, *b;
+    const Thing *a, *b;
     size_t group;
     Vec3 axis;           // in the axes of the first one's joint; 0 at the beginning
     double reach = 0.0;  // of the first one along it, from the joint
@@ -269,10 +280,18 @@ class Pairs {
   // The pairs of the shapes of two joints: a range of all, as they are sorted.
   struct Group {
     size_t begin, end;
-    Parting parting;           // of the boxes around all shapes of the joints
-    std::vector<int> columns = {};  // the coordinates that move any of its pairs
-    Vector levers = {};  // the largest of its pairs for each of them, then those of each pair
-    double bend = 0.0;   // along the path that is looked at
+    Parting<JointBox> parting;
+  };
+  // The coordinates that move a body, or a joint, from the root on, with a lever for each.
+  struct Chain {
+    const std::vector<int>* coordinates;
+    Vector levers;
+    size_t first;  // of its sums
+  };
+  // Of the sums of two chains, those of all coordinates that move one but not the other.
+  struct Ends {
+    size_t a, b;
+    double of(const Vector& sums) const { return sums[a] + sums[b]; }
   };
   // A lower bound of a distance where the last path ends, and the key that it may raise.
   struct Low {
@@ -309,50 +328,71 @@ class Pairs {
       for (const Joint& joint : tree_.joints)
         if (joint.kind != JointKind::floating)
           moved_[joint.v] = std::abs(at.q[joint.q] - q_[joint.q]);
-      for (size_t g = 0; g < groups_.size(); ++g)
-        so_far_[g] += travel(groups_[g], groups_[g].levers.data(), moved_);
+      sum_along(moved_, moved_sums_);
+      for (size_t i = 0; i < sums_.size(); ++i) so_far_[i] += moved_sums_[i];
     }
     q_ = at.q;
     ++stamp_;
   }
 
-  // Keep the levers of a group's pairs in one place.
-  void set_levers(Group& group) {
-    for (int c = 0; c < tree_.nv; ++c)
-      for (size_t k = group.begin; k < group.end; ++k)
-        if (lever(k, c) != 0.0) {
-          group.columns.push_back(c);
-          break;
-        }
-    for (const int c : group.columns) {
-      double most = 0.0;
-      for (size_t k = group.begin; k < group.end; ++k) most = std::max(most, lever(k, c));
-      group.levers.push_back(most);
+  // Make the chains of all bodies, and those of the joints with the largest levers of their bodies.
+  //
+  // The levers of a pair are those of its first shape for what moves that alone, and those of its
+  // second one for the others.
+  void make_chains() {
+    const auto support = [this](int joint) { return joint < 0 ? &none_ : &tree_.supports[joint]; };
+    std::vector<Vector> levers(bodies.size() + bounds_->boxes.size(), Vector(tree_.nv, 0.0));
+    for (const Pair& pair : bounds_->pairs) {
+      const std::vector<int>& moving = *support(bodies[pair.first].joint);
+      for (size_t i = 0; i < pair.levers.columns.size(); ++i) {
+        const int c = pair.levers.columns[i];
+        const bool is_first = std::binary_search(moving.begin(), moving.end(), c);
+        const int body = is_first ? pair.first : pair.second;
+        for (const size_t which : {size_t(body), bodies.size() + bodies[body].joint + 1})
+          levers[which][c] = std::max(levers[which][c], pair.levers.values[i]);
+      }
     }
-    for (size_t k = group.begin; k < group.end; ++k)
-      for (const int c : group.columns) group.levers.push_back(lever(k, c));
+    size_t first = 0;
+    for (size_t i = 0; i < levers.size(); ++i) {
+      const bool is_body = i < bodies.size();
+      const int joint = is_body ? bodies[i].joint : static_cast<int>(i - bodies.size()) - 1;
+      chains_.push_back({support(joint), {}, first});
+      for (const int c : *support(joint)) chains_.back().levers.push_back(levers[i][c]);
+      first += chains_.back().levers.size() + 1;
+    }
+    sums_.assign(first, 0.0);
+    so_far_.assign(first, 0.0);
   }
 
-  double lever(size_t k, int column) const {
-    const Sparse& levers = pair(k).levers;
-    for (size_t i = 0; i < levers.columns.size(); ++i)
-      if (levers.columns[i] == column) return levers.values[i];
-    return 0.0;
+  Ends ends_of(size_t a, size_t b) const {
+    const std::vector<int>&own = *chains_[a].coordinates, &other = *chains_[b].coordinates;
+    const auto [end, end_other] =
+        std::mismatch(own.begin(), own.end(), other.begin(), other.end());
+    const size_t common = end - own.begin();
+    return {chains_[a].first + common, chains_[b].first + common};
   }
 
-  // The sum of turns times levers, of the largest ones of a group or of those of a pair.
-  static double travel(const Group& group, const double* levers, const Vector& turned) {
-    double sum = 0.0;
-    for (const int c : group.columns) sum += *levers++ * turned[c];
-    return sum;
-  }
-  double travel_of(size_t k) const {
-    const Group& group = groups_[partings_[k].group];
-    const size_t row = (1 + k - group.begin) * group.columns.size();
-    return travel(group, group.levers.data() + row, turned_);
+  // Sum turns times levers along each chain, from each coordinate to the last.
+  void sum_along(const Vector& turned, Vector& sums) const {
+    sums.resize(so_far_.size());
+    for (const Chain& chain : chains_) {
+      double sum = sums[chain.first + chain.levers.size()] = 0.0;
+      for (size_t i = chain.levers.size(); i-- > 0;) {
+        sum += chain.levers[i] * turned[(*chain.coordinates)[i]];
+        sums[chain.first + i] = sum;
+      }
+    }
   }
 
-  // Set `turned_` and `travels_` to those of a step.
+  // How much the distance of a pair, and that of any pair of a group, may change on the path.
+  double travel_of(size_t k) const { return pair_ends_[k].of(sums_); }
+  double travel_of_group(size_t g) const { return group_ends_[g].of(sums_); }
+  // Likewise of a group since the beginning.
+  double so_far(size_t g) const { return group_ends_[g].of(so_far_); }
+
+  double bend_of(size_t k) const { return pair(k).turns.dot(turned_.data()); }
+
+  // Set `turned_` and `sums_` to those of a step.
   void travel_along(const double* step) {
     bool is_same = !turned_.empty();
     turned_.resize(tree_.nv);
@@ -361,10 +401,7 @@ class Pairs {
       is_same &= turn == turned_[c];
       turned_[c] = turn;
     }
-    if (is_same) return;
-    travels_.resize(groups_.size());
-    for (size_t g = 0; g < groups_.size(); ++g)
-      travels_[g] = travel(groups_[g], groups_[g].levers.data(), turned_);
+    if (!is_same) sum_along(turned_, sums_);
   }
 
   // Take in the margins of all pairs. From sample to sample, they change at few places.
@@ -372,16 +409,19 @@ class Pairs {
     constexpr size_t kBlock = 64;
     if (margins.empty() && same_.empty()) same_.assign(size(), margin);
     const Vector& given = margins.empty() ? same_ : margins;
-    changed_.assign(groups_.size(), margins_.empty());
+    const bool is_first = margins_.empty();
+    bool has_changed = is_first;
+    changed_.assign(groups_.size(), is_first);
     margins_.resize(size());
     for (size_t from = 0; from < size(); from += kBlock) {
       const size_t count = std::min(kBlock, size() - from);
       if (!std::memcmp(&margins_[from], &given[from], count * sizeof(double))) continue;
       for (size_t i = from; i < from + count; ++i) {
-        if (margins_[i] != given[i]) changed_[group_of_[i]] = true;
+        if (margins_[i] != given[i]) has_changed = changed_[group_of_[i]] = true;
         margins_[i] = given[i];
       }
     }
+    if (!has_changed) return;
     for (size_t g = 0; g < groups_.size(); ++g) {
       if (!changed_[g]) continue;
       double& most = group_margins_[g] = -kInfinity;
@@ -397,7 +437,7 @@ class Pairs {
   template <class FarthestOf, class IsFar, class Visit>
   void visit(const FarthestOf& farthest_of, const IsFar& is_far, const Visit& visit_pair) {
     for (size_t g = 0; g < groups_.size(); ++g) {
-      const double so_far = so_far_[g], farthest = farthest_of(g);
+      const double so_far = this->so_far(g), farthest = farthest_of(g);
       if (group_keys_[g] - so_far > farthest || is_far(g)) continue;
       Group& group = groups_[g];
       size_t nearest = group.begin;
@@ -419,8 +459,9 @@ class Pairs {
   }
 
   // The distance of two bodies along their axis; at first, the axis is the line of their centres.
-  double gap(const Placed& at, Parting& parting) const {
-    const Body &a = *parting.a, &b = *parting.b;
+  template <class Thing>
+  double gap(const Placed& at, Parting<Thing>& parting) const {
+    const Thing &a = *parting.a, &b = *parting.b;
     const Pose &pose_a = at.pose(a.joint), &pose_b = at.pose(b.joint);
     if (parting.axis.x == 0.0 && parting.axis.y == 0.0 && parting.axis.z == 0.0) {
       const Vec3 apart = tmul(pose_a.R, pose_b * b.centre - pose_a * a.centre);
@@ -434,8 +475,9 @@ class Pairs {
 
   // Raise the key of two bodies to their distance along their axis where the robot is, and return the
   // lower bound that it is then.
-  double raised(const Placed& at, Parting& parting, double& key) const {
-    const double so_far = so_far_[parting.group];
+  template <class Thing>
+  double raised(const Placed& at, Parting<Thing>& parting, double& key) const {
+    const double so_far = this->so_far(parting.group);
     key = std::max(key, gap(at, parting) + so_far);
     return key - so_far;
   }
@@ -443,9 +485,10 @@ class Pairs {
   // Whether two bodies are shown to stay apart by KEPT on the path to `end`, without a measurement.
   //
   // The proof in collision.py holds for any two directions at the ends, here the axis carried along.
-  bool stays_apart(const Placed& at, const Placed& end, Parting& parting, double& key,
+  template <class Thing>
+  bool stays_apart(const Placed& at, const Placed& end, Parting<Thing>& parting, double& key,
                    double travel) {
-    const double enough = kKept + travel, so_far = so_far_[parting.group];
+    const double enough = kKept + travel, so_far = this->so_far(parting.group);
     if (key - so_far > enough) return true;
     const double after = gap(end, parting);
     lows_.push_back({&key, parting.group, after});
@@ -458,7 +501,8 @@ class Pairs {
     if (nearest < kKept) return false;
     const int joint = parting.a->joint;
     const Vec3 change = end.pose(joint).R * parting.axis - at.pose(joint).R * parting.axis;
-    return nearest - dip(change, 1.0, travel, groups_[parting.group].bend) >= kKept;
+    const double bend = bend_of(groups_[parting.group].begin);  // as of all its pairs
+    return nearest - dip(change, 1.0, travel, bend) >= kKept;
   }
 
   // How far below its ends a distance may be on a part of a path; see handmap_qp/ik/collision.py.
@@ -470,7 +514,7 @@ class Pairs {
     stamps_[k] = stamp_;
     found_[k] = found;
     partings_[k].set(tmul(at.pose(bodies[pair(k).first].joint).R, found.normal));
-    keys_[k] = found.distance + so_far_[partings_[k].group];
+    keys_[k] = found.distance + so_far(partings_[k].group);
   }
 
   // The distance of a pair where the robot is.
@@ -518,7 +562,7 @@ class Pairs {
       for (const Part& part : parts_) {
         const double length = part.high - part.low;
         const double travel = travel_of(part.pair);
-        const double bend = groups_[partings_[part.pair].group].bend;
+        const double bend = bend_of(part.pair);
         const double nearest = std::min(part.before.distance, part.after.distance);
         const Vec3 change = part.after.normal - part.before.normal;
         if (!(nearest - dip(change, length, travel, bend) < 0.5 * part.kept)) continue;
@@ -553,11 +597,15 @@ class Pairs {
   std::vector<Found> found_;
   Vector keys_;
   std::vector<Group> groups_;
-  Vector group_keys_, group_margins_, so_far_, travels_;
+  std::vector<Ends> group_ends_, pair_ends_;
+  Vector group_keys_, group_margins_;
+  const std::vector<int> none_;
+  std::vector<Chain> chains_;  // of the bodies, then of the joints, that of the world first
+  Vector sums_, so_far_, moved_sums_;  // of turns times levers: see `sum_along`
   Vector margins_, same_;  // in the order in which pairs came
   std::vector<size_t> group_of_;  // likewise
   std::vector<char> changed_;
-  std::vector<Parting> partings_;
+  std::vector<Parting<Body>> partings_;
   std::vector<std::pair<size_t, size_t>> near_;
   std::vector<int> row_pairs_;
   std::vector<Warm> warm_;
