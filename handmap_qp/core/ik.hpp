@@ -7,8 +7,8 @@
 #include <memory>
 #include <optional>
 
+#include "guessed_qp.hpp"
 #include "pairs.hpp"
-#include "qp.hpp"
 
 namespace handmap {
 
@@ -128,6 +128,9 @@ class Ik {
     }
     total_.assign(n, 0.0);
     first_.assign(n, 0.0);
+    // Joints on a bound often stay on it.
+    expected_.resize(n);
+    for (int i = 0; i < n; ++i) expected_[i] = motion.displacement[i] / motion.dt * dt;
     least_.resize(n);
     most_.resize(n);
     int iterations = 0;
@@ -149,6 +152,7 @@ class Ik {
         total_[i] = clip(has_failed ? 0.0 : total_[i] + qp_.x[i], lower_[i], upper_[i]);
       last_step = has_failed ? 0.0 : std::sqrt(length2);
       if (iterations == 1) first_ = total_;
+      expected_ = total_;
       at.displace(motion.q.data(), total_.data());
     }
     // Solve from the start again, and keep apart the points that met.
@@ -256,12 +260,25 @@ class Ik {
     cost(goal);
     length2 = 0.0;
     is_pressed_ = false;
+    guess();
     if (!qp_.solve(tree.size, H_.data(), c_.data(), least_.data(), most_.data(), rows,
-                   linear_.G.data(), h_.data()))
+                   linear_.G.data(), h_.data(), guess_))
       return false;
     for (const double x : qp_.x) length2 += x * x;
     is_pressed_ = std::isfinite(length2) && qp_.has_active_row();
     return std::isfinite(length2);
+  }
+
+  // Guess which coordinates end on a bound, from the displacement that is expected.
+  void guess() {
+    constexpr double kRelative = 1e-9, kAbsolute = 1e-12;
+    guess_.resize(tree.size);
+    for (int i = 0; i < tree.size; ++i) {
+      const double low = lower_[i], high = upper_[i], expected = expected_[i];
+      const bool is_low = expected <= low + (kRelative * std::abs(low) + kAbsolute);
+      const bool is_high = expected >= high - (kRelative * std::abs(high) + kAbsolute);
+      guess_[i] = static_cast<signed char>(is_low ? -1 : is_high);
+    }
   }
 
   // Note the pair whose row the cost presses the last step against most; see limits.Gate.press.
@@ -638,7 +655,7 @@ class Ik {
                                                                             : Status::unsettled;
   }
 
-  Qp qp_;
+  GuessedQp qp_;
   Feasible feasible_;
   Rows linear_;
   Box box_;
@@ -649,8 +666,9 @@ class Ik {
   int held_by_ = -1;  // the pair that holds the hand back
   const std::vector<int> none_;
   std::vector<int> columns_, movers_;
+  std::vector<signed char> guess_;
   std::vector<Vec3> levers_, turns_, targets_;
-  Vector levers2_, lower_, upper_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_,
+  Vector levers2_, lower_, upper_, expected_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_,
       taken_, times_, path_, whole_, reached_;
 };
 

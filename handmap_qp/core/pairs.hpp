@@ -417,7 +417,7 @@ class Pairs {
       const size_t count = std::min(kBlock, size() - from);
       if (!std::memcmp(&margins_[from], &given[from], count * sizeof(double))) continue;
       for (size_t i = from; i < from + count; ++i) {
-        if (margins_[i] != given[i]) has_changed = changed_[group_of_[i]] = true;
+        if (margins_[i] != given[i]) changed_[group_of_[i]] = has_changed = true;
         margins_[i] = given[i];
       }
     }

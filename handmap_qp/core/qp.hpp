@@ -56,12 +56,29 @@ class Qp {
     return std::any_of(active_.begin(), active_.end(), [this](int k) { return k >= 2 * n_; });
   }
 
-  // The cost's derivative at the minimum, 0 where x is within `tight` of a bound.
-  const std::vector<double>& slope(double tight) {
-    find_slope();
-    for (int i = 0; i < n_; ++i)
-      if (!(std::min(x[i] - lower_[i], upper_[i] - x[i]) > tight)) v_[i] = 0.0;
-    return v_;
+  // Whether a row is violated that no coordinate moves, or that depends on the active constraints.
+  bool leaves_any() const {
+    for (int r = 0; r < rows_; ++r)
+      if (is_active_[2 * n_ + r] == 2 || (!holds_any(r) && h_[r] < 0.0)) return true;
+    return false;
+  }
+
+  // Add multipliers times rows, here those of `G` with n coordinates.
+  void add_rows(const double* G, int n, double* to) const {
+    for (size_t i = 0; i < active_.size(); ++i)
+      if (active_[i] >= 2 * n_) add(multipliers_[i], G + (active_[i] - 2 * n_) * n, to, n);
+  }
+
+  // Add H x to a vector; of H, the lower triangle counts.
+  static void add_product(int n, const double* H, const double* x, double* to) {
+    for (int i = 0; i < n; ++i) {
+      if (x[i] == 0.0) {
+        to[i] += dot(H + i * n, x, i);
+        continue;
+      }
+      to[i] += dot(H + i * n, x, i + 1);
+      add(x[i], H + i * n, to, i);
+    }
   }
 
   // With four sums, as one sum waits for itself.
@@ -169,6 +186,9 @@ class Qp {
     return h_[k - 2 * n_] - dot(G_ + (k - 2 * n_) * n_, x.data(), n_);
   }
 
+  // Whether a row holds any coordinate.
+  bool holds_any(int row) const { return !(row_norms_[row] < 1e-12); }
+
   // Whether a constraint, or none, is violated by so little that it may be rounding.
   bool is_small(int violated) const { return violated < 0 || slack(violated) > -kLoose; }
 
@@ -185,7 +205,7 @@ class Qp {
     for (int i = 0; i < n_; ++i) consider(i, x[i] - lower_[i]);
     for (int i = 0; i < n_; ++i) consider(n_ + i, upper_[i] - x[i]);
     for (int r = 0; r < rows_; ++r)
-      if (!(row_norms_[r] < 1e-12))  // else it holds no coordinate
+      if (holds_any(r))
         consider(2 * n_ + r, slack(2 * n_ + r) / row_norms_[r]);
     return found;
   }
@@ -340,10 +360,7 @@ class Qp {
   // v = H x + c
   void find_slope() {
     std::copy(c_, c_ + n_, v_.begin());
-    for (int i = 0; i < n_; ++i) {
-      v_[i] += dot(H_ + i * n_, x.data(), i + 1);
-      add(x[i], H_ + i * n_, v_.data(), i);
-    }
+    add_product(n_, H_, x.data(), v_.data());
   }
 
   // Back onto the active constraints: x += L^-1 Q R^-T (b - N^T x).
