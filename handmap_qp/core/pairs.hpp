@@ -192,6 +192,7 @@ class Pairs {
   bool is_clear(const Placed& at, const double* step, const Placed& end) {
     go_to(at);
     travel_along(step);
+    box_lows_.clear();
     lows_.clear();
     ends_.clear();
     parts_.clear();
@@ -204,8 +205,12 @@ class Pairs {
     visit(farthest_of, is_far, [&](size_t k) {
       const double travel = travel_of(k);
       if (stays_apart(at, end, partings_[k], keys_[k], travel)) return;
-      const Found &before = found(at, k), after = found_at(end, k);
+      const bool is_new = stamps_[k] != stamp_;
+      const Found& before = found(at, k);
+      // Along the normal that was found, it may be shown after all.
+      if (is_new && stays_apart(at, end, partings_[k], keys_[k], travel)) return;
       if (before.distance > kKept + travel) return;
+      const Found after = found_at(end, k);
       ends_.push_back({k, after});
       // On a path from a to b, the distance is never below (a + b - travel) / 2.
       if (!(before.distance > 0.0 && before.distance + after.distance - travel < kKept)) return;
@@ -255,7 +260,8 @@ class Pairs {
     for (size_t i = 0; i < sums_.size(); ++i) so_far_[i] += sums_[i];
     q_ = at.q;
     ++stamp_;
-    for (const Low& low : lows_) *low.key = std::max(*low.key, low.distance + so_far(low.group));
+    raise(box_lows_);
+    raise(lows_);
     for (const auto& [k, found] : ends_)
       know(at, k, {found.distance, moved.R * found.normal, moved * found.point});
   }
@@ -271,10 +277,15 @@ class Pairs {
     size_t group;
     Vec3 axis;           // in the axes of the first one's joint; 0 at the beginning
     double reach = 0.0;  // of the first one along it, from the joint
+    int changes = 0;     // of the axis
+    double gap = 0.0;    // how far both were apart along it, when the stamp was this
+    long stamp = -1;
 
     void set(const Vec3& direction) {
       axis = direction;
       reach = reach_of(*a, axis);
+      ++changes;
+      stamp = -1;
     }
   };
   // The pairs of the shapes of two joints: a range of all, as they are sorted.
@@ -293,11 +304,14 @@ class Pairs {
     size_t a, b;
     double of(const Vector& sums) const { return sums[a] + sums[b]; }
   };
-  // A lower bound of a distance where the last path ends, and the key that it may raise.
+  // How far two bodies or boxes are apart along their axis where the last path ends, and the key that it
+  // may raise.
+  template <class Thing>
   struct Low {
     double* key;
-    size_t group;
-    double distance;
+    Parting<Thing>* parting;
+    int changes;  // of its axis, till then
+    double gap;
   };
   struct Part {
     double low, high;
@@ -473,12 +487,36 @@ class Pairs {
     return dot(axis, pose_b.p - pose_a.p) - parting.reach - reach_of(b, -axis_b);
   }
 
+  // Likewise where the robot is.
+  template <class Thing>
+  double gap_here(const Placed& at, Parting<Thing>& parting) const {
+    if (parting.stamp != stamp_) {
+      parting.gap = gap(at, parting);
+      parting.stamp = stamp_;
+    }
+    return parting.gap;
+  }
+
+  void note(const Low<JointBox>& low) { box_lows_.push_back(low); }
+  void note(const Low<Body>& low) { lows_.push_back(low); }
+
+  // Raise keys where the last path has ended.
+  template <class Thing>
+  void raise(const std::vector<Low<Thing>>& lows) {
+    for (const Low<Thing>& low : lows) {
+      *low.key = std::max(*low.key, low.gap + so_far(low.parting->group));
+      if (low.changes != low.parting->changes) continue;
+      low.parting->gap = low.gap;
+      low.parting->stamp = stamp_;
+    }
+  }
+
   // Raise the key of two bodies to their distance along their axis where the robot is, and return the
   // lower bound that it is then.
   template <class Thing>
   double raised(const Placed& at, Parting<Thing>& parting, double& key) const {
     const double so_far = this->so_far(parting.group);
-    key = std::max(key, gap(at, parting) + so_far);
+    key = std::max(key, gap_here(at, parting) + so_far);
     return key - so_far;
   }
 
@@ -491,10 +529,10 @@ class Pairs {
     const double enough = kKept + travel, so_far = this->so_far(parting.group);
     if (key - so_far > enough) return true;
     const double after = gap(end, parting);
-    lows_.push_back({&key, parting.group, after});
+    note({&key, &parting, parting.changes, after});
     // On a path from a to b, the distance is never below (a + b - travel) / 2.
     if (key - so_far + after >= enough) return true;
-    const double before = gap(at, parting);
+    const double before = gap_here(at, parting);
     key = std::max(key, before + so_far);
     const double low = key - so_far, nearest = std::min(before, after);
     if (low > enough || low + after >= enough) return true;
@@ -609,7 +647,8 @@ class Pairs {
   std::vector<std::pair<size_t, size_t>> near_;
   std::vector<int> row_pairs_;
   std::vector<Warm> warm_;
-  std::vector<Low> lows_;
+  std::vector<Low<JointBox>> box_lows_;
+  std::vector<Low<Body>> lows_;
   std::vector<std::pair<size_t, Found>> ends_;
   Vector turned_, moved_, reached_;
   std::vector<Part> parts_, further_;

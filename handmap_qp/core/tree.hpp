@@ -177,7 +177,7 @@ struct Tree {
 class Placed {
  public:
   explicit Placed(const Tree& tree)
-      : tree_(tree), q(tree.nq), poses_(tree.joints.size()), columns(tree.nv) {}
+      : tree_(tree), q(tree.nq), poses_(tree.joints.size() + 1), columns(tree.nv) {}
 
   void place(const double* configuration) {
     if (has_placed_ && std::equal(q.begin(), q.end(), configuration)) return;
@@ -185,8 +185,8 @@ class Placed {
     has_placed_ = true;
     for (size_t j = 0; j < tree_.joints.size(); ++j) {
       const Joint& joint = tree_.joints[j];
-      const Pose at = joint.parent < 0 ? joint.placement : poses_[joint.parent] * joint.placement;
-      Pose& pose = poses_[j];
+      const Pose at = joint.parent < 0 ? joint.placement : pose(joint.parent) * joint.placement;
+      Pose& pose = poses_[j + 1];
       const double* x = q.data() + joint.q;
       switch (joint.kind) {
         case JointKind::revolute: {
@@ -233,10 +233,7 @@ class Placed {
     place(reached_.data());
   }
 
-  const Pose& pose(int joint) const {
-    static const Pose world;
-    return joint < 0 ? world : poses_[joint];
-  }
+  const Pose& pose(int joint) const { return poses_[joint + 1]; }
   Vec3 point(const Attached& at) const { return pose(at.joint) * at.offset; }
   Pose wrist() const { return pose(tree_.wrist_origin.joint) * tree_.wrist; }
   Pose wrist(const Part& part) const { return pose(part.joint) * part.wrist; }
@@ -253,7 +250,7 @@ class Placed {
   Vector q;
 
  private:
-  std::vector<Pose> poses_;
+  std::vector<Pose> poses_;  // that of the world first
   Vector step_, reached_;
   bool has_placed_ = false;
 
