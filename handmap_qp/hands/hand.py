@@ -565,7 +565,7 @@ def _choose_point(spec: HandSpec, point: str | PointSpec, argument: str) -> Poin
         ) from error
 
 
-def _look_up(spec: HandSpec, kind: str, named: Mapping[str, Any], name: str) -> Any:
+def _look_up(spec: HandSpec, kind: str, named: Values, name: str) -> Any:
     """Return a set or a point by its name."""
     if name not in named:
         known = ", ".join(named)

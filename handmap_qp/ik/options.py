@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Names
 from handmap_qp.options import Options, number, text
 from handmap_qp.se3 import Array
 
@@ -135,7 +135,7 @@ class IkOptions(Options, frozen=True):
         ),
     ] = False
     tasks: Annotated[
-        tuple[str, ...],
+        Names,
         text(
             "Further terms of the cost by name, of other packages (`handmap_qp.tasks`)."
         ),

@@ -24,7 +24,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp import ik
-from handmap_qp.hands import Configuration, Hand
+from handmap_qp.hands import Configuration, Hand, Names
 from handmap_qp.se3 import Array, frozen, lengths, transform_points
 from .limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
 from .options import IkOptions
@@ -87,7 +87,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
     hand: Hand
     iterations: int
     last_step: float
-    held_by: tuple[str, ...] = ()
+    held_by: Names = ()
 
     @property
     def wrist(self) -> Array:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError, did_you_mean
-from handmap_qp.hands import Hand, Values
+from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.ik import IkOptions
 from handmap_qp.options import Option, options_of
 from handmap_qp.plugins import Plugins
@@ -85,7 +85,7 @@ def default_preset(human: Hand, robot: Hand) -> str:
     return next(name for name, each in PRESETS.items() if each.suits(human, robot))
 
 
-def possible_presets(human: Hand, robot: Hand) -> tuple[str, ...]:
+def possible_presets(human: Hand, robot: Hand) -> Names:
     """Return the presets that two hands can be mapped with."""
 
     def fits(preset: Preset) -> bool:
@@ -111,7 +111,7 @@ class Choice(NamedTuple):
     method: MethodOptions
     ik: IkOptions
 
-    def with_changes(self, changes: Mapping[str, Any]) -> Choice:
+    def with_changes(self, changes: Values) -> Choice:
         """Return a copy with other values for some options.
 
         Args:
@@ -144,7 +144,7 @@ IK_NAMES = frozenset(option.name for option in options_of(IkOptions))
 """Names of the options of the QP; no method has an option of such a name."""
 
 
-def kept_options(options: Mapping[str, Any], preset: str) -> Values:
+def kept_options(options: Values, preset: str) -> Values:
     """Return the options that another preset keeps, which describe the setup: the alignment."""
     names = {"alignment"} & get_preset(preset).method.values.keys()
     return {name: options[name] for name in names & options.keys()}

@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from handmap_qp.apps.offline.look_ahead import continuous_quats
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Names
 from handmap_qp.se3 import Array, unit
 from handmap_qp.trackers import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
@@ -82,7 +82,7 @@ def assemble(
     return _write_lerobot(episodes, folder / "lerobot", fps, hands)
 
 
-def state_names(hands: Robots) -> tuple[str, ...]:
+def state_names(hands: Robots) -> Names:
     """Return the names of the numbers of a state; with both hands, their side is in front."""
     names: list[str] = []
     for side, hand in hands.items():

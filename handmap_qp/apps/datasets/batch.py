@@ -23,7 +23,7 @@ from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands import load_whole
+from handmap_qp.hands import Names, load_whole
 from handmap_qp.output_files import make_folder
 from handmap_qp.trackers import first_of
 from .assemble import assemble
@@ -75,7 +75,7 @@ class Batch:
     inputs: tyro.conf.Positional[
         Annotated[tuple[Path, ...], hinted("INPUT...", "(required)")]
     ]
-    robot: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HAND [HAND]")]
+    robot: Annotated[Names, tyro.conf.arg(metavar="HAND [HAND]")]
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     format: Literal["npz", "lerobot", "robomimic"] = "npz"
     fps: float = 30.0

@@ -26,7 +26,7 @@ from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, Values, load_hand
+from handmap_qp.hands import Hand, Names, Values, load_hand
 from handmap_qp.human import Person, read_person
 from handmap_qp.output_files import make_folder, writing
 from .comparison import (
@@ -102,7 +102,7 @@ class Compare:
     recordings: Recordings
     robot: HandName
     methods: Annotated[
-        tuple[str, ...],
+        Names,
         hinted("METHOD...", "(default: every preset, and the first one +smooth)"),
     ] = ()
     peers: bool = False

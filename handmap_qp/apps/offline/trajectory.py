@@ -11,7 +11,7 @@ from time import thread_time_ns
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Names
 from handmap_qp.human import (
     RULES,
     Recording,
@@ -109,7 +109,7 @@ class Trajectory:
 
 
 @cache
-def package_versions() -> tuple[str, ...]:
+def package_versions() -> Names:
     """Return the versions of the packages that the motion depends on."""
     packages = ("handmap-qp", "pin", "daqp", "numpy")
     return tuple(f"{package} {version(package)}" for package in packages)

@@ -18,7 +18,7 @@ import msgspec
 
 from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
-from handmap_qp.hands import Hand, Values
+from handmap_qp.hands import Hand, Names, Values
 from .logs import AuditLog, Metrics, report
 from .opening import HandCache, prepare_hands
 from .safety import Bucket, refuse_if
@@ -106,7 +106,7 @@ class Sessions:
         self._numbers = itertools.count(1)
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> Names:
         """Public names of the open sessions."""
         return tuple(session.name for session in self.by_secret.values())
 

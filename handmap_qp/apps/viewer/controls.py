@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands import Hand, Values
+from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.mapping import PRESETS, Choice
 from handmap_qp.options import Option, Options, options_of
 from handmap_qp.se3 import Array
@@ -165,7 +165,7 @@ class SteeringControls:
         self,
         server: viser.ViserServer,
         choice: Choice,
-        presets: tuple[str, ...],
+        presets: Names,
         compared: str | None = None,
     ) -> None:
         gui = server.gui

@@ -32,6 +32,7 @@ from handmap_qp.hands import (
     Configuration,
     Finger,
     Hand,
+    Names,
     PalmKinematics,
     ends_of,
     find_fingers,
@@ -105,7 +106,7 @@ class FingerAngles:
             reference points lack a landmark.
     """
 
-    def __init__(self, human: Hand, fingers: tuple[str, ...]) -> None:
+    def __init__(self, human: Hand, fingers: Names) -> None:
         if human.joint_names != HUMAN_JOINTS:
             raise InvalidOptionsError(
                 f"{human.name} has other joints than the human hand",

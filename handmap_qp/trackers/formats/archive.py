@@ -14,7 +14,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import Values
+from handmap_qp.hands import Names, Values
 from handmap_qp.human import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
@@ -78,7 +78,7 @@ class NpzFormat(RecordingFormat):
         own |= {name: str(own.get(name, "")) for name in WORDS}
         return build_recording(path, entry, **own, prefix=prefix)
 
-    def unread(self, path: Path) -> tuple[str, ...]:
+    def unread(self, path: Path) -> Names:
         """Name the arrays that a recording cannot hold."""
         known = {before + name for before in ("", "left_", "right_") for name in _KNOWN}
         return tuple(sorted(member_names(path) - known - {"handedness"}))

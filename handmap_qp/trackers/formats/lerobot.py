@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect, require
-from handmap_qp.hands import Values
+from handmap_qp.hands import Names, Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
 from handmap_qp.se3 import Array
@@ -76,7 +76,7 @@ class LeRobotFormat(RecordingFormat):
     """
 
     name = "lerobot"
-    suffixes: tuple[str, ...] = ()
+    suffixes: Names = ()
     about = (
         "a folder in the form of LeRobot v3 (parquet); written, not read; any number"
     )
