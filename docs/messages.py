@@ -35,6 +35,7 @@ from handmap_qp.client.messages import (
 from handmap_qp.human.sample import RULES
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import PRESETS
+from handmap_qp.options import Options, options_of
 
 FLAGS = {
     "dt_clamped": "more time than `max_dt` has passed since the last command",
@@ -145,6 +146,10 @@ def _components(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     schemas, components = msgspec.json.schema_components(
         kinds, ref_template="#/$defs/{name}"
     )
+    for kind in kinds:
+        for option in options_of(kind) if _is_of_options(kind) else ():
+            own = components[kind.__name__]["properties"]
+            own[option.name]["description"] = option.about
     for name, schema in components.items():
         kind = getattr(messages, name, None)
         for base in () if kind is None else reversed(kind.__mro__):
@@ -156,6 +161,10 @@ def _components(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
             text = f"{doc.short_description} {doc.long_description or ''}"
             schema["description"] = " ".join(text.split())
     return list(schemas), components
+
+
+def _is_of_options(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, Options)
 
 
 def _table(kind: type[msgspec.Struct]) -> str:

@@ -1,13 +1,15 @@
-"""Options: an annotated line each, in a frozen struct that checks them however it is made.
+"""Options: fields of a frozen struct that checks them however it is made.
 
     class Example(Options, frozen=True):
-        gain: Annotated[float, number("Share of the residual.", 0.0, 1.0)] = 0.5
+        gain: Share = 0.5
 
 The check, its error, the command line, the messages of the service, the controls of the view and
-the pages of reference read that line.
+the pages of reference read the field and what the docstring says of it.
 """
 
+import inspect
 import math
+import re
 from functools import cache
 from itertools import starmap
 from types import UnionType
@@ -30,17 +32,20 @@ from msgspec import Meta
 from handmap_qp.errors import InvalidOptionsError
 
 _ANY = Meta()
+_ATTRIBUTE = re.compile(r"^ {4}(\w+): (.+(?:\n {5,}.+)*)", re.MULTILINE)
+"""Name and text of an attribute in a docstring."""
 LARGEST = float(np.finfo(float).max)
 """Bound of numbers that need only be finite."""
 
 
 def number(
-    about: str, low: float = 0.0, high: float = LARGEST, *, above: bool = False
+    about: str = "", low: float = 0.0, high: float = LARGEST, *, above: bool = False
 ) -> Meta:
     """Describe a number and its range.
 
     Args:
-        about: What it means, with its unit; what 0 or the default stands for.
+        about: What it means, with its unit; what 0 or the default stands for. What the docstring
+            says if empty.
         low: Least value.
         high: Largest value.
         above: Whether `low` itself is too small.
@@ -57,6 +62,11 @@ def text(about: str, **bounds: int) -> Meta:
     return Meta(description=about, **bounds)  # ty: ignore[no-matching-overload]
 
 
+NotNegative = Annotated[float, number()]
+Positive = Annotated[float, number(above=True)]
+Share = Annotated[float, number(high=1.0)]
+
+
 class Option(NamedTuple):
     """One option of a kind of options.
 
@@ -65,18 +75,20 @@ class Option(NamedTuple):
         type: Its type, annotated with the range.
         plain: Its type alone.
         default: Value if omitted.
+        said: What the docstring says of it.
     """
 
     name: str
     type: Any
     plain: Any
     default: Any
+    said: str = ""
 
     @property
     def about(self) -> str:
         """What it means."""
         texts = (meta.description for _, meta in _parts(self.type))
-        return next(filter(None, texts), "")
+        return next(filter(None, texts), self.said)
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -177,10 +189,21 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def options_of(kind: type[Options]) -> tuple[Option, ...]:
     """Return the options of a kind, in their order."""
     plain = get_type_hints(kind)
+    said = _documented(kind)
+    fields = {field.name: field for field in msgspec.structs.fields(kind)}
     return tuple(
-        Option(field.name, field.type, plain[field.name], field.default)
-        for field in msgspec.structs.fields(kind)
+        Option(name, field.type, plain[name], field.default, said.get(name, ""))
+        for name, field in fields.items()
     )
+
+
+def _documented(kind: type) -> dict[str, str]:
+    """Return what the docstrings of a class and its bases say of attributes, by name."""
+    return {
+        name: " ".join(text.split())
+        for base in reversed(kind.__mro__)
+        for name, text in _ATTRIBUTE.findall(inspect.cleandoc(base.__doc__ or ""))
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands import Hand, Values
 from handmap_qp.human import upright_axes
-from handmap_qp.options import number, text
+from handmap_qp.options import number
 from handmap_qp.se3 import (
     FARTHEST,
     Array,
@@ -39,17 +39,16 @@ _ROTATIONS = {
 
 
 class AlignedOptions(MethodOptions, frozen=True, kw_only=True):
-    """Base of methods whose robot moves as the human does in the world."""
+    """Base of methods whose robot moves as the human does in the world.
 
-    alignment: Annotated[
-        Alignment,
-        text(
-            "Rotation from the human's world axes to the robot's. world: they agree (the paper). "
-            "y-up: the tracker's +y is up and its -z is forward, as of headsets; the robot's are "
-            "+z and +x. palm: lay the human's palm axes at the reference onto the robot's. Or a "
-            "rotation matrix."
-        ),
-    ] = "world"
+    Attributes:
+        alignment: Rotation from the human's world axes to the robot's. world: they agree (the
+            paper). y-up: the tracker's +y is up and its -z is forward, as of headsets; the robot's
+            are +z and +x. palm: lay the human's palm axes at the reference onto the robot's. Or a
+            rotation matrix.
+    """
+
+    alignment: Alignment = "world"
 
     def check(self) -> None:
         """Reject a matrix that is no rotation; see `Options.check`."""

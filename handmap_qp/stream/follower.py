@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from copy import deepcopy
 from time import perf_counter, thread_time_ns
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +21,7 @@ from handmap_qp.errors import HandmapError, InvalidOptionsError
 from handmap_qp.human import HumanSample, SampleColumns, Verdict
 from handmap_qp.ik import SHORTEST_DT, Compiled, in_core
 from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
-from handmap_qp.options import Options, number
+from handmap_qp.options import NotNegative, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
 from handmap_qp.trackers import change_rate, learnt_noise, noise_of
 from .guard import StreamGuard
@@ -151,14 +151,15 @@ def _minimum_jerk(share: float) -> float:
 
 
 class Smoothing(Options, frozen=True):
-    """How much samples are smoothed before they are mapped; see `Smoother`."""
+    """How much samples are smoothed before they are mapped; see `Smoother`.
 
-    acceleration: Annotated[
-        float, number("Acceleration that a point at rest may have [m/s^2].", above=True)
-    ] = 0.4
-    speed_gain: Annotated[
-        float, number("Rise of the acceleration with the speed of a point [1/s].")
-    ] = 12.0
+    Attributes:
+        acceleration: Acceleration that a point at rest may have [m/s^2].
+        speed_gain: Rise of the acceleration with the speed of a point [1/s].
+    """
+
+    acceleration: Positive = 0.4
+    speed_gain: NotNegative = 12.0
 
 
 SMOOTH_IK = {"speed_weight": 2.0, "acceleration_weight": 8.0}

@@ -16,7 +16,7 @@ quite straight when the human's is.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -37,28 +37,21 @@ from handmap_qp.mapping import (
     require_partners,
     require_points,
 )
-from handmap_qp.options import number, text
+from handmap_qp.options import Positive
 from handmap_qp.se3 import Array, lengths
 
 
 class FingertipVectors(AlignedOptions, frozen=True):
-    """Map vectors to the fingertips."""
+    """Map vectors to the fingertips.
 
-    scale: (
-        Annotated[
-            float,
-            number(
-                "Factor on the vectors. If omitted, the ratio of the hands' sizes at rest for "
-                "vectors from the palm, and of each finger's reaches for those from its knuckle.",
-                above=True,
-            ),
-        ]
-        | None
-    ) = None
-    origin: Annotated[
-        Literal["palm", "knuckle"],
-        text("Where the vectors begin: at the palm, or at each finger's own knuckle."),
-    ] = "palm"
+    Attributes:
+        scale: Factor on the vectors. If omitted, the ratio of the hands' sizes at rest for vectors
+            from the palm, and of each finger's reaches for those from its knuckle.
+        origin: Where the vectors begin: at the palm, or at each finger's own knuckle.
+    """
+
+    scale: Positive | None = None
+    origin: Literal["palm", "knuckle"] = "palm"
 
     def bind(self, human: Hand, robot: Hand) -> BoundFingertipVectors:
         """Find the partners of the robot's points; see `Method.bind`."""

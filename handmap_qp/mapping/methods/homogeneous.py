@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands import Hand
@@ -35,7 +36,7 @@ from handmap_qp.mapping import (
     rotation_of,
 )
 from handmap_qp.mapping.decomposition import about, polar
-from handmap_qp.options import number, text
+from handmap_qp.options import NotNegative, Share, number
 from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 
 
@@ -43,63 +44,40 @@ class Homogeneous(AlignedOptions, frozen=True):
     """The paper's mapping, and the choices that it leaves open: how T is estimated, split, imposed.
 
     The defaults are the paper's, but for `ridge`: 0 is its least squares.
+
+    Attributes:
+        ridge: Pull of the estimated linear motion towards a rotation (eq. 6 with a ridge). 0 is the
+            paper's least squares.
+        rigid_from: Where the rigid part T_rb comes from. points: the polar factor of T (the paper).
+            wrist: the measured displacement of the wrist. none: the robot's wrist stays, and the
+            fingers take all of T.
+        pivot: The point about which rotation and deformation act: the centroid of each hand's
+            reference points, each hand's palm, a given point common to both worlds, or the origin
+            of the world (the paper's literal reading).
+        pivot_point: The point of pivot=point [m].
+        scale: Factor on translations.
+        reference: Configuration that T starts from. first: the sample that became the reference
+            (the paper). rest: both hands' rest postures, placed at that sample's wrists, so that
+            the posture of the first sample does not matter. previous: the sample before (Fig. 3).
+        residual_gain: Part of each human point's residual to the imposed motion that its partner on
+            the robot takes over; 0 is the paper.
+        deformation_gain: Exponent g of the stretch, U^g. 1 is the paper; 0 leaves the fingers
+            undeformed.
+        stretch_min: Smallest stretch that is imposed.
+        stretch_max: Largest stretch that is imposed.
     """
 
-    ridge: Annotated[
-        float,
-        number(
-            "Pull of the estimated linear motion towards a rotation (eq. 6 with a ridge). 0 is the "
-            "paper's least squares."
-        ),
-    ] = 0.1
-    rigid_from: Annotated[
-        Literal["points", "wrist", "none"],
-        text(
-            "Where the rigid part T_rb comes from. points: the polar factor of T (the paper). "
-            "wrist: the measured displacement of the wrist. none: the robot's wrist stays, and the "
-            "fingers take all of T."
-        ),
-    ] = "points"
-    pivot: Annotated[
-        Literal["centroid", "palm", "point", "world"],
-        text(
-            "The point about which rotation and deformation act: the centroid of each hand's "
-            "reference points, each hand's palm, a given point common to both worlds, or the "
-            "origin of the world (the paper's literal reading)."
-        ),
-    ] = "centroid"
-    pivot_point: Annotated[Row | None, text("The point of pivot=point [m].")] = None
-    scale: Annotated[float, number("Factor on translations.")] = 1.0
-    reference: Annotated[
-        Literal["first", "rest", "previous"],
-        text(
-            "Configuration that T starts from. first: the sample that became the reference (the "
-            "paper). rest: both hands' rest postures, placed at that sample's wrists, so that the "
-            "posture of the first sample does not matter. previous: the sample before (Fig. 3)."
-        ),
-    ] = "first"
-    residual_gain: Annotated[
-        float,
-        number(
-            "Part of each human point's residual to the imposed motion that its partner on the "
-            "robot takes over; 0 is the paper.",
-            high=1.0,
-        ),
-    ] = 0.0
+    ridge: NotNegative = 0.1
+    rigid_from: Literal["points", "wrist", "none"] = "points"
+    pivot: Literal["centroid", "palm", "point", "world"] = "centroid"
+    pivot_point: Row | None = None
+    scale: NotNegative = 1.0
+    reference: Literal["first", "rest", "previous"] = "first"
+    residual_gain: Share = 0.0
     # The bound is chosen so that stretch**gain cannot overflow.
-    deformation_gain: Annotated[
-        float,
-        number(
-            "Exponent g of the stretch, U^g. 1 is the paper; 0 leaves the fingers undeformed.",
-            high=10.0,
-        ),
-    ] = 1.0
-    stretch_min: Annotated[
-        float, number("Smallest stretch that is imposed.", high=1.0)
-    ] = 0.2
-    stretch_max: Annotated[
-        float, number("Largest stretch that is imposed.", 1.0, float("inf"))
-    ] = 3.0
+    deformation_gain: Annotated[float, number(high=10.0)] = 1.0
+    stretch_min: Share = 0.2
+    stretch_max: Annotated[float, Meta(ge=1.0)] = 3.0
 
     def check(self) -> None:
         """Reject combinations without a meaning; see `Options.check`."""

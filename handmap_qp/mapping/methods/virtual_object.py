@@ -30,7 +30,7 @@ towards their common one. The sphere is the limit of an infinite ridge.
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,7 @@ from handmap_qp.mapping import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.options import number
+from handmap_qp.options import NotNegative, Positive
 from handmap_qp.se3 import Array, lengths, mirror_sign, nearest_rotation
 
 # Points on a line leave the turn about it free: least ratio of their second singular value to the
@@ -68,19 +68,14 @@ _MOST_TURNS = 100
 
 
 class VirtualObject(AlignedOptions, frozen=True):
-    """Map the motion of an object that encloses the fingertips."""
+    """Map the motion of an object that encloses the fingertips.
 
-    scale: (
-        Annotated[
-            float,
-            number(
-                "k, the factor on the object's displacement; the ratio of the sizes at the "
-                "reference if omitted.",
-                above=True,
-            ),
-        ]
-        | None
-    ) = None
+    Attributes:
+        scale: k, the factor on the object's displacement; the ratio of the sizes at the reference
+            if omitted.
+    """
+
+    scale: Positive | None = None
 
     def enclose(self, points: Array) -> Enclosing:
         """Return the object around points [m], shape (n, 3)."""
@@ -101,15 +96,14 @@ class VirtualSphere(VirtualObject, frozen=True):
 
 
 class VirtualEllipsoid(VirtualObject, frozen=True):
-    """Map the motion of the fingertips' enclosing ellipsoid."""
+    """Map the motion of the fingertips' enclosing ellipsoid.
 
-    ridge: Annotated[
-        float,
-        number(
-            "Pull of the three ratios towards their common one, as a share of the points' mean "
-            "square extent. 0 is the plain least squares; at infinity it is the sphere."
-        ),
-    ] = 0.1
+    Attributes:
+        ridge: Pull of the three ratios towards their common one, as a share of the points' mean
+            square extent. 0 is the plain least squares; at infinity it is the sphere.
+    """
+
+    ridge: NotNegative = 0.1
 
     def enclose(self, points: Array) -> Enclosing:
         """Return the smallest ellipsoid; its size is the norm of its semi-axes [m]."""
