@@ -226,9 +226,10 @@ def _merged(specs: Sequence[HandSpec]) -> HandSpec:
     """Return the description of all joints that hands of one URDF move."""
     keys = "rest", "locked", "limits", "mimic"
     whole = {k: reduce(or_, (getattr(spec, k) for spec in specs)) for k in keys}
-    rest = whole["rest"]
-    whole["locked"] = {j: at for j, at in whole["locked"].items() if j not in rest}
-    return replace(specs[0], joints=(*rest,), matched=None, **whole)
+    # One hand holds still what is the other's: its joints, and those that follow them.
+    own = whole["rest"] | whole["mimic"]
+    whole["locked"] = {j: at for j, at in whole["locked"].items() if j not in own}
+    return replace(specs[0], joints=(*whole["rest"],), matched=None, **whole)
 
 
 def _stand(

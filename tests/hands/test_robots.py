@@ -86,6 +86,14 @@ def test_palms_are_where_each_hand_alone_has_them(robot: Robot) -> None:
             np.testing.assert_allclose(pose, other, atol=1e-9)
 
 
+def test_joints_that_follow_others_do_so_on_the_robot(robot: Robot) -> None:
+    followers = 0
+    for spec in read_hands(read_robot_spec(robot_files()[robot.name])).values():
+        alone = load_hand(spec)
+        followers += alone.all_joint_roles.count("follower")
+    assert robot.whole.all_joint_roles.count("follower") == followers
+
+
 G1 = """name: two
 hands:
   left: {hand: dex3_left}
