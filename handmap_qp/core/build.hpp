@@ -222,13 +222,14 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
                  options.get<bool>("points_follow_wrist")};
 }
 
-inline void set_detours(Ik& ik, const Fields& hand, const Fields& options) {
+inline void set_detour_rules(Ik& ik, const Fields& hand, const Fields& options) {
   if (!options.get<bool>("takes_detours")) return;
   const Fields rules = module_of("handmap_qp.ik.collision");
   const auto number = [&](const char* name) { return rules.get<double>(name); };
-  Vector is_finger;
-  for (const int moves_wrist : hand.indices("moves_wrist"))
-    is_finger.push_back(moves_wrist ? 0.0 : 1.0);
+  std::vector<Vector> is_finger;
+  for (const Indices& own :
+       nb::cast<std::vector<Indices>>(nb::getattr(hand.object("finger_joints"), "tolist")()))
+    is_finger.emplace_back(own.begin(), own.end());
   ik.detour_rules = {is_finger,
                      number("AWAY"),
                      number("ON_ITS_WAY"),
@@ -325,7 +326,8 @@ inline void make_ik(Ik* self, const Tree& tree, const nb::object& hand, const nb
     ik.tree.parts.push_back(part_of(Fields(nb::borrow(each)), first));
   }
   set_weights(ik, Fields(hand), Fields(options));
-  set_detours(ik, Fields(hand), Fields(options));
+  set_detour_rules(ik, Fields(hand), Fields(options));
+  ik.stop_detours();
   set_limits(ik, Fields(nb::getattr(gate, "limits")));
   const nb::object collisions = nb::getattr(gate, "collisions");
   if (!collisions.is_none()) ik.pairs = make_pairs(ik.tree, Fields(collisions));

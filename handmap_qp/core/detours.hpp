@@ -5,23 +5,33 @@
 
 namespace handmap {
 
-// Solves a sample, by a detour where that leads nearer to the targets.
+// Solves a sample with detours of the hands before `end`, each where that leads it nearer to its
+// targets.
+inline void solve_with_detours(Ik& ik, size_t end, const Goal& goal, double dt,
+                               const Vector& margins, double speed, Result& result);
+
+// The detours of one hand.
 class Detours {
  public:
-  explicit Detours(Ik& ik) : ik_(ik), rules_(*ik.detour_rules), detour_(ik.detour) {}
+  Detours(Ik& ik, size_t part)
+      : ik_(ik),
+        rules_(*ik.detour_rules),
+        index_(part),
+        part_(ik.tree.parts[part]),
+        is_finger_(rules_.is_finger[part]),
+        detour_(ik.detours[part]) {}
 
   void solve(const Goal& goal, double dt, const Vector& margins, double speed, Result& result) {
-    dt = std::max(dt, kShortestDt);
     detour_.wait -= dt;
     if (!detour_.via.empty() && moved_by(goal) > rules_.moved) detour_.via.clear();
     if (!detour_.via.empty()) {
-      ik_.solve(pulled(goal, detour_.via), dt, margins, speed, result);
+      solve_with_detours(ik_, index_, pulled(goal, detour_.via), dt, margins, speed, result);
       const bool is_late = detour_.left < dt;
       detour_.left -= dt;
       if (is_late || is_at(detour_.via)) detour_ = {{}, {}, {}, 0.0, rules_.again};
       return;
     }
-    ik_.solve(goal, dt, margins, speed, result);
+    solve_with_detours(ik_, index_, goal, dt, margins, speed, result);
     if (detour_.wait <= -rules_.forgotten) detour_.known.clear();
     if (detour_.wait <= 0.0) look_ahead(goal, margins, result, dt * speed);
   }
@@ -29,6 +39,9 @@ class Detours {
  private:
   Ik& ik_;
   const DetourRules& rules_;
+  const size_t index_;
+  const Part& part_;
+  const Vector& is_finger_;
   Detour& detour_;
 
   struct End {
@@ -39,7 +52,7 @@ class Detours {
     const Vector here = errors(result);
     bool is_held_away = false;
     for (size_t k = 0; k < here.size(); ++k)
-      is_held_away |= is_new(here, k) && !is_on_its_way(k, result, time);
+      is_held_away |= is_new(here, k) && !is_on_its_way(part_.first + k, result, time);
     if (!is_held_away) return;
     const Vector& rest = goal.postures.front().q;
     const End found = foresee(goal, margins, rest);
@@ -77,14 +90,14 @@ class Detours {
 
   Goal pulled(const Goal& goal, const Vector& posture) const {
     Goal towards = goal;
-    towards.postures = {{rules_.pull, posture, rules_.is_finger}};
+    towards.postures.push_back({rules_.pull, posture, is_finger_});
     return towards;
   }
 
   // How far the farthest target is from where the detour was looked for.
   double moved_by(const Goal& goal) const {
     double most = 0.0;
-    for (size_t k = 0; k < detour_.points.size(); ++k)
+    for (size_t k = part_.first; k < std::min(part_.end, detour_.points.size()); ++k)
       most = std::max(most, norm(goal.points[k] - detour_.points[k]));
     return most;
   }
@@ -92,7 +105,7 @@ class Detours {
   bool is_at(const Vector& posture) const {
     double most = 0.0;
     for (size_t j = 0; j < posture.size(); ++j)
-      most = std::max(most, rules_.is_finger[j] *
+      most = std::max(most, is_finger_[j] *
                                 std::abs(ik_.motion.q[ik_.tree.q_indices[j]] - posture[j]));
     return most < rules_.reached;
   }
@@ -102,10 +115,10 @@ class Detours {
     const int joint = ik_.tree.points[point].joint;
     if (joint < 0) return false;
     const std::vector<int>& moving = ik_.tree.moving[joint];
-    for (size_t j = 0; j < rules_.is_finger.size(); ++j) {
+    for (size_t j = 0; j < is_finger_.size(); ++j) {
       const int i = ik_.tree.joint_columns[j];
       const double most = rules_.on_its_way * time * ik_.limits.speeds[i];
-      if (rules_.is_finger[j] != 0.0 && std::abs(result.displacement[i]) > most &&
+      if (is_finger_[j] != 0.0 && std::abs(result.displacement[i]) > most &&
           std::binary_search(moving.begin(), moving.end(), i))
         return true;
     }
@@ -120,7 +133,7 @@ class Detours {
 
   Vector errors(const Result& result) const {
     Vector found;
-    for (size_t k = 0; k < result.points.size(); ++k)
+    for (size_t k = part_.first; k < part_.end; ++k)
       found.push_back(ik_.weights.points[k] * norm(result.targets[k] - result.points[k]));
     return found;
   }
@@ -143,7 +156,15 @@ class Detours {
   }
 };
 
-// Move the hand for one sample, by a detour if its options allow any.
+inline void solve_with_detours(Ik& ik, size_t end, const Goal& goal, double dt,
+                               const Vector& margins, double speed, Result& result) {
+  if (end == 0)
+    ik.solve(goal, dt, margins, speed, result);
+  else
+    Detours(ik, end - 1).solve(goal, dt, margins, speed, result);
+}
+
+// Move the hand for one sample, by detours if its options allow any.
 inline void seek(Ik& ik, const Goal& goal, double dt, const Vector& margins, double speed,
                   Result& result) {
   if (!ik.detour_rules) {
@@ -152,11 +173,12 @@ inline void seek(Ik& ik, const Goal& goal, double dt, const Vector& margins, dou
   }
   const Motion motion = ik.motion;
   try {
-    Detours(ik).solve(goal, dt, margins, speed, result);
+    const size_t count = ik.tree.parts.size();
+    solve_with_detours(ik, count, goal, std::max(dt, kShortestDt), margins, speed, result);
   } catch (...) {
     // What was foreseen is not where the hand is.
     ik.motion = motion;
-    ik.detour = {};
+    ik.stop_detours();
     throw;
   }
 }

@@ -72,13 +72,13 @@ struct Goal {
 
 // The constants of collision.py, by their names there, and which joints are the fingers'.
 struct DetourRules {
-  Vector is_finger;  // 0 for the joints of an arm, which follow the wrist at all times
+  std::vector<Vector> is_finger;  // of each hand, of each joint: see Hand.finger_joints
   double away, on_its_way, sample, again, later, of_point, of_all, pull, reached, moved, grown,
       forgotten;
   int samples, longest;
 };
 
-// See collision.Detour.
+// Of one hand; see collision.Detour.
 struct Detour {
   Vector via;
   std::vector<Vec3> points;
@@ -108,7 +108,7 @@ class Ik {
   std::unique_ptr<Pairs> pairs;
   Motion motion;
   std::optional<DetourRules> detour_rules;
-  Detour detour;
+  std::vector<Detour> detours;  // of each hand
 
   explicit Ik(Tree given)
       : tree(std::move(given)), at(tree), start_(tree), path_end_(tree) {}
@@ -180,7 +180,7 @@ class Ik {
   // Take the stop that was admitted last, for one sample; see qp.PointIk.hold.
   void hold(double dt, Result& result) {
     dt = std::max(dt, kShortestDt);
-    detour = {};
+    stop_detours();
     braking(dt, taken_);
     times_.resize(tree.size);
     for (int i = 0; i < tree.size; ++i) times_[i] = std::max(motion.stop_times[i] - dt, 0.0);
@@ -197,6 +197,9 @@ class Ik {
     result.held_by = -1;
     result.status = Status::released;
   }
+
+  // Something else moves the hand.
+  void stop_detours() { detours.assign(tree.parts.size(), {}); }
 
   // Postures of the cost of a sample; see qp.PointIk.postures.
   std::vector<Posture> postures(const Vector& rest, double dt) const {

@@ -18,7 +18,7 @@ inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double
   expect_size(q, ik.tree.nq, "q");
   expect_size(displacement, ik.tree.size, "displacement");
   expect_size(stop_times, ik.tree.size, "stop_times");
-  ik.detour = {};
+  ik.stop_detours();
   ik.motion.q = vector_of(q);
   ik.motion.displacement = vector_of(displacement);
   ik.motion.dt = dt;

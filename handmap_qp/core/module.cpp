@@ -94,26 +94,34 @@ nb::object solve(Ik& ik, const nb::object& gate, const Array& points,
   return made;
 }
 
-// The detour of a hand, as a `Detour` of Python has it.
-nb::tuple detour_of(const Ik& ik) {
-  const Detour& detour = ik.detour;
-  const nb::object via = detour.via.empty() ? nb::none() : nb::cast(array_of(detour.via));
-  std::vector<Vec3> points = detour.points;
-  if (points.empty()) points.push_back({kInfinity, kInfinity, kInfinity});
-  Vector known = detour.known;
-  known.resize(ik.tree.points.size(), 0.0);
-  return nb::make_tuple(via, array_of(points), array_of(known), detour.left, detour.wait);
+// The detour of each hand, as a `Detour` of Python has it.
+nb::list detours_of(const Ik& ik) {
+  nb::list found;
+  for (size_t i = 0; i < ik.detours.size(); ++i) {
+    const Detour& detour = ik.detours[i];
+    const nb::object via = detour.via.empty() ? nb::none() : nb::cast(array_of(detour.via));
+    std::vector<Vec3> points = detour.points;
+    if (points.empty()) points.push_back({kInfinity, kInfinity, kInfinity});
+    Vector known = detour.known;
+    known.resize(ik.tree.parts[i].end - ik.tree.parts[i].first, 0.0);
+    found.append(
+        nb::make_tuple(via, array_of(points), array_of(known), detour.left, detour.wait));
+  }
+  return found;
 }
 
-void set_detour(Ik& ik, const nb::object& given) {
-  const nb::object via = item(given, 0);
-  const Array points = nb::cast<Array>(item(given, 1));
-  const Array known = nb::cast<Array>(item(given, 2));
-  const size_t count = ik.tree.points.size();
-  ik.detour = {via.is_none() ? Vector() : vector_of(nb::cast<Array>(via)),
-               points.size() == 3 * count ? points_of(points) : std::vector<Vec3>(),
-               known.size() == count ? vector_of(known) : Vector(),
-               nb::cast<double>(item(given, 3)), nb::cast<double>(item(given, 4))};
+void set_detours(Ik& ik, const nb::object& given) {
+  for (size_t i = 0; i < ik.detours.size(); ++i) {
+    const nb::object detour = item(given, i), via = item(detour, 0);
+    const Array points = nb::cast<Array>(item(detour, 1));
+    const Array known = nb::cast<Array>(item(detour, 2));
+    const size_t count = ik.tree.parts[i].end - ik.tree.parts[i].first;
+    ik.detours[i] = {
+        via.is_none() ? Vector() : vector_of(nb::cast<Array>(via)),
+        points.size() == 3 * ik.tree.points.size() ? points_of(points) : std::vector<Vec3>(),
+        known.size() == count ? vector_of(known) : Vector(), nb::cast<double>(item(detour, 3)),
+        nb::cast<double>(item(detour, 4))};
+  }
 }
 
 // Many samples of one goal each, one after the other and without the GIL, from where the hand is.
@@ -355,7 +363,7 @@ NB_MODULE(_core, m) {
   nb::class_<Ik>(m, "Ik")
       .def("__init__", &make_ik)
       .def("set_motion", &set_motion)
-      .def_prop_rw("detour", &detour_of, &set_detour)
+      .def_prop_rw("detours", &detours_of, &set_detours)
       .def("solve", &solve, "gate"_a, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a, "distances"_a, "offsets"_a, "linearise"_a.none())
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
@@ -415,8 +423,8 @@ NB_MODULE(_core, m) {
       .def_prop_ro("targets", &Ask::read_targets);
   nb::class_<RobotMover>(m, "RobotMover")
       .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&,
-                    const nb::object&, const nb::list&, const nb::list&>(),
-           "ik"_a, "gate"_a, "robot"_a, "targets"_a, "result"_a, "own"_a, "pinching"_a)
+                    const nb::object&, const nb::list&>(),
+           "ik"_a, "gate"_a, "robot"_a, "targets"_a, "result"_a, "pinching"_a)
       .def("__reduce__", &without_mover)
       .def("move", &RobotMover::move);
   nb::class_<HumanPose>(m, "HumanPose")

@@ -62,9 +62,9 @@ inline Pose turned(const Pose& palm, const Vec3& anchor, const Pose& to, double 
 class RobotMover {
  public:
   // Of a core's `Ik`, its gate, the robot as one hand, functions that make `Targets` and `IkResult`
-  // of all hands, the joints of each hand alone, and its pairs that pinch.
+  // of all hands, and the pairs of each hand that pinch.
   RobotMover(nb::object ik, nb::object gate, const nb::object& robot, const nb::object& targets,
-             const nb::object& result, const nb::list& own, const nb::list& pinching)
+             const nb::object& result, const nb::list& pinching)
       : ik_owner_(std::move(ik)), gate_(std::move(gate)), ik_(nb::cast<Ik&>(ik_owner_)),
         reader_(std::make_shared<StepReader>(robot, targets, result)),
         rest_(Fields(robot).numbers("rest")) {
@@ -77,9 +77,9 @@ class RobotMover {
       const Fields palm(item(hand.object("model.frames"), hand.get<size_t>("palm_frame_id")));
       hands_.push_back({palm.get<int>("parentJoint") - 1, palm.pose("placement.homogeneous")});
     }
-    if (own.size() != hands_.size()) throw std::invalid_argument("wrong number of hands");
+    const nb::object own = nb::getattr(robot, "finger_joints");
     for (size_t k = 0; k < hands_.size(); ++k) {
-      hands_[k].joints = indices_of(own[k]);
+      hands_[k].is_finger = indices_of(own[nb::int_(k)]);
       if (k >= pinching.size()) continue;
       hands_[k].pinching = indices_of(nb::borrow(pinching[k])[nb::int_(0)]);
       hands_[k].among_own = indices_of(nb::borrow(pinching[k])[nb::int_(1)]);
@@ -124,7 +124,7 @@ class RobotMover {
   struct RobotHand {
     int palm_joint;
     Pose palm;  // on that joint
-    Indices joints = {}, pinching = {}, among_own = {};
+    Indices is_finger = {}, pinching = {}, among_own = {};  // is_finger: see Hand.finger_joints
   };
 
   static Indices indices_of(const nb::handle& array) {
@@ -156,7 +156,8 @@ class RobotMover {
         persons_[k] = world * palm->person_at(asks[k]->pose.wrist);
         turn(*palm, k, smoothstep(turning[k]));
       }
-      for (const int i : hands_[k].joints) wanted_rest_[i] = asks[k]->map->rest[i];
+      for (size_t i = 0; i < rest_.size(); ++i)
+        if (hands_[k].is_finger[i]) wanted_rest_[i] = asks[k]->map->rest[i];
       if (asked.margins.empty()) continue;
       for (size_t i = 0; i < hands_[k].pinching.size(); ++i)
         wanted_margins_.at(hands_[k].pinching[i]) = asked.margins.at(hands_[k].among_own[i]);

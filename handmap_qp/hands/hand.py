@@ -213,6 +213,12 @@ class Hand:
         return moves[:, self.joint_columns] > 0.0
 
     @property
+    def finger_joints(self) -> Array:
+        """Which joints move points of each of its h hands, and no wrist, shape (h, n)."""
+        moved = [hand.moves_points.any(axis=0) for hand in self.hands]
+        return moved & ~self.moves_wrist
+
+    @property
     def stop_distances(self) -> Array:
         """How far each joint moves at most while it stops [rad or m], shape (n,).
 

@@ -48,7 +48,7 @@ Rows may hold a finger behind others, or a folded one, far from its target thoug
 near: a QP finds the nearest minimum. Where a point is away from its target, and not on its way,
 the hand looks ahead by the same QPs (`Detours`): where would it end if it went by its rest posture?
 If that is clearly nearer, the joints are pulled to what was found there, straight or by rest,
-whichever was seen to arrive. Every step passes the gate.
+whichever was seen to arrive. Every step passes the gate. Each hand of a robot looks by itself.
 """
 
 from __future__ import annotations
@@ -476,12 +476,12 @@ class CollisionLimit:
 
 
 class Detour(NamedTuple):
-    """What a hand is about to do in place of going to its targets.
+    """What the fingers of a hand are about to do in place of going to their targets.
 
     Attributes:
-        via: Posture that it passes, shape (n,); None in most samples.
+        via: Posture that they pass, shape (n,); None in most samples.
         points: Targets for which it was found [m], shape (m, 3).
-        known: Errors of the points where none was found [cost], shape (m,).
+        known: Errors of the hand's p points where none was found [cost], shape (p,).
         left: Time left to reach it [s].
         wait: Time until it may look ahead again [s].
     """
@@ -493,32 +493,39 @@ class Detour(NamedTuple):
     wait: float = 0.0
 
 
-_NONE = Detour()
-
-
 class Detours:
-    """Solves each sample of a `PointIk`, by a detour where that leads nearer to the targets.
+    """Solves each sample of a `PointIk`, by a detour where that leads a hand nearer to its targets.
 
     Args:
         ik: Solves a sample, and moves the hand.
-        detour: Of the solver that this one is a copy of; none if omitted.
+        detours: Of the hands up to this one, of the solver that `ik` is a copy of; else empty ones.
     """
 
-    def __init__(self, ik: PointIk, detour: tuple[Any, ...] = ()) -> None:
+    def __init__(self, ik: PointIk, detours: list[Any]) -> None:
         hand = ik.hand
         self._ik = ik
-        self._detour = Detour(*detour)
+        *before, own = detours
+        self._before = Detours(ik, before) if before else None
+        self._solve = self._before.solve if self._before else ik.solve_once
+        self._detour = Detour(*own)
         self._motion = ik.gate.motion
+        self._own = hand.configuration().parts[len(before)]
         # The joints of an arm follow the wrist at all times.
-        self._is_finger = ~hand.moves_wrist
+        self._is_finger = hand.finger_joints[len(before)]
         self._fingers = hand.joint_columns[self._is_finger]
-        self._moves = hand.moves_points[:, self._is_finger]
+        self._moves = hand.moves_points[self._own, self._is_finger]
         self._costs = ik.options.point_costs(hand)
 
     @property
     def detour(self) -> Detour:
         """The one that the hand is on; none where something else has moved the hand since."""
-        return self._detour if self._ik.gate.motion is self._motion else _NONE
+        return self._detour if self._ik.gate.motion is self._motion else Detour()
+
+    @property
+    def detours(self) -> list[Any]:
+        """Those of the hands up to this one."""
+        before = self._before.detours if self._before else []
+        return [*before, self.detour]
 
     def solve(
         self, goal: Goal, dt: float, margins: Array | None, speed: float
@@ -527,14 +534,14 @@ class Detours:
         ik = self._ik
         before = ik.gate.motion
         via, points, known, left, wait = self.detour
-        is_on = via is not None and lengths(goal.points - points).max() <= _MOVED
+        if lengths(goal.points - points)[self._own].max() > _MOVED:
+            via = None
         try:
-            pulled = self._pulled(goal, via) if is_on else goal
-            result = ik.solve_once(pulled, dt, margins, speed)
+            pulled = goal if via is None else self._pulled(goal, via)
+            result = self._solve(pulled, dt, margins, speed)
             self._motion = ik.gate.motion
-            on = via if is_on else None
-            self._detour = Detour(on, points, known, left - dt, wait - dt)
-            if not is_on:
+            self._detour = Detour(via, points, known, left - dt, wait - dt)
+            if via is None:
                 self.look_ahead(goal, margins, result, dt * speed)
             elif left < dt or self._is_at(via):
                 self._detour = Detour(wait=_AGAIN)
@@ -556,10 +563,8 @@ class Detours:
             return
         here = self._errors(result)
         known = self.detour.known * (wait > -_FORGOTTEN)
-        speeds = self._ik.gate.limits.speeds[self._fingers]
-        is_fast = (
-            np.abs(result.displacement[self._fingers]) > ON_ITS_WAY * time * speeds
-        )
+        most = ON_ITS_WAY * time * self._ik.gate.limits.speeds[self._fingers]
+        is_fast = np.abs(result.displacement[self._fingers]) > most
         is_held = ~self._moves.dot(is_fast)
         if not np.any(is_held & (here > AWAY) & (here > _GROWN * known)):
             return
@@ -579,7 +584,7 @@ class Detours:
     def _foresee(
         self, goal: Goal, margins: Array | None, via: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return errors of the points, shape (m,), and joints, shape (n,), where the hand ends."""
+        """Return errors of the points, shape (p,), and joints, shape (n,), where the hand ends."""
         ik = self._ik
         motion = ik.gate.motion
         goal = goal._replace(postures=goal.postures[:1])
@@ -597,12 +602,13 @@ class Detours:
         return errors, result.q[ik.hand.q_indices]
 
     def _errors(self, result: IkResult) -> Array:
-        """Return the weighted error of every point [cost], shape (m,)."""
-        return self._costs * lengths(result.errors)
+        """Return the weighted error of every point of the hand [cost], shape (p,)."""
+        return (self._costs * lengths(result.errors))[self._own]
 
     def _pulled(self, goal: Goal, posture: Array) -> Goal:
         """Return a goal that pulls the fingers to a posture."""
-        return goal._replace(postures=[(_PULL * self._is_finger, posture)])
+        pull = _PULL * self._is_finger, posture
+        return goal._replace(postures=[*goal.postures, pull])
 
     def _is_at(self, posture: Array) -> bool:
         off = self._ik.gate.motion.q[self._ik.hand.q_indices] - posture
@@ -610,6 +616,6 @@ class Detours:
 
 
 def _is_nearer(errors: Array, other: Array) -> bool:
-    """Return whether a way's errors are clearly smaller than other ones, shape (m,) both."""
+    """Return whether a way's errors are clearly smaller than other ones, shape (p,) both."""
     is_nearer = (other > AWAY) & (errors < _OF_POINT * other)
     return bool(is_nearer.any() and errors @ errors < _OF_ALL * other @ other)

@@ -62,15 +62,15 @@ class CompiledIk:
         return self._result(step)
 
     @property
-    def detour(self) -> tuple[Any, ...]:
-        """The `Detour` that the hand is on; empty where something else has moved it since."""
-        return () if self._gate.was_set else self.core.detour
+    def detours(self) -> list[Any]:
+        """The `Detour` of each hand; empty where something else has moved the robot since."""
+        return [] if self._gate.was_set else self.core.detours
 
-    def go_on(self, detour: tuple[Any, ...]) -> None:
-        """Continue the gate's motion on a detour, as the hand does that this one is a copy of."""
+    def go_on(self, detours: list[Any]) -> None:
+        """Continue the gate's motion on detours, as the hands do that these are copies of."""
         self.core.set_motion(*self._gate.motion)
         self._gate.was_set = False
-        self.core.detour = detour
+        self.core.detours = detours
 
     def sample_mapper(self, target_map: Any) -> Any:
         """Return the core's way from samples to steps, by a `TargetMap` that it has too."""
@@ -84,10 +84,10 @@ class CompiledIk:
         assert core is not None
         return core.Asker(target_map, hand, self._result_of(hand))
 
-    def robot_mover(self, targets: Any, own: Any, pinching: Any) -> Any:
+    def robot_mover(self, targets: Any, pinching: Any) -> Any:
         """Return the core's way from what all hands ask to a step; see `RobotMapper`."""
         assert core is not None
-        arguments = self._hand, targets, self._result, own, pinching
+        arguments = self._hand, targets, self._result, pinching
         return core.RobotMover(self.core, self._gate, *arguments)
 
     def _linearise(self, tasks: Sequence[Task], q: Array) -> tuple[Array, Array, Array]:

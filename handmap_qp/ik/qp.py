@@ -32,7 +32,7 @@ from .tasks import Goal, Task, tasks_named
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
-    from .collision import CollisionLimit, Detours, NearPairs
+    from .collision import CollisionLimit, NearPairs
 
 # At DAQP's default tolerance of 1e-6 a joint was left 4e-7 rad outside its limit. Beyond 1000
 # iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000 hostile problems one
@@ -284,24 +284,23 @@ class PointIk:
             collisions=collisions,
         )
         self.core = ik.compiled.compile_ik(hand, options, self.gate)
-        self._detours: Detours | None = None
+        self._mover = self.core
         if options.takes_detours and self.core is None:
-            self._detours = ik.collision.Detours(self)
+            self._mover = ik.collision.Detours(self, [()] * len(hand.hands))
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Return what a copy is built from, without the workspace."""
-        detours = self.core or self._detours
-        detour = detours and tuple(detours.detour)
-        return self.hand, self.options, self.gate.motion, self._contacts, detour
+        detours = self._mover and self._mover.detours
+        return self.hand, self.options, self.gate.motion, self._contacts, detours
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         """Build a solver with a workspace of its own that continues the same motion."""
-        *arguments, contacts, detour = state
+        *arguments, contacts, detours = state
         PointIk.__init__(self, *arguments, contacts=contacts)
-        if detour and self.core:
-            self.core.go_on(detour)
-        elif detour and self._detours:
-            self._detours = ik.collision.Detours(self, detour)
+        if detours and self.core:
+            self.core.go_on(detours)
+        elif detours and self._mover:
+            self._mover = ik.collision.Detours(self, detours)
 
     @cached_property
     def _configuration(self) -> Configuration:
@@ -359,10 +358,8 @@ class PointIk:
         tasks = *tasks, *self._tasks
         wrists = None if wrist_target is None else wrist_target.reshape(-1, 4, 4)
         goal = Goal(point_targets, wrists, self.postures(dt, rest), tasks)
-        if self.core is not None:
-            return self.core.solve(goal, dt, margins, speed)
-        if self._detours:
-            return self._detours.solve(goal, dt, margins, speed)
+        if self._mover:
+            return self._mover.solve(goal, dt, margins, speed)
         return self.solve_once(goal, dt, margins, speed)
 
     def solve_once(

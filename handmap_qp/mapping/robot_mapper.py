@@ -261,7 +261,7 @@ class RobotMapper:
         self._is_floating = robot.is_floating
         self._base = np.eye(4)
         self._turns_in = turns_in
-        self._join(next(iter(self.leaders.values())).ik)
+        self._join()
         self.reset()
 
     # A shallow copy would move the same robot.
@@ -434,8 +434,9 @@ class RobotMapper:
         worlds = [to_base @ leader.base for leader in leaders]
         is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
         if self._ik.core and not is_python:
-            parts = self._targets, self._own, self._pinching
-            self._core = self._core or self._ik.core.robot_mover(*parts)
+            self._core = self._core or self._ik.core.robot_mover(
+                self._targets, self._pinching
+            )
             return self._core.move(asked, turning, worlds, dt)
         aimed = map(_aimed, asked, worlds, smoothstep(turning).tolist())
         targets, persons = map(list, zip(*aimed, strict=True))
@@ -520,15 +521,14 @@ class RobotMapper:
                 found[rows] = each.margins[own]
         return found
 
-    def _join(self, options: IkOptions, motion: Motion | None = None) -> None:
+    def _join(self, motion: Motion | None = None) -> None:
         """Make one solver of what the leaders are bound to, and let them know it."""
-        leaders = self.leaders.values()
+        leaders = [*self.leaders.values()]
         whole = joined(self._name, *(leader.robot for leader in leaders))
         contacts = tuple(leader.contacts for leader in leaders if leader.contacts)
         pairs, self._pinching = _common_pairs(contacts) if contacts else (None, [])
-        self._ik = PointIk(whole, options, motion, contacts=pairs)
-        moves = [leader.robot.moves_points.any(axis=0) for leader in leaders]
-        self._own = [np.flatnonzero(moved & ~whole.moves_wrist) for moved in moves]
+        self._ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
+        self._own = whole.finger_joints
         self._core: Any = None
         for leader in leaders:
             leader.join(self._ik)
@@ -587,7 +587,7 @@ class RobotMapper:
         with self._unless_refused():
             for leader in self.leaders.values():
                 leader.configure(method, ik=ik)
-            self._join(next(iter(self.leaders.values())).ik, self.motion)
+            self._join(self.motion)
 
     @contextmanager
     def _unless_refused(self) -> Iterator[None]:

@@ -12,7 +12,6 @@ import pytest
 
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.ik import core as core_module
-from handmap_qp.ik.collision import Detours
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.presets import get_preset
@@ -75,8 +74,8 @@ def end_error(mapper: HandMapper, start: Motion, human_q: np.ndarray) -> float:
 
 def is_on_detour(mapper: HandMapper) -> bool:
     """Return whether a hand is on a detour, on either path."""
-    detour = mapper.point_ik.__getstate__()[-1]
-    return bool(detour and detour[0] is not None)
+    detours = mapper.point_ik.__getstate__()[-1]
+    return any(via is not None for via, *_ in detours or ())
 
 
 def start_detour(mapper: HandMapper, start: Motion, human_q: np.ndarray) -> None:
@@ -183,12 +182,12 @@ def test_a_detour_ends_where_the_person_or_something_else_moves(
     moved[0, 3] = 0.06
     for motion, pose in ((None, moved), (rest, PALM)):
         start_detour(mapper, start, human_q)
-        _, old, *_ = mapper.point_ik.__getstate__()[-1]
+        ((_, old, *_),) = mapper.point_ik.__getstate__()[-1]
         if motion is not None:
             mapper.motion = motion
         step = mapper.map_step(human_q, pose)
         # A new one may begin at once, towards the targets of this sample.
-        via, points, *_ = mapper.point_ik.__getstate__()[-1] or (None, None)
+        ((via, points, *_),) = mapper.point_ik.__getstate__()[-1] or [(None, None)]
         if via is not None:
             there = points - old
             there = there + (step.ik.wrist - step.wrist_target)[:3, 3]
@@ -266,5 +265,5 @@ def test_a_detour_leaves_an_arm_to_its_wrist() -> None:
     robot = mapper.robot
     assert robot.spec.arm is not None
     arm = robot.spec.arm.rest
-    pulls = Detours(mapper.point_ik)._is_finger
+    (pulls,) = robot.finger_joints
     assert pulls.tolist() == [name not in arm for name in robot.joint_names]

@@ -102,6 +102,43 @@ def test_hands_on_arms_of_their_own_move_as_if_alone(
     assert len(names) == 44
 
 
+def on_detours(mapper: HandMapper | RobotMapper) -> list[bool]:
+    """Return whether each hand is on a detour."""
+    return [via is not None for via, *_ in mapper.point_ik.__getstate__()[-1]]
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_each_hand_takes_the_detours_that_it_takes_alone(
+    pair: Robot, formulation: str
+) -> None:
+    ik = PRESET.ik.replaced(formulation=formulation, max_iterations=1)
+    mapper = RobotMapper(pair, HUMANS, "teleoperation", ik=ik, turns_in=np.inf)
+    alone = {
+        side: HandMapper(HUMANS[side], pair.hands[side], "teleoperation", ik=ik)
+        for side in SIDES
+    }
+    _, wrists = motion(0, apart=1.0)
+    rng = np.random.default_rng(4)
+    taken = np.zeros(2, dtype=int)
+    q: dict[Side, np.ndarray] = {}
+    for i in range(200):
+        if i % 25 == 0:
+            q = {
+                side: rng.uniform(human.lower_limits, human.upper_limits)
+                for side, human in HUMANS.items()
+            }
+        mapper.map_step(q, wrists, dt=DT)
+        is_on = []
+        for side, other in alone.items():
+            other.map_step(q[side], wrists[side], dt=DT)
+            is_on += on_detours(other)
+        if i and any(is_on) and not taken.any():
+            assert on_detours(copy.deepcopy(mapper)) == is_on
+        taken += is_on
+        assert on_detours(mapper) == is_on
+    assert taken.all()
+
+
 def test_a_robot_with_one_hand_is_a_hand_on_an_arm(g1: Robot) -> None:
     hand = g1.hands["left"]
     robot = Robot("one", {"left": hand})
