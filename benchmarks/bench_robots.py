@@ -7,10 +7,10 @@ Recordings are those of a left and a right hand with one name, and `meeting hand
 from 285 mm to 60 mm apart and back while the fingers open and close. `palms` is by how much the
 distance of the robot's palms differs from the person's while these are within 200 mm of each other.
 `overlap` is the largest one of left hand, right hand and body, as `overlap.py` measures it. `d`
-columns are each hand's figures minus those of the same hand without an arm, where the person's
-palms are farther apart: correlation of the extensions, direction of the fingers [deg], closed
-pinches; the worse hand counts. `cost` is the CPU time of a step over that of one hand without an
-arm, measured in turns.
+columns are each hand's figures minus those of the same hand without an arm, of the robot's own
+description, where the person's palms are farther apart: correlation of the extensions, direction
+of the fingers [deg], closed pinches; the worse hand counts. `cost` is the CPU time of a step over
+that of one hand without an arm, measured in turns.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import shared_hands
+from msgspec.structs import replace
 from overlap import OverlapMeter
 
 from handmap_qp import Hand, HandMapper, Recording, load_hand, read_recording
@@ -32,24 +32,24 @@ from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
-from handmap_qp.hands.robot import Robot, load_robot
+from handmap_qp.hands.robot import (
+    Robot,
+    load_robot,
+    read_hands,
+    read_robot_spec,
+    robot_files,
+)
 from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.sources import read_urdf
+from handmap_qp.hands.spec import HandSpec, Side
+from handmap_qp.hands.urdf import cut_subtree, joints_by_name, parse_urdf
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.se3 import lengths, transform_points
 
-BARE: dict[str, dict[Side, str]] = {
-    "g1": {"left": "g1_left", "right": "g1_right"},
-    "ur5_pair": {"left": "allegro_left", "right": "allegro_right"},
-    "panda_pair": {"left": "leap_left", "right": "leap_right"},
-    "romeo": {"left": "romeo_left", "right": "romeo_right"},
-    "tiago_dual": {"left": "hey5", "right": "hey5"},
-    "alex": {},
-}
-"""The same hands without arms; none are described for Alex, and Hey5 is a right hand."""
+ROBOTS = "g1", "ur5_pair", "panda_pair", "romeo", "tiago_dual", "alex"
 _FIGURES = (
     ("extension", "extension_correlation"),
     ("direction", "finger_direction_deg"),
@@ -102,9 +102,9 @@ def measure(name: str, robot: Robot, hands: Hands, alignment: str) -> dict[str, 
     humans = {side: scaled_human(each) for side, each in hands.items()}
     tracked = {side: human.with_points("landmarks") for side, human in humans.items()}
     mapper = RobotMapper(robot, tracked, method, ik=preset.ik)
-    bare = {side: load(name) for side, name in BARE[name].items()}
-    side = next(iter(bare), "right")
-    single = HandMapper(tracked[side], bare.get(side) or load_hand("allegro_right"))
+    bare = without_arms(name)
+    side = next(iter(bare))
+    single = HandMapper(tracked[side], bare[side])
     meter = overlap_meter(mapper)
     count = min(map(len, hands.values()))
     both = np.all([each.valid[:count] for each in hands.values()], axis=0)
@@ -150,7 +150,7 @@ def measure(name: str, robot: Robot, hands: Hands, alignment: str) -> dict[str, 
     for short, _ in _FIGURES:
         values = [change[short] for change in changes]
         worst = max if short == "direction" else min
-        row[f"d {short}"] = worst(values) if values else np.nan
+        row[f"d {short}"] = worst(values)
     two, one = np.median(costs, axis=0)
     row["step_us"] = 1e6 * two
     row["cost"] = two / one
@@ -199,9 +199,28 @@ def changed(
     return {short: found[0][key] - found[1][key] for short, key in _FIGURES}
 
 
-def load(name: str) -> Hand:
-    """Load a hand by name."""
-    return shared_hands.load(name)
+def without_arms(name: str) -> dict[Side, Hand]:
+    """Load the hands of a robot without their arms."""
+    specs = read_hands(read_robot_spec(robot_files()[name]))
+    return {
+        side: load_hand(without_arm(spec), mount="floating")
+        for side, spec in specs.items()
+    }
+
+
+def without_arm(spec: HandSpec) -> HandSpec:
+    """Return the description of a hand without its arm: what hangs from its wrist."""
+    if spec.arm is not None:
+        return replace(spec, arm=None)
+    tree = parse_urdf(read_urdf(spec))
+    cut_subtree(tree, spec.wrist.link)
+    joints = joints_by_name(tree)
+    keys = "rest", "locked", "limits", "mimic"
+    kept = {
+        key: {name: at for name, at in getattr(spec, key).items() if name in joints}
+        for key in keys
+    }
+    return replace(spec, root=spec.wrist.link, joints=(*kept["rest"],), **kept)
 
 
 def draw(rows: list[dict[str, Any]]) -> Any:
@@ -219,7 +238,7 @@ def draw(rows: list[dict[str, Any]]) -> Any:
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     parser = common.make_parser("Both hands of a person on one robot.")
-    parser.add_argument("--robots", nargs="+", default=[*BARE], choices=[*BARE])
+    parser.add_argument("--robots", nargs="+", default=ROBOTS, choices=ROBOTS)
     arguments: argparse.Namespace = common.parse_arguments(parser, words)
     pairs = [("world", meeting_hands())]
     if arguments.quick:
