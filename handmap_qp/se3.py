@@ -26,6 +26,8 @@ from handmap_qp.errors import InvalidInputError, describe_value, expect
 
 Array = np.ndarray
 """An array of floats, where nothing else is said."""
+Arrays = dict[str, Array]
+"""Arrays by name."""
 QuatOrder = Literal["wxyz", "xyzw"]
 
 # A rotation that came through float32 is orthogonal to about 1e-6; beyond 1e-3 a matrix is not

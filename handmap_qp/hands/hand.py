@@ -7,7 +7,7 @@ by name; `joint_names` is the order of every `q` of the API, and only this file 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from functools import cached_property, partial
 from typing import Any
@@ -17,7 +17,15 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import HandError, InvalidInputError, expect
-from handmap_qp.se3 import Array, PoseLike, affine, as_floats, check_pose, frozen
+from handmap_qp.se3 import (
+    Array,
+    Arrays,
+    PoseLike,
+    affine,
+    as_floats,
+    check_pose,
+    frozen,
+)
 from .configuration import Configuration, moved_by
 from .human import CONTACT_GAP, JointMove
 from .model import (
@@ -273,7 +281,7 @@ class Hand:
     def with_joints(
         self,
         moves: dict[str, JointMove],
-        stretches: Mapping[str, Array],
+        stretches: Arrays,
         compose: Callable[[], str],
     ) -> Hand:
         """Return the same hand with joints in other places, without reading a URDF.

@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from handmap_qp.errors import HandError, expect
-from handmap_qp.se3 import Array, as_floats, frozen
+from handmap_qp.se3 import Array, Arrays, as_floats, frozen
 from .sources import urdf_directory
 from .spec import Names
 from .urdf import (
@@ -198,7 +198,7 @@ def joint_moves(
     return moves
 
 
-def shape_stretches(old: HumanLengths, new: HumanLengths) -> dict[str, Array]:
+def shape_stretches(old: HumanLengths, new: HumanLengths) -> Arrays:
     """Return factors on the shapes of the fingers' bones when a hand is scaled to a person.
 
     Args:

@@ -38,7 +38,7 @@ from handmap_qp.hands import Hand, Names
 from handmap_qp.human import Finding, Rule, Verdict
 from handmap_qp.ik import WRIST_LEVERS, IkOptions, IkResult, Status, Task, wrist_error
 from handmap_qp.options import Options
-from handmap_qp.se3 import Array, lengths, transform_points
+from handmap_qp.se3 import Array, Arrays, lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
@@ -100,11 +100,11 @@ class Diagnostics(Mapping[str, Array]):
         parts: Its arguments.
     """
 
-    compute: Callable[..., dict[str, Array]]
+    compute: Callable[..., Arrays]
     parts: Sequence[Any]
 
     @cached_property
-    def _results(self) -> dict[str, Array]:
+    def _results(self) -> Arrays:
         return self.compute(*self.parts)
 
     def __getitem__(self, name: str) -> Array:

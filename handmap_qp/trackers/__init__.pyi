@@ -7,7 +7,6 @@ from .formats import list_sources as list_sources
 from .formats import read_hands as read_hands
 from .formats import read_recording as read_recording
 from .formats import write_recordings as write_recordings
-from .formats.archive import Arrays as Arrays
 from .formats.archive import NpzFormat as NpzFormat
 from .formats.archive import read_archive as read_archive
 from .formats.archive import save_npz as save_npz

@@ -19,7 +19,7 @@ import numpy as np
 
 from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands import Hand, Names
-from handmap_qp.se3 import Array, unit
+from handmap_qp.se3 import Array, Arrays, unit
 from handmap_qp.trackers import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
@@ -172,7 +172,7 @@ def _episodes(
 
 
 def _episode(
-    pairs: Sequence[tuple[Line, dict[str, Array]]], fps: float, hands: Robots
+    pairs: Sequence[tuple[Line, Arrays]], fps: float, hands: Robots
 ) -> Episode:
     """Put the hands of one recording side by side, at a fixed rate."""
     by_side = {line.side: columns for line, columns in pairs}
@@ -200,7 +200,7 @@ def _episode(
     )
 
 
-def _resampled(columns: dict[str, Array], instants: Array) -> tuple[Array, Array]:
+def _resampled(columns: Arrays, instants: Array) -> tuple[Array, Array]:
     """Interpolate joints and wrists; a frame is valid between two valid samples."""
     time = columns["time"]
 

@@ -32,10 +32,9 @@ from handmap_qp.hands import FINGERS, Hand, Values, load_whole
 from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
-from handmap_qp.se3 import Array, lengths
+from handmap_qp.se3 import Arrays, lengths
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import (
-    Arrays,
     check_recording,
     read_archive,
     read_hands,
@@ -249,7 +248,7 @@ def save_episode(file: Path, columns: Arrays) -> str:
     return sha256(archive.getbuffer()).hexdigest()
 
 
-def read_episode(folder: Path, line: Line) -> dict[str, Array]:
+def read_episode(folder: Path, line: Line) -> Arrays:
     """Verify an episode, and read what a data set for training needs of it.
 
     Args:

@@ -21,8 +21,8 @@ from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands import load_whole
 from handmap_qp.human import Recording
 from handmap_qp.output_files import make_folder, replaced_file
-from handmap_qp.se3 import Array
-from handmap_qp.trackers import Arrays, read_archive, read_recording
+from handmap_qp.se3 import Array, Arrays
+from handmap_qp.trackers import read_archive, read_recording
 from .episodes import MEASURES
 from .manifest import Line, read_manifests
 

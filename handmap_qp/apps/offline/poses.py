@@ -10,7 +10,7 @@ import numpy as np
 
 from handmap_qp.hands import FINGERS
 from handmap_qp.human import Recording, tip_gaps
-from handmap_qp.se3 import Array, as_floats, lengths
+from handmap_qp.se3 import Array, Arrays, as_floats, lengths
 
 STRAIGHT = 60.0
 """A finger whose bones turn by less than this from wrist to tip is straight [deg]."""
@@ -88,7 +88,7 @@ POSES = (
 """Names of the poses, in the order of every result."""
 
 
-def _scores(posture: Posture) -> dict[str, Array]:
+def _scores(posture: Posture) -> Arrays:
     """Return how clearly every sample shows each of `POSES`, shape (T,); 0 where it does not."""
     flexion, gaps, spread = posture
     most = flexion.max(axis=1)

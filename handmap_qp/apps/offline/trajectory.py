@@ -20,7 +20,7 @@ from handmap_qp.human import (
     sample_columns,
 )
 from handmap_qp.mapping import HandMapper, MapStep
-from handmap_qp.se3 import Array, lengths
+from handmap_qp.se3 import Array, Arrays, lengths
 from handmap_qp.stream import RULE_NAMES, STATUS_NAMES, Follower, StepTable
 
 Told = Callable[[int], None] | None
@@ -79,7 +79,7 @@ class Trajectory:
         return float(outside.max(initial=0.0))
 
     @property
-    def columns(self) -> dict[str, Array]:
+    def columns(self) -> Arrays:
         """Plain arrays by name, without those that follow from them and the robot; rad and m."""
         robot = self.robot
         arrays = vars(self).copy()
@@ -91,7 +91,7 @@ class Trajectory:
         }
 
     @property
-    def all_columns(self) -> dict[str, Array]:
+    def all_columns(self) -> Arrays:
         """Plain arrays by name, as written to a file of one recording; rad and m."""
         robot = self.robot
         return self.columns | {

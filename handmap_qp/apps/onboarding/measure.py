@@ -26,7 +26,7 @@ from handmap_qp.hands import (
 )
 from handmap_qp.human import human_name, upright_axes
 from handmap_qp.mapping import HandMapper, MapStep, rotation_onto
-from handmap_qp.se3 import Array, affine, lengths, unit
+from handmap_qp.se3 import Array, Arrays, affine, lengths, unit
 from handmap_qp.trackers import first_of
 from .anatomy import angle_between
 from .collision_pairs import joined_notes
@@ -331,7 +331,7 @@ def gestures(human: Hand) -> Array:
     return np.vstack([spread, flat + bends[:, fingers] * (fist - flat)])
 
 
-def standard_postures(human: Hand) -> dict[str, Array]:
+def standard_postures(human: Hand) -> Arrays:
     """Return common postures of the human hand, inside its limits [rad], shape (20,) each."""
 
     def posture(*flexions: float, spread: float = 1.0) -> Array:

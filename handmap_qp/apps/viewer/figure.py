@@ -27,6 +27,7 @@ from handmap_qp.human import TIPS
 from handmap_qp.mapping import polar
 from handmap_qp.se3 import (
     Array,
+    Arrays,
     inverse_pose,
     mirror_sign,
     quat_wxyz_from_rotation,
@@ -304,7 +305,7 @@ class HandFigure(Figure):
         self._tips = joined(hand.name, *tips)
         self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
         self._links: Values = {}
-        self._corners: dict[str, Array] = {}
+        self._corners: Arrays = {}
         for link, meshes in link_meshes(hand).items():
             path = f"/{node}/body/{link}"
             self._links[link] = server.scene.add_frame(path, show_axes=False)

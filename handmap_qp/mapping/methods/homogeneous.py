@@ -37,7 +37,7 @@ from handmap_qp.mapping import (
 )
 from handmap_qp.mapping.decomposition import about, polar
 from handmap_qp.options import NotNegative, Share, number
-from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
+from handmap_qp.se3 import Array, Arrays, affine, frozen, inverse_pose, transform_points
 
 
 class Homogeneous(AlignedOptions, frozen=True):
@@ -333,7 +333,7 @@ def _results(
     rigid_image: Array,
     image: Array,
     stretches: Array,
-) -> dict[str, Array]:
+) -> Arrays:
     """Return the results of one sample; see `Diagnostics`. T_def has clamping and gain."""
     return {
         "motion": estimate.motion,

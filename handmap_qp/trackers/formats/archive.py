@@ -6,7 +6,7 @@ nothing in it is unpickled.
 
 import warnings
 import zipfile
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Names, Values
 from handmap_qp.human import Recording
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import Array
+from handmap_qp.se3 import Arrays
 from .base import (
     COLUMNS,
     SIDES,
@@ -31,8 +31,6 @@ from .base import (
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
-Arrays = Mapping[str, Array]
-"""Arrays of a file by their names."""
 _KNOWN = (*COLUMNS, *WORDS, "wrist_pose")
 
 
@@ -86,7 +84,7 @@ class NpzFormat(RecordingFormat):
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand or both."""
         self.check_one_per_hand(recordings)
-        arrays: dict[str, Array] = {}
+        arrays: Arrays = {}
         for recording in recordings:
             prefix = f"{recording.side}_" if len(recordings) > 1 else ""
             own = {name: getattr(recording, name) for name in (*COLUMNS, *WORDS)}
@@ -123,7 +121,7 @@ def member_names(file: Path) -> set[str]:
         return set(members)
 
 
-def read_archive(file: Path, names: Container[str] | None = None) -> dict[str, Array]:
+def read_archive(file: Path, names: Container[str] | None = None) -> Arrays:
     """Read arrays of an `.npz` file.
 
     Args:

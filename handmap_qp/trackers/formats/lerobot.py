@@ -22,7 +22,7 @@ from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands import Names, Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
-from handmap_qp.se3 import Array
+from handmap_qp.se3 import Array, Arrays
 from .base import (
     COLUMNS,
     WORDS,
@@ -190,7 +190,7 @@ class LeRobotWriter:
 
     def add(
         self,
-        columns: Mapping[str, Array],
+        columns: Arrays,
         task: str,
         about: Mapping[str, Any] | None = None,
     ) -> None:
@@ -245,7 +245,7 @@ class LeRobotWriter:
         if len(self._episodes) >= _ROW_GROUP:
             self._write_episodes()
 
-    def _write_frames(self, values: Mapping[str, Array]) -> None:
+    def _write_frames(self, values: Arrays) -> None:
         """Write an episode as a row group of its own, so that it is found without the others."""
         lists = self._pa.FixedSizeListArray
         arrays = {}
@@ -330,7 +330,7 @@ class LeRobotWriter:
             writer.is_open = False
 
 
-Stats = dict[str, Array]
+Stats = Arrays
 """Statistics of a column by the names that LeRobot gives them, shape (n,); `count` is (1,)."""
 
 

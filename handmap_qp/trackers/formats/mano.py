@@ -16,9 +16,8 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.human import LANDMARK_COUNT, Recording
-from handmap_qp.se3 import Array, affine, as_floats, transform_points
+from handmap_qp.se3 import Array, Arrays, affine, as_floats, transform_points
 from .archive import (
-    Arrays,
     member_names,
     read_archive,
     save_npz,

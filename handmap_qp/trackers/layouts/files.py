@@ -11,8 +11,8 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import HumanLengths, Side
 from handmap_qp.human import LANDMARK_COUNT, Recording
-from handmap_qp.se3 import Array
-from handmap_qp.trackers.formats.archive import Arrays, read_archive
+from handmap_qp.se3 import Array, Arrays
+from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.formats.base import SIDES, reading, side_of
 from handmap_qp.trackers.formats.csv_files import numbers, opened_table
 from handmap_qp.trackers.plausibility import examine_recording
