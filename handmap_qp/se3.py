@@ -71,7 +71,7 @@ def affine(linear: Array, translation: ArrayLike = 0.0) -> Array:
 def transform_points(motion: Array, points: Array) -> Array:
     """Apply a pose or a motion (..., 4, 4) to points [m], shape (..., n, 3) or (3,)."""
     origin = motion[..., :3, 3] if points.ndim == 1 else motion[..., None, :3, 3]
-    return points @ motion[..., :3, :3].swapaxes(-1, -2) + origin
+    return points @ motion[..., :3, :3].mT + origin
 
 
 def lengths(vectors: Array) -> Array:
@@ -86,7 +86,7 @@ def unit(vectors: Array) -> Array:
 
 def inverse_pose(pose: Array) -> Array:
     """Return `pose_ba` of `pose_ab`, shape (..., 4, 4)."""
-    rotation = pose[..., :3, :3].swapaxes(-1, -2)
+    rotation = pose[..., :3, :3].mT
     return affine(rotation, -(rotation @ pose[..., :3, 3:])[..., 0])
 
 
@@ -119,9 +119,9 @@ def rigid_fit(points: Array, onto: Array) -> Array:
     """
     centre = points.mean(axis=-2, keepdims=True)
     centre_onto = onto.mean(axis=-2, keepdims=True)
-    covariance = (onto - centre_onto).swapaxes(-1, -2) @ (points - centre)
+    covariance = (onto - centre_onto).mT @ (points - centre)
     rotation = nearest_rotation(covariance)
-    shift = centre_onto - centre @ rotation.swapaxes(-1, -2)
+    shift = centre_onto - centre @ rotation.mT
     return affine(rotation, shift[..., 0, :])
 
 
@@ -286,7 +286,7 @@ def _measure(poses: Array) -> tuple[Array, ...]:
     is_placed = (np.abs(poses[..., :3, :]) <= FARTHEST).all(axis=(-2, -1))
     is_placed &= (poses[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all(axis=-1)
     turns = np.where(is_placed[..., None, None], poses[..., :3, :3], 0.0)
-    products = turns.swapaxes(-1, -2) @ turns
+    products = turns.mT @ turns
     defects = np.abs(products - np.eye(3)).max(axis=(-2, -1))
     volumes = np.linalg.det(turns)
     is_pose = is_placed & (defects <= _ROTATION_TOLERANCE) & (volumes > 0.0)

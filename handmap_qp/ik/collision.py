@@ -306,7 +306,7 @@ class ShapeDistances:
         turned = first[..., :3] @ normals
         begins = first[..., :3] @ points + first[..., 3:]
         ends = second[..., :3] @ (points + apart * normals) + second[..., 3:]
-        gaps = turned.swapaxes(-1, -2) @ (ends - begins)
+        gaps = turned.mT @ (ends - begins)
         return NearPairs(pairs, np.hstack([gaps, turned, ends])[..., 0])
 
 

@@ -56,7 +56,7 @@ class PolarFactors(NamedTuple):
     def stretch(self, stretches: Array | None = None) -> Array:
         """Return the symmetric factor U, shape (..., 3, 3), or U with other eigenvalues."""
         values = self.stretches if stretches is None else stretches
-        return (self.axes * values[..., None, :]) @ self.axes.swapaxes(-1, -2)
+        return (self.axes * values[..., None, :]) @ self.axes.mT
 
 
 def polar(linear: Array) -> PolarFactors:

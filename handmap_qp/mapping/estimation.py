@@ -59,7 +59,7 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
     def residual_vectors(self) -> Array:
         """`y_k - T x_k` for every point [m], shape (..., n, 3)."""
         after = self.points_after - self.centroid_after[..., None, :]
-        return after - self.centred_before @ self.linear.swapaxes(-1, -2)
+        return after - self.centred_before @ self.linear.mT
 
     @property
     def residual_norms(self) -> Array:
@@ -167,10 +167,10 @@ class MotionEstimator:
             The estimate.
         """
         moments = self.moments @ points_after
-        linear = moments[..., :3, :].swapaxes(-1, -2)
+        linear = moments[..., :3, :].mT
         if self.ridge != 0.0:
             if prior is None:
-                prior = nearest_rotation(moments[..., 3:6, :].swapaxes(-1, -2))
+                prior = nearest_rotation(moments[..., 3:6, :].mT)
             linear = linear + prior @ self.prior_gain
         return self.estimate_of(linear, moments[..., 6, :], points_after)
 

@@ -136,7 +136,7 @@ def _mean_relative(palms: Array, rotations: Array) -> tuple[Array, Array]:
     Steady means that the means of both halves of the samples agree: the cosine of the angle between
     them. Noise of the landmarks cancels in the means.
     """
-    relative = palms.swapaxes(1, 2) @ rotations
+    relative = palms.mT @ rotations
     half = len(palms) // 2
     # Both halves of a single sample are that sample.
     parts = relative, relative[: half or 1], relative[half:]
@@ -168,7 +168,7 @@ def _usual_mistake(palms: Array, rotations: Array) -> str:
         for name, roll in _ROLLS.items():
             rolled = Rotation.from_quat(np.roll(xyzw, roll, axis=1))
             tried.append((name, rolled.as_matrix()))
-    for name, others in (*tried, ("its inverse", rotations.swapaxes(1, 2))):
+    for name, others in (*tried, ("its inverse", rotations.mT)):
         mean, steadiness = _mean_relative(palms, others)
         is_known = _cosine(CONVENTIONS, mean) > _FARTHEST
         if steadiness > _STEADY and is_known.any():

@@ -221,7 +221,7 @@ def _rasterise(vertices: Array, camera: Camera) -> _Surface:
     # y points down, so a counter-clockwise triangle has a negative area in the picture.
     is_seen = (depths > _NEAR).all(axis=1) & (np.linalg.det(flat) < 0.0)
     seen = np.flatnonzero(is_seen)
-    planes = np.linalg.inv(flat[seen]).swapaxes(1, 2)
+    planes = np.linalg.inv(flat[seen]).mT
     nearness = np.einsum("nc,ncj->nj", 1.0 / depths[seen], planes)
     nearest = np.zeros(width * height)
     front = np.zeros(width * height, dtype=int)

@@ -204,7 +204,7 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
     r1, s1, c1 = _object_motion(human)
     r2, s2, c2 = _object_motion(robot)
     return {
-        "object_rotation_deg": np.degrees(_turns(r1.swapaxes(1, 2) @ r2)).mean(),
+        "object_rotation_deg": np.degrees(_turns(r1.mT @ r2)).mean(),
         "object_stretch": np.linalg.norm(s1 - s2, axis=(1, 2)).mean(),
         "object_translation_mm": _distance_mm(c1, c2),
     }
