@@ -16,8 +16,8 @@ from pathlib import Path
 from time import process_time
 from typing import Annotated, Literal
 
-import tyro
 from msgspec import structs
+from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
 from handmap_qp.apps.offline.look_ahead import LookAhead
@@ -72,16 +72,14 @@ class Batch:
         arguments: Reference points and options.
     """
 
-    inputs: tyro.conf.Positional[
-        Annotated[tuple[Path, ...], hinted("INPUT...", "(required)")]
-    ]
-    robot: Annotated[Names, tyro.conf.arg(metavar="HAND [HAND]")]
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    inputs: Positional[Annotated[tuple[Path, ...], hinted("INPUT...", "(required)")]]
+    robot: Annotated[Names, arg(metavar="HAND [HAND]")]
+    out: Annotated[Path, arg(metavar="DIR")]
     format: Literal["npz", "lerobot", "robomimic"] = "npz"
     fps: float = 30.0
     look_ahead: bool = False
     workers: Annotated[
-        int | None, tyro.conf.arg(help_behavior_hint="(default: one for each CPU)")
+        int | None, arg(help_behavior_hint="(default: one for each CPU)")
     ] = None
     engine: Literal["pool", "ray"] = "pool"
     shard: Annotated[str | None, hinted("I/N", "(default: everything)")] = None

@@ -6,7 +6,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
+from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import check_names, hinted
 from handmap_qp.errors import expect
@@ -52,12 +52,10 @@ class Convert:
         json: Print one JSON object.
     """
 
-    paths: tyro.conf.Positional[
-        Annotated[tuple[Path, ...], hinted("IN... OUT", "(required)")]
-    ]
+    paths: Positional[Annotated[tuple[Path, ...], hinted("IN... OUT", "(required)")]]
     format: Annotated[
         str | None,
-        tyro.conf.arg(
+        arg(
             metavar=f"{{{','.join(FORMATS)}}}",
             help_behavior_hint="(default: by the suffix of OUT)",
         ),

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
-import tyro
 from scipy.stats import rankdata
+from tyro.conf import Positional, arg
 
 from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
@@ -59,7 +59,7 @@ class Report:
         json: Print one JSON object.
     """
 
-    folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DIR")]]
+    folder: Positional[Annotated[Path, arg(metavar="DIR")]]
     keep: float = 0.95
     worst: int = 10
     pictures: bool = True

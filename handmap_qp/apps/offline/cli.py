@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import tyro
+from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import (
     InputArguments,
@@ -65,7 +65,7 @@ class Map:
         arguments: Reference points and options.
     """
 
-    recordings: tyro.conf.Positional[
+    recordings: Positional[
         Annotated[
             tuple[Path, ...],
             hinted("RECORDING [RECORDING]", "(required)"),
@@ -178,7 +178,7 @@ class Align:
         inputs: How the recording is to be read.
     """
 
-    recording: tyro.conf.Positional[Annotated[Path, hinted("RECORDING", "(required)")]]
+    recording: Positional[Annotated[Path, hinted("RECORDING", "(required)")]]
     at: tuple[float, float, float, float]
     inputs: InputFlags = field(default_factory=InputArguments)
 
@@ -223,7 +223,7 @@ class Calibrate:
     """
 
     recordings: Recordings
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("person.yaml")
+    out: Annotated[Path, arg(metavar="FILE.yaml")] = Path("person.yaml")
     overwrite: bool = False
     json: bool = False
     inputs: InputFlags = field(default_factory=InputArguments)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-import tyro
+from tyro.conf import arg
 
 import handmap_qp
 from handmap_qp.apps.arguments import (
@@ -110,7 +110,7 @@ class Compare:
         Path | None,
         hinted("FOLDER", "(default: benchmarks/peers of the checkout)"),
     ] = None
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     person: PersonFile = None
     json: bool = False
     inputs: InputFlags = field(default_factory=InputArguments)

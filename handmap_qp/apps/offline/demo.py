@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-import tyro
+from tyro.conf import arg
 
 from handmap_qp.apps.arguments import HandName, MappingArguments
 from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
@@ -56,7 +56,7 @@ class Demo:
     """
 
     robot: HandName = "three_finger"
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("demo")
+    out: Annotated[Path, arg(metavar="FOLDER")] = Path("demo")
 
     def run(self) -> None:
         """Run the demo, and print its errors and files."""

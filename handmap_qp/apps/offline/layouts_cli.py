@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from tyro.conf import Positional
 
 from handmap_qp.apps.arguments import hinted
 from handmap_qp.apps.drawing import save_layout_picture
@@ -36,7 +36,7 @@ class Layouts:
         json: Print JSON instead of tables.
     """
 
-    layout: tyro.conf.Positional[
+    layout: Positional[
         Annotated[
             str | None,
             hinted("[LAYOUT]", "(default: list all)"),

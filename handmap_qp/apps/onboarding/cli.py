@@ -8,7 +8,7 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-import tyro
+from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import HandName, InputArguments, hinted
 from handmap_qp.apps.tables import (
@@ -53,14 +53,14 @@ from .write import RobotSource, check_free, open_source, write_hand, write_robot
 
 OwnName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
 """Name of the hand that is written."""
-RobotName = Annotated[str, tyro.conf.arg(metavar="ROBOT")]
+RobotName = Annotated[str, arg(metavar="ROBOT")]
 """Name of a robot of the package, or path of a robot.yaml."""
 PictureFile = Annotated[
     Path | None,
     hinted("FILE", "(default: beside the description; none for one of the package)"),
 ]
 """Picture of what is checked."""
-OutFile = Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")]
+OutFile = Annotated[Path, arg(metavar="FILE.yaml")]
 """The hand.yaml to write."""
 # Links that stand on the base of a composed robot.
 _BASES = f"joint/parent[@link='{BASE}']/../child"
@@ -238,7 +238,7 @@ class HandsShow:
         json: Print JSON instead of tables.
     """
 
-    hand: tyro.conf.Positional[HandName]
+    hand: Positional[HandName]
     json: bool = False
 
     def run(self) -> None:
@@ -281,7 +281,7 @@ class HandsInit:
         json: Print one JSON object instead of tables.
     """
 
-    urdf: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROBOT")]]
+    urdf: Positional[Annotated[Path, arg(metavar="ROBOT")]]
     root: Annotated[str | None, hinted("LINK", "(default: the root of the URDF)")] = (
         None
     )
@@ -373,7 +373,7 @@ class HandsMigrate:
         overwrite: Replace the file if it exists.
     """
 
-    config: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG.yml")]]
+    config: Positional[Annotated[Path, arg(metavar="CONFIG.yml")]]
     urdf: Annotated[
         Path | None,
         hinted("ROBOT.urdf", "(default: as the configuration says, from its folder)"),
@@ -418,7 +418,7 @@ class HandsCheck:
         json: Print one JSON object instead of tables.
     """
 
-    hand: tyro.conf.Positional[HandName]
+    hand: Positional[HandName]
     picture: PictureFile = None
     motion: bool = True
     json: bool = False
@@ -453,7 +453,7 @@ class HandsMatch:
         json: Print one JSON object instead of a table.
     """
 
-    hand: tyro.conf.Positional[HandName]
+    hand: Positional[HandName]
     human_length: Annotated[
         float | None, hinted("METRES", "(default: the standard hand's)")
     ] = None
@@ -523,7 +523,7 @@ class RobotsShow:
         json: Print JSON instead of tables.
     """
 
-    robot: tyro.conf.Positional[RobotName]
+    robot: Positional[RobotName]
     json: bool = False
 
     def run(self) -> None:
@@ -550,7 +550,7 @@ class RobotsCheck:
         json: Print one JSON object instead of tables.
     """
 
-    robot: tyro.conf.Positional[RobotName]
+    robot: Positional[RobotName]
     picture: PictureFile = None
     motion: bool = True
     json: bool = False

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import tyro
+from tyro.conf import Positional
 
 from handmap_qp.apps import service
 from handmap_qp.errors import MissingExtraError
@@ -57,7 +57,7 @@ class Keys:
         client: Names of clients.
     """
 
-    folder: tyro.conf.Positional[Path]
+    folder: Positional[Path]
     client: tuple[str, ...] = field(default=("client",))
 
     def run(self) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Self
 
-import tyro
+from tyro.conf import Suppress
 
 from handmap_qp.apps.addresses import bare_host, check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
@@ -74,9 +74,9 @@ class Settings:
     rate: float = 2000.0
     idle: float = 60.0
     simulated_time: bool = False
-    opens: Annotated[float, tyro.conf.Suppress] = 20.0
-    configures: Annotated[float, tyro.conf.Suppress] = 60.0
-    message_size: Annotated[int, tyro.conf.Suppress] = 16384
+    opens: Annotated[float, Suppress] = 20.0
+    configures: Annotated[float, Suppress] = 60.0
+    message_size: Annotated[int, Suppress] = 16384
 
     def checked(self) -> Self:
         """Return the settings with hosts as sockets take them.

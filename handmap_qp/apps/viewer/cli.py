@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from tyro.conf import Positional
 
 from handmap_qp.apps import viewer
 from handmap_qp.apps.addresses import check_port
@@ -79,11 +79,11 @@ class View:
         arguments: Preset, reference points and initial options, for a recording only.
     """
 
-    recording: tyro.conf.Positional[
+    recording: Positional[
         Annotated[Path | None, hinted("[RECORDING]", "(or give --live)")]
     ] = None
     robot: Annotated[str | None, hinted("HAND", "(default: the service's)")] = None
-    other: tyro.conf.Positional[
+    other: Positional[
         Annotated[Path | None, hinted("[RECORDING]", "(of the other hand)")]
     ] = None
     live: Annotated[str | None, hinted("HOST[:PORT]", "(port: 5570)")] = None
