@@ -36,7 +36,7 @@ from .replay import Replay, ReplayViewer
 from .serving import run_frames, serving
 
 if TYPE_CHECKING:
-    import viser
+    from viser import ViserServer
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class View:
             source.close()
 
     @contextlib.contextmanager
-    def _serving(self) -> Iterator[viser.ViserServer]:
+    def _serving(self) -> Iterator[ViserServer]:
         """Serve until Ctrl-C; print the address, and open the browser if requested."""
         with serving(self.host, self.port) as server:
             host = server.get_host()

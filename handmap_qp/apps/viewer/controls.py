@@ -28,7 +28,7 @@ from .sample import Variant, ViewSample
 from .scene import Display, HandScene
 
 if TYPE_CHECKING:
-    import viser
+    from viser import ViserServer
 
 NOTHING = "nothing"
 KEPT = "kept options"
@@ -124,7 +124,7 @@ def _take_changes(controls: dict[str, _Control]) -> Values:
 class DisplayControls:
     """What the scene shows."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, server: ViserServer) -> None:
         self._presses: list[str] = []
         self.follow, self.shape, self.landmarks, self.trails, self.clear = add_controls(
             server.gui, "display", lambda name, _: self._presses.append(name)
@@ -163,7 +163,7 @@ class SteeringControls:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        server: ViserServer,
         choice: Choice,
         presets: Names,
         compared: str | None = None,
@@ -234,7 +234,7 @@ class OptionControls:
 
     handles: Values
 
-    def __init__(self, server: viser.ViserServer, choice: Choice) -> None:
+    def __init__(self, server: ViserServer, choice: Choice) -> None:
         self._gui = server.gui
         tabs = server.gui.add_tab_group()
         self._tab = tabs.add_tab("Mapping")
@@ -355,7 +355,7 @@ class PlayBar:
         time: Current time since the first sample [s].
     """
 
-    def __init__(self, server: viser.ViserServer, duration: float) -> None:
+    def __init__(self, server: ViserServer, duration: float) -> None:
         self.is_playing = True
         self.time = self._written = 0.0
         self._duration = duration
@@ -439,7 +439,7 @@ class Window:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        server: ViserServer,
         human: Hand,
         variants: Sequence[Variant],
         options_text: Callable[[], str],

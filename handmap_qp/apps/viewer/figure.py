@@ -37,7 +37,7 @@ from handmap_qp.trackers import BONES, NEIGHBOURS
 from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
-    import viser
+    from viser import ViserServer
 
 Posture = tuple[Array, Array]
 """Joint angles [rad], shape (n,), and wrist pose, shape (4, 4)."""
@@ -91,7 +91,7 @@ class Figure(ABC):
     part = 0
 
     def __init__(
-        self, server: viser.ViserServer, node: str, colour: Colour, variant: int = 0
+        self, server: ViserServer, node: str, colour: Colour, variant: int = 0
     ) -> None:
         self.variant = variant
         self._frame = server.scene.add_frame(f"/{node}", show_axes=False)
@@ -189,7 +189,7 @@ class Spheres:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        server: ViserServer,
         path: str,
         radius: float,
         colour: Colour,
@@ -219,7 +219,7 @@ class Spheres:
 class Trail:
     """The tips of one hand over the last seconds, in the coordinates of a figure's world."""
 
-    def __init__(self, server: viser.ViserServer, path: str, colour: Colour) -> None:
+    def __init__(self, server: ViserServer, path: str, colour: Colour) -> None:
         # Times [s], tips (n, 3) and the hand's centre (3,) [m], oldest first.
         self._points: list[tuple[float, Array, Array]] = []
         self._lines = _add_lines(server, path, colour, 2.0)
@@ -256,7 +256,7 @@ class Trail:
 class LandmarkFigure(Figure):
     """The landmarks as the tracker gave them, with bones between; hidden at first."""
 
-    def __init__(self, server: viser.ViserServer, node: str) -> None:
+    def __init__(self, server: ViserServer, node: str) -> None:
         super().__init__(server, node, LANDMARK_COLOUR)
         self.is_shown = False
         self._points = Spheres(
@@ -292,7 +292,7 @@ class HandFigure(Figure):
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        server: ViserServer,
         node: str,
         hand: Hand,
         colour: Colour = ROBOT_COLOUR,
@@ -402,7 +402,7 @@ class HumanFigure(HandFigure):
     point_size = 0.08
     whose = "human"
 
-    def __init__(self, server: viser.ViserServer, node: str, hand: Hand) -> None:
+    def __init__(self, server: ViserServer, node: str, hand: Hand) -> None:
         super().__init__(server, node, hand, HUMAN_COLOUR)
         self.shape: Shape = "ellipsoid"
         variances = hand.points(hand.rest).var(axis=0)
@@ -466,7 +466,7 @@ class RobotFigure(HandFigure):
         label: Name of what moves it.
     """
 
-    def __init__(self, server: viser.ViserServer, variant: Variant, index: int) -> None:
+    def __init__(self, server: ViserServer, variant: Variant, index: int) -> None:
         node = f"robot_{index + 1}" if index else "robot"
         super().__init__(server, node, variant.robot, ROBOT_COLOUR, index)
         self.label = ""
@@ -536,9 +536,7 @@ def _merged(shapes: list[LinkShape]) -> list[Any]:
     return [concatenate(plain), *textured] if plain else textured
 
 
-def _add_lines(
-    server: viser.ViserServer, path: str, colour: Colour, thickness: float
-) -> Any:
+def _add_lines(server: ViserServer, path: str, colour: Colour, thickness: float) -> Any:
     """Add line segments [px], whose points are set later."""
     return server.scene.add_line_segments(
         path,

@@ -20,7 +20,7 @@ from .figure import DEFORMATION_COLOUR, TARGET_COLOUR, as_bytes, known
 from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
-    import viser
+    from viser import ViserServer
 
 HUMAN = "#8a8f98"
 FIRST = "#2166d8"
@@ -351,7 +351,7 @@ class Gauges:
     """Numbers, plots and joint bars, where viser adds controls."""
 
     def __init__(
-        self, server: viser.ViserServer, variants: Sequence[Variant], human: Hand
+        self, server: ViserServer, variants: Sequence[Variant], human: Hand
     ) -> None:
         gui = server.gui
         gui.add_html(SCENE_LEGEND)

@@ -15,7 +15,7 @@ from .page import make_page
 from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
-    import viser
+    from viser import ViserServer
 
     from .remote import ServiceSession
 
@@ -51,7 +51,7 @@ class LiveViewer(Window):
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        server: ViserServer,
         source: ServiceSession,
         *,
         patience: float = 10.0,

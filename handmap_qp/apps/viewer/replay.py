@@ -27,7 +27,7 @@ from .page import make_page
 from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
-    import viser
+    from viser import ViserServer
 
 
 class Replay:
@@ -246,7 +246,7 @@ class ReplayViewer(Window):
         steering: Preset, comparison, clutch and options.
     """
 
-    def __init__(self, server: viser.ViserServer, replay: Replay) -> None:
+    def __init__(self, server: ViserServer, replay: Replay) -> None:
         self.server = server
         self.replay = replay
         super().__init__(

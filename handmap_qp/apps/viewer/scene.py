@@ -22,7 +22,7 @@ from .figure import Figure, HumanFigure, LandmarkFigure, RobotFigure, Shape
 from .sample import Variant, ViewSample
 
 if TYPE_CHECKING:
-    import viser
+    from viser import ViserServer
 
 # Between two figures [m].
 _GAP = 0.035
@@ -73,7 +73,7 @@ class HandScene:
     """
 
     def __init__(
-        self, server: viser.ViserServer, human: Hand | None, variants: Sequence[Variant]
+        self, server: ViserServer, human: Hand | None, variants: Sequence[Variant]
     ) -> None:
         self.server = server
         self.display = Display()
@@ -188,7 +188,7 @@ class HandScene:
 class BrowserCameras:
     """The cameras of all connected browsers: they keep the figures in view in every window."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, server: ViserServer) -> None:
         self._server = server
         self._size = np.zeros(3)
         self._views: dict[int, tuple[float, float]] = {}

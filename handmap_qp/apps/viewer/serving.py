@@ -16,7 +16,7 @@ from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import expect, require
 
 if TYPE_CHECKING:
-    import viser
+    from viser import ViserServer
 
 FRAME_PERIOD = 1.0 / 30.0
 """Least time between two frames [s]."""
@@ -25,7 +25,7 @@ _LONGEST_STEP = 0.2
 
 
 @contextmanager
-def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServer]:
+def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[ViserServer]:
     """Run a viser server while the block runs; it prints no banner and refuses foreign pages.
 
     Args:
