@@ -32,6 +32,7 @@ from .library import HUMAN_HANDS as HUMAN_HANDS
 from .library import hand_files as hand_files
 from .library import load_hand as load_hand
 from .library import missing_hands as missing_hands
+from .library import robot_files as robot_files
 from .library import why_missing as why_missing
 from .model import expansion_matrix as expansion_matrix
 from .model import read_mimic_rules as read_mimic_rules
@@ -47,7 +48,6 @@ from .robot import load_robot as load_robot
 from .robot import load_whole as load_whole
 from .robot import read_hands as read_hands
 from .robot import read_robot_spec as read_robot_spec
-from .robot import robot_files as robot_files
 from .shape_pairs import LINK_MARGIN as LINK_MARGIN
 from .shape_pairs import ShapePairs as ShapePairs
 from .shape_pairs import all_pairs as all_pairs

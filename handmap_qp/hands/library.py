@@ -4,7 +4,6 @@
 whose models other packages ship (`urdf/described/<name>.yaml`). Only the human's can be scaled.
 """
 
-from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
@@ -45,6 +44,12 @@ def hand_files() -> dict[str, Path]:
     return own | {
         file.stem: file for file in sorted((folder / "described").glob("*.yaml"))
     }
+
+
+def robot_files() -> dict[str, Path]:
+    """Return the description of every robot of the package, by name."""
+    files = sorted(urdf_directory().glob("*/robot.yaml"))
+    return {file.parent.name: file for file in files}
 
 
 def missing_hands() -> dict[str, str]:
@@ -162,17 +167,11 @@ def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:
     return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths))[0]
 
 
-def find_file(
-    given: str | Path,
-    known: Mapping[str, Path] | None = None,
-    kind: str = "hand",
-    folder: Path = Path(),
-) -> Path:
+def find_file(given: str | Path, kind: str = "hand", folder: Path = Path()) -> Path:
     """Find the `hand.yaml` or `robot.yaml` of a name or path.
 
     Args:
-        given: The name or path.
-        known: Descriptions by name; those of hands if omitted.
+        given: The name or path; that of a robot is found as well, as `read_hand_spec` refuses it.
         kind: `hand` or `robot`.
         folder: Folder at which relative paths start.
 
@@ -180,9 +179,10 @@ def find_file(
         HandError: If there is none.
     """
     name = str(given)
-    known = hand_files() if known is None else known
-    if name in known:
-        return known[name]
+    robots = robot_files()
+    known = robots if kind == "robot" else hand_files()
+    if name in (files := robots | known):
+        return files[name]
     path = folder / given
     if path.suffix in (".yaml", ".yml"):
         return path

@@ -27,9 +27,9 @@ from msgspec.structs import replace
 from handmap_qp.errors import HandError
 from handmap_qp.se3 import affine, rotation_from_rpy
 from .hand import Hand
-from .library import find_file, load_hand
+from .library import find_file, load_hand, robot_files
 from .model import compose_urdf
-from .sources import read_urdf, source_file, urdf_directory, urdf_path
+from .sources import read_urdf, source_file, urdf_path
 from .spec import (
     ORIGIN,
     Document,
@@ -117,12 +117,6 @@ def joined(name: str, *hands: Hand) -> Hand:
     return whole
 
 
-def robot_files() -> dict[str, Path]:
-    """Return the description of every robot of the package, by name."""
-    files = sorted(urdf_directory().glob("*/robot.yaml"))
-    return {file.parent.name: file for file in files}
-
-
 def is_robot(name: str) -> bool:
     """Return whether a name or path is that of a robot, not of a hand."""
     return name in robot_files() or Path(name).name == "robot.yaml"
@@ -167,7 +161,7 @@ def load_robot(robot: str | Path | RobotSpec) -> Robot:
         MissingExtraError: If a URDF lies in a package that is not installed.
     """
     if not isinstance(robot, RobotSpec):
-        robot = read_robot_spec(find_file(robot, robot_files(), "robot"))
+        robot = read_robot_spec(find_file(robot, "robot"))
     specs = read_hands(robot)
     _check_roots(robot, [*specs.values()])
     trees: dict[Any, list[Side]] = {}

@@ -303,10 +303,17 @@ def read_hand_spec(path: Path) -> HandSpec:
     """Read and check a `hand.yaml`; its folder becomes the spec's `directory`.
 
     Raises:
-        HandError: If the file cannot be read, is not YAML, or has a wrong or missing key.
+        HandError: If the file cannot be read, is not YAML, has a wrong or missing key, or is that
+            of a robot.
     """
     file = Path(path)
-    fields = typed(read_document(file) | {"file": str(file)}, _HandFields, file)
+    document = read_document(file)
+    if "hands" in document:
+        problem = f"{document.get('name')} is a robot with hands, not a hand"
+        advice = "give one of the hands that this file names, or a command that takes a robot: "
+        commands = "`handmap robots`, map, view, simulate or batch"
+        raise HandError(f"{problem}: {advice}{commands}", file=file)
+    fields = typed(document | {"file": str(file)}, _HandFields, file)
     return HandSpec(**msgspec.structs.asdict(fields))
 
 

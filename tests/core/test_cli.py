@@ -234,6 +234,8 @@ MISTAKES = {
     "not an npz": ["map", "{recording}", "--robot", "three_finger", "--out", "out.csv"],
     "no recording at all": ["map", "{folder}/hand.txt", "--robot", "three_finger"],
     "unknown hand": ["hands", "show", "tentacle"],
+    "robot as a hand": ["hands", "check", "g1"],
+    "robot to compare": ["compare", "{recording}", "--robot", "g1"],
     "hand as a command": ["hands", "three_finger"],
     "unknown shell": ["--completion", "powershell"],
     "no shell": ["--completion"],

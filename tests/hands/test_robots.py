@@ -129,6 +129,16 @@ def test_a_robot_that_there_is_not_is_answered_with_the_nearest_one() -> None:
         load_robot("rome")
 
 
+@pytest.mark.parametrize("given", ["g1", robot_files()["g1"]])
+def test_a_robot_in_place_of_a_hand_is_answered_with_what_takes_it(
+    given: str | Path,
+) -> None:
+    with pytest.raises(
+        HandError, match=r"g1 is a robot with hands, .*`handmap robots`"
+    ):
+        load_hand(given)
+
+
 def test_arms_of_one_urdf_begin_at_the_same_link(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     right = robot_files()["g1"].with_name("right.yaml")

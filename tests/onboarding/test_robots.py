@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
@@ -71,19 +72,22 @@ def test_one_palm_of_a_robot_is_chosen_by_its_root_or_side() -> None:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder into which `hands init` wrote G1."""
+    """Return the folder into which `hands init` wrote G1, beside a hand that is none of its."""
     folder = tmp_path_factory.mktemp("g1")
-    out = folder / "robot.yaml"
-    assert main(["hands", "init", str(G1), "--name", "g1", "--out", str(out)]) == 0
+    (folder / "hand.yaml").write_text("name: another", encoding="utf-8")
+    with chdir(folder):
+        assert main(["hands", "init", str(G1), "--name", "g1"]) == 0
     return folder
 
 
 def test_it_writes_a_robot_and_its_hands(written: Path) -> None:
     assert {file.name for file in written.iterdir()} == {
+        "hand.yaml",
         "left.yaml",
         "right.yaml",
         "robot.yaml",
     }
+    assert (written / "hand.yaml").read_text(encoding="utf-8") == "name: another"
     robot = load_robot(written / "robot.yaml")
     assert robot.name == "g1"
     assert len(robot.hands["left"].joint_names) == 3 + 2 * 14
@@ -109,7 +113,7 @@ def test_files_that_exist_are_kept(
     written: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = {file.name: file.read_bytes() for file in written.iterdir()}
-    arguments = ["hands", "init", str(G1), "--out", str(written / "hand.yaml")]
+    arguments = ["hands", "init", str(G1), "--out", str(written / "robot.yaml")]
     assert main(arguments) == 2
     assert "robot.yaml exists already" in capsys.readouterr().err
     assert {file.name: file.read_bytes() for file in written.iterdir()} == before
