@@ -21,8 +21,8 @@ Colour = tuple[float, float, float]
 _NEAR = 1e-3
 # Relative difference of distances that rounding makes.
 _ROUNDING = 1e-9
-# Pixels to look at in one go; bounds the memory of a picture.
-_CHUNK = 100_000
+# Rows of triangles, twice, to look at in one go; bounds the memory of a picture.
+_CHUNK = 4_000
 # A pixel may be outside its triangle by this [pixel].
 _TOLERANCE = 1e-6
 
@@ -63,8 +63,8 @@ class Triangles(NamedTuple):
 
     def moved(self, pose: Array) -> Triangles:
         """Return them moved by a pose, shape (4, 4)."""
-        vertices = transform_points(pose, self.vertices)
-        return Triangles(vertices, self.colours, self.normals @ pose[:3, :3].T)
+        turned = self.normals @ pose[:3, :3].T
+        return Triangles(transform_points(pose, self.vertices), self.colours, turned)
 
 
 class Camera(NamedTuple):
@@ -198,15 +198,15 @@ def render(
     if marks is not None:
         surface = _rasterise(marks.vertices, fine)
         shaded = _shaded(marks, surface, fine)
-        is_hidden = surface.depth > solid.depth
-        opacity = np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0) * shaded[..., 3]
+        seen = np.where(surface.depth > solid.depth, _HIDDEN_MARK_OPACITY, 1.0)
+        opacity = seen * shaded[..., 3]
         picture += opacity[..., None] * (shaded - picture)
     width, height = camera.size
-    picture = picture.reshape(height, supersampling, width, supersampling, 4)
-    picture = picture.mean(axis=(1, 3))
+    blocks = picture.reshape(height, supersampling, width, supersampling, 4)
+    picture = blocks.mean(axis=(1, 3))
     # Colours were averaged premultiplied by opacity: divide by it, then apply gamma.
     light = picture[..., :3] / np.maximum(picture[..., 3:], 1e-6)
-    picture[..., :3] = np.clip(light, 0.0, 1.0) ** (1.0 / 2.2)
+    picture[..., :3] = light.clip(0.0, 1.0) ** (1.0 / 2.2)
     return picture
 
 
@@ -219,70 +219,80 @@ def _rasterise(vertices: Array, camera: Camera) -> _Surface:
     flat = corners.copy()
     flat[..., 2] = 1.0
     # y points down, so a counter-clockwise triangle has a negative area in the picture.
-    is_seen = (depths > _NEAR).all(axis=1) & (np.linalg.det(flat) < 0.0)
-    seen = np.flatnonzero(is_seen)
+    is_seen = np.linalg.det(flat) < 0.0
+    seen = np.flatnonzero(is_seen & (depths > _NEAR).all(axis=1))
     planes = np.linalg.inv(flat[seen]).mT
     nearness = np.einsum("nc,ncj->nj", 1.0 / depths[seen], planes)
     nearest = np.zeros(width * height)
     front = np.zeros(width * height, dtype=int)
-    # The pixels in the box around each triangle, row by row.
-    places = corners[seen, :, :2]
-    low = np.ceil(places.min(axis=1) - 0.5).clip(0, camera.size).astype(int)
-    high = np.floor(places.max(axis=1) + 0.5).clip(0, camera.size).astype(int)
-    across, down = (high - low).T
-    ends = np.cumsum(across * down)
-    for start in range(0, ends.max(initial=0), _CHUNK):
-        index = np.arange(start, min(start + _CHUNK, ends[-1]))
-        owner = np.searchsorted(ends, index, side="right")
-        # Counted back from the end of its box.
-        row, column = np.divmod(index - ends[owner], across[owner])
-        row += high[owner, 1]
-        column += low[owner, 0]
-        centres = _centres(column, row)
-        own = planes[owner]
-        shares = np.einsum("kcj,kj->kc", own, centres)
+    low, _, high = np.sort(corners[seen, :, 1]).T
+    lines = _between(low, high, height)
+    for owner, row in np.array_split(lines, 1 + lines.size // _CHUNK, axis=1):
+        # Shares that grow along the row are positive from their zero on, the others up to it.
+        slopes, down, constants = planes[owner].T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            zeros = (down * (row + 0.5) + constants) / -slopes
         # The tolerance assigns a pixel on a shared edge to at least one of its triangles: no holes.
-        is_in = (shares >= -_TOLERANCE * np.abs(own[..., 0])).all(axis=1)
-        owner = owner[is_in]
-        near = (nearness[owner] * centres[is_in]).sum(axis=1)
-        pixel = (row * width + column)[is_in]
+        left = np.where(slopes > 0.0, zeros, 0.0).max(axis=0) - _TOLERANCE
+        right = np.where(slopes < 0.0, zeros, width).min(axis=0) + _TOLERANCE
+        line, column = _between(left, right, width)
+        owner = owner[line]
+        pixel = row[line] * width + column
+        near = (nearness[owner] * _centres(pixel, width)).sum(axis=1)
         np.maximum.at(nearest, pixel, near)
         # Of surfaces that lie in one plane, the last one is in front everywhere.
         is_front = near > nearest[pixel] * (1.0 - _ROUNDING)
         front[pixel[is_front]] = owner[is_front]
     pixels = np.flatnonzero(nearest)
     owner = front[pixels]
-    centres = _centres(pixels % width, pixels // width)
+    centres = _centres(pixels, width)
     shares = np.einsum("kcj,kj->kc", planes[owner], centres)
-    depth = np.full(width * height, np.inf)
-    depth[pixels] = 1.0 / nearest[pixels]
-    return _Surface(pixels, centres, seen[owner], shares, depth.reshape(height, width))
+    depth = np.full((height, width), np.inf)
+    depth.flat[pixels] = 1.0 / nearest[pixels]
+    return _Surface(pixels, centres, seen[owner], shares, depth)
 
 
-def _centres(x: Array, y: Array) -> Array:
-    """Return the centres of pixels as x, y and 1, shape (k, 3)."""
-    return np.column_stack([x + 0.5, y + 0.5, np.ones(len(x))])
+def _between(low: Array, high: Array, size: int) -> Array:
+    """Find the pixels with centres between bounds, along a side of a picture.
+
+    Args:
+        low: Lower bounds [pixel], shape (n,).
+        high: Upper bounds [pixel], shape (n,).
+        size: Number of pixels of that side.
+
+    Returns:
+        Index of the bounds of each pixel, and its own, shape (2, k).
+    """
+    first = np.ceil(low - 0.5).clip(0, size).astype(int)
+    counts = np.floor(high + 0.5).clip(first, size).astype(int) - first
+    owner = np.arange(len(low)).repeat(counts)
+    start = first - counts.cumsum() + counts
+    return np.array([owner, start[owner] + np.arange(len(owner))])
+
+
+def _centres(pixels: Array, width: int) -> Array:
+    """Return the centres of pixels of a picture as x, y and 1, shape (k, 3)."""
+    row, column = np.divmod(pixels, width)
+    return np.column_stack([column + 0.5, row + 0.5, np.ones(len(row))])
 
 
 def _shaded(triangles: Triangles, surface: _Surface, camera: Camera) -> Array:
     """Return linear light and opacity at every pixel, shape (height, width, 4)."""
     width, height = camera.size
     picture = np.zeros((height * width, 4))
-    pixels = surface.pixels
-    triangle = surface.triangle
+    pixels, centres, triangle, shares, _ = surface
     rotation = camera.world_to_camera[:3, :3]
     corners = triangles.normals[triangle] @ rotation.T
-    normals = unit(np.einsum("kc,kcj->kj", surface.shares, corners))
-    rays = surface.centres - (*camera.centre, 1.0 - camera.focal_length)
+    normals = unit(np.einsum("kc,kcj->kj", shares, corners))
+    rays = centres - (*camera.centre, 1.0 - camera.focal_length)
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
     light += _KEY * np.maximum((normals @ _KEY_DIRECTION + 0.2) / 1.2, 0.0)
     light += _FILL * np.maximum(normals @ _FILL_DIRECTION, 0.0)
     halfway = unit(_KEY_DIRECTION - unit(rays))
-    shine = np.maximum((normals * halfway).sum(axis=1), 0.0)
+    shine = (normals * halfway).sum(axis=1).clip(0.0)
     albedo = _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
-    colours = albedo * light[:, None] + _HIGHLIGHT * shine[:, None] ** 40
-    picture[pixels, :3] = colours
+    picture[pixels, :3] = albedo * light[:, None] + _HIGHLIGHT * shine[:, None] ** 40
     picture[pixels, 3] = 1.0
     return picture.reshape(height, width, 4)
 
@@ -294,9 +304,10 @@ def _creases(depth: Array, camera: Camera) -> Array:
     any tilt it is not.
     """
     is_solid = np.isfinite(depth)
-    if not is_solid.any():
+    solid = depth[is_solid]
+    if not len(solid):
         return np.zeros_like(depth)
-    scale = camera.focal_length / np.median(depth[is_solid])
+    scale = camera.focal_length / np.median(solid)
     reach = max(2.0, _CREASE_RADIUS * scale)
     # Repeat the border of the picture, and look at solid pixels only.
     room = int(np.ceil(reach)) + 1
@@ -304,7 +315,6 @@ def _creases(depth: Array, camera: Camera) -> Array:
     stride = padded.shape[1]
     padded = padded.ravel()
     places = (np.argwhere(is_solid) + room) @ (stride, 1)
-    solid = depth[is_solid]
     total = np.zeros(len(solid))
     for radius, turn in product((0.3, 0.65, 1.0), range(4)):
         way = radius * reach * np.exp(1j * (turn * np.pi / 4 + radius))
@@ -312,7 +322,7 @@ def _creases(depth: Array, camera: Camera) -> Array:
         bump = solid - 0.5 * (padded[places + step] + padded[places - step])
         bump /= radius * _CREASE_RADIUS
         # Ignore large steps: they are outlines of parts in front, not hollows.
-        total += np.clip(bump, 0.0, 1.0) * np.clip(3.0 - bump / 2.0, 0.0, 1.0)
+        total += bump.clip(0.0, 1.0) * (3.0 - bump / 2.0).clip(0.0, 1.0)
     hollow = np.zeros_like(depth)
     hollow[is_solid] = np.clip(0.15 * total, 0.0, 1.0)
     return gaussian_filter(hollow, 0.15 * reach)
