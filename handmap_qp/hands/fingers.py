@@ -91,13 +91,11 @@ class PalmKinematics:
 
     def points(self, q: Array, places: Sequence[Place]) -> Array:
         """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
-
-        def placed(posture: Array) -> Array:
+        rows = []
+        for posture in q.reshape(-1, q.shape[-1]):
             palm = self._place(posture)
-            rows = [palm.actInv(self._data.oMi[j].act(offset)) for j, offset in places]
-            return np.reshape(rows, (-1, 3))
-
-        return np.apply_along_axis(placed, -1, q)
+            rows += [palm.actInv(self._data.oMi[j].act(offset)) for j, offset in places]
+        return np.reshape(rows, (*q.shape[:-1], -1, 3))
 
     def axes(
         self, q: Array, joints: Sequence[int], near: Place | None = None
@@ -118,13 +116,13 @@ class PalmKinematics:
         points = np.array([palm.actInv(self._data.oMi[j].translation) for j in joints])
         if near is not None:
             levers = palm.actInv(self._data.oMi[near[0]].act(near[1])) - points
-            points = points + (levers * turns).sum(axis=1, keepdims=True) * turns
+            points += (levers * turns).sum(axis=1, keepdims=True) * turns
         return turns, points
 
     def on_axis(self, q: Array, joint: int, near: Place) -> Place:
         """Return the point of a turning joint's axis that is nearest to another point."""
         _, (point,) = self.axes(q, [joint], near)
-        return joint, self._data.oMi[joint].actInv(self._palm.act(point))
+        return joint, self._data.oMi[joint].actInv(self._place(q).act(point))
 
     def motion(self, q: Array, place: Place) -> Array:
         """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""
@@ -139,12 +137,9 @@ class PalmKinematics:
         return np.vstack([palm.rotation.T @ linear, palm.rotation.T @ turns])
 
     def _place(self, q: Array) -> pin.SE3:
-        vector = self.hand.configuration_vector(q)
-        pin.computeJointJacobians(self._model, self._data, vector)
-        return self._palm
-
-    @property
-    def _palm(self) -> pin.SE3:
+        pin.computeJointJacobians(
+            self._model, self._data, self.hand.configuration_vector(q)
+        )
         frame = self._model.frames[self.hand.palm_frame_id]
         return self._data.oMi[frame.parentJoint] * frame.placement
 
@@ -261,8 +256,7 @@ class Finger:
         return self._on_axis(self.bending[-1])
 
     def _on_axis(self, joint: int) -> Place:
-        view = PalmKinematics(self.hand)
-        return view.on_axis(self._zero, joint, self.tip)
+        return PalmKinematics(self.hand).on_axis(self._zero, joint, self.tip)
 
     def find_middle(self) -> Place | None:
         """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.

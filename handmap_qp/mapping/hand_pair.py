@@ -128,7 +128,7 @@ class HandPair:
 
     def __init__(self, human: Hand, robot: Hand) -> None:
         self.human = human
-        self.measured = measured = _robot_fingers(robot)
+        self.measured = measured = robot_fingers(robot)
         self.fingers = measured.names
         self.has_jaws = measured.has_jaws
         if not self.fingers:
@@ -276,7 +276,8 @@ class RobotFingers:
         return all_pairs(self.hand, self.chains)
 
 
-_robot_fingers = lru_cache(maxsize=32)(RobotFingers)
+robot_fingers = lru_cache(maxsize=32)(RobotFingers)
+"""What is measured on a robot, found once; argument as of `RobotFingers`."""
 
 
 def require_partners(
@@ -400,7 +401,7 @@ def _human_fingers(human: Hand) -> dict[str, Finger]:
     tree = core_tree(human)
     if standard is None or tree is None:
         return find_fingers(human)
-    chains = _robot_fingers(standard).chains
+    chains = robot_fingers(standard).chains
     named = {point.name: point for point in standard.spec.points}
     places = tree.places([named[TIPS[finger]] for finger in chains])
     return {

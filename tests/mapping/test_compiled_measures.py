@@ -43,7 +43,7 @@ def in_python(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
         for name in ("_OPENING", "_PINCHING"):
             options = getattr(hand_pair, name).replaced(formulation="direct")
             monkeypatch.setattr(hand_pair, name, options)
-        hand_pair._robot_fingers.cache_clear()
+        hand_pair.robot_fingers.cache_clear()
         hand_pair.hand_pair.cache_clear()
 
     return take

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands import Hand, find_fingers
+from handmap_qp.hands import Hand
 from handmap_qp.mapping import (
     FOLLOWING,
     KNUCKLES,
@@ -36,6 +36,7 @@ from handmap_qp.mapping import (
     points_in_palm,
     require_partners,
     require_points,
+    robot_fingers,
 )
 from handmap_qp.options import Positive
 from handmap_qp.se3 import Array, lengths
@@ -109,7 +110,7 @@ class BoundFingertipVectors(PalmMethod):
         """Take both hands' knuckles for origins; return the ratio of reaches of each finger."""
         human = self.human
         robot = self.robot
-        chains = find_fingers(robot)
+        chains = robot_fingers(robot).chains
         led = [str(robot.reference_points[j].finger) for j in self.pairs[0]]
         leading = [str(human.reference_points[k].finger) for k in self.pairs[1]]
         if not led:

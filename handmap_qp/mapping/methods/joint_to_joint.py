@@ -48,11 +48,11 @@ from handmap_qp.mapping import (
     PalmMap,
     PalmMethod,
     Preset,
-    RobotFingers,
     RobotPosture,
     Targets,
     points_in_palm,
     require_points,
+    robot_fingers,
 )
 from handmap_qp.se3 import Array, lengths, unit
 
@@ -238,7 +238,7 @@ class BoundJointToJoint(PalmMethod):
 
     def __init__(self, method: JointToJoint, human: Hand, robot: Hand) -> None:
         super().__init__(method, human, robot)
-        self.chains = RobotFingers(robot).used
+        self.chains = robot_fingers(robot).used
         if not self.chains:
             raise InvalidOptionsError(
                 f"joints correspond by finger, and no point of {robot.name} names one",
