@@ -8,6 +8,9 @@ import signal
 import subprocess
 import sys
 from collections import deque
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +37,13 @@ from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.datasets import engines, sources, workers
 from handmap_qp.apps.datasets.assemble import WRIST_NAMES, assemble
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
-from handmap_qp.apps.datasets.engines import SERIAL, _next_group, pool_engine
+from handmap_qp.apps.datasets.engines import (
+    SERIAL,
+    Engine,
+    Workers,
+    _next_group,
+    pool_engine,
+)
 from handmap_qp.apps.datasets.episodes import MEASURES
 from handmap_qp.apps.datasets.manifest import (
     MOST_KILLS,
@@ -197,6 +206,30 @@ def test_a_pool_writes_the_same_bytes_and_gives_up_what_kills(
     again = plan_batch([inputs], tmp_path, OPTIONS)
     assert not again.jobs
     assert [line.key for line in again.left_alone] == [poison]
+
+
+def test_a_worker_may_die_before_the_next_recording_is_given_to_it(
+    inputs: Path, serial: Path, tmp_path: Path
+) -> None:
+    given: list[Job] = []
+
+    @contextmanager
+    def start(_: int) -> Iterator[Workers]:
+        with SERIAL.start(1) as workers:
+
+            def submit(jobs: tuple[Job, ...]) -> Any:
+                given.extend(jobs)
+                if len(given) == 2:
+                    raise BrokenProcessPool
+                return workers.submit(jobs)
+
+            yield Workers(submit, 2)
+
+    tally = batch(inputs, tmp_path, engine=Engine(start, 2))
+    # The second one is tried alone then, and is not to blame.
+    assert [len(tally.done), len(tally.failed)] == [3, 0]
+    assert len(given) == 4
+    assert episodes(tmp_path) == episodes(serial)
 
 
 def test_short_recordings_go_to_a_worker_together(tmp_path: Path) -> None:

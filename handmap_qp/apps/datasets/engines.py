@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -97,7 +97,10 @@ class Engine(NamedTuple):
             while True:
                 while waiting and has_room():
                     jobs = _next_group(waiting, workers.count)
-                    flying[workers.submit(jobs)] = jobs
+                    with suppress(workers.death):
+                        flying[workers.submit(jobs)] = jobs
+                        continue
+                    suspects.extend(jobs)
                 if is_stopped():
                     # Cancelled ones are given up: a next run begins with them.
                     flying = {f: jobs for f, jobs in flying.items() if not f.cancel()}

@@ -253,15 +253,10 @@ def _rasterise(vertices: Array, camera: Camera) -> _Surface:
 
 
 def _between(low: Array, high: Array, size: int) -> Array:
-    """Find the pixels with centres between bounds, along a side of a picture.
-
-    Args:
-        low: Lower bounds [pixel], shape (n,).
-        high: Upper bounds [pixel], shape (n,).
-        size: Number of pixels of that side.
+    """Find the pixels whose centres lie between n bounds, along a side of so many pixels.
 
     Returns:
-        Index of the bounds of each pixel, and its own, shape (2, k).
+        For each one the index of its bounds, and its own, shape (2, k).
     """
     first = np.ceil(low - 0.5).clip(0, size).astype(int)
     counts = np.floor(high + 0.5).clip(first, size).astype(int) - first
