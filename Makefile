@@ -53,7 +53,7 @@ demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a hum
 test: lint ## Run the checks of `make lint`, then all tests
 	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
-pure: $(INSTALLED) ## Run all tests on the Python path, without the compiled core
+pure: $(INSTALLED) ## Run the tests that may differ on the Python path, without the compiled core
 	@HANDMAP_PURE=1 $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute

@@ -33,6 +33,40 @@ settings.load_profile("ci")
 
 TESTS = Path(__file__).resolve().parent
 
+# Folders of what is the same with and without the compiled core: commands, files, pages, pictures,
+# protocols and processes; each with the files of those tests that do depend on it. The Python path
+# runs these alone, and all of the other folders.
+SAME_ON_BOTH = {
+    "core": {"test_cli.py", "test_demo.py", "test_motion_quality.py"},
+    "datasets": {"test_core.py"},
+    "drawing": set(),
+    "live": {"test_faulty_replay.py", "test_service.py"},
+    "offline": {
+        "test_faults.py",
+        "test_fidelity.py",
+        "test_look_ahead.py",
+        "test_metrics.py",
+        "test_summary.py",
+    },
+    "onboarding": set(),
+    "paper": {"test_paper.py"},
+    "service": {
+        "test_landmarks.py",
+        "test_layouts.py",
+        "test_options.py",
+        "test_presets.py",
+        "test_robots.py",
+        "test_safety.py",
+        "test_session.py",
+        "test_silence.py",
+        "test_states.py",
+        "test_stop.py",
+    },
+    "simulation": set(),
+    "trackers": {"test_plausibility.py"},
+    "viewer": set(),
+}
+
 
 # All that collection makes stays: looking for garbage in it took a third of its time.
 gc.disable()
@@ -45,6 +79,17 @@ def pytest_configure(config: pytest.Config) -> None:
         and config.option.hypothesis_profile is None
     ):
         settings.load_profile("fast")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip on the Python path what `make test` has shown, and what does not depend on it."""
+    if os.environ.get("HANDMAP_PURE", "") in ("", "0"):
+        return
+    again = pytest.mark.skip(reason="the same with and without the compiled core")
+    for item in items:
+        folder, *_, file = item.path.relative_to(TESTS).parts
+        if file not in SAME_ON_BOTH.get(folder, {file}):
+            item.add_marker(again)
 
 
 def pytest_collection_finish() -> None:
