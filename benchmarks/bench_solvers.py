@@ -449,7 +449,7 @@ def main(words: Sequence[str] | None = None) -> None:
         help="number of problems of the proof (default: %(default)s)",
     )
     arguments = common.parse_arguments(parser, words)
-    count = (200 if arguments.quick else arguments.problems) // 4
+    count = (80 if arguments.quick else arguments.problems) // 4
     timed = min(_TIMED, count)
     names = [file.stem for file in sorted(arguments.recordings.glob("*.npz"))]
     motions = [

@@ -6,6 +6,7 @@ import math
 import shutil
 import subprocess
 import sys
+from functools import lru_cache
 from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,8 @@ HUMANS = {
 }
 HANDS = [name for name in hand_names() if not name.startswith("human")]
 PRESETS = ("teleoperation", "object", "paper", "fixed_wrist", "joint-to-joint")
+# Of all presets: what is measured on a robot is measured once.
+robot_of = lru_cache(maxsize=1)(load_hand)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -51,7 +54,7 @@ PRESETS = ("teleoperation", "object", "paper", "fixed_wrist", "joint-to-joint")
 def test_a_sample_of_both_paths_from_one_state_has_one_command(
     name: str, preset: str
 ) -> None:
-    robot = load_hand(name)
+    robot = robot_of(name)
     chosen = get_preset(preset)
     options = chosen.ik
     if preset == "fixed_wrist" or not chosen.suits(HUMANS[robot.side], robot):
@@ -66,9 +69,11 @@ def test_a_sample_of_both_paths_from_one_state_has_one_command(
     assert slow.point_ik.core is None
     taken = read_recording("demo", robot.side)
     worst = 0.0
-    for landmarks in taken.landmarks[:180:2]:
-        one = fast.map_landmarks(landmarks, dt=1.0 / 45.0)
-        other = slow.map_landmarks(landmarks, dt=1.0 / 45.0)
+    # Every step starts from one state, so few of them have all there is: from the open hand to a
+    # fist and a pinch, in steps that reach limits of speed, and contacts.
+    for landmarks in taken.landmarks[:180:9]:
+        one = fast.map_landmarks(landmarks, dt=0.1)
+        other = slow.map_landmarks(landmarks, dt=0.1)
         assert one.status == other.status
         assert one.iterations == other.iterations
         assert one.held_by == other.held_by

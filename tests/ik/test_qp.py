@@ -217,7 +217,7 @@ def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
     ik = PointIk(
         hand, IkOptions(solver=solver, max_iterations=100, step_tolerance=1e-8)
     )
-    for _ in range(30):
+    for _ in range(12):
         ik.place(any_posture(hand, rng, outside=0.0))
         targets, wrist = (
             ik.configuration.points + 0.02 * rng.normal(size=(4, 3)),
@@ -232,7 +232,7 @@ def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
                 result.active, -np.sign(slope) * (np.abs(slope) > 1e-6)
             )
             held += np.count_nonzero(result.active)
-    assert held > 100
+    assert held > 40
 
 
 def test_limits_hold_exactly_with_a_solver_that_stops_at_a_tolerance() -> None:

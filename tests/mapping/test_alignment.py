@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ HUMAN = load_hand("human", points="landmarks")
 FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
 OF_A_PALM = [name for name in PRESETS if "alignment" in get_preset(name).method.values]
 TURN = pin.exp3(np.array([0.7, -1.1, 0.4]))
+robot_of = cache(load_hand)
 
 
 def motion(count: int = 12) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -50,7 +52,7 @@ def mapped(
     chosen = get_preset(preset)
     mapper = HandMapper(
         HUMAN,
-        load_hand(robot),
+        robot_of(robot),
         chosen.method.replaced(alignment=alignment),
         ik=chosen.ik.replaced(formulation=formulation),
     )

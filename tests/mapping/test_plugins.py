@@ -212,6 +212,7 @@ def test_python_the_wire_and_the_view_know_them(
 
 
 MAP = "map demo --robot three_finger"
+GLOVE = "map glove.npz --layout glove --robot three_finger --side right"
 LINES = (
     (f"{MAP} --preset follow --wrist-share 0.25", 0, "wrote"),
     (
@@ -230,8 +231,8 @@ LINES = (
     ("convert --help", 0, "mano,json}"),
     ("layouts glove", 0, "A glove of ten joints"),
     ("layouts", 0, "glove"),
-    ("map glove.npz --layout glove --robot three_finger --side right", 0, "wrote"),
-    (f"{MAP} --ik.tasks keep-tip --ik.formulation mink --ik.solver osqp", 0, "wrote"),
+    (GLOVE, 0, "wrote"),
+    (f"{GLOVE} --ik.tasks keep-tip --ik.formulation mink --ik.solver osqp", 0, "wrote"),
     (f"{MAP} --ik.tasks juggle", 2, "expected keep-tip"),
 )
 COMMANDS = """

@@ -16,6 +16,7 @@ from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.presets import PRESETS, possible_presets, preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 
+HUMAN = load_hand("human")
 WRIST = affine(
     rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 1.0, -0.3])
 )
@@ -24,17 +25,17 @@ WRIST = affine(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(hand_names()) - set(HUMAN_HANDS)))
 def test_possible_presets_are_those_that_the_mapper_accepts(name: str) -> None:
-    human, robot = load_hand("human"), load_hand(name)
+    robot = load_hand(name)
     robots = [robot, load_hand(name, mount="fixed")] if robot.is_floating else [robot]
     for each in robots:
         accepted = []
         for preset in PRESETS:
             try:
-                HandMapper(human, each, preset)
+                HandMapper(HUMAN, each, preset)
             except InvalidOptionsError:
                 continue
             accepted.append(preset)
-        assert list(possible_presets(human, each)) == accepted
+        assert list(possible_presets(HUMAN, each)) == accepted
 
 
 def test_a_choice_takes_options_of_its_preset_only() -> None:
