@@ -52,6 +52,15 @@ def test_a_replayed_recording_comes_back(tmp_path: Path, name: str) -> None:
     assert summary["hand_seen"] == len(recording) - 1
 
 
+def test_what_a_file_cannot_hold_is_said(tmp_path: Path) -> None:
+    lost = [
+        run(Listed(SAMPLES), [Recorder(tmp_path / name, upright="+y up, -z forward")])
+        for name in ("copy.npz", "copy.csv")
+    ]
+    assert lost[0]["lost"] == ""
+    assert "which axes are up and forward" in lost[1]["lost"]
+
+
 def test_samples_out_of_order_are_counted_and_left_out(tmp_path: Path) -> None:
     samples = list(inject(SAMPLES, parse_faults("late@0.2+0.5:0.05,duplicate@0.8+0.1")))
     summary = run(Listed(samples), [Recorder(tmp_path / "ordered.npz")])

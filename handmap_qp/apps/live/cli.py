@@ -24,6 +24,7 @@ from .mediapipe_source import (
 from .source import Recorder, Replay, Sink, Source, run
 
 _RARE = (
+    "lost",
     "not_in_order",
     "hand_lost",
     "flags",

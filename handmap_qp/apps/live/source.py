@@ -14,7 +14,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Side
+from handmap_qp.hands import Names, Side
 from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.output_files import check_output
@@ -168,6 +168,7 @@ class Recorder:
         self.upright = upright
         self._samples: list[HumanSample] = []
         self._disordered = 0
+        self._lost: Names = ()
 
     def __enter__(self) -> Self:
         return self
@@ -200,7 +201,7 @@ class Recorder:
             **columns,
             upright=self.upright,
         )
-        write_recordings([recording], self.file)
+        self._lost = write_recordings([recording], self.file)
 
     def put(self, sample: HumanSample) -> None:
         """Keep a sample.
@@ -222,6 +223,6 @@ class Recorder:
         return f"recording {len(self._samples)}"
 
     def summary(self) -> dict[str, Any]:
-        """Return the file and counts."""
+        """Return the file, counts, and what the file cannot hold."""
         counts = {"recorded": len(self._samples), "not_in_order": self._disordered}
-        return counts | {"record": str(self.file)}
+        return counts | {"record": str(self.file), "lost": ", ".join(self._lost)}
