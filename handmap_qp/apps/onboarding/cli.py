@@ -89,7 +89,7 @@ def list_hands() -> Rows:
         Name, side, number of joints, mount, point sets of each, and whether it is installed, or
         what installs it.
     """
-    specs = map(read_hand_spec, hand_files().values())
+    specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
     return [
         {
             "name": name,
@@ -99,7 +99,7 @@ def list_hands() -> Rows:
             "point sets": ", ".join(spec.sets),
             "available": _available(spec),
         }
-        for name, spec in zip(hand_files(), specs, strict=True)
+        for name, spec in specs.items()
     ]
 
 
@@ -216,11 +216,13 @@ class HandsList:
     """
 
     json: bool = False
+    _list = staticmethod(list_hands)
+    _title = "Hands"
 
     def run(self) -> None:
         """Print the list."""
-        rows = list_hands()
-        print_result(rows, {"Hands": rows}, as_json=self.json)
+        rows = self._list()
+        print_result(rows, {self._title: rows}, as_json=self.json)
 
 
 @dataclass(frozen=True)
@@ -491,7 +493,7 @@ class HandsMatch:
 
 
 @dataclass(frozen=True)
-class RobotsList:
+class RobotsList(HandsList):
     """List the robots of the package: a left and a right hand in one model.
 
     Examples:
@@ -501,12 +503,8 @@ class RobotsList:
         json: Print JSON instead of a table.
     """
 
-    json: bool = False
-
-    def run(self) -> None:
-        """Print the list."""
-        rows = list_robots()
-        print_result(rows, {"Robots": rows}, as_json=self.json)
+    _list = staticmethod(list_robots)
+    _title = "Robots"
 
 
 @dataclass(frozen=True)
