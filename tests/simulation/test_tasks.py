@@ -39,6 +39,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.spec import PadSpec
 from handmap_qp.human.recording import Recording
+from handmap_qp.trackers.formats import DEMO, read_hands, write_recordings
+from handmap_qp.trackers.formats.archive import read_archive
 
 UP = np.array([0.0, 0.0, 1.0])
 WINDOW = PinchWindow(0, 10, 60)
@@ -171,6 +173,44 @@ def test_a_pinch_is_found_in_landmarks() -> None:
         find_pinch(
             Recording("open", time, landmarks, np.ones(200, dtype=bool), "right")
         )
+
+
+def test_the_hand_that_pinches_longest_is_found_in_samples_of_the_longest() -> None:
+    time = np.arange(200) / 100.0
+    still = Recording(
+        "still", time, np.tile(load_landmarks(), (200, 1, 1)), np.ones(200), "left"
+    )
+    slow = np.tile(load_landmarks(), (100, 1, 1))
+    slow[:, 8] = slow[:, 4] + np.array([0.08, 0.0, 0.0])
+    slow[25:75, 8] = slow[25:75, 4] + np.array([0.01, 0.0, 0.0])
+    pinching = Recording("pinching", time[::2], slow, np.ones(100), "right")
+    window = find_pinch(still, pinching)
+    assert window == PinchWindow(25, 50, 148, "right")
+    assert find_pinch(pinching) == PinchWindow(13, 25, 74, "right")
+
+
+def test_a_robot_with_both_hands_holds_the_object_in_the_one_that_pinches(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hands = read_hands([DEMO])
+    # At half the rate of the other.
+    slow = hands["left"].part(slice(0, None, 2))
+    files = [str(tmp_path / f"{side}.npz") for side in ("left", "right")]
+    for file, hand in zip(files, (slow, hands["right"]), strict=True):
+        write_recordings([hand], file)
+    out = tmp_path / "simulated.npz"
+    page = tmp_path / "simulated.html"
+    words = ["simulate", *files, "--robot", "g1", "--json", "--out", str(out)]
+    assert cli.main([*words, "--html", str(page)]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert row["held"] == "yes"
+    simulated = read_archive(out)
+    assert len(simulated["joint_names"]) == 3 + 2 * 14
+    # Gravity is along z, in the robot's world: the stand of the object keeps its height.
+    assert np.ptp(simulated["object_pose"][:, 2, 3]) < 0.1
+    assert page.stat().st_size > 1e6
+    assert cli.main(["simulate", *files, "--robot", "allegro_right"]) == 2
+    assert "expected one of a hand" in capsys.readouterr().err
 
 
 def load_landmarks() -> np.ndarray:

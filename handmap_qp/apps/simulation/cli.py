@@ -6,17 +6,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from tyro.conf import Positional, arg
+from tyro.conf import arg
 
-from handmap_qp.apps.arguments import HandName, hinted
-from handmap_qp.apps.offline.comparison import prepare_take
+from handmap_qp.apps.arguments import HandName, Recordings, hinted
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import load_hand
+from handmap_qp.hands import is_robot, load_whole
 from handmap_qp.output_files import check_output
-from handmap_qp.trackers.formats import read_recording
-from handmap_qp.trackers.formats.archive import save_npz
-from .commands import chosen_methods, find_pinch, map_commands
+from handmap_qp.trackers import save_npz
+from .commands import chosen_methods, map_pinch
 from .physics import Physics, parse_object
 from .pictures import film, picture, write_page
 from .pinch import (
@@ -52,23 +50,28 @@ class Simulate:
     them until the human opens the hand. With --trials, random objects and places are tried, and the
     table shows how many were held by every mapping.
 
+    A robot with both hands follows both; the hand that pinches longest holds the object.
+
     Links touch the object, not each other. Actuators are springs with critical damping.
 
     Examples:
         handmap simulate pinch.npz --robot allegro_right --film pinch.gif
+        handmap simulate left.npz right.npz --robot g1 --film pinch.gif
         handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
         handmap simulate pinch.npz --robot allegro_right --stiffness 6 --html pinch.html
 
     Attributes:
-        recording: Recording with a pinch of thumb and index finger.
-        robot: Robot hand, by name or by the path of its hand.yaml.
+        recordings: Recording with a pinch of thumb and index finger; for a robot with both hands,
+            of both in one file or in two.
+        robot: Robot hand, by name or by the path of its hand.yaml. Or a robot with both hands: a
+            name of `handmap robots list`, or the path of its robot.yaml.
         methods: Mappings, as of `handmap compare`.
         peers: Folder of the program that runs outside methods, such as benchmarks/peers.
         object: box:SIDE, box:XxYxZ, sphere:DIAMETER, cylinder:DIAMETERxLENGTH [m], or a mesh file.
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
         stiffness: Stiffness of the fingers' actuators [N m/rad].
-        up: World axis against gravity.
+        up: World axis against gravity; y if omitted, z for a robot with both hands.
         trials: Random objects and places, for every mapping.
         objects: Random objects (varied), or the same object at random places (nominal).
         seed: Seed of the random numbers.
@@ -79,7 +82,7 @@ class Simulate:
         json: Print one JSON object instead of a table.
     """
 
-    recording: Positional[Annotated[Path, hinted("RECORDING")]]
+    recordings: Recordings
     robot: HandName = "three_finger"
     methods: Annotated[
         tuple[str, ...], hinted("METHOD...", "(default: the first preset)")
@@ -89,7 +92,7 @@ class Simulate:
     mass: Annotated[float, arg(metavar="KG")] = _MASS
     friction: float = _FRICTION
     stiffness: float = 3.0
-    up: Up = "y"
+    up: Up | None = None
     trials: int = 0
     objects: Objects = "varied"
     seed: int = 0
@@ -143,25 +146,22 @@ class Simulate:
             )
 
     def _physics(self) -> Physics:
-        sign = 9.81 if self.up.startswith("-") else -9.81
-        x, y, z = (sign * (self.up[-1] == name) + 0.0 for name in "xyz")
+        up = self.up or ("z" if is_robot(self.robot) else "y")
+        sign = 9.81 if up.startswith("-") else -9.81
+        x, y, z = (sign * (up[-1] == name) + 0.0 for name in "xyz")
         return Physics(
             friction=self.friction, joint_stiffness=self.stiffness, gravity=(x, y, z)
         )
 
     def _simulate(self, trials: list[PinchTrial]) -> dict[str, list[PinchOutcome]]:
         """Pinch every object by every mapping."""
-        robot = load_hand(self.robot)
-        read = read_recording(self.recording)
         methods = chosen_methods(self.methods, self.peers, self.robot)
-        window = find_pinch(read)
-        take = prepare_take(read, robot.spec.side)
+        robot = load_whole(self.robot)
         outcomes: dict[str, list[PinchOutcome]] = {}
-        for method in methods:
-            commands = map_commands(method, take, robot)
-            scene = PinchScene(commands, window, self._physics())
-            made = outcomes[method.name] = []
-            with progress(method.name, len(trials)) as advance:
+        for name, mapped in map_pinch(methods, robot, self.recordings).items():
+            scene = PinchScene(*mapped, self._physics())
+            made = outcomes[name] = []
+            with progress(name, len(trials)) as advance:
                 for trial in trials:
                     made.append(scene.run(trial))
                     advance(len(made))

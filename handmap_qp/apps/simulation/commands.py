@@ -1,22 +1,30 @@
 """What a mapping commands over time, and when the human pinches: `map_commands`, `find_pinch`."""
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
+from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.offline.comparison import (
+    LOOK_AHEAD,
     ComparedMethod,
     Take,
+    base_name,
     outside_methods,
     own_method,
     own_methods,
+    prepare_take,
 )
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import Hand
-from handmap_qp.human.recording import Recording
+from handmap_qp.apps.offline.look_ahead import LookAhead, map_hands
+from handmap_qp.apps.offline.trajectory import stretches
+from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.hands import Hand, Side, joined
+from handmap_qp.human import Recording
 from handmap_qp.se3 import Array, lengths
+from handmap_qp.stream import measure_person
+from handmap_qp.trackers import read_hands, read_recording
 
 # The human pinches while thumb and index landmarks are nearer than the first, with interruptions
 # below the second [m].
@@ -52,11 +60,13 @@ class PinchWindow(NamedTuple):
         start: Index of the first sample of the simulation.
         closed: Index of the sample at which the pinch has closed.
         end: Index of the last sample at which it is closed.
+        side: The hand.
     """
 
     start: int
     closed: int
     end: int
+    side: Side = "right"
 
 
 def chosen_methods(
@@ -87,27 +97,85 @@ def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:
     return Commands(hand, take.recording.time, motion.q, motion.wrist_in(take, hand))
 
 
-def find_pinch(recording: Recording) -> PinchWindow:
-    """Find the longest pinch of thumb and index finger in a recording.
+def map_pinch(
+    methods: Iterable[ComparedMethod], robot: Hand, files: Sequence[Path]
+) -> dict[str, tuple[Commands, PinchWindow]]:
+    """Return what each mapping commands, and when the human pinches.
+
+    A robot with several hands, given as one, needs a recording of each. The first part of what is
+    commanded is then the hand that pinches.
+
+    Raises:
+        HandmapError: If a recording cannot be read or mapped, or shows no pinch.
+    """
+    if robot.parts:
+        hands = read_hands(files)
+        window = find_pinch(*(hands[side] for side in robot.by_side))
+        parts = sorted(robot.parts, key=lambda hand: hand.side != window.side)
+        whole = joined(robot.name, *parts)
+        used = [hands[side] for side in whole.by_side]
+        return {
+            method.name: (_map_hands(method.name, whole, used), window)
+            for method in methods
+        }
+    expect(len(files) == 1, "RECORDING", "one of a hand", value=len(files))
+    recording = read_recording(files[0])
+    window = find_pinch(recording)
+    take = prepare_take(recording, robot.side)
+    return {
+        method.name: (map_commands(method, take, robot), window) for method in methods
+    }
+
+
+def _map_hands(name: str, robot: Hand, recordings: Sequence[Recording]) -> Commands:
+    preset = base_name(name)
+    is_smooth = name != preset
+    looks_ahead = name.endswith(LOOK_AHEAD)
+    _, motion, *_ = map_hands(
+        recordings,
+        robot,
+        measure_person(*recordings),
+        MappingArguments(preset=preset, smooth=is_smooth),
+        smoother=LookAhead() if looks_ahead else None,
+    )
+    return Commands(
+        hand=motion.robot,
+        time=motion.time,
+        q=motion.q,
+        wrist=motion.wrist,
+    )
+
+
+def find_pinch(*recordings: Recording) -> PinchWindow:
+    """Find the longest pinch of thumb and index finger in recordings.
+
+    Returns:
+        When it is, in samples of the longest recording.
 
     Raises:
         InvalidInputError: If there is no pinch of half a second.
     """
-    time = recording.time
-    landmarks = recording.landmarks
-    gap = lengths(landmarks[:, 4] - landmarks[:, 8])
-    # Samples without landmarks interrupt nothing.
-    runs, _ = ndimage.label(~(gap > _OPEN))
-    pinches = [(0.0, 0, 0)]
-    for (run,) in ndimage.find_objects(runs):
-        shut = run.start + np.flatnonzero(gap[run] < _CLOSED)
-        if len(shut):
-            opened = time[min(run.stop, len(time) - 1)]
-            pinches.append((opened - time[shut[0]], int(shut[0]), int(shut[-1])))
-    length, closed, end = max(pinches)
+    instants = max(recordings, key=len).time[:-1]
+    pinches = [(0.0, PinchWindow(0, 0, 0))]
+    for recording in recordings:
+        time = recording.time
+        landmarks = recording.landmarks
+        gap = lengths(landmarks[:, 4] - landmarks[:, 8])
+        # Samples without landmarks interrupt nothing.
+        is_near = ~(gap > _OPEN)
+        for run in stretches(is_near):
+            shut = run.start + np.flatnonzero(gap[run] < _CLOSED)
+            if len(shut):
+                closed, end = time[shut[[0, -1]]]
+                opened = time[min(run.stop, len(time) - 1)]
+                start = closed - _BEFORE
+                at = np.searchsorted(instants, [start, closed, end]).tolist()
+                window = PinchWindow(*at, recording.side)
+                pinches.append((opened - closed, window))
+    length, window = max(pinches)
     if length < _SHORTEST:
         raise InvalidInputError(
             f"no pinch of thumb and index finger of {_SHORTEST:g} s",
-            argument=recording.name,
+            argument=recordings[0].name,
         )
-    return PinchWindow(int(np.searchsorted(time, time[closed] - _BEFORE)), closed, end)
+    return window

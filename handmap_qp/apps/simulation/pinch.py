@@ -173,7 +173,8 @@ class PinchScene:
     """A robot that follows a recorded pinch, and objects for it.
 
     Attributes:
-        commands: Commands of the mapping for the whole recording.
+        commands: Commands of the mapping for the whole recording; of a robot with several hands,
+            the first one pinches.
         window: When the human pinches.
         physics: Actuators, gravity and time steps; the friction is that of each trial.
 
@@ -187,7 +188,7 @@ class PinchScene:
     physics: Physics
 
     def __post_init__(self) -> None:
-        self.pads = Pads(self.commands.hand)
+        self.pads = Pads(self.commands.hand.hands[0])
 
     def run(self, trial: PinchTrial) -> PinchOutcome:
         """Simulate one trial.
