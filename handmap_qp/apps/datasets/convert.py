@@ -6,7 +6,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from handmap_qp.apps.arguments import check_names, hinted
 from handmap_qp.errors import expect
@@ -55,10 +55,7 @@ class Convert:
     paths: Positional[Annotated[tuple[Path, ...], hinted("IN... OUT", "(required)")]]
     format: Annotated[
         str | None,
-        arg(
-            metavar=f"{{{','.join(FORMATS)}}}",
-            help_behavior_hint="(default: by the suffix of OUT)",
-        ),
+        hinted(f"{{{','.join(FORMATS)}}}", "(default: by the suffix of OUT)"),
     ] = None
     mano: Annotated[Path | None, hinted("FILE", "(default: $HANDMAP_MANO)")] = None
     json: bool = False

@@ -464,7 +464,7 @@ class HandsMatch:
     recording: Annotated[
         Path | None, hinted("RECORDING", "(default: the standard hand)")
     ] = None
-    picture: Annotated[Path | None, hinted("FILE.png", "(default: none)")] = None
+    picture: Annotated[Path | None, hinted("FILE.png")] = None
     json: bool = False
 
     def run(self) -> None:
