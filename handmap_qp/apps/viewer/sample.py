@@ -11,7 +11,7 @@ import numpy as np
 
 from handmap_qp.hands import Hand
 from handmap_qp.mapping import Choice
-from handmap_qp.se3 import Array
+from handmap_qp.se3 import Array, lengths
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,7 +75,7 @@ class ViewSample:
     def point_error(self) -> Array:
         """Distances of the robot points from their targets [m], shape (n_r,); NaN without."""
         targets = np.nan if self.targets is None else self.targets
-        return np.linalg.norm(targets - self.robot_points, axis=1)
+        return lengths(targets - self.robot_points)
 
     @cached_property
     def plotted(self) -> tuple[float, float, float, float]:
