@@ -35,7 +35,7 @@ TESTS = Path(__file__).resolve().parent
 
 # Folders of what is the same with and without the compiled core: commands, files, pages, pictures,
 # protocols and processes; each with the files of those tests that do depend on it. The Python path
-# runs these alone, and all of the other folders.
+# runs these alone, and of the other folders all that is not marked `same_on_both`.
 SAME_ON_BOTH = {
     "core": {"test_cli.py", "test_demo.py", "test_motion_quality.py"},
     "datasets": {"test_core.py"},
@@ -88,7 +88,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     again = pytest.mark.skip(reason="the same with and without the compiled core")
     for item in items:
         folder, *_, file = item.path.relative_to(TESTS).parts
-        if file not in SAME_ON_BOTH.get(folder, {file}):
+        is_same = file not in SAME_ON_BOTH.get(folder, {file})
+        if is_same or item.get_closest_marker("same_on_both"):
             item.add_marker(again)
 
 

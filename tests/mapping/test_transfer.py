@@ -91,6 +91,7 @@ def image(motion: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 @rigid_froms
 @pivots
+@settings(max_examples=15)
 @given(motion=affine_motions(), wrist=poses, start=poses)
 def test_the_parts_multiply_to_the_motion(
     rigid_from: Any,
@@ -124,6 +125,7 @@ def test_the_rigid_part_carries_the_pivot_and_the_deformation_leaves_it(
 
 @pivots
 @alignments
+@settings(max_examples=15)
 @given(pose=poses, start=poses, robot_wrist=poses)
 def test_a_rigid_motion_deforms_nothing(
     pivot: Any,
