@@ -30,6 +30,7 @@ from handmap_qp.errors import (
 from handmap_qp.hands import (
     LINK_MARGIN,
     Hand,
+    Names,
     Robot,
     ShapePairs,
     Side,
@@ -37,12 +38,16 @@ from handmap_qp.hands import (
     joined,
     load_hand,
 )
-from handmap_qp.human.sample import Verdict, human_name
-from handmap_qp.ik.core import Parts
-from handmap_qp.ik.limits import Motion
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult, PointIk
-from handmap_qp.ik.tasks import PointOffset, Task
+from handmap_qp.human import Verdict, human_name
+from handmap_qp.ik import (
+    IkOptions,
+    IkResult,
+    Motion,
+    Parts,
+    PointIk,
+    PointOffset,
+    Task,
+)
 from handmap_qp.se3 import (
     Array,
     PoseLike,
@@ -163,8 +168,8 @@ class Leader(HandMapper):
         return MapStep(self.asked, (), 0.0)
 
 
-def _aimed(asked: Asked, world: Array, share: float) -> tuple[Targets, Array | None]:
-    """Return targets whose palm has turned to the person's by a share, and the person's palm.
+def _aimed(asked: Asked, world: Array, turning: float) -> tuple[Targets, Array | None]:
+    """Return targets whose palm is turning to the person's, and the person's palm.
 
     All are seen from the robot's base, where its world at the reference is at (4, 4). There is no
     palm, (4, 4), where the robot's hand stays, or the method moves none.
@@ -173,6 +178,7 @@ def _aimed(asked: Asked, world: Array, share: float) -> tuple[Targets, Array | N
     if not isinstance(asked.map, PalmMap):
         return targets, None
     person = world @ asked.map.person_at(asked.pose)
+    share = float(smoothstep(turning))
     return _turned(asked.map, targets, person, share), person
 
 
@@ -429,34 +435,43 @@ class RobotMapper:
         """
         leaders = self.leaders.values()
         asked = [leader.asked for leader in leaders]
-        turning = [leader.since / self._turns_in for leader in leaders]
         to_base = inverse_pose(self._base)
         worlds = [to_base @ leader.base for leader in leaders]
+        turning = [leader.since / self._turns_in for leader in leaders]
+        core = self._ik.core
         is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
-        if self._ik.core and not is_python:
-            self._core = self._core or self._ik.core.robot_mover(
-                self._targets, self._pinching
+        if core is None or is_python:
+            targets, persons = map(
+                list, zip(*map(_aimed, asked, worlds, turning), strict=True)
             )
-            return self._core.move(asked, turning, worlds, dt)
-        aimed = map(_aimed, asked, worlds, smoothstep(turning).tolist())
-        targets, persons = map(list, zip(*aimed, strict=True))
-        tasks = self._together([each.map for each in asked], targets, persons)
-        wrists = np.array([each.wrist for each in targets])
+            tasks = self._together([each.map for each in asked], targets, persons)
+            return self._stages(asked, targets, self._solved(asked, targets, tasks, dt))
+        self._core = self._core or core.robot_mover(self._targets, self._pinching)
+        return self._core.move(asked, turning, worlds, dt)
+
+    def _solved(
+        self, asked: list[Any], targets: list[Targets], tasks: list[Task], dt: float
+    ) -> IkResult:
+        """Move the robot to targets by one QP, in Python or in the core."""
         if self._is_released:
-            result = self._ik.hold(dt)
-        else:
-            rest = self.robot.rest.copy()
-            for own, each in zip(self._own, asked, strict=True):
-                rest[own] = each.rest[own]
-            result = self._ik.solve(
-                np.concatenate([each.points for each in targets]),
-                wrists,
-                dt,
-                rest=rest,
-                tasks=(*tasks, *(task for each in targets for task in each.tasks)),
-                margins=self._margins(targets),
-                speed=min(each.speed for each in asked),
-            )
+            return self._ik.hold(dt)
+        rest = self.robot.rest.copy()
+        for own, each in zip(self._own, asked, strict=True):
+            rest[own] = each.rest[own]
+        return self._ik.solve(
+            np.concatenate([each.points for each in targets]),
+            np.array([each.wrist for each in targets]),
+            dt,
+            rest=rest,
+            tasks=sum((each.tasks for each in targets), (*tasks,)),
+            margins=self._margins(targets),
+            speed=min(each.speed for each in asked),
+        )
+
+    def _stages(
+        self, asked: list[Any], targets: list[Targets], result: IkResult
+    ) -> tuple[Stages, list[Stages]]:
+        """Return the stages of the robot, and those of each hand."""
         parts = []
         for k, own in enumerate(self._ik.configuration.parts):
             part = structs.replace(
@@ -469,8 +484,8 @@ class RobotMapper:
             moved = structs.replace(targets[k], points=part.targets)
             parts.append(_stages(asked[k].pose, moved, part))
         points = np.concatenate([each.pose.points for each in asked])
-        flags = tuple(flag for each in targets for flag in each.flags)
-        whole = Targets(result.targets, wrists[0], flags=flags)
+        flags: Names = sum((each.flags for each in targets), ())
+        whole = Targets(result.targets, targets[0].wrist, flags=flags)
         pose = HumanPose(points, asked[0].pose.wrist)
         return _stages(pose, whole, result), parts
 
