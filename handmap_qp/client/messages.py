@@ -532,6 +532,7 @@ class HandState(msgspec.Struct, frozen=True):
         wrist: Its wrist frame in the robot's world [m].
         wrist_error: How far that is from its target [m, rad].
         arm_held_by: What keeps it off its target: speed, limit or reach; empty if nothing.
+        detail: Every stage of its step, if `has_detail` is set; null without a sample that counts.
     """
 
     status: str
@@ -539,6 +540,7 @@ class HandState(msgspec.Struct, frozen=True):
     wrist: Pose
     wrist_error: Numbers
     arm_held_by: str
+    detail: Detail | None = None
 
 
 class Command(Reply):
@@ -563,7 +565,7 @@ class Command(Reply):
             re-initialised.
         dt: Time granted to the speed limits [s].
         solve_time: Time spent on the mapping [s].
-        detail: Every stage of the mapping, if `has_detail` is set.
+        detail: Every stage of the mapping, if `has_detail` is set; of two hands, `hands` has them.
         rule: What is wrong with the sample: one of the rules in the list; empty if nothing.
         consistency: RMS difference of bones and palm from the person's [m]; null if not measured.
         confidence: Confidence of the sample, as the client sent it.

@@ -189,19 +189,21 @@ def load_robot(robot: str | Path | RobotSpec) -> Robot:
     return Robot(robot.name, hands, robot.base == "floating")
 
 
-def load_whole(name: str, points: str | None = None) -> Hand:
+def load_whole(name: str, points: str | None = None, **options: Any) -> Hand:
     """Load a robot hand, or the hands of a robot as one (`joined`).
 
     Args:
         name: Name or path of a hand or of a robot.
         points: Set of reference points of a single hand; its own if omitted.
+        **options: Others of a single hand, as of `load_hand`.
 
     Raises:
         HandError: If there is none, or its description cannot be used.
         MissingExtraError: If a URDF lies in a package that is not installed.
     """
-    is_single = not is_robot(name)
-    return load_hand(name, points=points) if is_single else load_robot(name).whole
+    if is_robot(name):
+        return load_robot(name).whole
+    return load_hand(name, points=points, **options)
 
 
 def _check_roots(robot: RobotSpec, specs: Sequence[HandSpec]) -> None:

@@ -43,6 +43,7 @@ from handmap_qp.client.messages import About
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
+from handmap_qp.trackers.formats import DEMO, read_hands
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -519,10 +520,45 @@ def test_sessions_that_cannot_be_shown_are_explained(service: Server) -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_with_two_hands_is_refused_by_name(service: Server) -> None:
+def test_both_hands_of_a_robot_are_shown(service: Server) -> None:
+    demo = {
+        side: recording.landmarks[recording.valid]
+        for side, recording in read_hands([DEMO]).items()
+    }
+
+    def both(i: int) -> dict[str, Any]:
+        hands = {side: {"landmarks": demo[side][2 * i % 200]} for side in demo}
+        # Now and then one hand is not seen.
+        return {"hands": hands | ({"left": {"valid": False}} if i % 20 == 19 else {})}
+
     choices = {"input": "landmarks", "hand_length": 0.18, "has_detail": True}
     with (
-        connected(service, "g1", None, name="lab", **choices),
-        pytest.raises(InvalidInputError, match="'g1' has two hands"),
+        connected(service, "g1", None, name="lab", **choices) as client,
+        moving(client, both) as commands,
+        watching(service, session="lab") as (session, samples),
     ):
-        ServiceSession(host_of(service), patience=PATIENCE)
+        shown = list(islice((s for s in samples if all(h.is_seen for h in s.hands)), 5))
+    sent = {command.q: command for command in commands}
+    for sample in shown:
+        command = sent[tuple(sample.robot_q.tolist())]
+        assert len(sample.hands) == 2
+        for hand, human, robot in zip(
+            sample.hands, session.human.hands, session.robot.hands, strict=True
+        ):
+            state = command.hands[robot.side]
+            assert state.detail is not None
+            np.testing.assert_allclose(
+                hand.robot_points, state.detail.points, atol=1e-9
+            )
+            np.testing.assert_array_equal(hand.targets, state.detail.targets)
+            np.testing.assert_allclose(hand.robot_wrist, state.wrist.matrix, atol=1e-9)
+            # The drawn hand lies on the landmarks of its own side.
+            assert hand.human_q is not None
+            drawn = human.with_points("landmarks").points(
+                hand.human_q, hand.human_wrist
+            )
+            errors = np.linalg.norm(drawn - hand.landmarks, axis=1)
+            assert errors.max() < 0.03
+        errors = np.concatenate([hand.point_error for hand in sample.hands])
+        np.testing.assert_allclose(sample.point_error, errors, atol=1e-9)
+        np.testing.assert_allclose(sample.point_error, command.point_error, atol=1e-9)

@@ -344,7 +344,8 @@ class Session:
             self.counts["held"] += 1
             self._stay(step)
             flags.append(step.rule)
-            return self._command(now, step.status, flags, sample, **_trust(step))
+            trust = self._trust(step, humans)
+            return self._command(now, step.status, flags, sample, **trust)
         human = None if self.robot.parts else humans[self.request.side]
         landmarks = None if human is None else human.landmarks
         flags = self._accept(now) + flags + [step.rule] * bool(step.rule)
@@ -356,7 +357,7 @@ class Session:
         flags += step.stages.summary.flags
         self.counts["steps"] += 1
         status = self._state.mode if self._state.is_stopped else step.status
-        diagnostics = self._diagnostics(step, sample, landmarks)
+        diagnostics = self._diagnostics(step, sample, humans)
         return self._command(now, status, flags, sample, **diagnostics)
 
     def tick(self, now: float) -> Command | None:
@@ -630,35 +631,57 @@ class Session:
         mapper.reset(robot_q=inside, **wrist)
         self._mapper_state = MapperState.SLEWING
 
-    def _diagnostics(
-        self, step: MapStep, sample: Step, landmarks: Array | None
-    ) -> Values:
+    def _diagnostics(self, step: MapStep, sample: Step, humans: Humans) -> Values:
         """Return the fields of a command that describe the mapping."""
         error, at_bound, residual, _ = step.stages.summary
-        detail = None
-        if self.request.has_detail and "motion" in step.diagnostics:
-            # Every stage of a step whose method has a T.
-            names = "motion", "motion_rigid", "motion_deformation", "stretches"
-            names += "human_points", "targets", "points"
-            arrays = {name: getattr(step, name) for name in names}
-            arrays["pivot"] = step.diagnostics["pivot_image"]
-            detail = Detail(
-                held_by=step.held_by,
-                human_q=sample.q,
-                human_wrist=to_pose(step.human_wrist),
-                landmarks=None if landmarks is None else landmarks.tolist(),
-                **{name: array.tolist() for name, array in arrays.items()},
-            )
         return {
             "point_error": tuple(error),
             "residual": residual,
             "at_limit": tuple(compress(self.robot.joint_names, at_bound)),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
-            "detail": detail,
+            "detail": self._detail(step, humans.get(self.request.side), sample.q),
             "wrist_error": to_row(step.wrist_error),
             "arm_held_by": step.arm_held_by,
-            **_trust(step),
+            **self._trust(step, humans),
+        }
+
+    def _detail(self, step: MapStep, human: Any, q: Any = None) -> Detail | None:
+        """Return every stage of a step, if they are wanted and its method has a T."""
+        is_wanted = self.request.has_detail and not step.is_held
+        if not is_wanted or "motion" not in step.diagnostics:
+            return None
+        names = "motion", "motion_rigid", "motion_deformation", "stretches"
+        names += "human_points", "targets", "points"
+        arrays = {name: getattr(step, name) for name in names}
+        arrays["pivot"] = step.diagnostics["pivot_image"]
+        return Detail(
+            held_by=step.held_by,
+            human_q=q,
+            human_wrist=to_pose(step.human_wrist),
+            landmarks=human and human.landmarks.tolist(),
+            **{name: array.tolist() for name, array in arrays.items()},
+        )
+
+    def _trust(self, step: MapStep, humans: Humans) -> Values:
+        """Return the fields of a command that say how much a sample is to be trusted."""
+        consistency = step.consistency
+        hands: dict[Side, MapStep] = getattr(step, "hands", {})
+        return {
+            "rule": step.rule,
+            "consistency": None if math.isnan(consistency) else consistency,
+            "confidence": step.confidence,
+            "hands": {
+                side: HandState(
+                    each.status,
+                    each.rule,
+                    Pose.from_matrix(each.command.wrist),
+                    to_row(each.wrist_error),
+                    each.arm_held_by,
+                    self._detail(each, humans[side]) if side in humans else None,
+                )
+                for side, each in hands.items()
+            },
         }
 
     def _command(
@@ -689,27 +712,6 @@ class Session:
             dt=self._dt,
             **diagnostics,
         )
-
-
-def _trust(step: MapStep) -> Values:
-    """Return the fields of a command that say how much a sample is to be trusted."""
-    consistency = step.consistency
-    hands: dict[str, MapStep] = getattr(step, "hands", {})
-    return {
-        "rule": step.rule,
-        "consistency": None if math.isnan(consistency) else consistency,
-        "confidence": step.confidence,
-        "hands": {
-            side: HandState(
-                each.status,
-                each.rule,
-                Pose.from_matrix(each.command.wrist),
-                to_row(each.wrist_error),
-                each.arm_held_by,
-            )
-            for side, each in hands.items()
-        },
-    }
 
 
 def _new_epoch() -> int:

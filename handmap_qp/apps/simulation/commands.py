@@ -102,8 +102,7 @@ def map_pinch(
 ) -> dict[str, tuple[Commands, PinchWindow]]:
     """Return what each mapping commands, and when the human pinches.
 
-    A robot with several hands, given as one, needs a recording of each. The first part of what is
-    commanded is then the hand that pinches.
+    A robot with several hands needs a recording of each. Its first part then is what pinches.
 
     Raises:
         HandmapError: If a recording cannot be read or mapped, or shows no pinch.
@@ -129,28 +128,15 @@ def map_pinch(
 
 def _map_hands(name: str, robot: Hand, recordings: Sequence[Recording]) -> Commands:
     preset = base_name(name)
-    is_smooth = name != preset
-    looks_ahead = name.endswith(LOOK_AHEAD)
-    _, motion, *_ = map_hands(
-        recordings,
-        robot,
-        measure_person(*recordings),
-        MappingArguments(preset=preset, smooth=is_smooth),
-        smoother=LookAhead() if looks_ahead else None,
-    )
-    return Commands(
-        hand=motion.robot,
-        time=motion.time,
-        q=motion.q,
-        wrist=motion.wrist,
-    )
+    options = MappingArguments(preset=preset, smooth=name != preset)
+    smoother = LookAhead() if name.endswith(LOOK_AHEAD) else None
+    person = measure_person(*recordings)
+    _, motion, *_ = map_hands(recordings, robot, person, options, smoother=smoother)
+    return Commands(motion.robot, motion.time, motion.q, motion.wrist)
 
 
 def find_pinch(*recordings: Recording) -> PinchWindow:
-    """Find the longest pinch of thumb and index finger in recordings.
-
-    Returns:
-        When it is, in samples of the longest recording.
+    """Find the longest pinch of thumb and index finger, in samples of the longest recording.
 
     Raises:
         InvalidInputError: If there is no pinch of half a second.
@@ -162,8 +148,7 @@ def find_pinch(*recordings: Recording) -> PinchWindow:
         landmarks = recording.landmarks
         gap = lengths(landmarks[:, 4] - landmarks[:, 8])
         # Samples without landmarks interrupt nothing.
-        is_near = ~(gap > _OPEN)
-        for run in stretches(is_near):
+        for run in stretches(~(gap > _OPEN)):
             shut = run.start + np.flatnonzero(gap[run] < _CLOSED)
             if len(shut):
                 closed, end = time[shut[[0, -1]]]

@@ -2,9 +2,10 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
+from operator import or_
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,16 @@ from handmap_qp.apps.connection import FAILURES, connected, only_session
 from handmap_qp.client import Command, ServiceError
 from handmap_qp.client.messages import Pose
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands import Hand, HumanLengths, Values, hand_files, is_robot, load_hand
-from handmap_qp.human import LandmarkFitter, human_name
+from handmap_qp.hands import (
+    Hand,
+    HumanLengths,
+    Values,
+    hand_files,
+    joined,
+    load_whole,
+    robot_files,
+)
+from handmap_qp.human import LandmarkFitter
 from handmap_qp.mapping import IK_NAMES, Choice, preset_choice
 from handmap_qp.se3 import Array, rigid_fit
 from .sample import ViewSample
@@ -77,7 +86,7 @@ class ServiceSession:
         MissingExtraError: If the service's packages are not installed.
     """
 
-    _start: float | None = None
+    _start = 0.0
     _is_read = _is_closed = is_outdated = is_released = False
     stop_number = 0
     last_error: HandmapError | None = None
@@ -92,7 +101,7 @@ class ServiceSession:
         patience: float = 10.0,
     ) -> None:
         self._host = host
-        self._detail: Values = {}
+        self._details: list[Values] = [{}, {}]
         self._requests: deque[Callable[[], Any]] = deque()
         with connected("--live", host, keys, refused="--live") as (self._client, _):
             about = self._find_session(session, time.monotonic() + patience)
@@ -106,28 +115,14 @@ class ServiceSession:
             self.choice = _choice(about)
             measured = about["lengths"]
             lengths = measured and HumanLengths(**measured)
-            self.human = load_hand(
-                human_name(about["side"]), points=about["human_points"], lengths=lengths
-            )
-            robot = robot or about["robot"]
-            if is_robot(str(robot)):
-                problem = f"{robot!r} has two hands, which are not shown live"
-                raise self._error(problem, "view a recording of both hands")
-            if robot == about["robot"] and robot not in hand_files():
+            robot = str(robot or about["robot"])
+            if robot == about["robot"] and robot not in hand_files() | robot_files():
                 raise self._error(
                     f"the session's hand {robot!r} is not known on this machine",
                     "give its description with --robot hand.yaml",
                 )
-            self._given_robot = load_hand(
-                robot, points=about["robot_points"], mount=about["mount"]
-            )
-            self.robot = self._with_method_points()
-            # Landmarks are mapped as they are; joint angles are fitted for drawing only.
-            self._fitter = None
-            if about["input"] == "landmarks":
-                self._fitter = LandmarkFitter(about["side"], lengths)
+            self._load_hands(robot, about, lengths)
         self._client.timeout = _TIMEOUT
-        self._rest_points = self.human.points(self.human.rest, np.eye(4))
 
     def __iter__(self) -> Iterator[ViewSample]:
         """Yield a sample per command until `close`, or until the session changes to other hands.
@@ -238,68 +233,111 @@ class ServiceSession:
                 raise self._error(problem, advice)
             time.sleep(0.1)
 
+    def _load_hands(self, robot: str, about: Values, lengths: Any) -> None:
+        """Load the hands of the session."""
+        points = about["robot_points"]
+        self._given_robot = load_whole(robot, points, mount=about["mount"])
+        sides = [hand.side for hand in self._given_robot.parts] or [about["side"]]
+        # Landmarks are mapped as they are; joint angles are fitted for drawing only.
+        self._fitters = [LandmarkFitter(side, lengths) for side in sides]
+        points = about["human_points"]
+        humans = [fitter.human.with_points(points) for fitter in self._fitters]
+        self.human = joined("human", *humans) if humans[1:] else humans[0]
+        self.robot = self._with_method_points()
+
     def _with_method_points(self) -> Hand:
         """Return the robot hand with the reference points that the method in force moves."""
-        return self.choice.method.bind(self.human, self._given_robot).robot
+        given = self._given_robot
+        bound = map(self.choice.method.bind, self.human.hands, given.hands)
+        hands = [each.robot for each in bound]
+        return joined(given.name, *hands) if given.parts else hands[0]
 
     def _is_as_before(self, command: Command) -> bool:
         """Return whether a command fits the session properties read last."""
-        if command.detail is None and command.point_error and self.is_shared:
+        details = self._details_of(command)
+        if command.point_error and self.is_shared and not any(details):
             # The client reopened the session, which lost the request for details.
             return False
-        points = () if command.detail is None else command.detail["human_points"]
+        count = len(self.human.hands[0].reference_points)
         return (
             command.joint_names == self.robot.joint_names
-            and len(points) in (0, len(self.human.reference_points))
+            and all(len(each["human_points"]) == count for each in details if each)
             and len(command.point_error) in (0, len(self.robot.reference_points))
         )
+
+    def _details_of(self, command: Command) -> list[Values]:
+        """Return the detail of each hand of a command; empty where there is none."""
+        states = [command.hands.get(hand.side, command) for hand in self.robot.hands]
+        return [msgspec.to_builtins(each.detail) or {} for each in states]
 
     def _sample(self, command: Command) -> ViewSample | None:
         """Convert a command to a sample; None if it has nothing to show."""
         self.is_released = "released" in command.flags
         # Commands of a held robot have no detail: keep the last one.
-        self._detail = detail = command.detail or self._detail
-        if not detail or command.wrist is None:
+        self._details = details = [*map(or_, self._details, self._details_of(command))]
+        if not any(details) or command.wrist is None:
             return None
         self._start = self._start or command.server_time
+        hands = [
+            self._shown(command, robot, details[k], k)
+            for k, robot in enumerate(self.robot.parts)
+        ]
+        targets = [row for each in details for row in each.get("targets", ())]
+        whole = details[0] | {"targets": targets}
+        return self._shown(command, self.robot, whole, hands=hands)
+
+    def _shown(
+        self,
+        command: Command,
+        robot: Hand,
+        detail: Values,
+        k: int = 0,
+        hands: Sequence[ViewSample] = (),
+    ) -> ViewSample:
+        """Convert a command, or what it says of a hand, to a sample with the k-th human hand."""
+        is_part = robot is not self.robot
+        state: Any = command.hands.get(robot.side, command) if is_part else command
         q = np.array(command.q)
-        wrist = command.wrist.matrix
+        wrist = np.eye(4) if hands else state.wrist.matrix
         arrays: Values = {
-            name: np.array(detail[name]) for name in _ARRAYS if detail[name] is not None
+            name: np.array(detail[name]) for name in _ARRAYS if detail.get(name)
         }
-        posture = self._human_posture(arrays, detail["human_wrist"])
-        arrays["human_q"], arrays["human_wrist"] = posture
-        arrays["deformation"] = arrays.pop("motion_deformation")[:3, :3]
+        if "human_points" in arrays:
+            posture = self._human_posture(arrays, detail["human_wrist"], k)
+            arrays["human_q"], arrays["human_wrist"] = posture
+            arrays["deformation"] = arrays.pop("motion_deformation")[:3, :3]
         # The last detail of a held robot may be of another method.
-        if self.is_released or len(arrays["targets"]) != len(
-            self.robot.reference_points
-        ):
-            del arrays["targets"]
+        count = len(arrays.get("targets", ()))
+        if self.is_released or count != len(robot.reference_points):
+            arrays["targets"] = None
         return ViewSample(
             **arrays,
             time=command.server_time - self._start,
             robot_q=q,
             robot_wrist=wrist,
-            robot_points=self.robot.points(
-                q, wrist if self.robot.is_floating else None
-            ),
-            is_limited=np.isin(self.robot.joint_names, command.at_limit),
-            status=command.status,
+            robot_points=robot.points(q, wrist if robot.is_floating else None),
+            is_limited=np.isin(robot.joint_names, command.at_limit),
+            status=state.status,
             held_by=detail.get("held_by", ()),
-            rule=command.rule,
+            rule=state.rule,
             duration=command.solve_time,
-            is_seen=command.detail is not None,
+            is_seen=any((state.detail, *(each.is_seen for each in hands))),
+            hands=hands,
         )
 
-    def _human_posture(self, arrays: Values, wrist: Any) -> tuple[Array | None, Array]:
-        """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
+    def _human_posture(
+        self, arrays: Values, wrist: Any, k: int
+    ) -> tuple[Array | None, Array]:
+        """Return the joint angles of a human hand (n,), None if not known, and its wrist (4, 4)."""
         landmarks = arrays.get("landmarks")
-        if landmarks is not None and self._fitter is not None:
+        if landmarks is not None:
             with suppress(InvalidInputError):
-                return self._fitter.fit(landmarks)[:2]
+                return self._fitters[k].fit(landmarks)[:2]
         if wrist is None:
             # Estimate it by a rigid fit of the hand at rest.
-            pose = rigid_fit(self._rest_points, arrays["human_points"])
+            human = self.human.hands[k]
+            rest_points = human.points(human.rest, np.eye(4))
+            pose = rigid_fit(rest_points, arrays["human_points"])
         else:
             pose = msgspec.convert(wrist, Pose).matrix
         return arrays.get("human_q"), pose
