@@ -32,6 +32,7 @@ settings.register_profile("fast", settings.get_profile("ci"), max_examples=6)
 settings.load_profile("ci")
 
 TESTS = Path(__file__).resolve().parent
+IS_PURE = os.environ.get("HANDMAP_PURE", "") not in ("", "0")
 
 # Folders of what is the same with and without the compiled core: commands, files, pages, pictures,
 # protocols and processes; each with the files of those tests that do depend on it. The Python path
@@ -81,16 +82,31 @@ def pytest_configure(config: pytest.Config) -> None:
         settings.load_profile("fast")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip on the Python path what `make test` has shown, and what does not depend on it."""
-    if os.environ.get("HANDMAP_PURE", "") in ("", "0"):
+def pytest_report_header() -> str | None:
+    """Say what is left out on the Python path, and why."""
+    if not IS_PURE:
+        return None
+    return (
+        "HANDMAP_PURE: left out is what is the same with and without the compiled core "
+        "(SAME_ON_BOTH in tests/conftest.py)"
+    )
+
+
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
+    """Leave out on the Python path what `make test` has shown, and what does not depend on it."""
+    if not IS_PURE:
         return
-    again = pytest.mark.skip(reason="the same with and without the compiled core")
+    again = []
     for item in items:
         folder, *_, file = item.path.relative_to(TESTS).parts
         is_same = file not in SAME_ON_BOTH.get(folder, {file})
         if is_same or item.get_closest_marker("same_on_both"):
-            item.add_marker(again)
+            again.append(item)
+    config.hook.pytest_deselected(items=again)
+    left_out = set(again)
+    items[:] = [item for item in items if item not in left_out]
 
 
 def pytest_collection_finish() -> None:
