@@ -33,7 +33,6 @@ from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
 from handmap_qp.hands.robot import (
-    Robot,
     load_robot,
     read_hands,
     read_robot_spec,
@@ -95,7 +94,7 @@ def find_pairs(files: Sequence[Any]) -> list[Hands]:
     return [hands for hands in by_name.values() if len(hands) == 2]
 
 
-def measure(name: str, robot: Robot, hands: Hands, alignment: str) -> dict[str, Any]:
+def measure(name: str, robot: Hand, hands: Hands, alignment: str) -> dict[str, Any]:
     """Map recordings of both hands at the instants at which both are seen."""
     preset = get_preset("teleoperation")
     method = preset.method.replaced(alignment=alignment)
@@ -144,7 +143,7 @@ def measure(name: str, robot: Robot, hands: Hands, alignment: str) -> dict[str, 
     row["overlap_mm"] = 1e3 * max(overlaps)
     q = np.array(motion)
     changes = [
-        changed(robot.hands[s], hand, hands[s], q, samples, ~is_near)
+        changed(robot.by_side[s], hand, hands[s], q, samples, ~is_near)
         for s, hand in bare.items()
     ]
     for short, _ in _FIGURES:

@@ -50,7 +50,7 @@ class RobotRun:
         robot = load_robot(name)
         self._humans = {
             side: load_hand(human_name(side), points="landmarks")
-            for side in robot.hands
+            for side in robot.by_side
         }
         self._mapper = RobotMapper(robot, self._humans, "teleoperation")
         collisions = self._mapper.point_ik.gate.collisions

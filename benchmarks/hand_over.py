@@ -32,12 +32,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from passing import CLOSING, FINGERS, HANGS, HELD_AT, RATE, SIDES, Person
 
+from handmap_qp import Hand
 from handmap_qp.apps.simulation.physics import Body, Box, Physics
 from handmap_qp.apps.simulation.pinch import Pads, success_rate
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.pads import find_pads
-from handmap_qp.hands.robot import Robot, load_robot
+from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.se3 import affine, inverse_pose, transform_points, unit
@@ -94,18 +95,18 @@ class Outcome:
 class Scene:
     """A robot that follows a person who has practised with it, and bars for it."""
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Hand) -> None:
         self.robot = robot
-        self.pads = {side: Pads(hand) for side, hand in robot.hands.items()}
+        self.pads = {side: Pads(hand) for side, hand in robot.by_side.items()}
         self.tips, self.own = {}, {}
-        for side, hand in robot.hands.items():
+        for side, hand in robot.by_side.items():
             names = ["world", *hand.model.names[1:]]
             pads = find_pads(hand, find_fingers(hand))
             self.tips[side] = {n: (names[p.joint], p.offset) for n, p in pads.items()}
             wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
             self.own[side] = {names[k] for k in hand.model.subtrees[wrist]}
-        rest = next(iter(robot.hands.values())).rest
-        starts = {s: hand.frame_pose("palm", rest) for s, hand in robot.hands.items()}
+        rest = next(iter(robot.by_side.values())).rest
+        starts = {s: hand.frame_pose("palm", rest) for s, hand in robot.by_side.items()}
         meeting = (starts["left"] + starts["right"])[:3, 3] / 2.0 + _AHEAD
         self.people = {side: Person(side, starts[side], meeting) for side in SIDES}
         self._follow()
@@ -141,7 +142,7 @@ class Scene:
     def _grip(self, simulator: Simulator, side: Side) -> Grip:
         """Return where the pads of a hand are."""
         pads = self.pads[side]
-        palm = self.robot.hands[side].frame_pose("palm", simulator.q)
+        palm = self.robot.by_side[side].frame_pose("palm", simulator.q)
         along = palm[:3, 0]
         places = pads.places(simulator)
         heights = (places - places.mean(axis=0)) @ along
@@ -247,7 +248,7 @@ def draw(scene: Scene, outcome: Outcome, bar: Bar) -> Any:
     from handmap_qp.apps.drawing.raster import Camera, merged, render
     from handmap_qp.apps.simulation.physics import surface
 
-    shape = load_shape(next(iter(scene.robot.hands.values())))
+    shape = load_shape(next(iter(scene.robot.by_side.values())))
     body = solid(surface(Box((bar.width, bar.width, LENGTH))), (0.85, 0.45, 0.1))
     times = (2.2, 3.8, 5.0, 6.9, 8.2, 9.9)
     around = [outcome.bar[round(time * RATE) - 1][:3, 3] for time in times]

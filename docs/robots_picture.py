@@ -50,10 +50,8 @@ def main(left: Path, right: Path, out: Path) -> None:
     pictures = [row_of(people)]
     for name in ROBOTS:
         robot = load_robot(name)
-        _, motion, *_ = map_hands(
-            [*hands.values()], robot.whole, person, MappingArguments()
-        )
-        shape = load_shape(next(iter(robot.hands.values())))
+        _, motion, *_ = map_hands([*hands.values()], robot, person, MappingArguments())
+        shape = load_shape(next(iter(robot.by_side.values())))
         pictures.append(row_of([shape.triangles(q) for q in motion.q[rows]]))
         print(
             f"{name}: wrist off by {1e3 * motion.wrist_error[rows].max():.0f} mm at most"

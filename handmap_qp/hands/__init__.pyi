@@ -41,7 +41,6 @@ from .pads import Pad as Pad
 from .pads import ball_in as ball_in
 from .pads import find_pads as find_pads
 from .robot import BASE as BASE
-from .robot import Robot as Robot
 from .robot import is_robot as is_robot
 from .robot import joined as joined
 from .robot import load_robot as load_robot

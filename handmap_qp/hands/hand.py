@@ -107,6 +107,7 @@ class Hand:
         moves: Of a hand scaled to a person, how its joints move: see `with_joints`.
         stretches: Likewise, factors on the shapes of fingers by joint, along its axes, shape (3,).
         parts: The hands of a robot that is moved as one (`hands.robot.joined`); else empty.
+        has_floating_base: Whether that robot walks or drives.
 
     Raises:
         HandError: If spec and URDF do not fit together, naming file, key and value.
@@ -130,6 +131,7 @@ class Hand:
         self.moves: dict[str, JointMove] = {}
         self.stretches: dict[int, Array] = {}
         self.parts: tuple[Hand, ...] = ()
+        self.has_floating_base = False
         self.name = spec.name
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)

@@ -18,7 +18,7 @@ from copy import copy
 from functools import reduce
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from msgspec import Meta
@@ -85,25 +85,6 @@ class RobotSpec(Document, frozen=True):
     file: Path | None = None
 
 
-class Robot(NamedTuple):
-    """A robot with its hands, in one model.
-
-    Attributes:
-        name: Short name of the robot.
-        hands: Its hands by their side; each has all joints of the robot.
-        is_floating: Whether its base walks or drives.
-    """
-
-    name: str
-    hands: dict[Side, Hand]
-    is_floating: bool = False
-
-    @property
-    def whole(self) -> Hand:
-        """The robot as one hand, with the reference points of all; see `joined`."""
-        return joined(self.name, *self.hands.values())
-
-
 def joined(name: str, *hands: Hand) -> Hand:
     """Return the hands of a robot as one, which a QP moves; `Hand.parts` has them.
 
@@ -149,8 +130,8 @@ def read_hands(robot: RobotSpec) -> dict[Side, HandSpec]:
     return specs
 
 
-def load_robot(robot: str | Path | RobotSpec) -> Robot:
-    """Load a robot with its hands.
+def load_robot(robot: str | Path | RobotSpec) -> Hand:
+    """Load a robot with its hands, as one hand; see `joined`. Each has all joints of the robot.
 
     Args:
         robot: Name of a robot (`robot_files()`), path of a `robot.yaml`, or a `RobotSpec` built in
@@ -186,7 +167,9 @@ def load_robot(robot: str | Path | RobotSpec) -> Robot:
         side: Hand(_on_robot(specs[side], robot.name, prefix, rest), urdf_text=text)
         for side, prefix in sorted(prefixes.items())
     }
-    return Robot(robot.name, hands, robot.base == "floating")
+    found = joined(robot.name, *hands.values())
+    found.has_floating_base = robot.base == "floating"
+    return found
 
 
 def load_whole(name: str, points: str | None = None, **options: Any) -> Hand:
@@ -202,7 +185,7 @@ def load_whole(name: str, points: str | None = None, **options: Any) -> Hand:
         MissingExtraError: If a URDF lies in a package that is not installed.
     """
     if is_robot(name):
-        return load_robot(name).whole
+        return load_robot(name)
     return load_hand(name, points=points, **options)
 
 

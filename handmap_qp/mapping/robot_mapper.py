@@ -31,7 +31,6 @@ from handmap_qp.hands import (
     LINK_MARGIN,
     Hand,
     Names,
-    Robot,
     ShapePairs,
     Side,
     common_pairs,
@@ -228,7 +227,7 @@ class RobotMapper:
     from the same state on its own.
 
     Args:
-        robot: The robot.
+        robot: The robot, as of `load_robot`.
         humans: The hands that lead, by side; hands of the package's person if omitted.
         method: As of `HandMapper`, for all hands.
         ik: Weights and settings of the QP; those of the preset if omitted.
@@ -246,7 +245,7 @@ class RobotMapper:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Hand,
         humans: Mapping[Side, Hand] | None = None,
         method: Method | str | None = None,
         *,
@@ -256,15 +255,15 @@ class RobotMapper:
     ) -> None:
         expect(turns_in > 0.0, "turns_in", "a time > 0 s", value=turns_in)
         if humans is None:
-            names = {side: human_name(side) for side in robot.hands}
+            names = {side: human_name(side) for side in robot.by_side}
             humans = {s: load_hand(n, points="landmarks") for s, n in names.items()}
-        _expect_sides(robot.hands, humans, "humans")
+        _expect_sides(robot.by_side, humans, "humans")
         self._name = robot.name
         self.leaders = {
             side: Leader(humans[side], hand, method, ik=ik, **options)
-            for side, hand in robot.hands.items()
+            for side, hand in robot.by_side.items()
         }
-        self._is_floating = robot.is_floating
+        self._is_floating = robot.has_floating_base
         self._base = np.eye(4)
         self._turns_in = turns_in
         self._join()

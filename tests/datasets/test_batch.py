@@ -502,15 +502,13 @@ def test_an_episode_of_a_robot_is_what_map_hands_maps(
     assert (done.status, done.side, done.robot, done.frames) == ("done", side, "g1", 40)
     hands = [piece(0, 40, "left"), piece(0, 40, "right")]
     robot, arguments = load_robot("g1"), MappingArguments()
-    _, motion, _, followed = map_hands(
-        hands, robot.whole, measure_person(*hands), arguments
-    )
+    _, motion, _, followed = map_hands(hands, robot, measure_person(*hands), arguments)
     with np.load(out / done.out) as columns:
         np.testing.assert_array_equal(columns["q"], motion.q)
         np.testing.assert_array_equal(columns["valid"], followed)
-        own = [hand.frame_pose("wrist", motion.q[9]) for hand in robot.hands.values()]
+        own = [hand.frame_pose("wrist", motion.q[9]) for hand in robot.by_side.values()]
         np.testing.assert_array_equal(columns["wrist"][9], own)
-        assert list(columns["joint_names"]) == list(robot.hands["left"].joint_names)
+        assert list(columns["joint_names"]) == list(robot.by_side["left"].joint_names)
     # The next run only tries again what failed, and the same bytes come again.
     options = JobOptions({side: "g1"})
     before = episodes(out)
@@ -536,7 +534,7 @@ def test_a_data_set_of_a_robot_has_its_joints_once(
     command, _ = whole
     with pytest.raises(SystemExit, match="1"):
         main([*command, "--format", form])
-    hand = load_robot("g1").hands["left"]
+    hand = load_robot("g1").by_side["left"]
     wrists = [f"{side}_{name}" for side in ("left", "right") for name in WRIST_NAMES]
     names = [*hand.joint_names, *wrists]
     root = Path(command[-1]) / "lerobot"
@@ -557,7 +555,7 @@ def test_a_data_set_of_a_robot_has_its_joints_once(
     assert valid.shape == (len(state), 2)
     assert valid.all()
     q = state[0, : len(hand.joint_names)].astype(float)
-    for part, first in ((hand, -14), (load_robot("g1").hands["right"], -7)):
+    for part, first in ((hand, -14), (load_robot("g1").by_side["right"], -7)):
         place = part.frame_pose("wrist", q)[:3, 3]
         np.testing.assert_allclose(state[0, first:][:3], place, atol=1e-5)
 

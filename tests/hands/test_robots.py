@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handmap_qp import HandError, load_hand
+from handmap_qp import Hand, HandError, load_hand
 from handmap_qp.hands.library import why_missing
 from handmap_qp.hands.robot import (
-    Robot,
     load_robot,
     read_hands,
     read_robot_spec,
@@ -37,27 +36,27 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module", params=INSTALLED)
-def robot(request: pytest.FixtureRequest) -> Robot:
+def robot(request: pytest.FixtureRequest) -> Hand:
     return load_robot(request.param)
 
 
-def palms(robot: Robot, q: np.ndarray) -> np.ndarray:
-    return np.array([hand.frame_pose("palm", q) for hand in robot.hands.values()])
+def palms(robot: Hand, q: np.ndarray) -> np.ndarray:
+    return np.array([hand.frame_pose("palm", q) for hand in robot.by_side.values()])
 
 
 def test_the_robots_of_the_package_are_these() -> None:
     assert set(robot_files()) == set(SHARED)
 
 
-def test_both_hands_have_all_joints(robot: Robot) -> None:
-    left, right = robot.hands["left"], robot.hands["right"]
+def test_both_hands_have_all_joints(robot: Hand) -> None:
+    left, right = robot.by_side["left"], robot.by_side["right"]
     assert left.joint_names == right.joint_names
     np.testing.assert_array_equal(left.rest, right.rest)
     assert (left.side, right.side) == ("left", "right")
 
 
-def test_a_shared_joint_moves_both_palms_and_another_one_at_most(robot: Robot) -> None:
-    hand = robot.hands["left"]
+def test_a_shared_joint_moves_both_palms_and_another_one_at_most(robot: Hand) -> None:
+    hand = robot.by_side["left"]
     before = palms(robot, hand.rest)
     middle = 0.5 * (hand.lower_limits + hand.upper_limits)
     step = np.where(hand.rest < middle, 0.05, -0.05)
@@ -68,13 +67,13 @@ def test_a_shared_joint_moves_both_palms_and_another_one_at_most(robot: Robot) -
         is_moved = np.abs(palms(robot, q) - before).max(axis=(1, 2)) > 1e-9
         moved[joint] = is_moved.tolist()
     assert {joint for joint, ends in moved.items() if all(ends)} == SHARED[robot.name]
-    for side, own in zip(robot.hands, np.array([*moved.values()]).T, strict=True):
-        np.testing.assert_array_equal(own, robot.hands[side].moves_wrist)
+    for side, own in zip(robot.by_side, np.array([*moved.values()]).T, strict=True):
+        np.testing.assert_array_equal(own, robot.by_side[side].moves_wrist)
 
 
-def test_palms_are_where_each_hand_alone_has_them(robot: Robot) -> None:
+def test_palms_are_where_each_hand_alone_has_them(robot: Hand) -> None:
     spec = read_robot_spec(robot_files()[robot.name])
-    for side, hand in robot.hands.items():
+    for side, hand in robot.by_side.items():
         alone = load_hand(read_hands(spec)[side])
         prefix = "" if alone.joint_names[-1] in hand.joint_names else f"{side}_"
         columns = [hand.joint_names.index(f"{prefix}{j}") for j in alone.joint_names]
@@ -86,12 +85,12 @@ def test_palms_are_where_each_hand_alone_has_them(robot: Robot) -> None:
             np.testing.assert_allclose(pose, other, atol=1e-9)
 
 
-def test_joints_that_follow_others_do_so_on_the_robot(robot: Robot) -> None:
+def test_joints_that_follow_others_do_so_on_the_robot(robot: Hand) -> None:
     followers = 0
     for spec in read_hands(read_robot_spec(robot_files()[robot.name])).values():
         alone = load_hand(spec)
         followers += alone.all_joint_roles.count("follower")
-    assert robot.whole.all_joint_roles.count("follower") == followers
+    assert robot.all_joint_roles.count("follower") == followers
 
 
 G1 = """name: two

@@ -11,9 +11,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from handmap_qp import HandMapper, load_hand
+from handmap_qp import Hand, HandMapper, load_hand
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.hands.robot import Robot, joined, load_robot
+from handmap_qp.hands.robot import joined, load_robot
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import HumanSample, human_name
 from handmap_qp.ik import core as core_module
@@ -33,12 +33,12 @@ Samples = tuple[dict[Side, np.ndarray], dict[Side, np.ndarray]]
 
 
 @pytest.fixture(scope="module")
-def g1() -> Robot:
+def g1() -> Hand:
     return load_robot("g1")
 
 
 @pytest.fixture(scope="module")
-def pair() -> Robot:
+def pair() -> Hand:
     return load_robot("ur5_pair")
 
 
@@ -56,10 +56,10 @@ def motion(i: int, apart: float = 0.5, nearing: float = 0.0) -> Samples:
     return q, wrists
 
 
-def palms(step: RobotStep, robot: Robot) -> np.ndarray:
+def palms(step: RobotStep, robot: Hand) -> np.ndarray:
     """The robot's palms, shape (2, 4, 4)."""
     q = step.command.q
-    return np.array([hand.frame_pose("palm", q) for hand in robot.hands.values()])
+    return np.array([hand.frame_pose("palm", q) for hand in robot.by_side.values()])
 
 
 def persons(mapper: RobotMapper) -> list[Any]:
@@ -80,14 +80,14 @@ def knuckle_distance(mapper: RobotMapper, step: RobotStep) -> float:
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_hands_on_arms_of_their_own_move_as_if_alone(
-    pair: Robot, formulation: str
+    pair: Hand, formulation: str
 ) -> None:
     # With more iterations, both hands would take those that one of them needs.
     ik = PRESET.ik.replaced(formulation=formulation, max_iterations=1)
     mapper = RobotMapper(pair, HUMANS, "teleoperation", ik=ik, turns_in=np.inf)
     names = mapper.robot.joint_names
     alone = {
-        side: HandMapper(HUMANS[side], pair.hands[side], "teleoperation", ik=ik)
+        side: HandMapper(HUMANS[side], pair.by_side[side], "teleoperation", ik=ik)
         for side in SIDES
     }
     apart = []
@@ -109,12 +109,12 @@ def on_detours(mapper: HandMapper | RobotMapper) -> list[bool]:
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_each_hand_takes_the_detours_that_it_takes_alone(
-    pair: Robot, formulation: str
+    pair: Hand, formulation: str
 ) -> None:
     ik = PRESET.ik.replaced(formulation=formulation, max_iterations=1)
     mapper = RobotMapper(pair, HUMANS, "teleoperation", ik=ik, turns_in=np.inf)
     alone = {
-        side: HandMapper(HUMANS[side], pair.hands[side], "teleoperation", ik=ik)
+        side: HandMapper(HUMANS[side], pair.by_side[side], "teleoperation", ik=ik)
         for side in SIDES
     }
     _, wrists = motion(0, apart=1.0)
@@ -139,9 +139,9 @@ def test_each_hand_takes_the_detours_that_it_takes_alone(
     assert taken.all()
 
 
-def test_a_robot_with_one_hand_is_a_hand_on_an_arm(g1: Robot) -> None:
-    hand = g1.hands["left"]
-    robot = Robot("one", {"left": hand})
+def test_a_robot_with_one_hand_is_a_hand_on_an_arm(g1: Hand) -> None:
+    hand = g1.by_side["left"]
+    robot = joined("one", hand)
     mapper = RobotMapper(robot, HUMANS, "teleoperation", turns_in=np.inf)
     single = HandMapper(HUMANS["left"], hand, "teleoperation")
     # A hand of its own is put where it is at rest, too.
@@ -153,7 +153,7 @@ def test_a_robot_with_one_hand_is_a_hand_on_an_arm(g1: Robot) -> None:
         assert step.status == other.status
 
 
-def test_all_ways_to_solve_agree(g1: Robot) -> None:
+def test_all_ways_to_solve_agree(g1: Hand) -> None:
     kinds = ("direct", "mink", *FORMULATIONS[:-1])
     mappers = [
         RobotMapper(
@@ -172,7 +172,7 @@ def test_all_ways_to_solve_agree(g1: Robot) -> None:
                 np.testing.assert_allclose(ours.targets, other.targets, atol=1e-7)
 
 
-def test_near_palms_are_seen_from_each_other_as_the_persons(g1: Robot) -> None:
+def test_near_palms_are_seen_from_each_other_as_the_persons(g1: Hand) -> None:
     mapper = RobotMapper(g1, HUMANS, "teleoperation")
     step = mapper.map_step(*motion(0, apart=0.7), dt=DT)
     far = knuckle_distance(mapper, step)
@@ -195,7 +195,7 @@ def test_near_palms_are_seen_from_each_other_as_the_persons(g1: Robot) -> None:
 
 @pytest.mark.parametrize("turns_in", [0.5, np.inf])
 def test_palms_turn_to_the_persons_soon_after_a_reference(
-    pair: Robot, turns_in: float
+    pair: Hand, turns_in: float
 ) -> None:
     mapper = RobotMapper(pair, HUMANS, "teleoperation", turns_in=turns_in)
     first = palms(mapper.map_step(*motion(0, apart=1.0), dt=DT), pair)
@@ -219,7 +219,7 @@ def test_palms_turn_to_the_persons_soon_after_a_reference(
     assert all(leader.since == DT for leader in mapper.leaders.values())
 
 
-def test_crossing_hands_do_not_overlap(g1: Robot) -> None:
+def test_crossing_hands_do_not_overlap(g1: Hand) -> None:
     mapper = RobotMapper(g1, HUMANS, "teleoperation")
     limit = mapper.point_ik.gate.collisions
     assert limit is not None
@@ -234,22 +234,22 @@ def test_crossing_hands_do_not_overlap(g1: Robot) -> None:
     assert nearest < 0.01
 
 
-def test_a_shared_waist_moves_both_palms(g1: Robot) -> None:
-    whole = joined("g1", *g1.hands.values())
+def test_a_shared_waist_moves_both_palms(g1: Hand) -> None:
+    whole = joined("g1", *g1.by_side.values())
     q = whole.rest.copy()
     q[whole.joint_names.index("waist_yaw_joint")] = 0.3
-    for hand in g1.hands.values():
+    for hand in g1.by_side.values():
         moved = hand.frame_pose("palm", q) - hand.frame_pose("palm", hand.rest)
         assert np.abs(moved[:3, 3]).max() > 0.05
     moving = whole.moves_wrist
     assert moving.sum() == 3 + 7 + 7
     np.testing.assert_array_equal(
-        moving, np.logical_or(*(hand.moves_wrist for hand in g1.hands.values()))
+        moving, np.logical_or(*(hand.moves_wrist for hand in g1.by_side.values()))
     )
 
 
-def test_offsets_are_derivatives(g1: Robot) -> None:
-    whole = joined("g1", *g1.hands.values())
+def test_offsets_are_derivatives(g1: Hand) -> None:
+    whole = joined("g1", *g1.by_side.values())
     places = [
         (whole.model.frames[hand.wrist_frame_id].parentJoint, np.array([0.1, 0.0, 0.1]))
         for hand in whole.hands
@@ -282,7 +282,7 @@ def samples_of(i: int, lost: Side | None = None) -> dict[Side, HumanSample]:
 
 
 @pytest.mark.parametrize("is_silent", [False, True])
-def test_a_hand_that_is_lost_holds_its_side_only(pair: Robot, is_silent: bool) -> None:
+def test_a_hand_that_is_lost_holds_its_side_only(pair: Hand, is_silent: bool) -> None:
     follower = RobotFollower(RobotMapper(pair, HUMANS, "teleoperation"), smoothing=None)
     for i in range(60):
         step = follower.map_samples(samples_of(i))
@@ -314,7 +314,7 @@ def test_a_hand_that_is_lost_holds_its_side_only(pair: Robot, is_silent: bool) -
     )
 
 
-def test_an_error_leaves_both_hands_as_they_were(g1: Robot) -> None:
+def test_an_error_leaves_both_hands_as_they_were(g1: Hand) -> None:
     follower = RobotFollower(RobotMapper(g1, HUMANS, "teleoperation"))
     for i in range(20):
         follower.map_samples(samples_of(i))
@@ -329,7 +329,7 @@ def test_an_error_leaves_both_hands_as_they_were(g1: Robot) -> None:
         np.testing.assert_array_equal(ours.command.q, other.command.q)
 
 
-def test_a_release_stops_all_joints(g1: Robot) -> None:
+def test_a_release_stops_all_joints(g1: Hand) -> None:
     mapper = RobotMapper(g1, HUMANS, "teleoperation")
     for i in range(30):
         mapper.map_step(*motion(i), dt=DT)
@@ -349,7 +349,7 @@ def test_a_release_stops_all_joints(g1: Robot) -> None:
     assert np.abs(step.command.q - mapper.robot.rest).max() < 0.3
 
 
-def test_copies_continue_alike(g1: Robot) -> None:
+def test_copies_continue_alike(g1: Hand) -> None:
     mapper = RobotMapper(g1, HUMANS, "teleoperation")
     for i in range(10):
         mapper.map_step(*motion(i), dt=DT)
@@ -360,7 +360,7 @@ def test_copies_continue_alike(g1: Robot) -> None:
             np.testing.assert_array_equal(twin.map_step(*motion(i), dt=DT).command.q, q)
 
 
-def test_options_change_between_samples(g1: Robot) -> None:
+def test_options_change_between_samples(g1: Hand) -> None:
     mapper = RobotMapper(g1, HUMANS, "teleoperation")
     for i in range(30):
         before = mapper.map_step(*motion(i), dt=DT)
@@ -377,18 +377,18 @@ def test_options_change_between_samples(g1: Robot) -> None:
 
 
 @pytest.mark.parametrize("preset", ["paper", "object", "finger-vectors"])
-def test_every_method_moves_both_hands(g1: Robot, preset: str) -> None:
+def test_every_method_moves_both_hands(g1: Hand, preset: str) -> None:
     mapper = RobotMapper(g1, HUMANS, preset)
     first = mapper.map_step(*motion(0), dt=DT).command.q
     for i in range(40):
         step = mapper.map_step(*motion(i), dt=DT)
     moved = np.abs(step.command.q - first)
-    for hand in g1.hands.values():
+    for hand in g1.by_side.values():
         fingers = hand.moves_points.any(axis=0) & ~mapper.robot.moves_wrist
         assert moved[fingers].max() > 0.05
 
 
-def test_one_error_for_what_cannot_be_used(g1: Robot) -> None:
+def test_one_error_for_what_cannot_be_used(g1: Hand) -> None:
     mapper = RobotMapper(g1, HUMANS, "teleoperation")
     q, wrists = motion(0)
     cases: list[tuple[Mapping, Mapping]] = [
@@ -409,8 +409,8 @@ def test_one_error_for_what_cannot_be_used(g1: Robot) -> None:
     )
 
 
-def test_the_points_of_a_hand_go_with_its_own_wrist(g1: Robot) -> None:
-    whole = joined("g1", *g1.hands.values())
+def test_the_points_of_a_hand_go_with_its_own_wrist(g1: Hand) -> None:
+    whole = joined("g1", *g1.by_side.values())
     ik = PointIk(whole, PRESET.ik)
     ik.place(whole.configuration_vector(whole.rest))
     placed = ik.configuration
@@ -429,14 +429,14 @@ def test_the_points_of_a_hand_go_with_its_own_wrist(g1: Robot) -> None:
 
 
 @pytest.mark.parametrize("turns_in", [0.0, -1.0, np.nan])
-def test_palms_need_a_time_to_turn_in(g1: Robot, turns_in: float) -> None:
+def test_palms_need_a_time_to_turn_in(g1: Hand, turns_in: float) -> None:
     with pytest.raises(InvalidInputError, match="turns_in"):
         RobotMapper(g1, HUMANS, turns_in=turns_in)
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_palms_stay_in_the_world_while_the_base_walks(
-    g1: Robot, formulation: str
+    g1: Hand, formulation: str
 ) -> None:
     ik = PRESET.ik.replaced(formulation=formulation)
     mapper = RobotMapper(g1, HUMANS, "teleoperation", ik=ik)
@@ -468,7 +468,7 @@ def test_palms_stay_in_the_world_while_the_base_walks(
     assert max(each.wrist_error[0] for each in again.hands.values()) < 5e-3
 
 
-def test_only_a_floating_base_is_elsewhere(g1: Robot, pair: Robot) -> None:
+def test_only_a_floating_base_is_elsewhere(g1: Hand, pair: Hand) -> None:
     mapper = RobotMapper(pair, HUMANS, "teleoperation")
     with pytest.raises(InvalidOptionsError, match="base: floating"):
         mapper.base_pose = np.eye(4)

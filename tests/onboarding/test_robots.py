@@ -90,7 +90,7 @@ def test_it_writes_a_robot_and_its_hands(written: Path) -> None:
     assert (written / "hand.yaml").read_text(encoding="utf-8") == "name: another"
     robot = load_robot(written / "robot.yaml")
     assert robot.name == "g1"
-    assert len(robot.hands["left"].joint_names) == 3 + 2 * 14
+    assert len(robot.by_side["left"].joint_names) == 3 + 2 * 14
     assert len(load_hand(written / "left.yaml").joint_names) == 3 + 14
 
 
@@ -176,8 +176,8 @@ def test_a_robot_in_mjcf_is_converted_once(
     assert printed.count("with the kinematics of") == 1
     robot = load_robot(out.with_name("robot.yaml"))
     assert robot.name == "two"
-    left, right = (hand.moves_wrist for hand in robot.hands.values())
-    names = np.array(robot.hands["left"].joint_names)
+    left, right = (hand.moves_wrist for hand in robot.by_side.values())
+    names = np.array(robot.by_side["left"].joint_names)
     assert names[left & right].tolist() == ["torso_joint"]
     assert names[left ^ right].tolist() == [
         f"{side}_{part}_joint" for side in ("left", "right") for part in ("arm", "palm")

@@ -39,7 +39,7 @@ def test_both_hands_are_mapped_as_by_the_command_map() -> None:
     hands = list(read_hands([DEMO]).values())
     robot = load_robot("g1")
     _, expected, *_ = map_hands(
-        hands, robot.whole, measure_person(*hands), MappingArguments()
+        hands, robot, measure_person(*hands), MappingArguments()
     )
     samples = replay.samples
     np.testing.assert_allclose([s.robot_q for s in samples], expected.q, atol=1e-12)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, Robot
+from handmap_qp.hands import Hand
 from handmap_qp.human import PALM, Person, Recording, scaled_human
 from handmap_qp.mapping import HandMapper, RobotMapper, RobotStep
 from handmap_qp.se3 import (
@@ -202,8 +202,7 @@ def map_hands(
         mapper = HandMapper(human, robot, choice.method, ik=ik)
         trajectory = map_recording(mapper, first, progress)
         return recordings, trajectory, mapper.method, trajectory.valid[:, None]
-    whole = Robot(robot.name, robot.by_side)
-    follower = RobotFollower(RobotMapper(whole, humans, choice.method, ik=ik))
+    follower = RobotFollower(RobotMapper(robot, humans, choice.method, ik=ik))
     followed: list[list[bool]] = []
 
     def steps() -> Iterator[RobotStep]:

@@ -28,7 +28,6 @@ from handmap_qp.hands import (
     urdf_path,
     zero_posture,
 )
-from handmap_qp.hands import Robot as WholeRobot
 from handmap_qp.se3 import lengths
 from handmap_qp.trackers import first_of
 from .anatomy import FINGERS, Clue, angle_between
@@ -104,7 +103,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
     return report
 
 
-def check_robot(robot: WholeRobot, *, has_motion: bool = True) -> Report:
+def check_robot(robot: Hand, *, has_motion: bool = True) -> Report:
     """Check the descriptions of a robot's hands, and what overlaps at rest.
 
     Args:
@@ -116,11 +115,11 @@ def check_robot(robot: WholeRobot, *, has_motion: bool = True) -> Report:
     """
     report = Report(robot.name)
     report.add([("Hands", palm_rows(robot))])
-    for side, hand in robot.hands.items():
+    for side, hand in robot.by_side.items():
         found = check_hand(str(hand.spec.file), has_motion=has_motion)
         report.error = report.error or found.error
         report.add(one._replace(key=f"{side}: {one.key}") for one in found.findings)
-    hands = [*robot.hands.values()]
+    hands = robot.hands
     whole = hands[0]
     wrists = [carrier_of(whole, hand.spec.wrist.link) for hand in hands]
     # Links of one hand are among its own findings.

@@ -25,7 +25,6 @@ from handmap_qp.hands import (
     LONGEST_STOP,
     Hand,
     HandSpec,
-    Robot,
     Side,
     Values,
     find_fingers,
@@ -156,7 +155,7 @@ def describe_robot(robot: str | Path) -> Values:
     Args and errors are those of `load_robot`.
     """
     found = load_robot(robot)
-    first = next(iter(found.hands.values()))
+    first = found.hands[0]
     bases = parse_urdf(first.urdf_text).iterfind(_BASES)
     return {
         "name": found.name,
@@ -166,9 +165,9 @@ def describe_robot(robot: str | Path) -> Values:
     }
 
 
-def _parts(robot: Robot) -> list[str]:
+def _parts(robot: Hand) -> list[str]:
     """Return what each joint is part of: `left arm`, `left hand`, ..., or `shared` by both."""
-    hands = robot.hands.values()
+    hands = robot.hands
     arms = np.array([hand.moves_wrist for hand in hands])
     parts = np.full(arms.shape[1], "other", dtype=object)
     for hand, arm in zip(hands, arms, strict=True):

@@ -16,7 +16,6 @@ from handmap_qp.hands import (
     Hand,
     Pad,
     PalmKinematics,
-    Robot,
     all_pairs,
     find_fingers,
     find_pads,
@@ -467,10 +466,10 @@ def _gap(hand: Hand, finger: Finger, thumb: Finger, pads: dict[str, Pad]) -> flo
     return best - radii
 
 
-def palm_rows(robot: Robot) -> Rows:
+def palm_rows(robot: Hand) -> Rows:
     """Return a row for each hand: its palm at rest in the robot's base, and its wrist's reach."""
     rows = []
-    for side, hand in robot.hands.items():
+    for side, hand in robot.by_side.items():
         pose = hand.frame_pose("palm", hand.rest)
         reach = measure_arm(hand)
         rows.append(

@@ -28,7 +28,7 @@ from handmap_qp.apps.drawing.contact_sheet import (
     SheetRow,
     contact_sheet,
 )
-from handmap_qp.hands import Hand, PalmKinematics, Robot, place_of
+from handmap_qp.hands import Hand, PalmKinematics, place_of
 from handmap_qp.mapping import resting_posture
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points, unit
 from .match import Match
@@ -92,7 +92,7 @@ def draw_hand(hand: Hand, path: Path, *directions: Any) -> None:
     save_panels(path, title, _PANEL, panels)
 
 
-def draw_robot(robot: Robot, path: Path) -> None:
+def draw_robot(robot: Hand, path: Path) -> None:
     """Draw a robot at rest with the axes of its palms, from two sides.
 
     Args:
@@ -103,7 +103,7 @@ def draw_robot(robot: Robot, path: Path) -> None:
         InvalidInputError: If the file cannot be written.
         MissingExtraError: If matplotlib is not installed.
     """
-    hands = robot.hands.values()
+    hands = robot.hands
     first = next(iter(hands))
     triangles = load_shape(first).triangles(first.rest)
     poses = [hand.frame_pose("palm", hand.rest) for hand in hands]

@@ -30,7 +30,6 @@ from handmap_qp.hands import (
     Hand,
     HumanLengths,
     Mount,
-    Robot,
     Side,
     Values,
     hand_files,
@@ -201,15 +200,14 @@ class HandCache:
         self._load = lru_cache(maxsize=_CACHED_HANDS)(load_hand)
         self._load_robot = lru_cache(maxsize=_CACHED_HANDS)(load_robot)
 
-    def robot_of(self, request: Open) -> Robot:
-        """Return the robot of a request; a hand of its own is one without a name.
+    def robot_of(self, request: Open) -> Hand:
+        """Return the robot of a request, or its hand.
 
         Raises:
             RefusedError: As of `robot`, or if a field is not for a robot.
         """
         if request.robot not in self.two_handed:
-            hand = self.robot(request.robot, request.robot_points, request.mount)
-            return Robot("", {request.side: hand})
+            return self.robot(request.robot, request.robot_points, request.mount)
         for field, only in _OF_ROBOT.items():
             message = f"expected {only or 'none'} for a robot with two hands"
             refuse_if(getattr(request, field) != only, message, field)
@@ -287,7 +285,8 @@ def prepare_hands(
         RefusedError: With the field at fault.
     """
     robot = cache.robot_of(request)
-    first, hand = next(iter(robot.hands.items()))
+    hands = robot.by_side if robot.parts else {request.side: robot}
+    first, hand = next(iter(hands.items()))
     lengths = next(iter(measured.values()), None)
     if lengths is None:
         with naming_field("lengths"):
@@ -301,7 +300,7 @@ def prepare_hands(
 
     has_landmarks = request.input == "landmarks"
     with naming_field("human_points"):
-        humans = {side: load(side) for side in robot.hands}
+        humans = {side: load(side) for side in hands}
         human = humans[first]
         if has_landmarks:
             # Reject reference points that are no landmarks now, not at the first sample.
@@ -309,14 +308,14 @@ def prepare_hands(
     choice = read_choice(request, human, hand)
     mapping: Any = partial(HandMapper, human, hand)
     following: Any = Follower
-    if robot.name:
+    if robot.parts:
         mapping, following = partial(RobotMapper, robot, humans), RobotFollower
     with naming_option(hand, choice):
         mapper = mapping(choice.method, ik=choice.ik)
     # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
     with suppress(HandmapError):
         for side in humans:
-            hand_pair(humans[side], robot.hands[side])
+            hand_pair(humans[side], hands[side])
     rejoins = request.resume == "clutch"
     follower = following(mapper, rejoin="clutch" if rejoins else "glide")
     calibration = None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands import Hand, Names, Robot, Side, Values
+from handmap_qp.hands import Hand, Names, Side, Values
 from handmap_qp.human import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping import (
     Choice,
@@ -174,9 +174,8 @@ class Replay:
         robot = self._robot
         mapper: Any
         if robot.parts:
-            whole = Robot(robot.name, robot.by_side)
             humans = self.human.by_side
-            mapper = RobotMapper(whole, humans, choice.method, ik=choice.ik)
+            mapper = RobotMapper(robot, humans, choice.method, ik=choice.ik)
             follow: Any = RobotFollower(mapper).map_samples
             samples: Any = paired({each.side: each for each, _ in self._seen})
         else:
