@@ -215,13 +215,7 @@ def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
 
 
 def _flags(name: str, about: str, *, are_of_qp: bool) -> type:
-    """Return a class with a command-line option for every option of a kind, None where not given.
-
-    Args:
-        name: Name of the class.
-        about: What the options are for.
-        are_of_qp: Whether they are those of the QP, or those of the presets.
-    """
+    """Return a class with a command-line option for each of a kind, None where not given."""
     items: list[Any] = []
     for option, places in known_options().items():
         # Presets of one method share what they say.

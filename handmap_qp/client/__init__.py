@@ -176,10 +176,9 @@ class _Core:
         raise NotImplementedError
 
     async def _io(self, use: Use, payload: bytes | None, until: float) -> bytes | None:
-        """Send a payload, or receive a message if it is None, before a time [s, monotonic].
+        """Send a payload, or return a message if it is None, before a time [s, monotonic].
 
-        Returns:
-            The message, empty for a payload that was sent; None if it was too late.
+        None is too late; what was sent is an empty message.
         """
         socket = self._socket(use)
         event = zmq.POLLIN if payload is None else zmq.POLLOUT

@@ -134,12 +134,7 @@ def _stl_vertices(file: str) -> Array | None:
     """Return the corners of a binary STL file's triangles; None of any other file.
 
     Most meshes are such files. coal takes up to 80 ms for one, and meanwhile no other thread runs.
-
-    Args:
-        file: Path of the file.
-
-    Returns:
-        Corners [m], shape (3 n, 3); those that triangles share are repeated.
+    Corners that triangles share are repeated, shape (3 n, 3) [m].
     """
     if not file.lower().endswith(".stl"):
         return None
@@ -177,9 +172,6 @@ def _convex_hull(points: Array) -> coal.Convex | None:
 
     coal's own `buildConvexRepresentation` keeps the vertices inside the hull. They disturb the
     search along edges for the farthest vertex, and distances are then wrong by millimetres.
-
-    Args:
-        points: Vertices [m], shape (n, 3).
     """
     # Importing scipy takes twice as long as all of this package: only meshes need it.
     from scipy.spatial import ConvexHull, QhullError

@@ -1,7 +1,4 @@
-"""From targets to motion: a QP with limits.
-
-Names and modules of `__init__.pyi` are imported at their first use.
-"""
+"""From targets to motion: a QP with limits. Names are those of `__init__.pyi`."""
 
 import lazy_loader
 

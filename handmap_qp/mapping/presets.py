@@ -53,11 +53,7 @@ def get_preset(name: str) -> Preset:
 
 
 def known_options() -> dict[str, list[tuple[str, Option]]]:
-    """Return the options of all methods and of the QP by name, each with its presets' names.
-
-    Returns:
-        For every name the presets that have it (`ik` for the QP), and what it is there.
-    """
+    """Return all options by name: the presets that have each (`ik`: the QP), and what it is."""
     kinds = {name: type(preset.method) for name, preset in PRESETS.items()}
     found: dict[str, list[tuple[str, Option]]] = {}
     for preset, kind in (kinds | {"ik": IkOptions}).items():

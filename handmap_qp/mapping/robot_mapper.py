@@ -308,8 +308,7 @@ class RobotMapper:
     def base_pose(self) -> Array:
         """Where a floating base is in the robot's world, shape (4, 4). Set it before each sample.
 
-        Targets stay in that world as the base moves; commands, points and wrists are seen from the
-        base.
+        Palms stay in that world as it moves; commands, targets and points are seen from the base.
 
         Raises:
             InvalidOptionsError: If the base is fixed.
@@ -427,11 +426,7 @@ class RobotMapper:
         )
 
     def _moved(self, dt: float) -> tuple[Stages, list[Stages]]:
-        """Move the robot for what all hands ask, or bring it to a stop.
-
-        Returns:
-            The stages of the robot, and those of each hand.
-        """
+        """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
         leaders = self.leaders.values()
         asked = [leader.asked for leader in leaders]
         to_base = inverse_pose(self._base)
@@ -496,10 +491,9 @@ class RobotMapper:
     def _together(
         self, maps: list[Any], targets: list[Targets], persons: list[Any]
     ) -> list[Task]:
-        """Move the targets of near palms to where one is seen from the other as the person's is.
+        """Let targets of near palms be seen from each other as the person's; return the task of it.
 
-        Returns:
-            The task of their offset, for palms that cannot come there.
+        It is for palms that cannot come there.
         """
         if len(persons) < 2 or any(palm is None for palm in persons):
             return []

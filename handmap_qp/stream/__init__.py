@@ -1,7 +1,4 @@
-"""Which samples of a tracker the robot follows.
-
-Names of `__init__.pyi` are imported at their first use.
-"""
+"""Which samples of a tracker the robot follows. Names are those of `__init__.pyi`."""
 
 import lazy_loader
 

@@ -158,11 +158,7 @@ class InputCheck(Compiled):
 
     @in_core
     def finish(self) -> Finding | None:
-        """Judge the samples that are left, at the end of a recording.
-
-        Returns:
-            The finding; that of the only batch, if there was no other one to agree with it.
-        """
+        """Judge what is left at the end of a recording, by one batch if there was no other."""
         if self._batch and (len(self._batch) >= _NEW.least or not self._batches):
             self._judge()
         self._batch.clear()

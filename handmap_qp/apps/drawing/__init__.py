@@ -1,7 +1,4 @@
-"""A software renderer for hands, without a display.
-
-Names of `__init__.pyi` are imported at their first use.
-"""
+"""A software renderer for hands, without a display. Names are those of `__init__.pyi`."""
 
 import lazy_loader
 

@@ -253,11 +253,7 @@ def _rasterise(vertices: Array, camera: Camera) -> _Surface:
 
 
 def _between(low: Array, high: Array, size: int) -> Array:
-    """Find the pixels whose centres lie between n bounds, along a side of so many pixels.
-
-    Returns:
-        For each one the index of its bounds, and its own, shape (2, k).
-    """
+    """Return the index of bounds, and its own, of each pixel with its centre in them, (2, k)."""
     first = np.ceil(low - 0.5).clip(0, size).astype(int)
     counts = np.floor(high + 0.5).clip(first, size).astype(int) - first
     owner = np.arange(len(low)).repeat(counts)

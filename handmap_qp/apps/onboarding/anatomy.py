@@ -264,10 +264,9 @@ class Anatomy:
         return float(before @ dorsal / flexion.reach[self._rest].mean())
 
     def _find_radial(self, across: Array) -> _Found:
-        """Find the thumb's side of the palm: by its place, or by the other fingers' names.
+        """Return the direction across the palm to the thumb, or by the other fingers' names.
 
-        Returns:
-            The direction across the palm towards the thumb; confidence 0 if the thumb is central.
+        Its confidence is 0 if the thumb is central.
         """
         flexion = self._flexion
         rest = self._rest

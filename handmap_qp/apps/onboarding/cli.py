@@ -82,12 +82,7 @@ def _print_found(
 
 
 def list_hands() -> Rows:
-    """List all hands that have a name; those of other packages come last.
-
-    Returns:
-        Name, side, number of joints, mount, point sets of each, and whether it is installed, or
-        what installs it.
-    """
+    """List all hands that have a name, and what installs them; those of others come last."""
     specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
     return [
         {
@@ -103,11 +98,7 @@ def list_hands() -> Rows:
 
 
 def list_robots() -> Rows:
-    """List the robots of the package.
-
-    Returns:
-        Name and hands of each, and whether all are installed, or what installs the missing one.
-    """
+    """List the robots of the package with their hands, and what installs a missing one."""
     rows = []
     for name, file in robot_files().items():
         hands = read_hands(read_robot_spec(file)).values()

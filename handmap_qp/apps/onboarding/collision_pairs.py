@@ -41,11 +41,7 @@ _SHORT = 0.025
 
 
 def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
-    """Add the pairs of links to keep apart to a detected hand.
-
-    Returns:
-        The detection with `collision`; with a note instead if there are no shapes.
-    """
+    """Return a detected hand with its `collision`, or with a note if it has no shapes."""
     try:
         pairs = all_pairs(hand, find_fingers(hand))
         collision = find_collision_pairs(hand, pairs)

@@ -254,11 +254,7 @@ class Dispatcher:
                 send(reply)
 
     def tick(self) -> float:
-        """Let time pass: run the watchdogs, and close idle sessions.
-
-        Returns:
-            Time until a watchdog is due, or a while; at most 0 for at once [s].
-        """
+        """Run the watchdogs and close idle sessions; return the time until the next call [s]."""
         now = self.sessions.clock()
         due = now + _LONGEST_TICK
         for secret, session in list(self.sessions.by_secret.items()):

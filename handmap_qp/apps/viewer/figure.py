@@ -120,11 +120,7 @@ class Figure(ABC):
         """Draw one instant."""
 
     def place_of(self, sample: ViewSample) -> tuple[Array, Array] | None:
-        """Return where it is in the figure's world [m]; None if nothing is known.
-
-        Returns:
-            Its centre, shape (3,), and corners of what is drawn, shape (n, 3).
-        """
+        """Return its centre, (3,), and corners, (n, 3), in the figure's world [m], if known."""
         points = self.points(sample)
         return None if points is None else (points.mean(axis=0), points)
 

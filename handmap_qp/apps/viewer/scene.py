@@ -246,11 +246,7 @@ class BrowserCameras:
         self._views = views
 
     def _view(self, columns: int, rows: int) -> tuple[float, float]:
-        """Return where the camera has to be for the box to fill a window of this size [px].
-
-        Returns:
-            Distance from the point that it looks at [m], and the height of that point [m].
-        """
+        """Return how far the camera has to be from where it looks, and the height of that [m]."""
         width, height, depth = self._size
         free = max(columns - 2 * _MARGIN, 50), max(rows - _NAMES - 2 * _MARGIN, 50)
         pixel = max(width / free[0], height / free[1])

@@ -154,14 +154,8 @@ def _results(
     T is estimated in palm axes, from the human's rest posture. In the world, that posture lies at
     the palm of the reference, T_rb is the motion of the palm, and T_def all the rest.
 
-    Args:
-        estimate: T in palm axes; its residuals are those of tips and middle joints.
-        palm_before: The human's palm at the reference, shape (4, 4).
-        palm: The same now.
-        gaps: Human distance from the thumb tip to each finger's tip [m], shape (p,).
-        pinching: Weight of each pinch row as a share of its full weight, shape (p,).
-        extensions: Human knuckle-to-tip distance of each common finger as a share of its reach,
-            shape (f,).
+    Palms are the human's, (4, 4), gaps those from the thumb's tip to each finger's [m], `pinching`
+    the share of each pinch row's weight, (p,) both, and extensions shares of reach, (f,).
     """
     rigid = palm @ inverse_pose(palm_before)
     deformation = palm @ estimate.motion @ inverse_pose(palm)

@@ -187,15 +187,9 @@ def _posed_joints(
     turns: Array,
     shape: Array,
 ) -> Array:
-    """Compute joints and fingertips.
+    """Return 16 joints in MANO's order, then tips from thumb to little [m], shape (T, 21, 3).
 
-    Args:
-        model: The arrays of the model.
-        turns: Rotation vectors of the 16 joints, the wrist's first [rad], shape (T, 16, 3).
-        shape: Shape coefficients, shape (10,).
-
-    Returns:
-        The 16 joints in MANO's order, then the tips from thumb to little [m], shape (T, 21, 3).
+    Turns are rotation vectors of the joints, the wrist's first [rad], shape (T, 16, 3).
     """
     from scipy.spatial.transform import Rotation
 
@@ -217,14 +211,7 @@ def _posed_joints(
 
 
 def _load_model(side: str, given: Path | None) -> Arrays:
-    """Load the user's model file.
-
-    Args:
-        side: Which hand.
-        given: The file, or its folder; that of the environment variable `HANDMAP_MANO` if omitted.
-
-    Returns:
-        The arrays of `_MODEL`.
+    """Load the arrays of `_MODEL` of the user's file, or folder; by `HANDMAP_MANO` if omitted.
 
     Raises:
         RecordingError: If there is none, it cannot be read, or an array has another shape. A pickle
