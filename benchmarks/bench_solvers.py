@@ -250,7 +250,7 @@ def hostile_problems(count: int, seed: int = 0) -> list[Problem]:
             run = hostile.IkRun(hand, options, seed + k, shapes)
             run.ik._solver = recorder
             run.checker.meter = None
-            run.advance(500, hostile.Tally())
+            run.advance(min(500, count), hostile.Tally())
         problems += recorder.problems
     return problems
 
@@ -452,6 +452,7 @@ def main(words: Sequence[str] | None = None) -> None:
     count = (80 if arguments.quick else arguments.problems) // 4
     timed = min(_TIMED, count)
     names = [file.stem for file in sorted(arguments.recordings.glob("*.npz"))]
+    names = names[: 1 if arguments.quick else None]
     motions = [
         synthetic.motion_or_synergies(arguments.recordings, name)
         for name in (names or ["none"])
