@@ -99,11 +99,11 @@ class RobotMover {
     if (asks.size() != hands_.size() || turning.size() != hands_.size() ||
         worlds.size() != hands_.size())
       throw std::invalid_argument("wrong number of hands");
+    take_motion(ik_, gate_);
     aim(asks, turning, worlds);
     goal_.postures = ik_.postures(wanted_rest_, std::max(dt, kShortestDt));
     double speed = 1.0;
     for (const Ask* ask : asks) speed = std::min(speed, ask->speed);
-    take_motion(ik_, gate_);
     auto [made, whole] = new_stages(reader_);
     seek(ik_, goal_, dt, wanted_margins_, speed, whole.result);
     finish(ik_, whole);

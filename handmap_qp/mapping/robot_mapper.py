@@ -42,7 +42,6 @@ from handmap_qp.ik import (
     IkOptions,
     IkResult,
     Motion,
-    Parts,
     PointIk,
     PointOffset,
     Task,
@@ -440,7 +439,7 @@ class RobotMapper:
             )
             tasks = self._together([each.map for each in asked], targets, persons)
             return self._stages(asked, targets, self._solved(asked, targets, tasks, dt))
-        self._core = self._core or core.robot_mover(self._targets, self._pinching)
+        self._core = self._core or core.robot_mover(_targets_of, self._pinching)
         return self._core.move(asked, turning, worlds, dt)
 
     def _solved(
@@ -482,11 +481,6 @@ class RobotMapper:
         whole = Targets(result.targets, targets[0].wrist, flags=flags)
         pose = HumanPose(points, asked[0].pose.wrist)
         return _stages(pose, whole, result), parts
-
-    def _targets(self, numbers: Array, is_clamped: bool) -> Targets:
-        """Return the targets of all hands that the core computed."""
-        points, wrist = Parts((len(self.robot.reference_points), 3), (4, 4)).of(numbers)
-        return Targets(points, wrist, flags=("stretch_clamped",) * is_clamped)
 
     def _together(
         self, maps: list[Any], targets: list[Targets], persons: list[Any]
@@ -611,6 +605,13 @@ class RobotMapper:
     def _leader(self, side: Side) -> Leader:
         _expect_sides([side], self.leaders, "side")
         return self.leaders[side]
+
+
+def _targets_of(numbers: Array, is_clamped: bool) -> Targets:
+    """Return the targets of all hands that the core computed."""
+    points, wrist = np.split(numbers, [-16])
+    flags = ("stretch_clamped",) if is_clamped else ()
+    return Targets(points.reshape(-1, 3), wrist.reshape(4, 4), flags=flags)
 
 
 def _stages(pose: HumanPose, asked: Targets, result: IkResult) -> Stages:

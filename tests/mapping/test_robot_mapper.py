@@ -17,10 +17,12 @@ from handmap_qp.hands.robot import joined, load_robot
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import HumanSample, human_name
 from handmap_qp.ik import core as core_module
+from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import PointDistances, PointOffset
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
+from handmap_qp.stream.follower import SMOOTH_IK
 from handmap_qp.stream.robot_follower import RobotFollower
 
 SIDES: tuple[Side, ...] = ("left", "right")
@@ -170,6 +172,25 @@ def test_all_ways_to_solve_agree(g1: Hand) -> None:
             for side in SIDES:
                 ours, other = step.hands[side], steps[0].hands[side]
                 np.testing.assert_allclose(ours.targets, other.targets, atol=1e-7)
+
+
+def test_smoothing_counts_from_where_the_robot_is(g1: Hand) -> None:
+    ik = PRESET.ik.replaced(**SMOOTH_IK)
+    kinds = ("direct", *FORMULATIONS[:-1])
+    mappers = [
+        RobotMapper(g1, HUMANS, "teleoperation", ik=ik.replaced(formulation=kind))
+        for kind in kinds
+    ]
+    for i in range(60):
+        steps = [mapper.map_step(*motion(i), dt=DT) for mapper in mappers]
+        q = steps[0].command.q
+        for step in steps[1:]:
+            np.testing.assert_allclose(step.command.q, q, atol=1e-6)
+        if i % 20 == 10:
+            # Something else has stopped the robot.
+            still = Motion.at_rest(mappers[0].motion.q, len(g1.active_columns))
+            for mapper in mappers:
+                mapper.motion = still
 
 
 def test_near_palms_are_seen_from_each_other_as_the_persons(g1: Hand) -> None:
