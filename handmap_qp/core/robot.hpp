@@ -90,14 +90,14 @@ class RobotMover {
   RobotMover(const RobotMover&) = delete;
 
   // Move the robot for an `Ask` of each hand; `turning` says how far their palms have turned to the
-  // person's, and `worlds` where the world of each hand's reference is from the robot's base. Return
-  // the stages of the robot, and those of each hand.
+  // person's, and `worlds` where the world of each hand's reference is from the robot's base; none if
+  // that has not moved. Return the stages of the robot, and those of each hand.
   nb::tuple move(const nb::list& given, const Vector& turning, const std::vector<Array>& worlds,
                  double dt) {
     std::vector<const Ask*> asks;
     for (const nb::handle& each : given) asks.push_back(nb::cast<const Ask*>(each));
     if (asks.size() != hands_.size() || turning.size() != hands_.size() ||
-        worlds.size() != hands_.size())
+        (!worlds.empty() && worlds.size() != hands_.size()))
       throw std::invalid_argument("wrong number of hands");
     take_motion(ik_, gate_);
     aim(asks, turning, worlds);
@@ -149,9 +149,12 @@ class RobotMover {
       if (asked.points.size() != ik_.tree.parts[k].end - ik_.tree.parts[k].first ||
           asks[k]->map->rest.size() != rest_.size())
         throw std::invalid_argument("the map is of another hand");
-      expect_size(worlds[k], 16, "worlds");
-      const Pose world = pose_of(worlds[k].data());
-      move_targets(k, world);
+      Pose world;
+      if (!worlds.empty()) {
+        expect_size(worlds[k], 16, "worlds");
+        world = pose_of(worlds[k].data());
+        move_targets(k, world);
+      }
       if (const PalmMap* palm = asks[k]->map->palm()) {
         persons_[k] = world * palm->person_at(asks[k]->pose.wrist);
         turn(*palm, k, smoothstep(turning[k]));

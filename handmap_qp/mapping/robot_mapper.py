@@ -51,6 +51,7 @@ from handmap_qp.se3 import (
     PoseLike,
     affine,
     check_pose,
+    frozen,
     inverse_pose,
     lengths,
     smoothstep,
@@ -73,6 +74,8 @@ _NEAR = 0.4
 _TOGETHER = 0.2
 # Weight of that over the weight of a wrist's position.
 _TOGETHER_SHARE = 5.0
+# A base that nobody has moved.
+_HOME = frozen(np.eye(4))
 
 
 # The core takes long to take over pairs that are new.
@@ -112,7 +115,7 @@ class Leader(HandMapper):
 
     asked: Any = None
     since = 0.0
-    base = np.eye(4)
+    base = _HOME
 
     def join(self, ik: PointIk) -> None:
         """Ask the robot that a solver moves."""
@@ -263,7 +266,7 @@ class RobotMapper:
             for side, hand in robot.by_side.items()
         }
         self._is_floating = robot.has_floating_base
-        self._base = np.eye(4)
+        self._base = _HOME
         self._turns_in = turns_in
         self._join()
         self.reset()
@@ -428,12 +431,15 @@ class RobotMapper:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
         leaders = self.leaders.values()
         asked = [leader.asked for leader in leaders]
-        to_base = inverse_pose(self._base)
-        worlds = [to_base @ leader.base for leader in leaders]
+        worlds = []
+        if self._base is not _HOME:
+            to_base = inverse_pose(self._base)
+            worlds = [to_base @ leader.base for leader in leaders]
         turning = [leader.since / self._turns_in for leader in leaders]
         core = self._ik.core
         is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
         if core is None or is_python:
+            worlds = worlds or [_HOME for _ in leaders]
             targets, persons = map(
                 list, zip(*map(_aimed, asked, worlds, turning), strict=True)
             )
@@ -630,5 +636,6 @@ def palm_place(hand: Hand, anchor: Array) -> tuple[int, Array]:
 def _expect_sides(sides: Iterable[Side], known: Mapping[Side, Any], name: str) -> None:
     """Reject sides that are not among the known ones."""
     for side in sides:
-        expected = " and ".join(known) or "at least one"
-        expect(side in known, name, expected, value=side)
+        if side not in known:
+            expected = " and ".join(known) or "at least one"
+            raise InvalidInputError(argument=name, expected=expected, value=side)
