@@ -88,7 +88,7 @@ class Option(NamedTuple):
     def about(self) -> str:
         """What it means."""
         texts = (meta.description for _, meta in _parts(self.type))
-        return next(filter(None, texts), self.said)
+        return self.said or next(filter(None, texts), "")
 
     @property
     def choices(self) -> tuple[str, ...]:

@@ -102,14 +102,7 @@ _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 def _fields(kind: str, message: type[msgspec.Struct], given: Request) -> Request:
     """Return the fields of a request that are not None, with poses in any form as `Pose`.
 
-    Args:
-        kind: Kind of the request, or one of its hands.
-        message: Its type, or a base that has its fields.
-        given: Values by field.
-
-    Raises:
-        TypeError: If there is no such field.
-        ValueError: If a pose is not one.
+    An unknown field of the message raises a TypeError, a pose that is none a ValueError.
     """
     if unknown := given.keys() - message.__annotations__.keys():
         raise TypeError(f"{kind}() has no argument {sorted(unknown)[0]!r}")

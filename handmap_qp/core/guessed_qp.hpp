@@ -67,7 +67,7 @@ class GuessedQp {
     }
     find_slope();
     const int count = static_cast<int>(free_.size());
-    if (count == 0) return rows == 0;
+    if (count == 0) return false;
     H_.resize(count * count);
     G_.resize(rows * count);
     h_.resize(rows);

@@ -1,4 +1,4 @@
-"""A robot with one or two hands: `Robot`, and the `robot.yaml` it is read from.
+"""A robot with one or two hands: `load_robot`, and the `robot.yaml` it is read from.
 
     name: g1
     hands:
@@ -24,7 +24,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from msgspec import Meta
 from msgspec.structs import replace
 
-from handmap_qp.errors import HandError
+from handmap_qp.errors import HandError, expect
 from handmap_qp.se3 import affine, rotation_from_rpy
 from .hand import Hand
 from .library import find_file, load_hand, robot_files
@@ -167,9 +167,9 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
         side: Hand(_on_robot(specs[side], robot.name, prefix, rest), urdf_text=text)
         for side, prefix in sorted(prefixes.items())
     }
-    found = joined(robot.name, *hands.values())
-    found.has_floating_base = robot.base == "floating"
-    return found
+    for hand in hands.values():
+        hand.has_floating_base = robot.base == "floating"
+    return joined(robot.name, *hands.values())
 
 
 def load_whole(name: str, points: str | None = None, **options: Any) -> Hand:
@@ -185,6 +185,8 @@ def load_whole(name: str, points: str | None = None, **options: Any) -> Hand:
         MissingExtraError: If a URDF lies in a package that is not installed.
     """
     if is_robot(name):
+        message = "none for a robot with two hands"
+        expect(points is None, "robot_points", message, value=points)
         return load_robot(name)
     return load_hand(name, points=points, **options)
 

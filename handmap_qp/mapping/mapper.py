@@ -28,7 +28,7 @@ from handmap_qp.human import (
     PALM,
     landmarks_at_rest,
 )
-from handmap_qp.ik import Compiled, IkOptions, Motion, PointIk, Task
+from handmap_qp.ik import Compiled, IkOptions, IkResult, Motion, PointIk, Task
 from handmap_qp.se3 import (
     FARTHEST,
     Array,
@@ -112,6 +112,8 @@ class HandMapper:
                 problem=f"{human.name} has a fixed wrist, and its pose comes with each sample",
                 advice="load it with mount='floating'",
             )
+        one = "one hand; `RobotMapper` takes a robot"
+        expect(not robot.parts, "robot", one, value=robot.name)
         is_angle = isinstance(joint_tolerance, int | float) and joint_tolerance >= 0.0
         expect(is_angle, "joint_tolerance", "an angle >= 0 rad", value=joint_tolerance)
         self.human = human
@@ -342,10 +344,7 @@ class HandMapper:
                 speed=speed,
             )
             asked = structs.replace(asked, points=result.targets)
-        robot = plan.bound.robot
-        q = result.q[robot.q_indices]
-        command = RobotCommand(robot.joint_names, q, result.wrist)
-        return Stages(sample, asked, result, command)
+        return stages_of(sample, asked, result)
 
     def _core_at(self, reference: _Reference) -> Any:
         """Return the core's mapper from a reference on; None if Python has to map."""
@@ -718,6 +717,13 @@ def posture_of(robot: Hand, vector: Array) -> RobotPosture:
     return RobotPosture(
         vector[robot.q_indices], placed.points.copy(), placed.wrist.homogeneous
     )
+
+
+def stages_of(pose: HumanPose, asked: Targets, result: IkResult) -> Stages:
+    """Return the stages of a step whose robot has moved."""
+    hand = result.hand
+    q = result.q[hand.q_indices]
+    return Stages(pose, asked, result, RobotCommand(hand.joint_names, q, result.wrist))
 
 
 def check_joints(

@@ -30,7 +30,6 @@ from handmap_qp.errors import (
 from handmap_qp.hands import (
     LINK_MARGIN,
     Hand,
-    Names,
     ShapePairs,
     Side,
     common_pairs,
@@ -57,12 +56,11 @@ from handmap_qp.se3 import (
     smoothstep,
     transform_points,
 )
-from .mapper import HandMapper, check_dt, check_joints, posture_of
+from .mapper import HandMapper, check_dt, check_joints, posture_of, stages_of
 from .method import (
     HumanPose,
     MapStep,
     Method,
-    RobotCommand,
     Stages,
     TargetMap,
     Targets,
@@ -74,7 +72,7 @@ _NEAR = 0.4
 _TOGETHER = 0.2
 # Weight of that over the weight of a wrist's position.
 _TOGETHER_SHARE = 5.0
-# A base that nobody has moved.
+# Where a base is that nobody has moved; a copy of it is slower, and no different.
 _HOME = frozen(np.eye(4))
 
 
@@ -131,6 +129,11 @@ class Leader(HandMapper):
         """Make the next sample the reference; see `HandMapper.clutch`."""
         super().clutch()
         self.since = 0.0
+
+    @property
+    def renews_reference(self) -> bool:
+        """Whether every sample becomes the reference of the next one."""
+        return self._plan.bound.renews_reference
 
     def _core_by(self, core: Any, target_map: TargetMap) -> Any:
         return core.asker(target_map, self.robot)
@@ -235,7 +238,7 @@ class RobotMapper:
         ik: Weights and settings of the QP; those of the preset if omitted.
         turns_in: Time after a reference until the robot's palms have the directions of the person's
             [s]; infinite to keep how they differ at the reference.
-        **options: As of `HandMapper`.
+        **options: As of `HandMapper`, but for `tasks`: name them in `IkOptions`.
 
     Attributes:
         leaders: The mapping of each hand. Its reference and clutch are its own.
@@ -256,6 +259,7 @@ class RobotMapper:
         **options: Any,
     ) -> None:
         expect(turns_in > 0.0, "turns_in", "a time > 0 s", value=turns_in)
+        expect("tasks" not in options, "tasks", "none: name them in `ik`")
         if humans is None:
             names = {side: human_name(side) for side in robot.by_side}
             humans = {s: load_hand(n, points="landmarks") for s, n in names.items()}
@@ -265,7 +269,6 @@ class RobotMapper:
             side: Leader(humans[side], hand, method, ik=ik, **options)
             for side, hand in robot.by_side.items()
         }
-        self._is_floating = robot.has_floating_base
         self._base = _HOME
         self._turns_in = turns_in
         self._join()
@@ -310,7 +313,8 @@ class RobotMapper:
     def base_pose(self) -> Array:
         """Where a floating base is in the robot's world, shape (4, 4). Set it before each sample.
 
-        Palms stay in that world as it moves; commands, targets and points are seen from the base.
+        Palms that are led stay in that world as it moves; others go with it. All of a step is seen
+        from the base.
 
         Raises:
             InvalidOptionsError: If the base is fixed.
@@ -320,13 +324,13 @@ class RobotMapper:
 
     @base_pose.setter
     def base_pose(self, pose: PoseLike) -> None:
-        if not self._is_floating:
+        if not self.robot.has_floating_base:
             raise InvalidOptionsError(
                 option="base_pose",
                 problem=f"the base of {self._name} is fixed",
                 advice="if it moves, say `base: floating` in robot.yaml",
             )
-        self._base = check_pose(pose, "base_pose")
+        self._base = check_pose(pose, "base_pose").copy()
 
     def map_landmarks(
         self,
@@ -396,10 +400,14 @@ class RobotMapper:
             for side, step in steps.items():
                 leader = self.leaders[side]
                 leader.asked = asked = step.stages
-                leader.base = leader.base if leader.since else self._base
+                if not leader.since:
+                    leader.base = self._base
                 leader.since += asked.dt
             dt = max(self.leaders[side].asked.dt for side in steps)
             stages, parts = self._moved(dt)
+        for leader in self.leaders.values():
+            if leader.renews_reference:
+                leader.base = self._base
         self._last = self._last | steps
         duration = perf_counter() - started
         hands = {
@@ -434,7 +442,11 @@ class RobotMapper:
         worlds = []
         if self._base is not _HOME:
             to_base = inverse_pose(self._base)
-            worlds = [to_base @ leader.base for leader in leaders]
+            # A hand that stays goes with the base.
+            worlds = [
+                _HOME if leader.is_staying else to_base @ leader.base
+                for leader in leaders
+            ]
         turning = [leader.since / self._turns_in for leader in leaders]
         core = self._ik.core
         is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
@@ -481,12 +493,12 @@ class RobotMapper:
                 hand=self.robot.hands[k],
             )
             moved = structs.replace(targets[k], points=part.targets)
-            parts.append(_stages(asked[k].pose, moved, part))
+            parts.append(stages_of(asked[k].pose, moved, part))
         points = np.concatenate([each.pose.points for each in asked])
-        flags: Names = sum((each.flags for each in targets), ())
-        whole = Targets(result.targets, targets[0].wrist, flags=flags)
+        flags = dict.fromkeys(flag for each in targets for flag in each.flags)
+        whole = Targets(result.targets, targets[0].wrist, flags=(*flags,))
         pose = HumanPose(points, asked[0].pose.wrist)
-        return _stages(pose, whole, result), parts
+        return stages_of(pose, whole, result), parts
 
     def _together(
         self, maps: list[Any], targets: list[Targets], persons: list[Any]
@@ -534,8 +546,9 @@ class RobotMapper:
         leaders = [*self.leaders.values()]
         whole = joined(self._name, *(leader.robot for leader in leaders))
         contacts = tuple(leader.contacts for leader in leaders if leader.contacts)
-        pairs, self._pinching = _common_pairs(contacts) if contacts else (None, [])
+        pairs, pinching = _common_pairs(contacts) if contacts else (None, [])
         self._ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
+        self._pinching = pinching
         self._own = whole.finger_joints
         self._core: Any = None
         for leader in leaders:
@@ -596,6 +609,10 @@ class RobotMapper:
             for leader in self.leaders.values():
                 leader.configure(method, ik=ik)
             self._join(self.motion)
+            if method is not None:
+                # What they asked for last was of the former one.
+                for leader in self.leaders.values():
+                    leader.stay()
 
     @contextmanager
     def _unless_refused(self) -> Iterator[None]:
@@ -618,13 +635,6 @@ def _targets_of(numbers: Array, is_clamped: bool) -> Targets:
     points, wrist = np.split(numbers, [-16])
     flags = ("stretch_clamped",) if is_clamped else ()
     return Targets(points.reshape(-1, 3), wrist.reshape(4, 4), flags=flags)
-
-
-def _stages(pose: HumanPose, asked: Targets, result: IkResult) -> Stages:
-    hand = result.hand
-    q = result.q[hand.q_indices]
-    command = RobotCommand(hand.joint_names, q, result.wrist)
-    return Stages(pose, asked, result, command)
 
 
 def palm_place(hand: Hand, anchor: Array) -> tuple[int, Array]:

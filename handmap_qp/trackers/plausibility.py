@@ -351,10 +351,7 @@ def _find_order(
 ) -> Finding | None:
     """Look for another order that explains landmarks (T, 21, 3) much better than ours.
 
-    Args:
-        landmarks: Some samples, as they came.
-        sign: 1 for a right hand, -1 for a left one.
-        own_evidence: How well the palmar side fits in our order, from -5 to 5.
+    The sign is 1 for a right hand; our order fits the palmar side by -5 to 5 (`own_evidence`).
     """
     names, orders = _known_orders()
     distances = own_distances(landmarks[:, orders])
@@ -444,10 +441,7 @@ def _find_length_unit(
 ) -> Finding | None:
     """Tell whether landmarks (T, 21, 3) are not in metres; None also if they are no hand at all.
 
-    Args:
-        landmarks: Some samples.
-        distances: Of `own_distances`.
-        is_hand: Whether their proportions are those of a hand in our order.
+    Distances are of `own_distances`; `is_hand` is whether they have the proportions of a hand.
     """
     low, high = HAND_LENGTHS
     wrist = landmarks[:, 0]

@@ -13,9 +13,9 @@ import pytest
 
 from handmap_qp import Hand, HandMapper, load_hand
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.hands.robot import joined, load_robot
+from handmap_qp.hands.robot import joined, load_robot, load_whole
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import HumanSample, human_name
+from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.qp import PointIk
@@ -497,3 +497,78 @@ def test_only_a_floating_base_is_elsewhere(g1: Hand, pair: Hand) -> None:
     with pytest.raises(InvalidInputError, match="base_pose"):
         mapper.base_pose = 2.0 * np.eye(4)
     np.testing.assert_array_equal(mapper.base_pose, np.eye(4))
+
+
+def test_hands_that_stay_go_with_the_base(g1: Hand) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    begun = pin.SE3(pin.exp3(np.array([0.0, 0.0, 2.0])), np.array([5.0, -3.0, 1.0]))
+    mapper.base_pose = begun
+    q, wrists = motion(0)
+    before = palms(mapper.map_step(*motion(0), dt=DT), g1)
+    mapper.clutch()
+    for _ in range(60):
+        step = mapper.map_step({"left": q["left"]}, {"left": wrists["left"]}, dt=DT)
+    assert np.abs(palms(step, g1)[1] - before[1]).max() < 2e-3
+    # Both are led from here; one stays where the base is elsewhere.
+    for _ in range(60):
+        mapper.map_step(q, wrists, dt=DT)
+    moved = begun.homogeneous
+    moved[0, 3] += 0.05
+    mapper.base_pose = moved
+    mapper.stay("right", Verdict("missing", True, False, 0.0, np.nan))
+    still = palms(mapper.map_step({"left": q["left"]}, wrists, dt=DT), g1)[1]
+    for _ in range(60):
+        step = mapper.map_step({"left": q["left"]}, wrists, dt=DT)
+    np.testing.assert_allclose(palms(step, g1)[1], still, atol=5e-3)
+
+
+def test_a_base_is_not_the_array_that_said_where_it_is(g1: Hand) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    base = np.eye(4)
+    mapper.base_pose = base
+    mapper.map_step(*motion(0), dt=DT)
+    base[0, 3] = 0.1
+    step = mapper.map_step(*motion(0), dt=DT)
+    assert mapper.base_pose[0, 3] == 0.0
+    assert step.hands["left"].wrist_error[0] < 0.02
+
+
+def test_a_chain_of_references_stays_in_the_world_too(g1: Hand) -> None:
+    mapper = RobotMapper(g1, HUMANS, reference="previous")
+    base = np.eye(4)
+    first = palms(mapper.map_step(*motion(0), dt=DT), g1)
+    for i in range(60):
+        base[0, 3] = 3e-4 * i
+        mapper.base_pose = base
+        step = mapper.map_step(*motion(0), dt=DT)
+    shift = (palms(step, g1) - first)[:, :3, 3]
+    # A chain gives up what it does not reach within a sample.
+    assert (-base[0, 3] <= shift[:, 0]).all()
+    assert (shift[:, 0] <= -0.3 * base[0, 3]).all()
+    assert np.abs(shift[:, 1:]).max() < 1e-3
+
+
+@pytest.mark.parametrize("preset", ["paper", "object", "finger-vectors"])
+def test_another_method_lets_hands_stay_until_their_next_sample(
+    g1: Hand, preset: str
+) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    q, wrists = motion(0)
+    for _ in range(5):
+        before = mapper.map_step(q, wrists, dt=DT)
+    mapper.configure(preset)
+    for _ in range(5):
+        step = mapper.map_step({"left": q["left"]}, wrists, dt=DT)
+    change = palms(step, g1)[1] - palms(before, g1)[1]
+    assert np.abs(change).max() < 0.02
+
+
+def test_a_robot_with_two_hands_is_not_one_hand(g1: Hand) -> None:
+    with pytest.raises(InvalidInputError, match="RobotMapper"):
+        HandMapper(HUMANS["left"], g1)
+    with pytest.raises(InvalidInputError, match="name them in `ik`"):
+        RobotMapper(g1, HUMANS, tasks=[])
+    assert g1.has_floating_base
+    assert RobotMapper(g1, HUMANS).robot.has_floating_base
+    with pytest.raises(InvalidInputError, match="robot_points"):
+        load_whole("g1", points="tips")

@@ -123,7 +123,9 @@ class Engine(NamedTuple):
                 kills = job.line.kills + 1
                 line = structs.replace(job.line, status="killed", kills=kills)
                 yield structs.replace(line, error=f"try {kills} has not ended")
-                lines = _result(workers.submit((job,)), workers.death)
+                lines = None
+                with suppress(workers.death):
+                    lines = _result(workers.submit((job,)), workers.death)
                 if lines is None:
                     break
                 yield from lines

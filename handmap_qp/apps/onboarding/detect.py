@@ -168,12 +168,7 @@ def detect_text(
 
 
 class _FoundHand:
-    """A hand that is found in a robot, to be described.
-
-    Args:
-        robot: The robot.
-        side: The hand's side; found if None.
-        thumb: A link or joint of the thumb; found if None.
+    """A hand that is found in a robot, to be described; side and thumb are found if None.
 
     Attributes:
         palm: Link of the palm.

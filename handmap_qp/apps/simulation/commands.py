@@ -117,7 +117,7 @@ def map_pinch(
             method.name: (_map_hands(method.name, whole, used), window)
             for method in methods
         }
-    expect(len(files) == 1, "RECORDING", "one of a hand", value=len(files))
+    expect(len(files) == 1, "RECORDING", "one recording of a hand", value=len(files))
     recording = read_recording(files[0])
     window = find_pinch(recording)
     take = prepare_take(recording, robot.side)
@@ -161,6 +161,6 @@ def find_pinch(*recordings: Recording) -> PinchWindow:
     if length < _SHORTEST:
         raise InvalidInputError(
             f"no pinch of thumb and index finger of {_SHORTEST:g} s",
-            argument=recordings[0].name,
+            argument=", ".join(recording.name for recording in recordings),
         )
     return window

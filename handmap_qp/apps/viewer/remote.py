@@ -64,7 +64,7 @@ class ServiceSession:
     Args:
         host: `HOST` or `HOST:PORT` of the service's requests.
         session: Public name of the session; the only open session if omitted.
-        robot: Path of the robot's hand.yaml, if its name is not known on this machine.
+        robot: Path of its hand.yaml or robot.yaml, if its name is not known on this machine.
         keys: Files `NAME.key_secret` and `server.key` of an encrypted service; None for a plain
             one.
         patience: How long to wait for the session, and for its human hand to be measured [s].
@@ -119,7 +119,7 @@ class ServiceSession:
             if robot == about["robot"] and robot not in hand_files() | robot_files():
                 raise self._error(
                     f"the session's hand {robot!r} is not known on this machine",
-                    "give its description with --robot hand.yaml",
+                    "give its hand.yaml or robot.yaml with --robot",
                 )
             self._load_hands(robot, about, lengths)
         self._client.timeout = _TIMEOUT
@@ -299,6 +299,7 @@ class ServiceSession:
         state: Any = command.hands.get(robot.side, command) if is_part else command
         q = np.array(command.q)
         wrist = np.eye(4) if hands else state.wrist.matrix
+        pairs = [detail.get("held_by"), *(each.held_by for each in hands)]
         arrays: Values = {
             name: np.array(detail[name]) for name in _ARRAYS if detail.get(name)
         }
@@ -318,7 +319,7 @@ class ServiceSession:
             robot_points=robot.points(q, wrist if robot.is_floating else None),
             is_limited=np.isin(robot.joint_names, command.at_limit),
             status=state.status,
-            held_by=detail.get("held_by", ()),
+            held_by=next(filter(None, pairs), ()),
             rule=state.rule,
             duration=command.solve_time,
             is_seen=any((state.detail, *(each.is_seen for each in hands))),

@@ -257,10 +257,7 @@ class BrowserCameras:
 def _robot_axes(variant: Variant, upright: Array | None) -> Array:
     """Return the rotation from V to the scene's axes, shape (3, 3).
 
-    Args:
-        variant: The robot hand, and what moves it.
-        upright: The rotation from W to the scene's axes, shape (3, 3); None without a human hand,
-            and the robot's first palm is upright then.
+    `upright` is that from W, (3, 3); without it, the robot's first palm is upright.
     """
     if variant.axes is not None:
         return variant.axes
