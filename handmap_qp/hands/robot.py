@@ -163,13 +163,12 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
         rest |= {f"{prefix}{joint}": at for joint, at in (arm | spec.rest).items()}
         prefixes |= dict.fromkeys(sides, prefix)
     text = tostring(whole, encoding="unicode")
-    hands = {
-        side: Hand(_on_robot(specs[side], robot.name, prefix, rest), urdf_text=text)
-        for side, prefix in sorted(prefixes.items())
-    }
-    for hand in hands.values():
-        hand.has_floating_base = robot.base == "floating"
-    return joined(robot.name, *hands.values())
+    hands = []
+    for side, prefix in sorted(prefixes.items()):
+        spec = _on_robot(specs[side], robot.name, prefix, rest)
+        hands.append(Hand(spec, urdf_text=text))
+        hands[-1].has_floating_base = robot.base == "floating"
+    return joined(robot.name, *hands)
 
 
 def load_whole(name: str, points: str | None = None, **options: Any) -> Hand:

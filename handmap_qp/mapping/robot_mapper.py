@@ -101,9 +101,7 @@ class Asked(NamedTuple):
 
 
 class Leader(HandMapper):
-    """A hand of a person that asks a robot to move; see `HandMapper`.
-
-    The stages of its steps are what it asks.
+    """A `HandMapper` that asks a robot to move; the stages of its steps are what it asks.
 
     Attributes:
         asked: What it asked last, as `Asked` or as the core has it.
@@ -313,8 +311,7 @@ class RobotMapper:
     def base_pose(self) -> Array:
         """Where a floating base is in the robot's world, shape (4, 4). Set it before each sample.
 
-        Palms that are led stay in that world as it moves; others go with it. All of a step is seen
-        from the base.
+        Palms that are led stay in that world; others go with the base, from which a step is seen.
 
         Raises:
             InvalidOptionsError: If the base is fixed.
@@ -439,19 +436,12 @@ class RobotMapper:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
         leaders = self.leaders.values()
         asked = [leader.asked for leader in leaders]
-        worlds = []
-        if self._base is not _HOME:
-            to_base = inverse_pose(self._base)
-            # A hand that stays goes with the base.
-            worlds = [
-                _HOME if leader.is_staying else to_base @ leader.base
-                for leader in leaders
-            ]
+        worlds = self._worlds()
         turning = [leader.since / self._turns_in for leader in leaders]
         core = self._ik.core
         is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
         if core is None or is_python:
-            worlds = worlds or [_HOME for _ in leaders]
+            worlds = worlds or [_HOME] * len(asked)
             targets, persons = map(
                 list, zip(*map(_aimed, asked, worlds, turning), strict=True)
             )
@@ -459,6 +449,17 @@ class RobotMapper:
             return self._stages(asked, targets, self._solved(asked, targets, tasks, dt))
         self._core = self._core or core.robot_mover(_targets_of, self._pinching)
         return self._core.move(asked, turning, worlds, dt)
+
+    def _worlds(self) -> list[Array]:
+        """Return where each hand's world is from the base; nothing if that has not moved."""
+        if self._base is _HOME:
+            return []
+        to_base = inverse_pose(self._base)
+        # A hand that stays goes with the base.
+        return [
+            _HOME if leader.is_staying else to_base @ leader.base
+            for leader in self.leaders.values()
+        ]
 
     def _solved(
         self, asked: list[Any], targets: list[Targets], tasks: list[Task], dt: float

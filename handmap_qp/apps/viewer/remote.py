@@ -283,7 +283,8 @@ class ServiceSession:
             for k, robot in enumerate(self.robot.parts)
         ]
         targets = [row for each in details for row in each.get("targets", ())]
-        whole = details[0] | {"targets": targets}
+        held_by = max(each.get("held_by", []) for each in details)
+        whole = details[0] | {"targets": targets, "held_by": held_by}
         return self._shown(command, self.robot, whole, hands=hands)
 
     def _shown(
@@ -299,7 +300,6 @@ class ServiceSession:
         state: Any = command.hands.get(robot.side, command) if is_part else command
         q = np.array(command.q)
         wrist = np.eye(4) if hands else state.wrist.matrix
-        pairs = [detail.get("held_by"), *(each.held_by for each in hands)]
         arrays: Values = {
             name: np.array(detail[name]) for name in _ARRAYS if detail.get(name)
         }
@@ -319,7 +319,7 @@ class ServiceSession:
             robot_points=robot.points(q, wrist if robot.is_floating else None),
             is_limited=np.isin(robot.joint_names, command.at_limit),
             status=state.status,
-            held_by=next(filter(None, pairs), ()),
+            held_by=detail.get("held_by", ()),
             rule=state.rule,
             duration=command.solve_time,
             is_seen=any((state.detail, *(each.is_seen for each in hands))),
