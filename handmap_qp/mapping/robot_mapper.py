@@ -12,7 +12,8 @@ near each other, the robot's have their offset, too.
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
-from functools import lru_cache, partial
+from functools import lru_cache
+from operator import attrgetter
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -351,14 +352,13 @@ class RobotMapper:
             DegeneratePointsError: As of `HandMapper.map_landmarks`.
         """
         wrists = wrist_poses or {}
-        return self.step(
-            {
-                side: partial(
-                    self._leader(side).map_landmarks, points, wrists.get(side), dt=dt
-                )
-                for side, points in landmarks.items()
-            }
-        )
+
+        def ask(side: Side) -> MapStep:
+            leader = self._leader(side)
+            wrist = wrists.get(side)
+            return leader.map_landmarks(landmarks[side], wrist, dt=dt)
+
+        return self.step(landmarks, ask)
 
     def map_step(
         self,
@@ -369,47 +369,45 @@ class RobotMapper:
     ) -> RobotStep:
         """Map joint angles of one or both hands; see `HandMapper.map_step` and `map_landmarks`."""
         _expect_sides(human_q, wrist_pose, "wrist_pose")
-        return self.step(
-            {
-                side: partial(self._leader(side).map_step, q, wrist_pose[side], dt=dt)
-                for side, q in human_q.items()
-            }
-        )
 
-    def step(self, asking: Mapping[Side, Callable[[], MapStep]]) -> RobotStep:
+        def ask(side: Side) -> MapStep:
+            return self._leader(side).map_step(human_q[side], wrist_pose[side], dt=dt)
+
+        return self.step(human_q, ask)
+
+    def step(self, sides: Iterable[Side], ask: Callable[[Side], MapStep]) -> RobotStep:
         """Let leaders ask, and move the robot.
 
         Args:
-            asking: A step of the leader of each hand that has a sample, such as
-                `partial(mapper.leaders["left"].map, pose)`.
+            sides: The hands that have a sample.
+            ask: Returns a step of the leader of a hand, such as `mapper.leaders[side].map(pose)`.
 
         Raises:
-            InvalidInputError: If there is none.
+            InvalidInputError: If there is no hand.
             HandmapError: Any of a leader; the mapper is then as it was before.
         """
         started = perf_counter()
-        if not asking:
-            raise InvalidInputError(
-                argument="hands", problem="a step needs a sample of a hand at least"
-            )
+        steps: dict[Side, Any] = self._last.copy()
+        dt = 0.0
         with self._unless_refused():
-            steps: Any = {side: ask() for side, ask in asking.items()}
-            for side, step in steps.items():
+            for side in sides:
+                steps[side] = ask(side)
                 leader = self.leaders[side]
-                leader.asked = asked = step.stages
+                leader.asked = asked = steps[side].stages
                 if not leader.since:
                     leader.base = self._base
                 leader.since += asked.dt
-            dt = max(self.leaders[side].asked.dt for side in steps)
+                dt = max(dt, asked.dt)
+            expect(dt, "hands", "a sample of one at least")
             stages, parts = self._moved(dt)
         for leader in self.leaders.values():
             if leader.renews_reference:
                 leader.base = self._base
-        self._last = self._last | steps
+        self._last = steps
         duration = perf_counter() - started
         hands = {
             side: structs.replace(step, stages=part, duration=duration)
-            for (side, step), part in zip(self._last.items(), parts, strict=True)
+            for (side, step), part in zip(steps.items(), parts, strict=True)
         }
         return self._whole(hands, stages, duration)
 
@@ -420,13 +418,13 @@ class RobotMapper:
         steps = hands.values()
         verdicts = [step.verdict for step in steps if step.verdict]
         # That of a hand with a rule comes first.
-        verdicts.sort(key=lambda verdict: not verdict.rule)
+        first = max(verdicts, key=attrgetter("rule"), default=None)
         is_held = all(step.is_held for step in steps)
         return RobotStep(
             stages=stages,
             out_of_range=tuple(name for step in steps for name in step.out_of_range),
             duration=duration,
-            verdict=verdicts[0]._replace(is_held=is_held) if verdicts else None,
+            verdict=first and first._replace(is_held=is_held),
             confidence=min(step.confidence for step in steps),
             is_gliding=any(step.is_gliding for step in steps),
             hands=hands,
@@ -508,7 +506,7 @@ class RobotMapper:
 
         It is for palms that cannot come there.
         """
-        if len(persons) < 2 or any(palm is None for palm in persons):
+        if sum(palm is not None for palm in persons) < 2:
             return []
         first, other = maps
         apart = (persons[1] - persons[0])[:3, 3]
@@ -518,12 +516,12 @@ class RobotMapper:
             return []
         hands = self.robot.hands
         anchors = first.robot_anchor, other.robot_anchor
-        own = np.subtract(
-            *(
-                transform_points(targets[k].wrist @ hands[k].wrist_to_palm, anchors[k])
-                for k in (1, 0)
-            )
-        )
+        palms = [
+            each.wrist @ hand.wrist_to_palm
+            for each, hand in zip(targets, hands, strict=True)
+        ]
+        here, there = map(transform_points, palms, anchors)
+        own = there - here
         aim = own + share * (apart - own)
         for k, person in enumerate(persons):
             shift = (k - 0.5) * (aim - own)

@@ -6,7 +6,6 @@ Each hand has the guard, the return and the smoothing of a `Follower`; the robot
 import math
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -68,7 +67,7 @@ class RobotFollower:
             return followed[side]
 
         try:
-            step = self.mapper.step({side: partial(follow, side) for side in samples})
+            step = self.mapper.step(samples, follow)
         except HandmapError:
             # The hand whose sample was refused is as it was before by itself.
             for side, step in followed.items():

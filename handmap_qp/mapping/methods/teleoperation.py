@@ -16,20 +16,23 @@ from typing import Annotated, Self
 import numpy as np
 
 from handmap_qp.hands import CONTACT_GAP, FINGERS, LINK_MARGIN, THUMB, Hand
-from handmap_qp.ik.core import Compiled, Parts
-from handmap_qp.ik.tasks import AttachedPoints, PointDistances
-from handmap_qp.mapping.alignment import AlignedOptions
-from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
-from handmap_qp.mapping.hand_pair import RobotFingers, finger_landmarks, hand_pair
-from handmap_qp.mapping.method import (
+from handmap_qp.ik import AttachedPoints, Compiled, Parts, PointDistances
+from handmap_qp.mapping import (
     FOLLOWING,
+    AlignedOptions,
     Diagnostics,
     HumanPose,
+    MotionEstimate,
+    MotionEstimator,
+    PalmMap,
+    PalmMethod,
     Preset,
+    RobotFingers,
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of, point_indices
+from handmap_qp.mapping.hand_pair import finger_landmarks, hand_pair
+from handmap_qp.mapping.palm import palm_of, point_indices
 from handmap_qp.options import number, text
 from handmap_qp.se3 import (
     Array,
