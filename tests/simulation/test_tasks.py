@@ -210,7 +210,7 @@ def test_a_robot_with_both_hands_holds_the_object_in_the_one_that_pinches(
     assert np.ptp(simulated["object_pose"][:, 2, 3]) < 0.1
     assert page.stat().st_size > 1e6
     assert cli.main(["simulate", *files, "--robot", "allegro_right"]) == 2
-    assert "expected one of a hand" in capsys.readouterr().err
+    assert "expected one recording of a hand" in capsys.readouterr().err
 
 
 def load_landmarks() -> np.ndarray:
