@@ -14,8 +14,8 @@ from handmap_qp.apps import live
 from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
 from handmap_qp.apps.tables import print_table
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.human.person import read_person
-from handmap_qp.trackers.formats import read_recording
+from handmap_qp.human import read_person
+from handmap_qp.trackers import read_recording
 from .mediapipe_source import (
     MediapipeSource,
     environment_python,

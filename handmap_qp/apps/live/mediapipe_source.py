@@ -21,7 +21,7 @@ import tyro
 from handmap_qp.apps.arguments import hinted
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Side
-from handmap_qp.human.sample import UNSEEN, HumanSample
+from handmap_qp.human import UNSEEN, HumanSample
 
 VARIABLE = "HANDMAP_MEDIAPIPE"
 """Environment variable that names another folder."""

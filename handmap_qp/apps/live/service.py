@@ -12,8 +12,7 @@ from handmap_qp.apps.connection import GONE, connected, only_session
 from handmap_qp.client import Command, ServiceError, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Side
-from handmap_qp.human.person import Person
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.human import HumanSample, Person
 
 _SILENCE = 1.0
 """Time without a command after which the service counts as silent [s]."""

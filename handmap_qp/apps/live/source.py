@@ -15,10 +15,9 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Names, Side
-from handmap_qp.human.recording import Recording, recording_samples
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.human import HumanSample, Recording, recording_samples
 from handmap_qp.output_files import check_output
-from handmap_qp.trackers.formats import write_recordings
+from handmap_qp.trackers import write_recordings
 
 SPEEDS = (0.01, 100.0)
 """Least and largest speed of a replay."""
