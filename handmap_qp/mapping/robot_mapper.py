@@ -394,9 +394,9 @@ class RobotMapper:
                 steps[side] = ask(side)
                 leader = self.leaders[side]
                 leader.asked = asked = steps[side].stages
-                if not leader.since:
-                    leader.base = self._base
-                leader.since += asked.dt
+                if not leader.is_staying:
+                    leader.base = leader.base if leader.since else self._base
+                    leader.since += asked.dt
                 dt = max(dt, asked.dt)
             expect(dt, "hands", "a sample of one at least")
             stages, parts = self._moved(dt)

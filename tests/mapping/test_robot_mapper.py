@@ -335,6 +335,21 @@ def test_a_hand_that_is_lost_holds_its_side_only(pair: Hand, is_silent: bool) ->
     )
 
 
+def test_time_since_a_reference_begins_there(g1: Hand) -> None:
+    follower = RobotFollower(RobotMapper(g1, HUMANS, "teleoperation"))
+    for i in range(150):
+        follower.map_samples(samples_of(i, "right"))
+    leaders = follower.mapper.leaders
+    assert leaders["left"].since > 2.0
+    assert leaders["right"].since == 0.0
+    base = np.eye(4)
+    base[0, 3] = 0.5
+    follower.mapper.base_pose = base
+    follower.map_samples(samples_of(150))
+    assert 0.0 < leaders["right"].since < 0.1
+    np.testing.assert_array_equal(leaders["right"].base, base)
+
+
 def test_an_error_leaves_both_hands_as_they_were(g1: Hand) -> None:
     follower = RobotFollower(RobotMapper(g1, HUMANS, "teleoperation"))
     for i in range(20):
