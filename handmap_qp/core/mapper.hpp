@@ -362,7 +362,8 @@ class SampleMapper : public SampleReader {
 };
 
 // A mapper of Python that is copied makes its own: None takes the place of this one.
-inline nb::tuple without_copy(const SampleReader&) {
+template <class T>
+nb::tuple without_copy(const T&) {
   return nb::make_tuple(nb::none().type(), nb::tuple());
 }
 

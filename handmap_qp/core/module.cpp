@@ -397,7 +397,7 @@ NB_MODULE(_core, m) {
       .def_prop_ro("ik", &read_ik)
       .def_prop_ro("command", &Stages::read_command);
   nb::class_<SampleReader>(m, "SampleReader")
-      .def("__reduce__", &without_copy)
+      .def("__reduce__", &without_copy<SampleReader>)
       .def("follow", &SampleReader::follow)
       .def("map", &SampleReader::map_joints, "reader"_a.none(), "q"_a.none(), "wrist"_a.none(),
            "dt"_a.none())
@@ -425,7 +425,7 @@ NB_MODULE(_core, m) {
       .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&,
                     const nb::object&, const nb::list&>(),
            "ik"_a, "gate"_a, "robot"_a, "targets"_a, "result"_a, "pinching"_a)
-      .def("__reduce__", &without_mover)
+      .def("__reduce__", &without_copy<RobotMover>)
       .def("move", &RobotMover::move);
   nb::class_<HumanPose>(m, "HumanPose")
       .def("__reduce__", &reduced_pose)

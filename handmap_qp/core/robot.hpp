@@ -243,9 +243,4 @@ class RobotMover {
   Goal goal_;
 };
 
-// A copy makes its own.
-inline nb::tuple without_mover(const RobotMover&) {
-  return nb::make_tuple(nb::none().type(), nb::tuple());
-}
-
 }  // namespace handmap

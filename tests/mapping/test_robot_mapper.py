@@ -80,18 +80,26 @@ def knuckle_distance(mapper: RobotMapper, step: RobotStep) -> float:
     return float(np.linalg.norm(ends[1] - ends[0]))
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_hands_on_arms_of_their_own_move_as_if_alone(
+def together_and_alone(
     pair: Hand, formulation: str
-) -> None:
+) -> tuple[RobotMapper, dict[Side, HandMapper]]:
+    """Return what maps both hands to one robot, and what maps each to its arm alone."""
     # With more iterations, both hands would take those that one of them needs.
     ik = PRESET.ik.replaced(formulation=formulation, max_iterations=1)
     mapper = RobotMapper(pair, HUMANS, "teleoperation", ik=ik, turns_in=np.inf)
-    names = mapper.robot.joint_names
     alone = {
         side: HandMapper(HUMANS[side], pair.by_side[side], "teleoperation", ik=ik)
         for side in SIDES
     }
+    return mapper, alone
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_hands_on_arms_of_their_own_move_as_if_alone(
+    pair: Hand, formulation: str
+) -> None:
+    mapper, alone = together_and_alone(pair, formulation)
+    names = mapper.robot.joint_names
     apart = []
     for i in range(60):
         q, wrists = motion(i, apart=1.0)
@@ -113,12 +121,7 @@ def on_detours(mapper: HandMapper | RobotMapper) -> list[bool]:
 def test_each_hand_takes_the_detours_that_it_takes_alone(
     pair: Hand, formulation: str
 ) -> None:
-    ik = PRESET.ik.replaced(formulation=formulation, max_iterations=1)
-    mapper = RobotMapper(pair, HUMANS, "teleoperation", ik=ik, turns_in=np.inf)
-    alone = {
-        side: HandMapper(HUMANS[side], pair.by_side[side], "teleoperation", ik=ik)
-        for side in SIDES
-    }
+    mapper, alone = together_and_alone(pair, formulation)
     _, wrists = motion(0, apart=1.0)
     rng = np.random.default_rng(4)
     taken = np.zeros(2, dtype=int)
