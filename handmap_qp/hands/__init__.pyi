@@ -7,7 +7,6 @@ from .configuration import Configuration as Configuration
 from .configuration import moved_by as moved_by
 from .fingers import PARALLEL as PARALLEL
 from .fingers import Finger as Finger
-from .fingers import Jointed as Jointed
 from .fingers import PalmKinematics as PalmKinematics
 from .fingers import Place as Place
 from .fingers import carrier_of as carrier_of
@@ -34,9 +33,7 @@ from .library import load_hand as load_hand
 from .library import missing_hands as missing_hands
 from .library import robot_files as robot_files
 from .library import why_missing as why_missing
-from .model import expansion_matrix as expansion_matrix
 from .model import read_mimic_rules as read_mimic_rules
-from .model import tighten_model as tighten_model
 from .pads import Pad as Pad
 from .pads import ball_in as ball_in
 from .pads import find_pads as find_pads

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from functools import cached_property
 from itertools import chain
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -20,7 +20,6 @@ from handmap_qp.se3 import Array, lengths, unit
 from .configuration import moved_by
 from .hand import Hand
 from .human import FINGERS, THUMB
-from .model import Expansion
 from .spec import PointSpec
 
 PARALLEL = 0.85
@@ -58,25 +57,6 @@ _STRAIGHT = 0.993
 _FLEXED_ZERO = 0.3
 
 
-class Jointed(Protocol):
-    """What the analysis reads of a hand, or of a robot in which a hand is looked for."""
-
-    model: pin.Model
-    palm_frame_id: int
-    lower_limits: Array
-    upper_limits: Array
-    joint_columns: Array
-
-    @property
-    def expansion(self) -> Expansion | None:
-        """From the active coordinates to all of the model's; None if all are active."""
-        ...
-
-    def configuration_vector(self, q: Array) -> Array:
-        """Return Pinocchio's configuration at joint angles, shape (n,)."""
-        ...
-
-
 class PalmKinematics:
     """Points and motions of a hand's joints in palm axes; for one user at a time.
 
@@ -84,7 +64,7 @@ class PalmKinematics:
         hand: The hand.
     """
 
-    def __init__(self, hand: Jointed) -> None:
+    def __init__(self, hand: Hand) -> None:
         self.hand = hand
         self._model = hand.model
         self._data = hand.model.createData()
@@ -144,13 +124,13 @@ class PalmKinematics:
         return self._data.oMi[frame.parentJoint] * frame.placement
 
 
-def joint_motion(hand: Jointed) -> Array:
+def joint_motion(hand: Hand) -> Array:
     """Return the motion of the model per unit of every joint that is set, shape (nv, n)."""
     every = np.eye(hand.model.nv) if hand.expansion is None else hand.expansion.matrix
     return every[:, hand.joint_columns]
 
 
-def zero_posture(hand: Jointed) -> Array:
+def zero_posture(hand: Hand) -> Array:
     """Return zero, or the limit next to it, of every joint [rad or m], shape (n,)."""
     return np.clip(0.0, hand.lower_limits, hand.upper_limits)
 
@@ -192,7 +172,7 @@ class Finger:
 
     def __init__(
         self,
-        hand: Jointed,
+        hand: Hand,
         joints: Sequence[int],
         tip: Place,
         *,
@@ -461,7 +441,7 @@ def nearing(
 
 
 def ends_of(
-    hand: Jointed,
+    hand: Hand,
     q: Array,
     columns: Array | Sequence[int],
     signs: Array | float = 1.0,

@@ -142,12 +142,19 @@ class Hand:
         self._compose: Callable[[], str] = partial(str, text)
         self.model = model = build_model(spec, text, self.mount, rules)
         self.notes = tighten_model(model, rules)
-        for note in self.notes:
-            warnings.warn(f"{self.name}: {note}", stacklevel=2)
         self._index_joints(rules, locked)
         self.lower_limits = _frozen(model.lowerPositionLimit[self.q_indices])
         self.upper_limits = _frozen(model.upperPositionLimit[self.q_indices])
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
+        self._take_postures()
+        self._add_wrist_and_palm()
+        self.use_points(chosen)
+
+    def _take_postures(self) -> None:
+        """Take over the description's postures; check them and the limits."""
+        spec = self.spec
+        for note in self.notes:
+            warnings.warn(f"{self.name}: {note}", stacklevel=3)
         # An arm is at rest in every posture of the description.
         arm = {} if spec.arm is None else spec.arm.rest
 
@@ -159,8 +166,6 @@ class Hand:
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
         postures = {"rest": self.rest, "matched": self.matched}
         spec.reject(limit_problems(spec, limits, postures))
-        self._add_wrist_and_palm()
-        self.use_points(chosen)
 
     @cached_property
     def model(self) -> pin.Model:
@@ -210,9 +215,12 @@ class Hand:
         """Which joints move the wrist, those of an arm, or a wrist of a robot, shape (n,)."""
         if self.parts:
             return np.any([hand.moves_wrist for hand in self.parts], axis=0)
-        model = self.model
-        arm = [*model.supports[model.frames[self.wrist_frame_id].parentJoint]]
-        return np.isin([model.getJointId(joint) for joint in self.joint_names], arm)
+        return self.carries(self.model.frames[self.wrist_frame_id])
+
+    def carries(self, frame: pin.Frame) -> Array:
+        """Return which joints carry a frame of the model, shape (n,)."""
+        above = [*self.model.supports[frame.parentJoint]]
+        return np.isin([*map(self.model.getJointId, self.joint_names)], above)
 
     @property
     def moves_points(self) -> Array:
@@ -483,8 +491,7 @@ class Hand:
 
     def _add_wrist_and_palm(self) -> None:
         """Add frames of wrist and palm to the model."""
-        model = self.model
-        spec = self.spec
+        model, spec = self.model, self.spec
         # A slash before the name keeps them apart from links.
         palm = self._frame("/palm", spec.palm.link, "palm.link", palm_in_link(spec))
         wrist = self._frame("/wrist", spec.wrist.link, "wrist.link", np.eye(4))

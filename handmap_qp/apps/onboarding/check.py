@@ -109,9 +109,6 @@ def check_robot(robot: Hand, *, has_motion: bool = True) -> Report:
     Args:
         robot: The robot.
         has_motion: Whether to map a standard motion to each hand.
-
-    Returns:
-        All findings of its hands and of itself.
     """
     report = Report(robot.name)
     report.add([("Hands", palm_rows(robot))])
@@ -235,7 +232,7 @@ def _check_places(hand: Hand) -> Found:
     for point in hand.reference_points:
         if point.link not in robot.frames:
             continue
-        body, place = robot.place_of(point.link, np.array(point.xyz))
+        body, place = place_of(robot, point)
         if not len(cloud := robot.surface(body)):
             continue
         distance = lengths(place - place.clip(cloud.min(axis=0), cloud.max(axis=0)))

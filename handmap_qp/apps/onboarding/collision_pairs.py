@@ -66,12 +66,7 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
     Bars of linkages, pairs on one finger, pairs that overlap at rest, stretched or in most
     postures, and pairs that never come near each other are left out.
 
-    Args:
-        hand: The hand.
-        pairs: All pairs of its shapes that may collide.
-
-    Returns:
-        The pairs; None if there are none.
+    They are chosen from all `pairs` of shapes that may collide; None if there are none.
 
     Raises:
         HandError: If a collision shape cannot be read.

@@ -6,7 +6,8 @@ answer has its evidence and its confidence.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from itertools import chain, compress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,6 @@ from handmap_qp.hands import (
     FINGERS,
     THUMB,
     HandSpec,
-    LimitSpec,
     Names,
     PadSpec,
     PalmSpec,
@@ -103,7 +103,7 @@ def detect_hands(
             if side == found[1].spec.side:
                 both = f"{' and '.join(palms)} both look like {side} hands"
                 advice = "describe each with --root and --side"
-                raise HandError(f"{both}; {advice}", file=urdf, value=palms)
+                raise robot.error(f"{both}; {advice}", palms)
             return found
     return [detect_text(text, urdf, base=base, name=name, **choice)]
 
@@ -152,17 +152,16 @@ def detect_text(
     hand = _FoundHand(robot, side, thumb)
     part = robot if base is None else Robot(text, urdf, root=base)
     spec = hand.describe(name, part)
-    notes += [*hand.structure.notes, *robot.notes]
+    notes += [*hand.structure.notes, *robot.remarks]
     if base is not None:
-        arm = [joint for joint in spec.joints if joint not in robot.active]
-        others = {*part.active} - {*spec.joints}
+        arm = [joint for joint in spec.joints if joint not in robot.joint_names]
+        others = {*part.joint_names} - {*spec.joints}
         notes += [
             f"the arm from {base} to {robot.root} moves the wrist: {', '.join(arm)}",
             f"{len(others)} other joints are locked",
         ]
     chains = {
-        finger.name: (*map(robot.driver, finger.joint_names), *finger.joint_names)
-        for finger in hand.fingers
+        finger.name: (*finger.drivers, *finger.joint_names) for finger in hand.fingers
     }
     return Detection(spec, tuple(hand.clues), tuple(notes), chains)
 
@@ -189,14 +188,15 @@ class _FoundHand:
         given = next((i for i, group in enumerate(names) if thumb in group), None)
         if thumb is not None and given is None:
             problem = f"no finger has a link or joint {thumb!r}"
-            raise HandError(problem, file=robot.file, value=thumb)
+            raise robot.error(problem, thumb)
         flexion = HandFlexion(robot, fingers)
         self.palm = self.structure.palm.answer
         hints = (robot.name, robot.file.stem, self.palm)
         self.anatomy = Anatomy(flexion, names, hints, side, given)
+        self.fingers = list[RobotFinger]()
         for i, called in self.anatomy.fingers.items():
             fingers[i].name = called
-        self.fingers = [fingers[i] for i in self.anatomy.fingers]
+            self.fingers.append(fingers[i])
         self._thumbs = np.array([finger.name == THUMB for finger in fingers])
         if flexion.ways[~self._thumbs].sum(axis=0) @ self.anatomy.dorsal > 0.0:
             # The side turned the palm over: joints with symmetric ranges flex the other way.
@@ -206,24 +206,24 @@ class _FoundHand:
         self.clues = [self.structure.palm, *self.anatomy.clues]
 
     def describe(self, name: str | None, part: Robot) -> HandSpec:
-        """Return the description.
+        """Return the description, by the name of the robot if there is none.
 
-        Args:
-            name: Its name; that of the robot if omitted.
-            part: The robot from the base of the arm that moves the wrist; that of the hand itself
-                if the wrist floats.
+        `part` is the robot from the base of the arm that moves the wrist; the hand's own if the
+        wrist floats.
         """
         robot = self.robot
         anatomy = self.anatomy
-        names = [joint for finger in self.fingers for joint in finger.joint_names]
-        own = (*dict.fromkeys(map(robot.driver, names)),)
+        drivers = chain.from_iterable(finger.drivers for finger in self.fingers)
+        own = (*dict.fromkeys(drivers),)
         arm = () if part is robot else _arm(part, robot.root)
         joints = (*arm, *own)
-        rest = _positions(part, _arm_rest(part, self.palm), arm) if arm else {}
+        still = robot.positions(robot.rest) | part.positions(part.rest)
         origin = self._palm_origin()
         tips = [self._tip(finger) for finger in self.fingers]
         points, sets = point_sets([*tips, *self._middles()])
-        rest |= _positions(robot, self._rest(), own)
+        rest = robot.positions(self._rest())
+        if arm:
+            rest = part.positions(_arm_rest(part, self.palm)) | rest
         return HandSpec(
             name=name or self._name(),
             urdf=str(robot.file),
@@ -236,13 +236,13 @@ class _FoundHand:
             ),
             wrist=WristSpec(robot.root, "fixed" if arm else "floating"),
             joints=joints,
-            rest=rest,
+            rest=_chosen(rest, joints),
             points=points,
             sets=sets,
             reference="fingertips",
             root=None if part.is_whole else part.root,
-            locked=_locked(robot, joints) | _locked(part, joints),
-            limits=_assumed(part, arm) | _assumed(robot, own),
+            locked={joint: at for joint, at in still.items() if joint not in joints},
+            limits=_chosen(part.assumed, arm) | _chosen(robot.assumed, own),
             mimic=robot.dropped_rules,
         )
 
@@ -270,7 +270,7 @@ class _FoundHand:
         flexion = self.flexion
         lower = robot.lower_limits
         upper = robot.upper_limits
-        zero = robot.zero
+        zero = robot.rest
         travel = flexion.q_closed - flexion.q_open
         step = np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST)
         step = np.where(flexion.slides, 0.5 * travel, step)
@@ -313,7 +313,8 @@ class _FoundHand:
         """Return the pad of a finger whose surface is visual only; the mapping finds all others."""
         body, tip = finger.tip
         cloud = self.robot.surface(body)
-        if not len(cloud) or self.robot.has_collision_shapes(body):
+        shapes = [self.robot.elements[link] for link in self.robot.links[body]]
+        if not len(cloud) or any(link.findall("collision") for link in shapes):
             return None
         centre, radius = ball_in(cloud, tip)
         pose = self.robot.pose_in(finger.links[-1], finger.end.answer)
@@ -326,7 +327,7 @@ class _FoundHand:
         distal = self.anatomy.distal
         chosen = ~self._thumbs | self._thumbs.all()
         knuckles = self.flexion.bases[chosen].mean(axis=0)
-        body = robot.body(palm)
+        body = robot.frames[palm].parentJoint
         cloud = robot.surface(body)
         back = knuckles @ distal
         how = "the origin of the palm's link"
@@ -359,14 +360,15 @@ def point_sets(
 
 def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
     """Name the actuated wrist joints above a palm, and the base that keeps them; else nothing."""
+    above = robot.model.supports[robot.frames[palm].parentJoint]
+    links = {robot.model.names[joint]: robot.links[joint][0] for joint in above}
     near = [
         joint
-        for joint in robot.path(robot.body(palm), 0)
-        if robot.model.names[joint] in robot.active
-        and lengths(robot.pose_in(robot.links[joint][0], palm)[:3, 3]) < _WRIST_REACH
+        for joint, link in links.items()
+        if joint in robot.joint_names
+        and lengths(robot.pose_in(link, palm)[:3, 3]) < _WRIST_REACH
     ]
-    names = ", ".join(robot.model.names[joint] for joint in near)
-    return names, robot.carriers(near[0])[-1] if near else ""
+    return ", ".join(near), robot.parents[links[near[0]]] if near else ""
 
 
 def _arm(robot: Robot, hand: str) -> Names:
@@ -377,11 +379,10 @@ def _arm(robot: Robot, hand: str) -> Names:
     """
     problem = f"the hand {hand!r} does not hang from the base {robot.root!r}"
     if hand in robot.frames:
-        above = [robot.model.names[joint] for joint in robot.path(robot.body(hand), 0)]
-        if arm := tuple(joint for joint in robot.active if joint in above):
+        if arm := tuple(compress(robot.joint_names, robot.carries(robot.frames[hand]))):
             return arm
         problem = f"no joint moves between {robot.root!r} and the hand {hand!r}"
-    raise HandError(problem, file=robot.file, value=robot.root)
+    raise robot.error(problem, robot.root)
 
 
 def _arm_rest(robot: Robot, palm: str) -> Array:
@@ -389,31 +390,18 @@ def _arm_rest(robot: Robot, palm: str) -> Array:
 
     Joints that carry another palm too, such as a waist, are upright, unless zero is a limit.
     """
-    names = robot.model.names
-    others = [robot.body(link) for link in find_palms(robot) if link != palm]
-    shared = [names[joint] for other in others for joint in robot.path(other, 0)]
+    shared = [
+        robot.carries(robot.frames[link]) for link in find_palms(robot) if link != palm
+    ]
     lower = robot.lower_limits
     upper = robot.upper_limits
-    is_upright = np.isin(robot.active, shared) & (lower * upper < 0.0)
+    is_upright = np.any(shared, axis=0) & (lower * upper < 0.0)
     return np.where(is_upright, 0.0, 0.5 * (lower + upper)).round(4) + 0.0
 
 
-def _positions(robot: Robot, q: Array, joints: Iterable[str]) -> dict[str, float]:
-    """Return positions of some active joints by name [rad or m]."""
-    positions = dict(zip(robot.active, q.tolist(), strict=True))
-    return {joint: positions[joint] for joint in joints}
-
-
-def _locked(robot: Robot, joints: Sequence[str]) -> dict[str, float]:
-    """Return positions of all joints but some: where they are locked, else at zero [rad or m]."""
-    locked = {j: round(q, 6) for j, q in robot.locked.items() if j not in joints}
-    still = [joint for joint in robot.active if joint not in joints]
-    return locked | _positions(robot, robot.zero, still)
-
-
-def _assumed(robot: Robot, joints: Iterable[str]) -> dict[str, LimitSpec]:
-    """Return the limits that are assumed of some joints."""
-    return {joint: robot.assumed[joint] for joint in joints if joint in robot.assumed}
+def _chosen(values: dict[str, Any], joints: Names) -> dict[str, Any]:
+    """Return what some joints have of values by joint."""
+    return {joint: values[joint] for joint in joints if joint in values}
 
 
 def _point(

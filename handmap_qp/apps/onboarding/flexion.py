@@ -12,7 +12,7 @@ import numpy as np
 from handmap_qp.hands import (
     PARALLEL,
     Finger,
-    Jointed,
+    Hand,
     PalmKinematics,
     ends_of,
     nearing,
@@ -61,7 +61,7 @@ class HandFlexion:
 
     def __init__(
         self,
-        robot: Jointed,
+        robot: Hand,
         fingers: Sequence[Finger],
         palmar: Sequence[float] | Array = (0.0, 0.0, 0.0),
     ) -> None:

@@ -118,10 +118,7 @@ def migrate(
 ) -> Detection:
     """Find the hand in its URDF, with the configuration's links as reference points.
 
-    Args:
-        configuration: The configuration.
-        urdf: The URDF that it means.
-        name: Name of the hand; that of the robot if omitted.
+    It has the robot's name unless one is given.
 
     Raises:
         HandError: If the URDF cannot be used, or has no link of the configuration.
@@ -150,10 +147,10 @@ def _carrier(robot: Robot, link: str) -> str:
     """
     problem = f"has no link {link!r} of the configuration"
     if link in robot.frames:
-        if body := robot.body(link):
+        if body := robot.frames[link].parentJoint:
             return robot.model.names[body]
         problem = f"no joint moves the link {link!r}"
-    raise HandError(problem, file=robot.file, value=link)
+    raise robot.error(problem, link)
 
 
 def _renamed(found: Detection, carriers: dict[str, str]) -> list[PointSpec]:

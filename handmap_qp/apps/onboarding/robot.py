@@ -18,29 +18,29 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.apps.drawing import shape_meshes
-from handmap_qp.errors import HandError, reason_of
+from handmap_qp.errors import HandError
 from handmap_qp.hands import (
     MOVABLE,
+    Hand,
+    HandSpec,
     LimitSpec,
-    MimicSpec,
-    Place,
+    PalmSpec,
+    PointSpec,
+    WristSpec,
     check_tree,
     child_of,
     cut_subtree,
     edges,
-    expansion_matrix,
     fix_free_joints,
     joints_by_name,
     mimics_of,
-    origin_of,
     parse_urdf,
     prepare_urdf,
     read_mimic_rules,
     root_links,
-    tighten_model,
     zero_posture,
 )
-from handmap_qp.se3 import Array, transform_points
+from handmap_qp.se3 import Array, inverse_pose, transform_points
 
 # Assumed ranges [rad or m] and speeds [per s] of joints without limits in the URDF.
 _ASSUMED_RANGE = {
@@ -57,8 +57,10 @@ _MOST_NAMES = 12
 _MOST_POINTS = 3000
 
 
-class Robot:
-    """A robot, or a part of one, prepared for detection.
+class Robot(Hand):
+    """A robot, or a part of one, in which a hand is looked for.
+
+    Its palm is its root until one is found, and it rests at zero, clipped to its limits.
 
     Args:
         text: The URDF.
@@ -67,23 +69,18 @@ class Robot:
 
     Attributes:
         file: The URDF's file.
-        name: The robot's name.
         root: Link that it starts at.
         is_whole: Whether `root` is the root of the URDF.
-        model: Pinocchio model of the movable joints, which sorts them by name.
         frames: Frame of the model for each link.
         links: Links of each body, its first one first.
         surface: Points of a body's visuals, else of its collision shapes, by its number, in its
             frame [m], shape (k, 3); a `HandError` if a shape lacks its numbers.
-        palm_frame_id: Frame of the palm's link, once it is found; before that, of the world.
         joints: Movable joints of the model, in the order of the file.
-        active: Names of the n joints that are not mimic joints, in the order of the file.
-        lower_limits: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
-        upper_limits: Their upper limits, shape (n,).
-        zero: Zero clipped to the limits [rad or m], shape (n,).
+        rules: Rules of those that follow another one, by name.
+        elements: The URDF's element of each link.
+        parents: The link that carries each link but the root.
         endless: Names of the joints of type `continuous` in the file.
         assumed: Limits that the URDF lacks, by joint.
-        locked: Positions of joints that are locked [rad or m].
         dropped_rules: Mimic rules whose leader is not in this part of the robot; these joints are
             treated as independent.
 
@@ -104,18 +101,25 @@ class Robot:
         try:
             robot = parse_urdf(text)
             check_tree(robot)
-            self.is_whole = root is None or root_links(robot) == [root]
+            self.is_whole = root in (None, *root_links(robot))
             if root is not None:
                 cut_subtree(robot, root)
-            self._read(robot)
+            movable = self._complete(robot)
+            spec = self._provisional(robot, movable)
+            super().__init__(spec, urdf_text=tostring(robot, encoding="unicode"))
         except HandError as error:
             error.file = file
             raise
+        self.joints = [self.model.getJointId(name) for name in movable]
+        bodies = [f for f in self.model.frames if f.type == pin.FrameType.BODY]
+        self.frames = {frame.name: frame for frame in bodies}
+        self.links = [
+            [frame.name for frame in bodies if frame.parentJoint == body]
+            for body in range(self.model.njoints)
+        ]
 
-    def _read(self, robot: Element) -> None:
-        """Complete the limits, and build the model."""
-        (self.root,) = root_links(robot)
-        self.name = robot.get("name") or self.file.stem
+    def _complete(self, robot: Element) -> list[str]:
+        """Complete rules and limits in a URDF; return its movable joints, in its order."""
         for name in fix_free_joints(robot):
             self._remark(name, "has more than one coordinate: it is taken as fixed")
         given = {
@@ -123,58 +127,48 @@ class Robot:
             for name, joint in joints_by_name(robot, MOVABLE).items()
         }
         self.endless = {n for n, one in given.items() if one.kind == "continuous"}
-        rules = mimics_of(robot)
-        leaders = {name: rules[name].joint for name in given if name in rules}
-        lost = {n: leader for n, leader in leaders.items() if leader not in given}
+        rules = {n: rule for n, rule in mimics_of(robot).items() if n in given}
+        lost = [n for n, rule in rules.items() if rule.joint not in given]
         self.dropped_rules = dict.fromkeys(lost)
-        for name, leader in lost.items():
+        for name in lost:
             self._remark(
-                f"{name} (mimics {leader})",
+                f"{name} (mimics {rules[name].joint})",
                 "has a leader that is missing or fixed here: taken as independent; couple what "
                 "belongs together under `mimic` in the hand.yaml",
             )
-        equal = self._assume_limits(given, leaders.keys() - lost)
-        self.locked = prepare_urdf(robot, None, self.dropped_rules, equal, self.assumed)
-        movable = [name for name in given if name not in self.locked]
+        equal = self._assume_limits(given, rules.keys() - lost)
+        locked = prepare_urdf(robot, None, self.dropped_rules, equal, self.assumed)
+        self._locked_at = {name: round(at, 6) for name, at in locked.items()}
+        return [name for name in given if name not in locked]
+
+    def _provisional(self, robot: Element, movable: list[str]) -> HandSpec:
+        """Describe the robot as a hand whose palm is the root."""
+        (self.root,) = root_links(robot)
         if not movable:
             problem = f"no movable joint hangs from the link {self.root!r}"
-            raise HandError(problem, value=self.root)
-        self._rules = read_mimic_rules(robot)
-        self.active = [name for name in movable if name not in self._rules]
-        self._elements = {link.get("name", ""): link for link in robot.iterfind("link")}
-        self._parents = {child: parent for _, parent, child in edges(robot)}
-        self._build(tostring(robot, encoding="unicode"))
-        self.joints = [self.model.getJointId(name) for name in movable]
+            raise self.error(problem, self.root)
+        self.rules = read_mimic_rules(robot)
+        self.elements = {link.get("name", ""): link for link in robot.iterfind("link")}
+        self.parents = {child: parent for _, parent, child in edges(robot)}
+        active = tuple(name for name in movable if name not in self.rules)
+        return HandSpec(
+            name=robot.get("name") or self.file.stem,
+            urdf=str(self.file),
+            side="right",
+            palm=PalmSpec(self.root, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+            wrist=WristSpec(self.root, "fixed"),
+            joints=active,
+            rest=dict.fromkeys(active, 0.0),
+            points=(PointSpec("root", self.root),),
+            sets={"root": ("root",)},
+            reference="root",
+        )
 
-    def _build(self, text: str) -> None:
-        """Build the model, and place it at zero."""
-        try:
-            self.model = model = pin.buildModelFromXML(text)
-        except (RuntimeError, ValueError) as error:
-            problem = f"Pinocchio cannot read the URDF: {reason_of(error)}"
-            raise HandError(problem) from error
-        for note in tighten_model(model, self._rules):
-            self._remark("", note)
-        names = list(model.names)[1:]
-        self.expansion = expansion_matrix(names, self.active, self._rules)
-        self.joint_columns = np.arange(len(self.active))
-        at = [names.index(name) for name in self.active]
-        self.lower_limits = model.lowerPositionLimit[at]
-        self.upper_limits = model.upperPositionLimit[at]
-        self.zero = zero_posture(self)
-        self.palm_frame_id = 0
-        bodies = [f for f in model.frames if f.type == pin.FrameType.BODY]
-        self.frames = {frame.name: frame for frame in bodies}
-        self.links = [
-            [frame.name for frame in bodies if frame.parentJoint == body]
-            for body in range(model.njoints)
-        ]
-        self._data = model.createData()
-        vector = self.configuration_vector(self.zero)
-        pin.framesForwardKinematics(model, self._data, vector)
+    def _take_postures(self) -> None:
+        self.rest = zero_posture(self)
 
     @property
-    def notes(self) -> list[str]:
+    def remarks(self) -> list[str]:
         """Assumptions, one sentence each; those about several joints in one."""
         found = []
         for what, subjects in self._remarks.items():
@@ -182,79 +176,35 @@ class Robot:
             if len(subjects) > _MOST_NAMES:
                 shown += f" and {len(subjects) - _MOST_NAMES} more"
             shown += ": each" * (len(subjects) > 1)
-            found.append(f"{shown} {what}".strip())
-        return found
+            found.append(f"{shown} {what}")
+        return [*found, *self.notes]
+
+    def error(self, problem: str, value: object = None) -> HandError:
+        """Return an error about the robot, with its file."""
+        return HandError(problem, file=self.file, value=value)
 
     def _remark(self, subject: str, what: str) -> None:
         self._remarks.setdefault(what, []).append(subject)
 
     # -- structure
 
-    def body(self, link: str) -> int:
-        """Return the body of a link."""
-        return self.frames[link].parentJoint
-
-    def path(self, body: int, above: int) -> list[int]:
-        """Return the joints from below a body `above` out to a body."""
-        return [*self.model.supports[body]][len(self.model.supports[above]) :]
-
     def leaves(self, body: int) -> list[int]:
         """Return the last bodies of all branches of a body; the body itself if it has none."""
         below = [j for j in self.joints if self.model.parents[j] == body]
         return [leaf for j in below for leaf in self.leaves(j)] or [body]
 
-    def ends(self, body: int) -> list[str]:
-        """Return the links of a body, but its first one, that carry no other link."""
-        inner = {*self._parents.values()}
-        return [link for link in self.links[body][1:] if link not in inner]
-
-    def carriers(self, joint: int) -> list[str]:
-        """Return the links of a body out to the one that carries a joint."""
-        body = self.links[self.model.parents[joint]]
-        link = self._parents[self.links[joint][0]]
-        passed = [link]
-        while (link := self._parents.get(link, "")) in body:
-            passed.insert(0, link)
-        return passed
-
-    def driver(self, joint: str) -> str:
-        """Return the active joint that moves a joint: itself, or its mimic leader."""
-        return self._rules.get(joint, MimicSpec(joint)).joint
-
     # -- kinematics
 
-    def configuration_vector(self, q: Array) -> Array:
-        """Return Pinocchio's configuration at positions of the active joints, shape (n,)."""
-        return self.expansion.all_joints(q)
+    def positions(self, q: Array) -> dict[str, float]:
+        """Return the positions of all joints by name, also of locked ones [rad or m]."""
+        return self._locked_at | dict(zip(self.joint_names, q.tolist(), strict=True))
 
-    def place_of(self, link: str, xyz: Array) -> Place:
-        """Return a point on a link as one on a joint of the model."""
-        frame = self.frames[link]
-        return frame.parentJoint, frame.placement.act(xyz)
-
-    def pose_in(self, link: str, other: str) -> Array:
-        """Return a link's pose in another link's frame at `zero`, shape (4, 4)."""
-        pose, frame = (self._data.oMf[self.model.getBodyId(n)] for n in (link, other))
-        return frame.actInv(pose).homogeneous
+    def pose_in(self, link: str, other: str, q: Array | None = None) -> Array:
+        """Return a link's pose in another link's frame, at rest if q is omitted, (4, 4)."""
+        frame, pose = self.link_poses([other, link], self.rest if q is None else q)
+        return inverse_pose(frame) @ pose
 
     # -- surface
-
-    def has_collision_shapes(self, body: int) -> bool:
-        """Return whether a link of a body has a collision shape."""
-        return any(
-            self._elements[link].find("collision") is not None
-            for link in self.links[body]
-        )
-
-    def balls(self, body: int) -> Array:
-        """Return the centres of a body's spheres in its frame [m], shape (k, 3)."""
-        found = [
-            self.place_of(link, origin_of(shape)[:3, 3])[1]
-            for link in self.links[body]
-            for shape in self._elements[link]
-            if shape.find("geometry/sphere") is not None
-        ]
-        return np.array(found).reshape(-1, 3)
 
     def _surface(self, body: int) -> Array:
         """Read what `surface` keeps."""
@@ -270,7 +220,7 @@ class Robot:
         miss = partial(self._remark, what="is a mesh that cannot be read")
         return [
             np.array(mesh.vertices[:: max(1, len(mesh.vertices) // _MOST_POINTS)])
-            for shape in self._elements[link].iterfind(kind)
+            for shape in self.elements[link].iterfind(kind)
             for mesh in shape_meshes(shape, self.file.parent, miss)
         ]
 

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import HandError
-from handmap_qp.hands import Finger, PalmKinematics, ends_of, zero_posture
+from handmap_qp.hands import Finger, ends_of, origin_of
 from handmap_qp.se3 import Array, lengths, transform_points, unit
 from .anatomy import Clue
 from .robot import Robot
@@ -41,37 +40,37 @@ _APART = 0.16
 
 
 class RobotFinger(Finger):
-    """A chain of a robot's bodies, which may be a finger.
-
-    Args:
-        robot: The robot.
-        leaf: Its last body.
-        palm: The body that it starts from.
+    """A chain of a robot's bodies from a palm to a leaf, which may be a finger.
 
     Attributes:
         end: Link that carries its fingertip, and the evidence for it.
         xyz: The fingertip in that link's frame [m], shape (3,).
         joint_names: Movable joints from the palm outwards.
+        drivers: The active joints that move them, each itself or its mimic leader.
         links: First link of the body on each joint.
         names: All of these, from which the finger's own name may be read.
         carriers: Links of the palm's body out to the one that carries the finger.
         length: Length from its first joint to its tip at zero [m].
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        leaf: int,
-        palm: int,
-    ) -> None:
-        joints = robot.path(leaf, palm)
+    def __init__(self, robot: Robot, leaf: int, palm: int) -> None:
+        self.robot = robot
+        supports = robot.model.supports
+        joints = [*supports[leaf]][len(supports[palm]) :]
         self.end, self.xyz = find_tip(robot, joints)
-        super().__init__(robot, joints, robot.place_of(self.end.answer, self.xyz))
+        frame = robot.frames[self.end.answer]
+        super().__init__(robot, joints, (leaf, frame.placement.act(self.xyz)))
         self.joint_names = [robot.model.names[joint] for joint in joints]
+        rules = robot.rules
+        self.drivers = [rules[n].joint if n in rules else n for n in self.joint_names]
         self.links = [robot.links[joint][0] for joint in joints]
         self.names = [*self.joint_names, *self.links]
-        self.carriers = robot.carriers(joints[0])
-        steps = [*np.diff(_origins(robot, joints), axis=0), self.tip[1]]
+        link = robot.parents[self.links[0]]
+        self.carriers = [link]
+        while (link := robot.parents.get(link, "")) in robot.links[palm]:
+            self.carriers.insert(0, link)
+        origins = robot.link_poses(self.links, robot.rest)[:, :3, 3]
+        steps = [*np.diff(origins, axis=0), self.tip[1]]
         self.length = lengths(np.array(steps)).sum()
 
 
@@ -90,10 +89,7 @@ class Structure(NamedTuple):
 
 
 def find_structure(robot: Robot) -> Structure:
-    """Find the palm and the fingers.
-
-    Args:
-        robot: The robot, or a part of it; the palm found becomes its palm.
+    """Find the palm, which becomes that of the robot, and the fingers.
 
     Raises:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
@@ -101,11 +97,8 @@ def find_structure(robot: Robot) -> Structure:
     palms = _branching(robot)
     if len(palms) > 1:
         links = ", ".join(map(_palm_link, palms[:8]))
-        raise HandError(
-            f"there are {len(palms)} possible palms: {links}; choose one with --root",
-            file=robot.file,
-            value=links,
-        )
+        problem = f"there are {len(palms)} possible palms: {links}"
+        raise robot.error(f"{problem}; choose one with --root", links)
     structure = _hand(robot, *palms) if palms else _one_finger(robot)
     robot.palm_frame_id = robot.model.getBodyId(structure.palm.answer)
     return structure
@@ -151,7 +144,7 @@ def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
         ]
         fingers = [finger for finger in fingers if not faults[finger]]
     if not fingers:
-        raise HandError("no branch of the palm moves its end", file=robot.file)
+        raise robot.error("no branch of the palm moves its end")
     _check_one_hand(robot, fingers)
     how = f"the only link from which {len(fingers)} chains of at most {LONGEST_FINGER:g} m branch"
     sure = 0.95 if len(fingers) > 2 else 0.85
@@ -170,7 +163,7 @@ def _one_finger(robot: Robot) -> Structure:
         if finger.length > 10.0:
             hint = "; are its lengths in millimetres?"
         problem = f"no hand found from {robot.root!r} outwards: {what}{hint}"
-        raise HandError(problem, file=robot.file, value=robot.root)
+        raise robot.error(problem, robot.root)
     note = "there is only one finger, so the dorsal direction and the side are guesses"
     how = "the link from which the only chain starts"
     palm = Clue("palm", _palm_link([finger]), how, 0.5)
@@ -183,7 +176,8 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     Raises:
         HandError: If there are two; the message names their links for `root`.
     """
-    roots = _origins(robot, [finger.joints[0] for finger in fingers])
+    links = [finger.links[0] for finger in fingers]
+    roots = robot.link_poses(links, robot.rest)[:, :3, 3]
     near = lengths(roots[:, None] - roots[None]) < _APART
     group = np.linalg.matrix_power(near.astype(float), len(fingers))[0] > 0.0
     if min(group.sum(), (~group).sum()) < 2:
@@ -192,17 +186,11 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     advice = "choose one with --root"
     if len({*links}) == 1:
         advice = "keep the links of one hand in the URDF, because both start at the same link"
-    raise HandError(
+    raise robot.error(
         f"there are two hands on one base: {group.sum()} fingers from {links[0]!r} and "
         f"{(~group).sum()} from {links[1]!r}; {advice}",
-        file=robot.file,
-        value=links,
+        links,
     )
-
-
-def _origins(robot: Robot, joints: list[int]) -> Array:
-    """Return the origins of k joints at zero [m], shape (k, 3)."""
-    return PalmKinematics(robot).axes(robot.zero, joints)[1]
 
 
 def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
@@ -223,17 +211,13 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
 def _palm_link(fingers: list[RobotFinger]) -> str:
     """Return the outermost link of a body from which all its fingers branch."""
     ways = [finger.carriers for finger in fingers]
-    # All begin with the body's first link.
-    shared = [links[0] for links in zip(*ways, strict=False) if len({*links}) == 1]
-    return shared[-1]
+    # All begin with the body's first link, and part once.
+    shared = set.intersection(*map(set, ways))
+    return ways[0][len(shared) - 1]
 
 
 def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     """Find the end of a finger: an end frame of its last body, or else the end of its surface.
-
-    Args:
-        robot: The robot.
-        joints: The finger's joints.
 
     Returns:
         The link that carries it, with the evidence, and its position in the link's frame [m], (3,).
@@ -243,7 +227,12 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     cloud = robot.surface(leaf)
     sizes = lengths(cloud)
     size = sizes.max(initial=0.0)
-    ends = {end: robot.pose_in(end, link)[:3, 3] for end in robot.ends(leaf)}
+    # Of links that carry no other one.
+    ends = {
+        end: robot.pose_in(end, link)[:3, 3]
+        for end in robot.links[leaf][1:]
+        if end not in robot.parents.values()
+    }
     distance, far = max(
         ((float(lengths(place)), end) for end, place in ends.items()),
         default=(0.0, ""),
@@ -270,11 +259,7 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)
 
 
-def _is_at_end(
-    robot: Robot,
-    body: int,
-    place: Array,
-) -> bool:
+def _is_at_end(robot: Robot, body: int, place: Array) -> bool:
     """Return whether an end frame is at the end of its body's surface, or there is none.
 
     The centre of a ball is the end of a round fingertip.
@@ -284,7 +269,13 @@ def _is_at_end(
         return True
     length = float(lengths(place))
     beyond = (cloud @ place).max() / length - length
-    is_centre = any(lengths(robot.balls(body) - place) < _AT_CENTRE)
+    balls = [
+        robot.frames[link].placement.act(origin_of(shape)[:3, 3])
+        for link in robot.links[body]
+        for shape in robot.elements[link]
+        if shape.find("geometry/sphere") is not None
+    ]
+    is_centre = any(lengths(ball - place) < _AT_CENTRE for ball in balls)
     return -_IN_THE_AIR < beyond < _INSIDE or (
         is_centre and 0.0 < beyond < _LARGEST_BALL
     )
@@ -295,13 +286,10 @@ def _poses(finger: RobotFinger, other: int) -> Array:
 
     The finger's joints cross their ranges together.
     """
-    robot = finger.hand
-    data = robot.model.createData()
-    poses = []
-    for q in np.linspace(*ends_of(robot, zero_posture(robot), finger.columns), 5):
-        pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
-        poses.append(data.oMi[other].actInv(data.oMi[finger.joints[-1]]).homogeneous)
-    return np.array(poses)
+    robot = finger.robot
+    base = robot.links[other][0]
+    postures = np.linspace(*ends_of(robot, robot.rest, finger.columns), 5)
+    return np.array([robot.pose_in(finger.links[-1], base, q) for q in postures])
 
 
 def _travel(finger: RobotFinger, poses: Array) -> float:
@@ -311,7 +299,7 @@ def _travel(finger: RobotFinger, poses: Array) -> float:
 
 def _idleness(finger: RobotFinger, _: list[RobotFinger]) -> str:
     """Return what is wrong with a chain that does not move its own end."""
-    poses = _poses(finger, finger.hand.model.parents[finger.joints[0]])
+    poses = _poses(finger, finger.robot.model.parents[finger.joints[0]])
     is_idle = _travel(finger, poses) < _LEAST_TRAVEL
     return "does not move the end of its chain, so not a finger" if is_idle else ""
 
