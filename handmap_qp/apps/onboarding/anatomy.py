@@ -6,7 +6,7 @@ plane of the knuckles, or names. What is derived from an answer is never surer t
 
 from collections.abc import Iterable
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,15 +47,18 @@ class Clue(NamedTuple):
 
     Attributes:
         what: The property: `palm`, `thumb`, ...
-        answer: Its detected value.
+        answer: Its detected value in words; a unit vector in the palm link's coordinates, shape
+            (3,), while directions are compared.
         how: Evidence for it, a sentence without a full stop.
         confidence: From 0 to 1.
+        sign: Confidence in the sign of a direction alone.
     """
 
     what: str
-    answer: str
+    answer: Any
     how: str
     confidence: float
+    sign: float = 1.0
 
     @property
     def certainty(self) -> str:
@@ -63,26 +66,6 @@ class Clue(NamedTuple):
         if self.confidence >= 0.9:
             return "certain"
         return "likely" if self.confidence >= 0.6 else "a guess: check it"
-
-
-class _Found(NamedTuple):
-    """A direction in the palm link's coordinates, and the evidence for it.
-
-    Attributes:
-        direction: A unit vector, shape (3,).
-        how: Evidence, a sentence without a full stop.
-        confidence: From 0 to 1.
-        sign: Confidence in its sign alone.
-    """
-
-    direction: Array
-    how: str
-    confidence: float
-    sign: float = 1.0
-
-    def clue(self, what: str) -> Clue:
-        """Return it as a property of the hand."""
-        return Clue(what, _shown(self.direction), self.how, self.confidence)
 
 
 class Anatomy:
@@ -124,7 +107,7 @@ class Anatomy:
         self._axis = has_axis * vectors[:, -1]
         distal = self._find_distal()
         dorsal = self._find_dorsal(distal)
-        across = np.cross(distal.direction, dorsal.direction)
+        across = np.cross(distal.answer, dorsal.answer)
         radial = self._find_radial(across)
         named = named_side(chain(hints, *names))
         turned, found = _find_side(
@@ -134,11 +117,11 @@ class Anatomy:
         # The thumb's side orders the fingers; only without it the side does.
         if radial.confidence == 0.0:
             outwards = -across if self.side == "right" else across
-            radial = radial._replace(direction=outwards, confidence=0.2)
+            radial = radial._replace(answer=outwards, confidence=0.2)
         self.fingers, order = self._name_fingers(radial)
-        self.distal = distal.direction
-        self.dorsal = turned.direction
-        directions = distal.clue("distal"), turned.clue("dorsal")
+        self.distal = distal.answer
+        self.dorsal = turned.answer
+        directions = [c._replace(answer=_shown(c.answer)) for c in (distal, turned)]
         self.clues = (self._thumb_clue, *directions, found, order)
 
     def _find_thumb(self, given: int | None) -> tuple[int | None, Clue]:
@@ -173,7 +156,7 @@ class Anatomy:
             sure = _DISPUTED
         return best, Clue("thumb", names[best][-1], how, sure)
 
-    def _find_distal(self) -> _Found:
+    def _find_distal(self) -> Clue:
         """Find the direction of the stretched fingers."""
         flexion = self._flexion
         axis = self._axis
@@ -204,13 +187,13 @@ class Anatomy:
                 "; the thumb points the other way: the palm's direction may be better"
             )
             confidence = _DISPUTED
-        return _Found(mean, how, confidence)
+        return Clue("distal", mean, how, confidence)
 
-    def _find_dorsal(self, distal: _Found) -> _Found:
+    def _find_dorsal(self, distal: Clue) -> Clue:
         """Find the back of the hand: opposite to the way in which the fingertips flex."""
         flexion = self._flexion
         rest = self._rest
-        ahead = distal.direction
+        ahead = distal.answer
         mean = flexion.ways[rest].mean(axis=0)
         agreement = lengths(mean)
         palmar = _beside(mean, ahead)
@@ -242,7 +225,7 @@ class Anatomy:
             how += (
                 f"; the row of the knuckles is {tilt:.0f} degrees off the palm's plane"
             )
-        return _Found(dorsal, how, min(best, sign, distal.confidence), sign)
+        return Clue("dorsal", dorsal, how, min(best, sign, distal.confidence), sign)
 
     def _tilt(self, distal: Array, dorsal: Array) -> float:
         """Return the angle of the row of the knuckles to the palm's plane [deg].
@@ -263,7 +246,7 @@ class Anatomy:
         before = flexion.bases[self._rest].mean(axis=0) - flexion.tips_closed[thumb]
         return float(before @ dorsal / flexion.reach[self._rest].mean())
 
-    def _find_radial(self, across: Array) -> _Found:
+    def _find_radial(self, across: Array) -> Clue:
         """Return the direction across the palm to the thumb, or by the other fingers' names.
 
         Its confidence is 0 if the thumb is central.
@@ -298,16 +281,16 @@ class Anatomy:
             how = how if is_clear else "the fingers' names"
             confidence = _DISPUTED if is_clear else _LIKELY
         # Names count as much as a clear place.
-        return _Found(np.sign(place + _CLEAR * named) * across, how, confidence)
+        return Clue("radial", np.sign(place + _CLEAR * named) * across, how, confidence)
 
-    def _name_fingers(self, radial: _Found) -> tuple[dict[int, str], Clue]:
+    def _name_fingers(self, radial: Clue) -> tuple[dict[int, str], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""
         flexion = self._flexion
         labels = self._labels
         sure = self._thumb_clue.confidence
         # Order fingers by base and tip: fingers spread towards their tips, and bases may lie one
         # behind the other.
-        places = (0.7 * flexion.bases + 0.3 * flexion.tips_open) @ radial.direction
+        places = (0.7 * flexion.bases + 0.3 * flexion.tips_open) @ radial.answer
         order = sorted(self._rest, key=lambda i: -places[i])
         apart = -np.diff(places[order]).max(initial=-np.inf)
         how = "ordered by position across the palm, from the thumb's side"
@@ -361,19 +344,16 @@ def _stands_out(differences: Array) -> Array:
 
 def _find_side(
     across: Array,
-    dorsal: _Found,
-    radial: _Found,
+    dorsal: Clue,
+    radial: Clue,
     thumb: Clue,
     given: Side | None,
     named: Side | None,
-) -> tuple[_Found, Clue]:
+) -> tuple[Clue, Clue]:
     """Find the side: a right hand seen from the back, fingers up, has its thumb on the left.
 
-    A given side, or a named one, sets the sign of the dorsal direction if the thumb is clearly on
-    one side of the palm.
-
-    Returns:
-        The dorsal direction, and the side with the evidence for it.
+    It is returned behind the dorsal direction, whose sign a given or a named side sets if the thumb
+    is clearly on one side of the palm.
     """
     source = "as given" if given else "from the names"
     declared = given or named
@@ -384,7 +364,7 @@ def _find_side(
             how = "undetermined; right by convention"
             sure = 0.2
         return dorsal, Clue("side", declared or "right", how, sure)
-    is_right = radial.direction @ across < 0.0
+    is_right = radial.answer @ across < 0.0
     found, place = ("right", "left") if is_right else ("left", "right")
     how = f"seen from the back with the fingers up, the thumb is on the {place} ({radial.how})"
     least = min(radial.confidence, thumb.confidence)
@@ -410,11 +390,11 @@ def _find_side(
             sure = 0.9 if given else min(_LIKELY, least)
         how = f"{source}; {why}"
         back = f"the back of a {declared} hand with its thumb there; {why}"
-        dorsal = _Found(-dorsal.direction + 0.0, back, turned, 0.0)
+        dorsal = Clue("dorsal", -dorsal.answer + 0.0, back, turned, 0.0)
     return dorsal, Clue("side", answer, how, sure)
 
 
-def _confirmed(dorsal: _Found) -> _Found:
+def _confirmed(dorsal: Clue) -> Clue:
     """Return a dorsal direction with which the side agrees."""
     if dorsal.sign <= 0.05:
         return dorsal
