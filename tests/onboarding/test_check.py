@@ -64,7 +64,7 @@ def made() -> MadeHand:
 
 def described(tmp_path: Path, urdf: str, **changes: Any) -> Path:
     (tmp_path / "hand.urdf").write_text(urdf)
-    write_hand(detect(tmp_path / "hand.urdf"), tmp_path / "hand.yaml", overwrite=True)
+    write_hand(detect(tmp_path / "hand.urdf"), tmp_path / "hand.yaml")
     document = yaml.safe_load((tmp_path / "hand.yaml").read_text())
     (tmp_path / "hand.yaml").write_text(yaml.safe_dump({**document, **changes}))
     return tmp_path / "hand.yaml"

@@ -26,7 +26,12 @@ from handmap_qp.apps.onboarding.measure import (
     standard_postures,
 )
 from handmap_qp.apps.onboarding.picture import draw_hand, picture_path
-from handmap_qp.apps.onboarding.write import hand_text, open_source, write_hand
+from handmap_qp.apps.onboarding.write import (
+    check_free,
+    hand_text,
+    open_source,
+    write_hand,
+)
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
 from handmap_qp.hands.sources import urdf_directory, urdf_path
 from handmap_qp.hands.spec import LimitSpec, read_hand_spec
@@ -121,8 +126,9 @@ def test_a_file_that_exists_is_kept(tmp_path: Path) -> None:
     found = detect(DATA / "one_finger.urdf")
     (tmp_path / "hand.yaml").write_text("mine")
     with pytest.raises(InvalidInputError, match="exists already"):
-        write_hand(found, tmp_path / "hand.yaml")
-    write_hand(found, tmp_path / "hand.yaml", overwrite=True)
+        check_free(tmp_path / "hand.yaml", overwrite=False)
+    check_free(tmp_path / "hand.yaml", overwrite=True)
+    write_hand(found, tmp_path / "hand.yaml")
     assert load_hand(tmp_path / "hand.yaml").name == "one_finger"
 
 

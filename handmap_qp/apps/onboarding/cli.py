@@ -27,7 +27,6 @@ from handmap_qp.hands import (
     HandSpec,
     Side,
     Values,
-    find_fingers,
     hand_files,
     load_hand,
     load_robot,
@@ -161,9 +160,8 @@ def _parts(robot: Hand) -> list[str]:
     hands = robot.hands
     arms = np.array([hand.moves_wrist for hand in hands])
     parts = np.full(arms.shape[1], "other", dtype=object)
-    for hand, arm in zip(hands, arms, strict=True):
-        for finger in find_fingers(hand).values():
-            parts[finger.columns] = f"{hand.side} hand"
+    for hand, arm, own in zip(hands, arms, robot.finger_joints, strict=True):
+        parts[own] = f"{hand.side} hand"
         parts[arm] = f"{hand.side} arm"
     parts[arms.sum(axis=0) > 1] = "shared"
     return parts.tolist()
@@ -334,10 +332,11 @@ class HandsInit:
         """Write a hand, and print what was found unless JSON is to be printed; return that."""
         spec = msgspec.structs.replace(found.spec, urdf=source.reference, name=name)
         found = found._replace(spec=spec, notes=(*source.notes, *found.notes))
-        write_hand(found, out, overwrite=self.overwrite)
+        check_free(out, overwrite=self.overwrite)
+        write_hand(found, out)
         hand = load_hand(out)
         found = with_collision_pairs(found, hand)
-        write_hand(found, out, overwrite=True)
+        write_hand(found, out)
         rows = [
             {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}
             for c in found.clues
@@ -382,7 +381,7 @@ class HandsMigrate:
         configuration = read_dex_configuration(self.config)
         urdf = self.urdf or self.config.parent / configuration.urdf
         found = migrate(configuration, urdf, name=self.name)
-        write_hand(found, self.out, overwrite=self.overwrite)
+        write_hand(found, self.out)
         hand = load_hand(self.out)
         rows = [
             {"reference point": point.name, "link": point.link}

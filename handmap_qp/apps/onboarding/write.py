@@ -6,6 +6,7 @@ Comments in the `hand.yaml` explain each key and how its value was found.
 import os
 import textwrap
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,7 +30,9 @@ from handmap_qp.hands import (
 from handmap_qp.output_files import check_new, make_folder, writing
 from .detect import Detection
 
-_WIDTH = 120
+_wrapped = partial(
+    textwrap.wrap, width=120, break_long_words=False, break_on_hyphens=False
+)
 # Allowed difference between the poses of a link in the URDF and in MuJoCo [m].
 _MOST_DIFFERENCE = 1e-9
 # Keys in their order, and those whose values are written on several lines.
@@ -124,26 +127,13 @@ def open_source(
     return RobotSource(urdf, str(urdf), converted.notes, (urdf,))
 
 
-def write_hand(
-    detection: Detection,
-    path: Path,
-    *,
-    overwrite: bool = False,
-) -> None:
-    """Write a `hand.yaml`.
-
-    Args:
-        detection: What was found.
-        path: The file; its folder is made if it does not exist.
-        overwrite: Whether to replace an existing file.
+def write_hand(detection: Detection, path: Path) -> None:
+    """Write a `hand.yaml`; a file that is there is replaced.
 
     Raises:
-        InvalidInputError: If the file exists, or cannot be written.
+        InvalidInputError: If it cannot be written.
     """
-    check_free(path, overwrite=overwrite)
-    make_folder(path.parent, "--out")
-    with writing(path, "--out"):
-        path.write_text(hand_text(detection, path.parent), encoding="utf-8")
+    _write(path, hand_text(detection, path.parent))
 
 
 def write_robot(name: str, path: Path) -> None:
@@ -152,8 +142,13 @@ def write_robot(name: str, path: Path) -> None:
     Raises:
         InvalidInputError: If it cannot be written.
     """
+    _write(path, _ROBOT.format(_flow(name)))
+
+
+def _write(path: Path, text: str) -> None:
+    make_folder(path.parent, "--out")
     with writing(path, "--out"):
-        path.write_text(_ROBOT.format(_flow(name)), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:
@@ -220,21 +215,13 @@ def _lines(
             yield from _lines(value, f"{at}.", above)
         else:
             # YAML reads a line break inside a value as a space.
-            yield from _wrapped(f"{start} {_flow(value)}", f"{indent}    ")
+            yield from _wrapped(
+                f"{start} {_flow(value)}", subsequent_indent=f"{indent}    "
+            )
 
 
 def _comment(text: str, indent: str) -> list[str]:
     return [f"{indent}# {line}" for line in _wrapped(text)]
-
-
-def _wrapped(text: str, subsequent_indent: str = "") -> list[str]:
-    return textwrap.wrap(
-        text,
-        _WIDTH,
-        subsequent_indent=subsequent_indent,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
 
 
 def _given(value: Any) -> Any:
