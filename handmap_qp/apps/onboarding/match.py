@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
+from handmap_qp.apps.tables import rows_of
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Hand, Values, load_hand
 from handmap_qp.human import Recording, human_name, mirrored, scaled_human
@@ -34,18 +35,15 @@ class Match(NamedTuple):
         """Return a table row for every joint of the hand: limits, rest and matched position."""
         robot = self.robot
         columns = {
-            "lower": robot.lower_limits,
-            "upper": robot.upper_limits,
-            "rest": robot.rest,
-            "matched": self.q,
+            "joint": robot.joint_names,
+            "lower": robot.lower_limits.tolist(),
+            "upper": robot.upper_limits.tolist(),
+            "rest": robot.rest.tolist(),
+            "matched": self.q.tolist(),
         }
         if robot.matched is not None:
-            columns["in hand.yaml"] = robot.matched
-        return [
-            {"joint": joint} | {key: float(columns[key][i]) for key in columns}
-            for i, joint in enumerate(robot.joint_names)
-            if joint in robot.spec.joints
-        ]
+            columns["in hand.yaml"] = robot.matched.tolist()
+        return [r for r in rows_of(columns) if r["joint"] in robot.spec.joints]
 
     @property
     def text(self) -> str:

@@ -393,7 +393,11 @@ def check_fist(hand: Hand) -> Found:
 def check_pinches(hand: Hand) -> Found:
     """Find how near the thumb's pad can come to every other finger's; an arm stays at rest."""
     fingers = find_fingers(hand)
-    pads = _fingertip_pads(hand, fingers)
+    try:
+        pads = find_pads(hand, fingers)
+    except HandmapError:
+        # The shapes cannot be read: a ball around each tip.
+        pads = {name: Pad(*chain.tip, _RADIUS) for name, chain in fingers.items()}
     rows: Rows = [
         {
             "finger": finger,
@@ -426,14 +430,6 @@ def check_pinches(hand: Hand) -> Found:
         what = f"the thumb touches no finger; nearest is the {nearest}, {1e3 * gap:.0f} mm away"
         finding = warning if gap > _OPPOSING else advice
         yield finding("points", what, "check the thumb, the tips, and the limits")
-
-
-def _fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
-    """Return the pad of each fingertip; a ball of 6 mm around it if the shapes cannot be read."""
-    try:
-        return find_pads(hand, chains)
-    except HandmapError:
-        return {name: Pad(*chain.tip, _RADIUS) for name, chain in chains.items()}
 
 
 def _gap(hand: Hand, finger: Finger, thumb: Finger, pads: dict[str, Pad]) -> float:

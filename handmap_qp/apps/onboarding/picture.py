@@ -12,7 +12,6 @@ from handmap_qp.apps.drawing import (
     GREY,
     UPRIGHT,
     Camera,
-    Colour,
     Triangles,
     draw_hands,
     load_shape,
@@ -93,11 +92,7 @@ def draw_hand(hand: Hand, path: Path, *directions: Any) -> None:
 
 
 def draw_robot(robot: Hand, path: Path) -> None:
-    """Draw a robot at rest with the axes of its palms, from two sides.
-
-    Args:
-        robot: The robot.
-        path: Picture to write; its suffix sets the format.
+    """Draw a robot at rest with the axes of its palms, from two sides, as `draw_hand` does.
 
     Raises:
         InvalidInputError: If the file cannot be written.
@@ -107,7 +102,14 @@ def draw_robot(robot: Hand, path: Path) -> None:
     first = next(iter(hands))
     triangles = load_shape(first).triangles(first.rest)
     poses = [hand.frame_pose("palm", hand.rest) for hand in hands]
-    marks = merged([_axes(pose, _ROBOT_AXES) for pose in poses])
+    axes = [
+        tube([pose[:3, 3], end], 0.03 * _ROBOT_AXES, colour)
+        for pose in poses
+        for end, colour in zip(
+            transform_points(pose, _ROBOT_AXES * np.eye(3)), AXIS_COLOURS, strict=True
+        )
+    ]
+    marks = merged(axes)
     corners = np.vstack([triangles.vertices, marks.vertices]).reshape(-1, 3)
 
     def draw(axes: Any, azimuth: float) -> None:
@@ -119,18 +121,8 @@ def draw_robot(robot: Hand, path: Path) -> None:
     save_panels(path, title, _PANEL, panels)
 
 
-def _axes(pose: Array, size: float) -> Triangles:
-    """Return the axes of a pose as tubes of a length [m]."""
-    ends = zip(transform_points(pose, size * np.eye(3)), AXIS_COLOURS, strict=True)
-    return merged([tube([pose[:3, 3], end], 0.03 * size, c) for end, c in ends])
-
-
 def draw_match(match: Match, path: Path) -> None:
-    """Draw the resting human beside the robot at rest and matched, in their palm frames.
-
-    Args:
-        match: The posture.
-        path: Picture to write, PNG.
+    """Draw the resting human beside the robot at rest and matched, in palm frames, as PNG.
 
     Raises:
         InvalidInputError: If the file cannot be written.
@@ -167,7 +159,18 @@ class _Scene:
             # It ends beyond the palm's axes and their labels.
             tip = 0.5 * self.size * unit(pose[:3, :3] @ row["robot moved, mm"])
             self.arrows.append((tip, row["direction"], _OTHER_COLOUR))
-        self.marks = self._marks()
+        self.colours = [
+            FINGER_COLOURS.get(point.finger or "", _OTHER_COLOUR)
+            for point in hand.reference_points
+        ]
+        marks = [
+            spheres(point, 0.022 * self.size, colour)
+            for point, colour in zip(self.points, self.colours, strict=True)
+        ]
+        for tip, _, colour in self.arrows:
+            axis = tube([np.zeros(3), tip], 0.008 * self.size, colour)
+            marks += [axis, spheres(tip, 0.016 * self.size, colour)]
+        self.marks = merged(marks)
 
     def draw(self, axes: Any, azimuth: float) -> None:
         """Draw one view into a matplotlib axes."""
@@ -210,7 +213,7 @@ class _Scene:
             heights = np.maximum.accumulate(places[chosen, 1] - steps) + steps
             excess = max(0.0, heights.max(initial=0.0) - _PANEL[1] + 20.0)
             for i, height in zip(chosen.tolist(), heights - excess, strict=True):
-                colour = self._colour(i)
+                colour = self.colours[i]
                 axes.annotate(
                     self.hand.reference_points[i].name,
                     xy=places[i],
@@ -222,21 +225,6 @@ class _Scene:
                     bbox=_BOX,
                     arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.8},
                 )
-
-    def _colour(self, i: int) -> Colour:
-        return FINGER_COLOURS.get(
-            self.hand.reference_points[i].finger or "", _OTHER_COLOUR
-        )
-
-    def _marks(self) -> Triangles:
-        parts = [
-            spheres(point, 0.022 * self.size, self._colour(i))
-            for i, point in enumerate(self.points)
-        ]
-        for tip, _, colour in self.arrows:
-            axis = tube([np.zeros(3), tip], 0.008 * self.size, colour)
-            parts += [axis, spheres(tip, 0.016 * self.size, colour)]
-        return merged(parts)
 
     def _sticks(self) -> Triangles:
         """Return sticks between the joints beyond the wrist, and from joints to points.
