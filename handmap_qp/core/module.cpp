@@ -423,9 +423,10 @@ NB_MODULE(_core, m) {
       .def_prop_ro("targets", &Ask::read_targets);
   nb::class_<RobotMover>(m, "RobotMover")
       .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&,
-                    const nb::object&, const nb::list&>(),
-           "ik"_a, "gate"_a, "robot"_a, "targets"_a, "result"_a, "pinching"_a)
+                    const nb::list&, nb::dict, double>(),
+           "ik"_a, "gate"_a, "robot"_a, "result"_a, "pinching"_a, "leaders"_a, "turns_in"_a)
       .def("__reduce__", &without_copy<RobotMover>)
+      .def("map", &RobotMover::map, "reader"_a, "numbers"_a, "wrists"_a, "dt"_a.none(), "worlds"_a)
       .def("move", &RobotMover::move);
   nb::class_<HumanPose>(m, "HumanPose")
       .def("__reduce__", &reduced_pose)

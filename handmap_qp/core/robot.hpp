@@ -61,14 +61,16 @@ inline Pose turned(const Pose& palm, const Vec3& anchor, const Pose& to, double 
 // Moves a robot for what its hands ask.
 class RobotMover {
  public:
-  // Of a core's `Ik`, its gate, the robot as one hand, functions that make `Targets` and `IkResult`
-  // of all hands, and the pairs of each hand that pinch.
-  RobotMover(nb::object ik, nb::object gate, const nb::object& robot, const nb::object& targets,
-             const nb::object& result, const nb::list& pinching)
+  // Of a core's `Ik`, its gate, the robot as one hand, a function that makes `IkResult` of all hands,
+  // the pairs of each hand that pinch, the leaders by side, and the time in which palms turn.
+  RobotMover(nb::object ik, nb::object gate, const nb::object& robot, const nb::object& result,
+             const nb::list& pinching, nb::dict leaders, double turns_in)
       : ik_owner_(std::move(ik)), gate_(std::move(gate)), ik_(nb::cast<Ik&>(ik_owner_)),
-        reader_(std::make_shared<StepReader>(robot, targets, result)),
-        rest_(Fields(robot).numbers("rest")) {
+        rest_(Fields(robot).numbers("rest")), leaders_(std::move(leaders)), turns_in_(turns_in) {
     const Fields constants = module_of("handmap_qp.mapping.robot_mapper");
+    reader_ = std::make_shared<StepReader>(robot, constants.object("_targets_of"), result);
+    map_step_ = constants.object("MapStep");
+    robot_step_ = constants.object("RobotStep");
     near_ = constants.get<double>("_NEAR");
     together_ = constants.get<double>("_TOGETHER");
     together_share_ = constants.get<double>("_TOGETHER_SHARE");
@@ -89,50 +91,107 @@ class RobotMover {
   }
   RobotMover(const RobotMover&) = delete;
 
-  // Move the robot for an `Ask` of each hand; `turning` says how far their palms have turned to the
-  // person's, and `worlds` where the world of each hand's reference is from the robot's base; none if
-  // that has not moved. Return the stages of the robot, and those of each hand.
-  nb::tuple move(const nb::list& given, const Vector& turning, const std::vector<Array>& worlds,
+  // Map a sample of every hand as they come in, by the readers that leaders have under a name; None
+  // for samples that Python has to look at. `worlds` are those of `move`.
+  nb::object map(const nb::str& reader, const nb::object& given, const nb::object& given_wrists,
+                 const nb::object& dt, const std::vector<Array>& worlds) {
+    static const nb::object &core = interned("core"), &map = interned("map"), &own_dt = interned("dt"),
+                            &last = interned("last"), &since = interned("since"),
+                            &stages = interned("stages");
+    const Clock::time_point started = Clock::now();
+    nb::dict numbers, wrists;
+    if (!nb::try_cast(given, numbers) || !nb::try_cast(given_wrists, wrists) ||
+        numbers.size() != leaders_.size())
+      return nb::none();
+    std::vector<nb::object> steps;
+    std::vector<const Ask*> asks;
+    for (const auto [side, leader] : leaders_) {
+      const nb::object asker = nb::getattr(leader, core);
+      if (asker.is_none() || !numbers.contains(side)) return nb::none();
+      // One that has stayed, or is a copy, asks in Python.
+      const nb::object before = nb::getattr(nb::getattr(leader, last), stages);
+      if (!nb::isinstance<Ask>(before)) return nb::none();
+      const nb::object wrist = wrists.contains(side) ? nb::object(wrists[side]) : nb::none();
+      steps.push_back(nb::getattr(asker, map)(nb::getattr(nb::getattr(leader, reader), core),
+                                              numbers[side], wrist,
+                                              dt.is_none() ? nb::getattr(leader, own_dt) : dt));
+      if (steps.back().is_none()) return nb::none();
+      asks.push_back(nb::cast<const Ask*>(nb::getattr(steps.back(), stages)));
+    }
+    Vector times;
+    double longest = 0.0;
+    for (const auto [side, leader] : leaders_) {
+      const double own = asks[times.size()]->dt;
+      times.push_back(nb::cast<double>(nb::getattr(leader, since)) + own);
+      longest = std::max(longest, own);
+    }
+    const auto [whole, parts] = moved(asks, times, worlds, longest);
+    const double duration = std::chrono::duration<double>(Clock::now() - started).count();
+    nb::dict hands;
+    size_t k = 0;
+    for (const auto [side, leader] : leaders_) {
+      nb::setattr(leader, last, steps[k]);
+      nb::setattr(leader, since, nb::float_(times[k]));
+      hands[side] = map_step_(parts[k++], nb::tuple(), duration);
+    }
+    return robot_step_(whole, nb::tuple(), duration, nb::arg("hands") = hands);
+  }
+
+  // Move the robot for an `Ask` of each hand, and times since their references; `worlds` say where the
+  // world of each reference is from the robot's base; none if that has not moved. Return the stages of
+  // the robot, and those of each hand.
+  nb::tuple move(const nb::list& given, const Vector& times, const std::vector<Array>& worlds,
                  double dt) {
     std::vector<const Ask*> asks;
     for (const nb::handle& each : given) asks.push_back(nb::cast<const Ask*>(each));
-    if (asks.size() != hands_.size() || turning.size() != hands_.size() ||
-        (!worlds.empty() && worlds.size() != hands_.size()))
-      throw std::invalid_argument("wrong number of hands");
-    take_motion(ik_, gate_);
-    aim(asks, turning, worlds);
-    goal_.postures = ik_.postures(wanted_rest_, std::max(dt, kShortestDt));
-    double speed = 1.0;
-    for (const Ask* ask : asks) speed = std::min(speed, ask->speed);
-    auto [made, whole] = new_stages(reader_);
-    seek(ik_, goal_, dt, wanted_margins_, speed, whole.result);
-    finish(ik_, whole);
-    whole.asked.points = whole.result.targets;
-    whole.asked.wrist = goal_.wrists[0];
-    whole.pose = {{}, asks[0]->pose.has_wrist, asks[0]->pose.wrist};
-    nb::list parts;
-    for (size_t k = 0; k < asks.size(); ++k) {
-      for (const Vec3& point : asks[k]->pose.points) whole.pose.points.push_back(point);
-      whole.asked.is_clamped |= asked_[k].is_clamped;
-      parts.append(part_of(whole, *asks[k], k));
-    }
-    leave_motion(gate_, made);
-    return nb::make_tuple(made, parts);
+    const auto [whole, parts] = moved(asks, times, worlds, dt);
+    nb::list of_hands;
+    for (const nb::object& part : parts) of_hands.append(part);
+    return nb::make_tuple(whole, of_hands);
   }
 
  private:
+  using Clock = std::chrono::steady_clock;
   struct RobotHand {
     int palm_joint;
     Pose palm;  // on that joint
     Indices is_finger = {}, pinching = {}, among_own = {};  // is_finger: see Hand.finger_joints
   };
 
+  // See `move`.
+  std::pair<nb::object, std::vector<nb::object>> moved(const std::vector<const Ask*>& asks,
+                                                       const Vector& times,
+                                                       const std::vector<Array>& worlds, double dt) {
+    if (asks.size() != hands_.size() || times.size() != hands_.size() ||
+        (!worlds.empty() && worlds.size() != hands_.size()))
+      throw std::invalid_argument("wrong number of hands");
+    double speed = 1.0;
+    for (const Ask* ask : asks) speed = std::min(speed, ask->speed);
+    take_motion(ik_, gate_);
+    aim(asks, times, worlds);
+    goal_.postures = ik_.postures(wanted_rest_, std::max(dt, kShortestDt));
+    auto [made, whole] = new_stages(reader_);
+    seek(ik_, goal_, dt, wanted_margins_, speed, whole.result);
+    finish(ik_, whole);
+    whole.asked.points = whole.result.targets;
+    whole.asked.wrist = goal_.wrists[0];
+    whole.pose = {{}, asks[0]->pose.has_wrist, asks[0]->pose.wrist};
+    std::vector<nb::object> parts;
+    for (size_t k = 0; k < asks.size(); ++k) {
+      for (const Vec3& point : asks[k]->pose.points) whole.pose.points.push_back(point);
+      whole.asked.is_clamped |= asked_[k].is_clamped;
+      parts.push_back(part_of(whole, *asks[k], k));
+    }
+    leave_motion(gate_, made);
+    return {made, parts};
+  }
+
   static Indices indices_of(const nb::handle& array) {
     return nb::cast<Indices>(nb::getattr(array, "tolist")());
   }
 
   // Set the goal to what the hands ask.
-  void aim(const std::vector<const Ask*>& asks, const Vector& turning,
+  void aim(const std::vector<const Ask*>& asks, const Vector& times,
            const std::vector<Array>& worlds) {
     const size_t count = asks.size();
     goal_.points.clear();
@@ -157,7 +216,7 @@ class RobotMover {
       }
       if (const PalmMap* palm = asks[k]->map->palm()) {
         persons_[k] = world * palm->person_at(asks[k]->pose.wrist);
-        turn(*palm, k, smoothstep(turning[k]));
+        turn(*palm, k, smoothstep(times[k] / turns_in_));
       }
       for (size_t i = 0; i < rest_.size(); ++i)
         if (hands_[k].is_finger[i]) wanted_rest_[i] = asks[k]->map->rest[i];
@@ -230,11 +289,12 @@ class RobotMover {
     return made;
   }
 
-  nb::object ik_owner_, gate_;
+  nb::object ik_owner_, gate_, map_step_, robot_step_;
   Ik& ik_;
   std::shared_ptr<const StepReader> reader_;
   Vector rest_, margins_;
-  double near_, together_, together_share_;
+  const nb::dict leaders_;
+  double turns_in_, near_, together_, together_share_;
   std::vector<RobotHand> hands_;
   // What the hands ask, where the person's palms are in the robot's world, and what the QP is to do.
   std::vector<Asked> asked_;

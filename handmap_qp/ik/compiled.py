@@ -84,11 +84,11 @@ class CompiledIk:
         assert core is not None
         return core.Asker(target_map, hand, self._result_of(hand))
 
-    def robot_mover(self, targets: Any, pinching: Any) -> Any:
-        """Return the core's way from what all hands ask to a step; see `RobotMapper`."""
+    def robot_mover(self, *arguments: Any) -> Any:
+        """Return the core's way from samples of all hands to a step; see `RobotMapper`."""
         assert core is not None
-        arguments = self._hand, targets, self._result, pinching
-        return core.RobotMover(self.core, self._gate, *arguments)
+        own = self.core, self._gate, self._hand, self._result
+        return core.RobotMover(*own, *arguments)
 
     def _linearise(self, tasks: Sequence[Task], q: Array) -> tuple[Array, Array, Array]:
         """Return the rows of tasks that are written in Python, at a configuration."""

@@ -105,12 +105,12 @@ class Leader(HandMapper):
     """A `HandMapper` that asks a robot to move; the stages of its steps are what it asks.
 
     Attributes:
-        asked: What it asked last, as `Asked` or as the core has it.
+        last: The step with which it asked last.
         since: Time since its reference [s].
         base: Where the robot's base was at its reference, shape (4, 4).
     """
 
-    asked: Any = None
+    last: Any = None
     since = 0.0
     base = _HOME
 
@@ -118,6 +118,11 @@ class Leader(HandMapper):
         """Ask the robot that a solver moves."""
         self._plan = self._plan._replace(ik=ik)
         self._start = self.core = None
+
+    @property
+    def asked(self) -> Any:
+        """What it asked last, as `Asked` or as the core has it."""
+        return self.last and self.last.stages
 
     @property
     def contacts(self) -> ShapePairs | None:
@@ -154,21 +159,21 @@ class Leader(HandMapper):
         """Whether the robot's hand is to stay."""
         return self.asked and self.asked.map is None
 
-    def stay(self) -> None:
-        """Ask that the robot's hand stays where it is now."""
+    def stay(self, verdict: Verdict | None = None) -> None:
+        """Ask that the robot's hand stays where it is now, with a verdict about its sample."""
         at = posture_of(self.robot, self.motion.q)
         margins = self.asked and self.asked.targets.margins
         unseen = np.full((len(self.human.reference_points), 3), np.nan)
         targets = Targets(at.points, at.wrist, margins=margins)
-        self.asked = Asked(HumanPose(unseen, None), targets, at.q, self.dt)
+        asked: Any = Asked(HumanPose(unseen, None), targets, at.q, self.dt)
+        self.last = MapStep(asked, (), 0.0, verdict)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Ask that the robot's hand stays where it is; arguments as of `HandMapper.hold`."""
         if not self.is_staying:
             self.stay()
         asked = self.asked._replace(dt=check_dt(dt))
-        self.asked = asked if seen is None else asked._replace(pose=seen)
-        return MapStep(self.asked, (), 0.0)
+        return MapStep(asked if seen is None else asked._replace(pose=seen), (), 0.0)
 
 
 def _aimed(asked: Asked, world: Array, turning: float) -> tuple[Targets, Array | None]:
@@ -306,7 +311,7 @@ class RobotMapper:
         self._ik.gate.motion = motion
         for leader in self.leaders.values():
             if leader.is_staying:
-                leader.stay()
+                leader.stay(leader.last.verdict)
 
     @property
     def base_pose(self) -> Array:
@@ -351,14 +356,7 @@ class RobotMapper:
                 it was before.
             DegeneratePointsError: As of `HandMapper.map_landmarks`.
         """
-        wrists = wrist_poses or {}
-
-        def ask(side: Side) -> MapStep:
-            leader = self._leader(side)
-            wrist = wrists.get(side)
-            return leader.map_landmarks(landmarks[side], wrist, dt=dt)
-
-        return self.step(landmarks, ask)
+        return self._mapped("landmarks", landmarks, wrist_poses or {}, dt)
 
     def map_step(
         self,
@@ -369,11 +367,28 @@ class RobotMapper:
     ) -> RobotStep:
         """Map joint angles of one or both hands; see `HandMapper.map_step` and `map_landmarks`."""
         _expect_sides(human_q, wrist_pose, "wrist_pose")
+        return self._mapped("_joints", human_q, wrist_pose, dt)
+
+    def _mapped(
+        self,
+        reader: str,
+        numbers: Mapping[Side, ArrayLike],
+        wrists: Mapping[Side, PoseLike],
+        dt: float | None,
+    ) -> RobotStep:
+        """Map samples as they come in, by the readers that leaders have under a name."""
+        core = self._core
+        # None for samples that Python has to look at.
+        step = core and core.map(reader, numbers, wrists, dt, self._worlds())
+        if step:
+            return step
 
         def ask(side: Side) -> MapStep:
-            return self._leader(side).map_step(human_q[side], wrist_pose[side], dt=dt)
+            leader = self.leaders[side]
+            read = getattr(leader, reader)
+            return leader._mapped(read, numbers[side], wrists.get(side), dt)
 
-        return self.step(human_q, ask)
+        return self.step(numbers, ask)
 
     def step(self, sides: Iterable[Side], ask: Callable[[Side], MapStep]) -> RobotStep:
         """Let leaders ask, and move the robot.
@@ -387,27 +402,24 @@ class RobotMapper:
             HandmapError: Any of a leader; the mapper is then as it was before.
         """
         started = perf_counter()
-        steps: dict[Side, Any] = self._last.copy()
         dt = 0.0
         with self._unless_refused():
             for side in sides:
-                steps[side] = ask(side)
-                leader = self.leaders[side]
-                leader.asked = asked = steps[side].stages
+                leader = self._leader(side)
+                leader.last = ask(side)
                 if not leader.is_staying:
                     leader.base = leader.base if leader.since else self._base
-                    leader.since += asked.dt
-                dt = max(dt, asked.dt)
+                    leader.since += leader.asked.dt
+                dt = max(dt, leader.asked.dt)
             expect(dt, "hands", "a sample of one at least")
             stages, parts = self._moved(dt)
         for leader in self.leaders.values():
             if leader.renews_reference:
                 leader.base = self._base
-        self._last = steps
         duration = perf_counter() - started
         hands = {
-            side: structs.replace(step, stages=part, duration=duration)
-            for (side, step), part in zip(steps.items(), parts, strict=True)
+            side: structs.replace(leader.last, stages=part, duration=duration)
+            for (side, leader), part in zip(self.leaders.items(), parts, strict=True)
         }
         return self._whole(hands, stages, duration)
 
@@ -435,18 +447,21 @@ class RobotMapper:
         leaders = self.leaders.values()
         asked = [leader.asked for leader in leaders]
         worlds = self._worlds()
-        turning = [leader.since / self._turns_in for leader in leaders]
+        times = [leader.since for leader in leaders]
         core = self._ik.core
         is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
         if core is None or is_python:
+            turning = np.array(times) / self._turns_in
             worlds = worlds or [_HOME] * len(asked)
             targets, persons = map(
                 list, zip(*map(_aimed, asked, worlds, turning), strict=True)
             )
             tasks = self._together([each.map for each in asked], targets, persons)
             return self._stages(asked, targets, self._solved(asked, targets, tasks, dt))
-        self._core = self._core or core.robot_mover(_targets_of, self._pinching)
-        return self._core.move(asked, turning, worlds, dt)
+        self._core = self._core or core.robot_mover(
+            self._pinching, self.leaders, self._turns_in
+        )
+        return self._core.move(asked, times, worlds, dt)
 
     def _worlds(self) -> list[Array]:
         """Return where each hand's world is from the base; nothing if that has not moved."""
@@ -563,8 +578,7 @@ class RobotMapper:
             verdict: What its steps say meanwhile.
         """
         leader = self._leader(side)
-        held = leader.hold(leader.dt)
-        self._last[side] = structs.replace(held, verdict=verdict)
+        leader.last = structs.replace(leader.hold(leader.dt), verdict=verdict)
 
     def reset(self, robot_q: ArrayLike | None = None) -> None:
         """Start again: the next sample of each hand is its reference.
@@ -586,15 +600,14 @@ class RobotMapper:
     def release(self) -> None:
         """Release the robot: it brakes and holds still until `clutch`, whatever the hands do."""
         self._is_released = True
+        self._core = None
 
     def clutch(self) -> None:
         """Make the next sample of each hand its reference; the robot continues from here."""
         self._is_released = False
-        self._last: dict[Side, MapStep] = {}
-        for side, leader in self.leaders.items():
+        for leader in self.leaders.values():
             leader.clutch()
             leader.stay()
-            self._last[side] = leader.hold(leader.dt)
 
     def configure(
         self, method: Method | str | None = None, *, ik: IkOptions | None = None
@@ -611,7 +624,7 @@ class RobotMapper:
             if method is not None:
                 # What they asked for last was of the former one.
                 for leader in self.leaders.values():
-                    leader.stay()
+                    leader.stay(leader.last.verdict)
 
     @contextmanager
     def _unless_refused(self) -> Iterator[None]:

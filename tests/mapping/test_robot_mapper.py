@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -175,6 +176,35 @@ def test_all_ways_to_solve_agree(g1: Hand) -> None:
             for side in SIDES:
                 ours, other = step.hands[side], steps[0].hands[side]
                 np.testing.assert_allclose(ours.targets, other.targets, atol=1e-7)
+
+
+def test_one_call_for_all_hands_is_a_call_for_each(g1: Hand) -> None:
+    at_once, in_turn = (RobotMapper(g1, HUMANS, "teleoperation") for _ in range(2))
+    base = pin.exp6(np.array([0.02, -0.03, 0.0, 0.0, 0.0, 0.2])).homogeneous
+    for i in range(40):
+        q, wrists = motion(i, apart=0.3)
+        if i == 20:
+            at_once.base_pose = in_turn.base_pose = base
+        given = MappingProxyType(q) if i == 10 else q
+        step = at_once.map_step(given, wrists, dt=DT)
+        other = in_turn.step(
+            SIDES,
+            lambda side, q=q, wrists=wrists: in_turn.leaders[side].map_step(
+                q[side], wrists[side], dt=DT
+            ),
+        )
+        np.testing.assert_array_equal(step.command.q, other.command.q)
+        for side, leader in at_once.leaders.items():
+            part, own = step.hands[side], in_turn.leaders[side]
+            np.testing.assert_array_equal(part.ik.points, other.hands[side].ik.points)
+            np.testing.assert_array_equal(leader.asked.pose.wrist, wrists[side])
+            assert leader.since == own.since
+    if (core := at_once._core) is not None:
+        arguments = "_joints", q, wrists, DT, at_once._worlds()
+        assert isinstance(core.map(*arguments), RobotStep)
+        # Python says what is wrong with the others.
+        assert core.map("_joints", {"left": q["left"]}, *arguments[2:]) is None
+        assert core.map("_joints", q | {"left": q["left"][1:]}, *arguments[2:]) is None
 
 
 def test_smoothing_counts_from_where_the_robot_is(g1: Hand) -> None:
@@ -351,6 +381,15 @@ def test_time_since_a_reference_begins_there(g1: Hand) -> None:
     follower.map_samples(samples_of(150))
     assert 0.0 < leaders["right"].since < 0.1
     np.testing.assert_array_equal(leaders["right"].base, base)
+
+
+def test_a_step_takes_the_time_of_the_samples_that_it_has(g1: Hand) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    for i in range(3):
+        q, wrists = motion(i)
+        mapper.map_step(q, wrists, dt=0.1)
+    mapper.map_step({"left": q["left"]}, {"left": wrists["left"]}, dt=DT)
+    assert mapper.motion.dt == DT
 
 
 def test_an_error_leaves_both_hands_as_they_were(g1: Hand) -> None:
