@@ -15,18 +15,16 @@ restarted, the client reopens its session where the robot is. Units are SI and r
 describes all fields. Use one client per thread or per event loop.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import secrets
-import time as clock
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from time import monotonic
+from typing import Any, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -52,8 +50,6 @@ from .messages import (
 ADDRESS = "tcp://127.0.0.1:5570"
 KeyFiles = tuple[Path | str, Path | str]
 Request = dict[str, Any]
-Use = Literal["requests", "samples", "stream"]
-Turn = Literal["call", "stream"]
 R = TypeVar("R", bound=Reply)
 T = TypeVar("T")
 Call = Coroutine[Any, Any, T]
@@ -119,8 +115,7 @@ def _field(name: str, value: Any) -> Any:
         }
     if name == "values":
         return np.ravel(value)
-    is_pose = name.endswith(("wrist", "base"))
-    return Pose.of(value, name) if is_pose else value
+    return Pose.of(value, name) if name.endswith(("wrist", "base")) else value
 
 
 class _Core:
@@ -145,9 +140,10 @@ class _Core:
         self._keys = None if keys is None else _load_keys(keys)
         self._seq = 0
         self._protocol = PROTOCOL
-        self._sockets: dict[Use, tuple[tuple[str, str], Any]] = {}
+        # By use: "requests", "samples" or "stream".
+        self._sockets = {}
         # Calls of several tasks take turns. One task may wait for the stream meanwhile.
-        self._turns: dict[Turn, asyncio.Lock] = defaultdict(asyncio.Lock)
+        self._turns = defaultdict(asyncio.Lock)
         self._forget()
 
     def _forget(self) -> None:
@@ -161,21 +157,20 @@ class _Core:
         self._released_at = 0  # number of the last request that changed `is_released`
 
     def _sample(self, kind: str, human: Request) -> Request:
-        fields = _fields(kind, messages.Step, human)
-        return {"type": kind, "time": clock.monotonic()} | fields
+        return {"type": kind, "time": monotonic()} | _fields(kind, messages.Step, human)
 
     async def _is_ready(self, socket: Any, event: int, milliseconds: int) -> bool:
         """Return whether a socket's event comes in time."""
-        raise NotImplementedError
+        return socket.poll(milliseconds, event)
 
-    async def _io(self, use: Use, payload: bytes | None, until: float) -> bytes | None:
+    async def _io(self, use: str, payload: bytes | None, until: float) -> bytes | None:
         """Send a payload, or return a message if it is None, before a time [s, monotonic].
 
         None is too late; what was sent is an empty message.
         """
         socket = self._socket(use)
         event = zmq.POLLIN if payload is None else zmq.POLLOUT
-        milliseconds = max(0, math.ceil(1e3 * (until - clock.monotonic())))
+        milliseconds = max(0, math.ceil(1e3 * (until - monotonic())))
         if not await self._is_ready(socket, event, milliseconds):
             return None
         # Another task may take the message between the event and the transfer.
@@ -199,13 +194,13 @@ class _Core:
         if answer is not None and isinstance(error := self._read(answer), Error):
             if error.code != "no_session":
                 raise ServiceError(error)
-            await self._reopen(clock.monotonic() + self.timeout)
+            await self._reopen(monotonic() + self.timeout)
         await self._io("samples", _ENCODE(self._numbered(sample)), 0.0)
 
     async def _latest(self, timeout: float) -> Command | None:
         if not self._stream_port:
             raise RuntimeError("open a session first, or watch one")
-        until = clock.monotonic() + timeout
+        until = monotonic() + timeout
         # Another task may replace the stream by opening a session, or end it by closing.
         while self._stream_port:
             payload = await self._io("stream", None, until)
@@ -217,7 +212,7 @@ class _Core:
                 ):
                     raise ServiceError(reply)
                 return reply if isinstance(reply, Command) else None
-            if clock.monotonic() >= until:
+            if monotonic() >= until:
                 break
         return None
 
@@ -247,7 +242,7 @@ class _Core:
         self, request: Request, kind: type[R], deadline: float | None = None
     ) -> R:
         """Send a request; if the server has lost the session, reopen it and send it again."""
-        until = clock.monotonic() + self.timeout if deadline is None else deadline
+        until = monotonic() + self.timeout if deadline is None else deadline
         reply = await self._ask(request, until)
         if self._speaks_older(reply):
             reply = await self._ask(request, until)
@@ -268,7 +263,7 @@ class _Core:
         payload = _ENCODE(request)
         for left in range(self.attempts, 0, -1):
             # Each attempt has an equal share of the time that is left.
-            now = clock.monotonic()
+            now = monotonic()
             until = now + (deadline - now) / left
             is_sent = await self._io("requests", payload, until) is not None
             while is_sent:
@@ -362,7 +357,7 @@ class _Core:
         elif kind == "configure":
             _note_changes(wanted, request)
 
-    def _socket(self, use: Use) -> Any:
+    def _socket(self, use: str) -> Any:
         """Return the socket for a use, connected when it is first needed for a session."""
         address = self.address
         kind = zmq.DEALER
@@ -399,7 +394,7 @@ class _Core:
         socket.connect(address)
         return socket
 
-    def _drop(self, use: Use) -> None:
+    def _drop(self, use: str) -> None:
         self._sockets.pop(use)[1].close(linger=0)
 
 
@@ -456,7 +451,7 @@ class Client(_Core):
         ValueError: If `address` or `keys` cannot be used.
     """
 
-    def __enter__(self) -> Client:
+    def __enter__(self) -> "Client":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -580,8 +575,7 @@ class Client(_Core):
             robot_wrist: Pose of its wrist, as in `open`.
         """
         start = {"robot_q": robot_q, "robot_wrist": robot_wrist}
-        fields = _fields("reset", messages.Reset, start)
-        return self._run(self._do("reset", **fields))
+        return self._run(self._do("reset", **_fields("reset", messages.Reset, start)))
 
     def configure(self, **changes: Any) -> None:
         """Change options; options that are not named, and the reference, stay as they are.
@@ -601,10 +595,7 @@ class Client(_Core):
         """End the session if the server can be reached, and close the sockets."""
         return self._run(self._close())
 
-    async def _is_ready(self, socket: Any, event: int, milliseconds: int) -> bool:
-        return socket.poll(milliseconds, event)
-
-    def _run(self, call: Call[T], turn: Turn = "call") -> T:
+    def _run(self, call: Call[T], turn: str = "call") -> T:
         try:
             while True:
                 call.send(None)
@@ -622,7 +613,7 @@ class AsyncClient(_Core):
 
     _context = zmq.asyncio.Context
 
-    async def __aenter__(self) -> AsyncClient:
+    async def __aenter__(self) -> "AsyncClient":
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -654,7 +645,7 @@ class AsyncClient(_Core):
         finally:
             polled.cancel()
 
-    async def _run(self, call: Call[T], turn: Turn = "call") -> T:
+    async def _run(self, call: Call[T], turn: str = "call") -> T:
         try:
             async with self._turns[turn]:
                 return await call

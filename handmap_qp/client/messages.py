@@ -5,25 +5,13 @@ the class in lower case. Requests with unknown fields are refused; replies may g
 SI and radians; poses are of the wrist frame. `handmap serve --schema` prints these descriptions.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
-from msgspec import Meta
+from msgspec import Meta, Struct
 from msgspec.structs import fields, force_setattr
-
-if TYPE_CHECKING:
-    from typing import dataclass_transform
-else:
-
-    def dataclass_transform(**_):
-        """Stand in for that of typing: clients run on Python 3.10 too, which has none."""
-        return lambda kind: kind
-
 
 PROTOCOL = 2
 """Version of the messages."""
@@ -47,7 +35,8 @@ Vector = tuple[float, float, float]
 Names = tuple[str, ...]
 Numbers = tuple[float, ...]
 Points = tuple[Vector, ...]
-Preset = Annotated[str, Meta(max_length=64)]
+Short = Annotated[str, Meta(max_length=64)]
+Preset = Short
 Length = Annotated[float, Meta(gt=0, le=1)]
 Gap = Annotated[float, Meta(ge=0, le=0.04)]
 Confidence = Annotated[float, Meta(ge=0, le=1)]
@@ -71,7 +60,7 @@ Upright = Annotated[
 ]
 
 
-class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Pose(Struct, frozen=True, forbid_unknown_fields=True):
     """A rigid pose in a right-handed world.
 
     Attributes:
@@ -93,7 +82,7 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return matrix
 
     @classmethod
-    def from_matrix(cls, matrix: np.ndarray) -> Pose:
+    def from_matrix(cls, matrix: np.ndarray) -> "Pose":
         """Convert a rigid transformation, shape (4, 4), which is not checked."""
         (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = matrix.tolist()
         # Each row is the quaternion times four times one of its parts. The longest one is that of
@@ -111,7 +100,7 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         )
 
     @classmethod
-    def of(cls, pose: Pose | npt.ArrayLike, name: str = "pose") -> Pose:
+    def of(cls, pose: "Pose | npt.ArrayLike", name: str = "pose") -> "Pose":
         """Convert a homogeneous matrix, or seven numbers.
 
         Args:
@@ -148,7 +137,7 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return cls.from_matrix(values)
 
 
-class Lengths(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Lengths(Struct, frozen=True, forbid_unknown_fields=True):
     """A measured hand of a person: rows thumb, index, middle, ring, little.
 
     Lengths are those of a right hand; mirror a left one in x = 0.
@@ -164,9 +153,8 @@ class Lengths(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rolls: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@dataclass_transform(frozen_default=True)
 class Request(
-    msgspec.Struct,
+    Struct,
     frozen=True,
     kw_only=True,
     forbid_unknown_fields=True,
@@ -183,19 +171,19 @@ class Request(
 
     protocol: int
     seq: Annotated[int, Meta(ge=1, le=2**53)]
-    session: Annotated[str, Meta(max_length=64)] = ""
+    session: Short = ""
 
 
 Former = Annotated[Options, Meta()]
 """A former name of `options`: that of a preset, or `mapping` for the preset paper."""
 
 
-def former_names(message: type[msgspec.Struct]) -> list[str]:
+def former_names(message: type[Struct]) -> list[str]:
     """Return the former names of `options` in a message."""
     return [field.name for field in fields(message) if field.type is Former]
 
 
-def _rename_options(request: Open | Configure) -> None:
+def _rename_options(request: "Open | Configure") -> None:
     """Move options of former names to their present one."""
     for former in former_names(type(request)):
         if given := getattr(request, former):
@@ -249,7 +237,7 @@ class Open(Request):
         is_shared: Whether others may release, clutch, configure and clear it by its name.
     """
 
-    robot: Annotated[str, Meta(max_length=64)]
+    robot: Short
     name: Name | None = None
     input: Literal["q", "landmarks", "points"] = "q"
     layout: Name | None = None
@@ -284,7 +272,7 @@ class Open(Request):
         _rename_options(self)
 
 
-class HandSample(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class HandSample(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One hand of a sample of both; its fields are as those of `step`.
 
     Attributes:
@@ -447,8 +435,7 @@ class Subscribe(Request):
     name: Name
 
 
-@dataclass_transform(frozen_default=True)
-class Reply(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
+class Reply(Struct, frozen=True, kw_only=True, tag_field="type", tag=str.lower):
     """A reply of the server. Clients ignore fields that they do not know.
 
     Attributes:
@@ -490,7 +477,7 @@ class Opened(Reply):
     stop_distance: Numbers = ()
 
 
-class Detail(msgspec.Struct, frozen=True, kw_only=True):
+class Detail(Struct, frozen=True, kw_only=True):
     """Every stage of a step. Matrices are row by row.
 
     Attributes:
@@ -523,7 +510,7 @@ class Detail(msgspec.Struct, frozen=True, kw_only=True):
     held_by: Names = ()
 
 
-class HandState(msgspec.Struct, frozen=True):
+class HandState(Struct, frozen=True):
     """One hand of a robot with two hands, as the mapping has it.
 
     Attributes:
@@ -601,7 +588,7 @@ class Command(Reply):
     hands: dict[str, HandState] = {}
 
 
-class About(msgspec.Struct, frozen=True, kw_only=True):
+class About(Struct, frozen=True, kw_only=True):
     """The hands and options of a session, for clients that watch it.
 
     Attributes:
