@@ -37,9 +37,10 @@ def test_silence_is_due_after_the_timeout_and_only_in_active_states(
 
 @pytest.mark.parametrize("state", ACTIVE, ids=lambda state: state.name)
 def test_a_sample_or_a_reset_postpones_silence(state: SessionState) -> None:
-    for postpone in ("feed", "restart"):
-        dog = watchdog()
-        getattr(dog, postpone)(5.0)
+    fed, reset = watchdog(), watchdog()
+    fed.feed(5.0)
+    reset.last_sample = 5.0
+    for dog in (fed, reset):
         assert dog.event(state, 5.0 + 0.99 * TIMEOUT, is_at_rest=False) is None
         assert dog.event(state, 5.0 + 1.01 * TIMEOUT, is_at_rest=False) is Event.SILENCE
 

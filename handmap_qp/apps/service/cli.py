@@ -1,6 +1,6 @@
 """`handmap serve` and `handmap keys`."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -58,7 +58,7 @@ class Keys:
     """
 
     folder: Positional[Path]
-    client: tuple[str, ...] = field(default=("client",))
+    client: tuple[str, ...] = ("client",)
 
     def run(self) -> None:
         """Make the keys, and print the files written."""

@@ -13,8 +13,6 @@ If a client does not read, the gate does not read either, and the PUB socket kee
 message for it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import secrets
@@ -24,6 +22,7 @@ from collections.abc import Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from logging import WARNING
+from typing import Any
 
 import zmq
 
@@ -109,8 +108,8 @@ class ConnectionGate:
         self.inner = f"handmap-{secrets.token_hex(16)}"
         self.socket.setsockopt(zmq.IPC_FILTER_PID, os.getpid())
         self.socket.bind(f"ipc://@{self.inner}")
-        self.clients: set[_Client] = set()
-        self._known: dict[bytes, _Client] = {}
+        self.clients = set[_Client]()
+        self._known = dict[bytes, _Client]()
         self._refusals = Throttle()
 
     async def __aenter__(self) -> int:
@@ -133,7 +132,7 @@ class ConnectionGate:
         for client in list(self.clients):
             client.end()
 
-    def admit(self, client: _Client) -> None:
+    def admit(self, client: "_Client") -> None:
         """Count a connection in, and end one if there are too many."""
         if len(self.clients) >= self.most:
             least = min(
@@ -143,7 +142,7 @@ class ConnectionGate:
         if not client.transport.is_closing():
             self.clients.add(client)
 
-    def release(self, client: _Client, reason: str) -> None:
+    def release(self, client: "_Client", reason: str) -> None:
         """Count a connection out; if the gate ended it, count and log the reason."""
         self.clients.discard(client)
         self._known.pop(client.identity, None)
@@ -151,7 +150,7 @@ class ConnectionGate:
             self.metrics.refusals[self.name] += 1
             self._refusals.report(WARNING, "ended", port=self.name, reason=reason)
 
-    def find(self, message: Sequence[zmq.Frame]) -> _Client | None:
+    def find(self, message: Sequence[zmq.Frame]) -> "_Client | None":
         """Return the connection of a message from a ROUTER socket; None if it has ended."""
         identity = message[0].bytes
         if (client := self._known.get(identity)) is None:
@@ -194,7 +193,7 @@ class _Client(SmallReads):
     """
 
     transport: asyncio.Transport
-    _inner: asyncio.Transport | None = None
+    _inner: Any = None
     _starving: asyncio.TimerHandle | None = None
     name = identity = b""
 
@@ -205,8 +204,7 @@ class _Client(SmallReads):
         self._credit = Bucket(_RATE, self.heard, gate.credit)
         next(self._frames)
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
+    def connection_made(self, transport: Any) -> None:
         self.transport = transport
         self._loop = asyncio.get_running_loop()
         self._gate.admit(self)
@@ -241,7 +239,6 @@ class _Client(SmallReads):
         except ValueError as error:
             self.end(str(error))
             return
-        assert self._inner is not None
         self._inner.write(data)
         if self._credit.charge(time.monotonic(), cost) <= 0.0:
             self.transport.pause_reading()
@@ -278,14 +275,14 @@ class _Client(SmallReads):
                 transport.abort()
 
 
+@dataclass(eq=False)
 class _Inner(asyncio.Protocol):
     """The connection to the socket for one client."""
 
-    def __init__(self, client: _Client) -> None:
-        self._client = client
+    client: _Client
 
     def data_received(self, data: bytes) -> None:
-        self._client.transport.write(data)
+        self.client.transport.write(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._client.end()
+        self.client.end()

@@ -7,7 +7,6 @@ receives the messages of all streams through `sessions.publish`.
 import asyncio
 import math
 import re
-from bisect import bisect_left
 from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
@@ -42,7 +41,7 @@ from handmap_qp.client.messages import (
     Subscribe,
 )
 from handmap_qp.errors import RefusedError
-from .logs import BUCKETS, Throttle
+from .logs import Throttle
 from .safety import Bucket, refuse_if
 from .session import Session
 from .sessions import Caller, Sessions
@@ -69,8 +68,7 @@ class _Head(msgspec.Struct):
     @property
     def number(self) -> int:
         """The number of the request; 0 if it is not one."""
-        is_number = type(self.seq) is int and 0 <= self.seq <= 2**53
-        return self.seq if is_number else 0
+        return self.seq if type(self.seq) is int and 0 <= self.seq <= 2**53 else 0
 
 
 # Invalid UTF-8 and excessive nesting raise errors other than msgspec's.
@@ -176,13 +174,13 @@ class Dispatcher:
         self._settings = sessions.settings
         self._metrics = sessions.metrics
         self._who = Caller
-        self._started = self.sessions.clock()
+        self._started = sessions.clock()
         self._version = version("handmap-qp")
-        self._configures = Bucket(self._settings.configures, self.sessions.clock())
+        self._configures = Bucket(self._settings.configures, self._started)
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
-        self._pending: dict[str, tuple[Sample, Send]] = {}
-        self._opening: dict[bytes, asyncio.Task[AnyReply]] = {}
+        self._pending = {}
+        self._opening = {}
         self._refusals = Throttle()
         self._bugs = Throttle()
         self._metrics.gauges["sessions"] = lambda: len(self.sessions.by_secret)
@@ -226,22 +224,22 @@ class Dispatcher:
             if errors.take(now):
                 send(Error(code="rate", message="too many messages"))
             return False
-        request = decode_request(payload)
-        if isinstance(request, Error):
-            send(self._counted(request))
-        elif isinstance(request, Sample):
-            # Keep the newest one of each session until all waiting messages have been read.
-            if not self._pending:
-                asyncio.get_running_loop().call_soon(self.flush)
-            elif request.session in self._pending:
-                self._metrics.counts["replaced"] += 1
-            self._pending[request.session] = request, send
-        elif isinstance(request, Open):
-            self._receive_open(request, payload, send)
-        elif isinstance(request, Subscribe):
-            send(self._attempt(self._subscribe, request, subscribe))
-        else:
-            send(self._attempt(self._answer, request, payload, now))
+        match request := decode_request(payload):
+            case Error():
+                send(self._counted(request))
+            case Sample():
+                # Keep the newest one of each session until all waiting messages have been read.
+                if not self._pending:
+                    asyncio.get_running_loop().call_soon(self.flush)
+                elif request.session in self._pending:
+                    self._metrics.counts["replaced"] += 1
+                self._pending[request.session] = request, send
+            case Open():
+                self._receive_open(request, payload, send)
+            case Subscribe():
+                send(self._attempt(self._subscribe, request, subscribe))
+            case _:
+                send(self._attempt(self._answer, request, payload, now))
         return True
 
     def flush(self) -> None:
@@ -292,7 +290,7 @@ class Dispatcher:
         if command is not None:
             self._send(session, command)
 
-    def _for_stream(self, sample: Sample) -> AnyReply:
+    def _for_stream(self, sample: Sample) -> None:
         """Map a streamed sample; its command, or why there is none, is in the stream."""
         session = self.sessions.find(sample.session)
         if sample.seq <= session.seq:
@@ -303,18 +301,18 @@ class Dispatcher:
             reply = self._attempt(self._act, sample, session, self.sessions.clock())
             if isinstance(reply, Error):
                 self.sessions.send(session.name, encode_reply(reply))
-        return Done(seq=sample.seq)
 
-    def _subscribe(self, request: Subscribe, subscribe: Subscriber | None) -> AnyReply:
+    def _subscribe(self, request: Subscribe, subscribe: Subscriber | None) -> None:
         """Subscribe a connection to the stream of a session, as everyone may."""
         self.sessions.named(request.name)
         if subscribe is None:
             message = "connect a SUB socket to the stream's port instead"
             raise RefusedError("invalid", message, field="type")
         subscribe(request.name)
-        return Done(seq=request.seq)
 
-    def _answer(self, request: AnyRequest, payload: bytes, now: float) -> AnyReply:
+    def _answer(
+        self, request: AnyRequest, payload: bytes, now: float
+    ) -> AnyReply | None:
         """Answer a request at once; repeat the last answer if a session's client repeats itself."""
         if isinstance(request, Named) and request.name is not None:
             return self._by_name(request, now)
@@ -330,7 +328,7 @@ class Dispatcher:
         session.answer = self._attempt(self._act, request, session, now)
         return session.answer
 
-    def _by_name(self, request: Named, now: float) -> AnyReply:
+    def _by_name(self, request: Named, now: float) -> AnyReply | None:
         """Answer a request by a session's public name.
 
         Everyone may ask for the status, and stop robots; other requests need `is_shared`. The
@@ -346,7 +344,7 @@ class Dispatcher:
         refuse_if(is_alien, message, "name", "denied")
         return self._act(request, session, now)
 
-    def _for_all(self, request: Status | Stop, now: float) -> AnyReply:
+    def _for_all(self, request: Status | Stop, now: float) -> AnyReply | None:
         """Answer a request about the server, or stop the robots of all sessions."""
         if isinstance(request, Status):
             return State(
@@ -363,18 +361,18 @@ class Dispatcher:
         self.sessions.audit.note("stop", self._who(), **_changes(request))
         for session in list(self.sessions.by_secret.values()):
             self._attempt(self._act, request, session, now)
-        return Done(seq=request.seq)
+        return None
 
     def _attempt(
-        self, work: Callable[..., AnyReply], request: Request, *values: Any
+        self, work: Callable[..., AnyReply | None], request: Request, *values: Any
     ) -> AnyReply:
-        """Return what `work` makes of a request and values, or the error to answer with."""
+        """Return what `work` answers, `Done` if nothing, or the error to answer with."""
         try:
-            return work(request, *values)
+            return work(request, *values) or Done(seq=request.seq)
         except Exception as error:
             return self._failure(request.seq, error)
 
-    def _act(self, request: Request, session: Session, now: float) -> AnyReply:
+    def _act(self, request: Request, session: Session, now: float) -> AnyReply | None:
         """Carry out a request for a session."""
         match request:
             case Step():
@@ -383,9 +381,8 @@ class Dispatcher:
                 return session.state(request.seq, self._version, self.stream_port, now)
             case Close():
                 reason = "closed by its client"
-                by = self._who()
-                self.sessions.end(request.session, "no_session", reason, by=by)
-                return Done(seq=request.seq)
+                self.sessions.end(request.session, "no_session", reason, by=self._who())
+                return None
             case Configure():
                 limit = f"more than {self._settings.configures:g} changes of options a second"
                 is_due = self._configures.take(now)
@@ -409,15 +406,13 @@ class Dispatcher:
         )
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
-        return Done(seq=request.seq)
+        return None
 
     def _step(self, sample: Step, session: Session, now: float) -> Command:
         """Map a sample, and publish its command."""
         command = session.step(sample, now)
         self._metrics.counts["steps"] += 1
-        spent = self.sessions.clock() - now
-        self._metrics.steps[bisect_left(BUCKETS, spent)] += 1
-        self._metrics.seconds += spent
+        self._metrics.steps.observe(self.sessions.clock() - now)
         self._send(session, command)
         return command
 
@@ -429,7 +424,7 @@ class Dispatcher:
             return
         if (task := self._opening.get(payload)) is None:
             opening = self._open(request, payload, self._who())
-            task = asyncio.get_running_loop().create_task(opening)
+            task = asyncio.create_task(opening)
             self._opening[payload] = task
         task.add_done_callback(
             lambda done: None if done.cancelled() else send(done.result())

@@ -39,8 +39,8 @@ class ClientKeys:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._seen: dict[Path, tuple[int, int, int]] = {}
-        self._keys: frozenset[bytes] = frozenset()
+        self._seen = {}
+        self._keys = frozenset[bytes]()
         # Names stay when a client is shut out, because its connections stay too.
         self._names: dict[str, str] = {}
         self._refusals = Throttle()

@@ -17,17 +17,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from prometheus_client import CollectorRegistry, generate_latest
-from prometheus_client.core import (
-    CounterMetricFamily,
-    GaugeMetricFamily,
-    HistogramMetricFamily,
-    Metric,
-)
+from prometheus_client import CollectorRegistry, Histogram, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from handmap_qp.apps.refusals import naming
 from .safety import Bucket
@@ -40,7 +34,7 @@ websocket_log.setLevel(logging.CRITICAL)
 _RATE = 20.0
 _BURST = 400.0
 """Lines of the audit log per second, and at once."""
-BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
+_BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 """Upper edges of the histogram of step times [s]."""
 _COUNTERS = {
     "requests": "Messages received.",
@@ -195,18 +189,19 @@ class Metrics:
         counts: Counts of what happened.
         refusals: Counts of refused messages by code.
         gauges: Functions that return present values.
-        steps: Steps by the bucket (`BUCKETS`) of their times from a sample to its command.
-        seconds: Sum of these times [s].
+        steps: Histogram of the times from a sample to its command [s].
     """
 
     def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
-        self.refusals: Counter[str] = Counter()
+        self.counts = Counter[str]()
+        self.refusals = Counter[str]()
         self.gauges: dict[str, Callable[[], float]] = {"resident_bytes": resident_bytes}
         self._registry = CollectorRegistry()
         self._registry.register(self)
-        self.steps = [0] * (len(BUCKETS) + 1)
-        self.seconds = 0.0
+        about = "Time from a sample to its command [s]."
+        self.steps = Histogram(
+            "handmap_step_seconds", about, buckets=_BUCKETS, registry=self._registry
+        )
 
     def collect(self) -> Iterator[Metric]:
         """Yield counters and gauges; the registry asks for them."""
@@ -219,12 +214,6 @@ class Metrics:
         yield refusals
         for name, gauge in self.gauges.items():
             yield GaugeMetricFamily(f"handmap_{name}", _GAUGES[name], gauge())
-        edges = *map(str, BUCKETS), "+Inf"
-        buckets = list(zip(edges, accumulate(self.steps), strict=True))
-        about = "Time from a sample to its command [s]."
-        yield HistogramMetricFamily(
-            "handmap_step_seconds", about, buckets, self.seconds
-        )
 
     def render(self) -> str:
         """Return all values in the text format 0.0.4."""

@@ -4,15 +4,13 @@ Loading and measuring take some 100 ms, so they run in a thread. Errors of the l
 refusals that name a field of the request.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -69,7 +67,7 @@ from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.options import Options
 from handmap_qp.se3 import Array
 from handmap_qp.stream import Follower, RobotFollower, StreamGuard
-from handmap_qp.trackers import LAYOUTS
+from handmap_qp.trackers import LAYOUTS, SIDES
 from .safety import refuse_if
 
 CALIBRATION_SAMPLES = 30
@@ -92,7 +90,6 @@ _OF_ROBOT = {"input": "landmarks", "mount": None, "robot_points": None}
 """The only values of fields that a robot with two hands may be opened with."""
 
 Defer = Callable[[Callable[[], "Hands"]], Future["Hands"]]
-Chosen = TypeVar("Chosen", bound=Options)
 
 
 def refused(error: HandmapError, field: str = "") -> RefusedError:
@@ -240,8 +237,7 @@ class HandCache:
         return load(human_name(side), points=points, lengths=lengths)
 
 
-@dataclass(frozen=True, eq=False)
-class Hands:
+class Hands(NamedTuple):
     """The hands of a session and what maps between them.
 
     Attributes:
@@ -259,7 +255,7 @@ class Hands:
     robot: Hand
     choice: Choice
     lengths: HumanLengths | None
-    calibration: Calibration | None = None
+    calibration: "Calibration | None" = None
 
 
 def prepare_hands(
@@ -367,7 +363,7 @@ def upright_of(request: Open) -> str:
     return request.upright or (layout.table.upright if layout else "")
 
 
-def _changed(field: str, start: Chosen, values: Values) -> Chosen:
+def _changed(field: str, start: Options, values: Values) -> Any:
     """Return options with the values of a field of a request."""
     try:
         return start.replaced(**values)
@@ -413,10 +409,9 @@ class Calibration:
 
     def __post_init__(self) -> None:
         """Begin without samples."""
-        sides = get_args(Side)
-        self._guards = {s: StreamGuard(self.cache.human(s, None)) for s in sides}
-        self._landmarks: dict[Side, list[Array]] = {side: [] for side in sides}
-        self._work: Future[Hands] | None = None
+        self._guards = {s: StreamGuard(self.cache.human(s, None)) for s in SIDES}
+        self._landmarks: dict[Side, list[Array]] = {side: [] for side in SIDES}
+        self._work = None
 
     def add(self, sample: HumanSample) -> Rule:
         """Take one more sample of a hand, unless it makes no sense.

@@ -138,7 +138,8 @@ class Watchdog:
         gap: Time without a command after which a robot that follows brakes, if it must [s].
 
     Attributes:
-        last_sample: Time of the last sample that could be used, or of the last reset [s].
+        last_sample: Time of the last sample that could be used, or of the last reset [s]. Set it to
+            count silence from there on.
     """
 
     def __init__(
@@ -156,10 +157,6 @@ class Watchdog:
     def feed(self, now: float) -> None:
         """Note a sample that can be used, and the command that answers it."""
         self.last_sample = self._last_command = now
-
-    def restart(self, now: float) -> None:
-        """Count silence from now on, as after a reset."""
-        self.last_sample = now
 
     def due(self, state: SessionState) -> float:
         """Return when time may matter next, if no sample arrives [s]; in the past for at once."""
@@ -387,7 +384,7 @@ class StepClock:
         self._max_dt = max_dt
         self._is_ours = time_from == "server"
         self._last = self._last_sample = now
-        self._stamp: float | None = None
+        self._stamp = None
 
     def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
         """Grant time to the command that answers a sample.

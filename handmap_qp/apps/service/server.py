@@ -34,19 +34,8 @@ from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands import Values
 from .connection_gate import ConnectionGate, cost_of
 from .dispatch import Dispatcher
-from .keys import (
-    ClientKeys,
-    ServerKeys,
-    read_server_keys,
-    read_token,
-)
-from .logs import (
-    AuditLog,
-    Metrics,
-    Throttle,
-    logs_on_stderr,
-    report,
-)
+from .keys import ClientKeys, read_server_keys, read_token
+from .logs import AuditLog, Metrics, Throttle, logs_on_stderr, report
 from .opening import HandCache
 from .pages import serve_metrics
 from .sessions import Caller, Sessions
@@ -124,9 +113,9 @@ class Server:
         store = self._closing.enter_context(PostureStore(settings.state))
         sessions = Sessions(settings, cache, self.metrics, store, self._audit)
         self.dispatcher = Dispatcher(sessions)
-        self._clients: ClientKeys | None = None
-        self._keys: ServerKeys | None = None
-        self._tasks: list[asyncio.Task[None]] = []
+        self._clients = None
+        self._keys = None
+        self._tasks = []
         self._bugs = Throttle()
         self._is_draining = False
         self._parts: list[zmq.Frame] = []

@@ -13,9 +13,9 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from itertools import compress
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from msgspec import structs
@@ -68,8 +68,7 @@ from .safety import (
 from .store import Posture, Record
 
 Humans = dict[Side, Any]
-"""Each hand of a sample, by side: a `HumanSample`; None if it has joint angles or points."""
-T = TypeVar("T")
+"""What each hand of a sample is, by side: its `HumanSample`; None if it has no landmarks."""
 _FIELDS = ("hands", "q", "landmarks", "points", "values")
 _BARE = {"q": None, "points": None} | structs.asdict(HandSample())
 """Fields of a hand in a sample that has `hands`."""
@@ -101,7 +100,7 @@ class SampleForm:
             self._layout = load_layout(name)
             self._field, self._wanted = "values", f"values of {name}"
 
-    def each(self, sample: Step, work: Callable[[Side, Step], T]) -> dict[Side, T]:
+    def each(self, sample: Step, work: Callable[[Side, Step], Any]) -> Humans:
         """Return what `work` makes of each hand of a sample, by side.
 
         Raises:
@@ -206,7 +205,7 @@ class Session:
         self.name = name
         self.owner = owner
         self.robot = hands.mapper.robot
-        self.counts: Counter[str] = Counter()
+        self.counts = Counter[str]()
         self.last_request = self._opened_at = now
         self.seq = self._stamped = request.seq
         self.payload = b""
@@ -460,7 +459,7 @@ class Session:
             self._place(*self._start(*self.posture, request))
             self._reset_mapper()
             self._epoch = _new_epoch()
-        self._watchdog.restart(now)
+        self._watchdog.last_sample = now
         self._handle(Event.RESET)
 
     @property
@@ -577,7 +576,7 @@ class Session:
         with naming_option(hands.robot, choice):
             mapper.configure(method, ik=choice.ik)
         self.request = wanted
-        self._hands = replace(hands, choice=choice)
+        self._hands = hands._replace(choice=choice)
         self._commanded.obey(mapper.point_ik)
 
     def _prepare_mapper(self) -> None:

@@ -11,27 +11,26 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from logging import INFO
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 from weakref import WeakSet
 
 import msgspec
 
 from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
-from handmap_qp.hands import Hand, Names, Values
+from handmap_qp.hands import Names, Values
 from .logs import AuditLog, Metrics, report
-from .opening import HandCache, prepare_hands
+from .opening import HandCache, Hands, prepare_hands
 from .safety import Bucket, refuse_if
 from .session import Session
 from .settings import Settings
-from .store import PostureStore, Record
+from .store import PostureStore
 
 LEASE = 2.0
 """Time after a request of its owner in which nobody else may have a session [s]."""
 _SHORTEST_SECRET = 16
 _REMEMBERED = 1024
 
-_T = TypeVar("_T")
 Publish = Callable[[str, bytes], None]
 """Takes a session's name and a message of its stream (msgpack)."""
 
@@ -93,11 +92,11 @@ class Sessions:
         """Begin without sessions."""
         self.by_secret: dict[str, Session] = {}
         self.publish: list[Publish] = []
-        self._works: WeakSet[Future[Any]] = WeakSet()
+        self._works = WeakSet[Future[Any]]()
         # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
-        most = self.settings.sessions
-        self._opens = Bucket(self.settings.opens, self.clock(), burst=most)
+        burst = self.settings.sessions
+        self._opens = Bucket(self.settings.opens, self.clock(), burst)
         # Names of the sessions that are being opened, by their secrets.
         self._opening: dict[str, str] = {}
         self._ended: dict[str, str] = {}
@@ -162,7 +161,16 @@ class Sessions:
             # The client of the former session may have returned meanwhile.
             self._check_owner(request, by)
             running = self._find_named(name)
-            former = self._former(request, name, robot, running)
+            former = None
+            if request.restore:
+                if running is not None:
+                    self.store.note(running.record)
+                former = self.store.find(name, robot.name, len(robot.joint_names))
+                refuse_if(
+                    former is None and request.robot_q is None,
+                    f"no record of a session {name!r}: give the robot's joint angles in robot_q",
+                    "restore",
+                )
             session = Session(
                 request,
                 hands,
@@ -235,7 +243,7 @@ class Sessions:
             self.end(secret, "no_session", "the server stops")
         self._executor.shutdown(wait=False, cancel_futures=True)
 
-    def _submit(self, work: Callable[[], _T]) -> Future[_T]:
+    def _submit(self, work: Callable[[], Hands]) -> Future[Hands]:
         """Run work in the opening thread."""
         future = self._executor.submit(work)
         self._works.add(future)
@@ -313,23 +321,3 @@ class Sessions:
         busy = f"is in use until {LEASE:g} s after its owner's last request"
         reason = busy if code == "busy" else "belongs to another key"
         refuse_if(code, f"session {name!r} {reason}", "name", code)
-
-    def _former(
-        self,
-        request: Open,
-        name: str,
-        robot: Hand,
-        running: Session | None,
-    ) -> Record | None:
-        """Return the record of the former session of this name, if the request asks for it."""
-        if not request.restore:
-            return None
-        if running is not None:
-            self.store.note(running.record)
-        found = self.store.find(name, robot.name, len(robot.joint_names))
-        refuse_if(
-            found is None and request.robot_q is None,
-            f"no record of a session {name!r}: give the robot's joint angles in robot_q",
-            "restore",
-        )
-        return found

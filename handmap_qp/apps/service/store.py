@@ -83,7 +83,7 @@ class PostureStore:
     def __init__(self, path: Path | None) -> None:
         self.records: dict[str, Record] = {}
         self.is_persistent = path is not None
-        self._database: sqlite3.Connection | None = None
+        self._database = None
         self._failures = Throttle()
         if path is not None:
             try:

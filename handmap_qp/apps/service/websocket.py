@@ -7,20 +7,18 @@ from loopback or from a named origin, unless the server requires a token. Off lo
 TLS are required.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import hmac
 import http
 import re
 import ssl
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from logging import ERROR
 from pathlib import Path
+from time import monotonic
 
 import msgspec
 from websockets.asyncio.server import ServerConnection, broadcast, serve
@@ -154,7 +152,7 @@ class WebSocketTransport:
         finally:
             self._connections.discard(outbox)
 
-    async def _read(self, connection: ServerConnection, outbox: _Outbox) -> None:
+    async def _read(self, connection: ServerConnection, outbox: "_Outbox") -> None:
         """Pass messages to the dispatcher until the connection closes or is silent for too long."""
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             while True:
@@ -162,7 +160,7 @@ class WebSocketTransport:
                 idle = None if outbox.streams else self.settings.idle
                 async with asyncio.timeout(idle):
                     message = await connection.recv()
-                outbox.heard = time.monotonic()
+                outbox.heard = monotonic()
                 form: _Form = bytes
                 if isinstance(message, str):
                     form = _as_json
@@ -196,7 +194,7 @@ class _Connection(ServerConnection, SmallReads):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._fragments = 0
-        self._controls = Bucket(_CONTROLS_PER_SECOND, time.monotonic(), _CONTROLS)
+        self._controls = Bucket(_CONTROLS_PER_SECOND, monotonic(), _CONTROLS)
         super().connection_made(transport)
 
     def process_event(self, event: Event) -> None:
@@ -204,7 +202,7 @@ class _Connection(ServerConnection, SmallReads):
         if isinstance(event, Frame) and not is_control:
             self._fragments = 0 if event.fin else self._fragments + 1
         if self._fragments >= _MOST_FRAGMENTS or (
-            is_control and not self._controls.take(time.monotonic())
+            is_control and not self._controls.take(monotonic())
         ):
             self.transport.abort()
         else:
@@ -226,13 +224,11 @@ class _Outbox:
         self.streams: dict[str, _Form] = {}
         self._newest: dict[str, bytes] = {}
         self._has_work = asyncio.Event()
-        self.heard = self._opened = time.monotonic()
+        self.heard = self._opened = monotonic()
 
     def use(self) -> tuple[bool, bool, float]:
         """Return the rank of the connection: active ones are highest, then readers of streams."""
-        is_active = (
-            self.heard > self._opened and time.monotonic() - self.heard < _ACTIVE
-        )
+        is_active = self.heard > self._opened and monotonic() - self.heard < _ACTIVE
         return is_active, bool(self.streams), self.heard
 
     def answer(self, form: _Form, payload: bytes) -> None:
