@@ -27,7 +27,7 @@ from .episodes import read_episode
 from .manifest import Line
 from .sources import BOTH
 
-WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+WRIST_NAMES = tuple(f"wrist_{name}" for name in ["x", "y", "z", "qw", "qx", "qy", "qz"])
 """Names of the wrist's position [m] and quaternion in the state."""
 _NO_WRIST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -84,7 +84,7 @@ def assemble(
 
 def state_names(hands: Robots) -> Names:
     """Return the names of the numbers of a state; with both hands, their side is in front."""
-    names: list[str] = []
+    names = []
     for side, hand in hands.items():
         before = f"{side}_" if len(hands) > 1 else ""
         names += [before + name for name in hand.joint_names]

@@ -1,7 +1,5 @@
 """The command `handmap batch`: what is left to do, and what has been done."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -11,7 +9,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
 from typing import Annotated, Literal
@@ -29,7 +27,7 @@ from handmap_qp.trackers import first_of
 from .assemble import assemble
 from .engines import SERIAL, Asked, Engine, pool_engine, ray_engine
 from .episodes import is_intact
-from .manifest import MOST_KILLS, Line, open_manifest, read_manifests
+from .manifest import MOST_KILLS, WHOLE, Line, Shard, open_manifest, read_manifests
 from .sources import BOTH, Job, JobOptions, find_files, list_jobs
 
 
@@ -84,7 +82,7 @@ class Batch:
     engine: Literal["pool", "ray"] = "pool"
     shard: Annotated[str | None, hinted("I/N", "(default: everything)")] = None
     json: bool = False
-    arguments: MappingFlags = field(default_factory=MappingArguments)
+    arguments: MappingFlags = MappingArguments()
 
     def run(self) -> None:
         """List, map, and say what was done."""
@@ -107,9 +105,7 @@ class Batch:
             _warn(failed, "recordings", reasons)
             raise SystemExit(1)
 
-    def _map(
-        self, options: JobOptions, engine: Engine, shard: tuple[int, int]
-    ) -> Tally:
+    def _map(self, options: JobOptions, engine: Engine, shard: Shard) -> "Tally":
         """List the recordings, say what is odd about them, and map those that are not done."""
         with progress("listing"):
             plan = plan_batch(self.inputs, self.out, options, shard)
@@ -168,7 +164,7 @@ class Batch:
             return ray_engine(max(1, workers))
         return pool_engine(workers) if workers else SERIAL
 
-    def _assemble(self, options: JobOptions, tally: Tally) -> Path | None:
+    def _assemble(self, options: JobOptions, tally: "Tally") -> Path | None:
         """Write the data set, unless something is left for other shards or another run."""
         lines = [*tally.plan.done, *tally.done]
         if (
@@ -180,7 +176,7 @@ class Batch:
         robots = {side: options.load_robot(side) for side in options.robots}
         return assemble(lines, self.out, self.format, self.fps, robots)
 
-    def _report(self, tally: Tally, written: Path | None) -> None:
+    def _report(self, tally: "Tally", written: Path | None) -> None:
         plan = tally.plan
         frames = sum(line.frames for line in tally.done)
         if self.json:
@@ -193,7 +189,7 @@ class Batch:
                 "cpu_s": round(tally.useful_cpu, 3),
                 "all_cpu_s": round(tally.all_cpu, 3),
                 "complete": tally.is_complete,
-                "data_set": None if written is None else str(written),
+                "data_set": written and str(written),
             }
             print(json.dumps(result))
             return
@@ -248,7 +244,7 @@ class Tally:
     """
 
     plan: Plan
-    lines: tuple[Line, ...]
+    lines: Sequence[Line]
     all_cpu: float
 
     @property
@@ -277,7 +273,7 @@ def plan_batch(
     inputs: Sequence[Path],
     folder: Path,
     options: JobOptions,
-    shard: tuple[int, int] = (1, 1),
+    shard: Shard = WHOLE,
 ) -> Plan:
     """List the recordings, and compare them with the manifest.
 
@@ -300,7 +296,7 @@ def plan_batch(
     files, repeated = find_files(inputs, folder)
     listed = list_jobs(files, folder, options, digest, shard)
     state = read_manifests(folder)
-    if shard == (1, 1):
+    if shard == WHOLE:
         # What is torn was being written when a batch was killed; shards may be writing now.
         for torn in (folder / "episodes").rglob(".*.part"):
             torn.unlink(missing_ok=True)
@@ -329,7 +325,7 @@ def run_batch(
     plan: Plan,
     folder: Path,
     engine: Engine,
-    shard: tuple[int, int] = (1, 1),
+    shard: Shard = WHOLE,
     progress: Callable[[Line], None] = lambda _: None,
     is_stopped: Asked = lambda: False,
 ) -> Tally:
@@ -357,7 +353,7 @@ def run_batch(
             append(line)
             last[line.key] = line
             progress(line)
-    return Tally(plan, tuple(last.values()), _cpu_time() - started)
+    return Tally(plan, [*last.values()], _cpu_time() - started)
 
 
 @contextmanager
@@ -369,7 +365,7 @@ def stopped_by_signals() -> Iterator[Asked]:
     Yields:
         A function that returns whether one of them has come.
     """
-    seen: list[int] = []
+    seen = []
 
     def note(number: int, _: object) -> None:
         if seen and number == signal.SIGINT:
@@ -400,15 +396,15 @@ def _warn(names: Sequence[object], what: str, problem: str) -> None:
         print(f"handmap: {shown}", file=sys.stderr)
 
 
-def _shard(text: str | None) -> tuple[int, int]:
+def _shard(text: str | None) -> Shard:
     """Read `I/N`.
 
     Raises:
         InvalidInputError: If it is not of this form, with 1 <= I <= N.
     """
     if text is None:
-        return (1, 1)
+        return WHOLE
     found = re.fullmatch(r"(\d{1,7})/(\d{1,7})", text)
     part, parts = map(int, found.groups()) if found else (0, 0)
     expect(1 <= part <= parts <= 10**6, "--shard", "I/N with 1 <= I <= N", value=text)
-    return (part, parts)
+    return part, parts

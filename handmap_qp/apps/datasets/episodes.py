@@ -34,12 +34,7 @@ from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.se3 import Arrays, lengths
 from handmap_qp.stream import measure_person
-from handmap_qp.trackers import (
-    check_recording,
-    read_archive,
-    read_hands,
-    reading,
-)
+from handmap_qp.trackers import check_recording, read_archive, read_hands, reading
 from .manifest import Line
 from .sources import BOTH, Job
 from .workers import time_limit

@@ -20,6 +20,9 @@ from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers import SEPARATOR
 
 Status = Literal["listed", "done", "failed", "killed"]
+Shard = tuple[int, int]
+"""Which part of how many, counted from 1."""
+WHOLE: Shard = 1, 1
 MOST_KILLS = 3
 """A recording that kills its worker this often is left alone."""
 
@@ -92,7 +95,7 @@ _DECODER = msgspec.json.Decoder(Line)
 
 @contextmanager
 def open_manifest(
-    folder: Path, shard: tuple[int, int] = (1, 1)
+    folder: Path, shard: Shard = WHOLE
 ) -> Iterator[Callable[[Line], None]]:
     """Open the manifest of one process or shard for appending.
 

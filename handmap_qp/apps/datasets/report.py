@@ -1,7 +1,5 @@
 """The command `handmap report`: distributions, the worst episodes, a filter, and their files."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -88,7 +86,7 @@ class Report:
         for file in () if self.json else files:
             print(f"wrote {file}")
 
-    def _write(self, quality: Quality) -> list[Path]:
+    def _write(self, quality: "Quality") -> list[Path]:
         """Write report, table, filter and pictures, and return the files."""
         out = self.folder / FOLDER
         make_folder(out, "DIR")
@@ -148,8 +146,8 @@ class Quality(NamedTuple):
         values: Values of every measure, NaN where a question does not arise, shape (E,).
     """
 
-    episodes: tuple[Ranked, ...]
-    failed: tuple[Line, ...]
+    episodes: Sequence[Ranked]
+    failed: Sequence[Line]
     values: dict[Metric, Array]
 
     @property
@@ -186,11 +184,11 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     worst = ranks.argmax(axis=1)
     left_out = round((1.0 - keep) * len(lines))
     return Quality(
-        episodes=tuple(
+        episodes=[
             Ranked(lines[i], badness[i], MEASURES[worst[i]], place >= left_out)
             for place, i in enumerate(order)
-        ),
-        failed=tuple(line for _, line in state if line.status != "done"),
+        ],
+        failed=[line for _, line in state if line.status != "done"],
         values=dict(zip(MEASURES, values[order].T, strict=True)),
     )
 
@@ -268,16 +266,31 @@ def _text(value: float) -> str:
 def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
     """Draw `distributions.png`, and the worst episodes of each robot, `worst_ROBOT.png`.
 
-    Of each robot's episodes in the folder of the batch, the `count` worst ones are drawn. Those
-    whose recording has gone are left out.
+    Of each robot's episodes in the folder of the batch, the `count` worst ones are drawn, human and
+    robot in their worst sample. Those whose recording has gone are left out.
 
     Raises:
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
-    file = out / "distributions.png"
+    files = [out / "distributions.png"]
     with require_matplotlib().rc_context(fname=_STYLE):
-        _draw_distributions(file, quality)
-    return [file, *_draw_worst(folder, quality, count, out)]
+        _draw_distributions(files[0], quality)
+    rows: dict[str, list[SheetRow]] = {}
+    for rank, (line, _, worst, _) in enumerate(quality.episodes, start=1):
+        own = rows.setdefault(line.robot, [])
+        if len(own) < count:
+            # ValueError: of another length, or with hands at other instants.
+            with suppress(HandmapError, ValueError):
+                own.append(_worst_row(folder, line, rank, worst))
+    for name, own in rows.items():
+        if own:
+            robot = load_whole(name)
+            figure = contact_sheet(
+                [(robot.name, robot)], own, side=robot.spec.side, title="worst episodes"
+            )
+            files.append(out / f"worst_{robot.name}.png")
+            figure.savefig(files[-1], dpi=100)
+    return files
 
 
 def _draw_distributions(file: Path, quality: Quality) -> None:
@@ -315,32 +328,6 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     figure.savefig(file)
 
 
-def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
-    """Draw human and robot in the worst sample of the worst episodes, a picture for each robot.
-
-    The sample is the worst one in what the episode is worst in, and else the one with the largest
-    distance of a point from its target. The first half second counts only where there is no more:
-    the robot is still on its way to the hand.
-    """
-    rows: dict[str, list[SheetRow]] = {}
-    for rank, (line, _, worst, _) in enumerate(quality.episodes, start=1):
-        own = rows.setdefault(line.robot, [])
-        if len(own) < count:
-            # ValueError: of another length, or with hands at other instants.
-            with suppress(HandmapError, ValueError):
-                own.append(_worst_row(folder, line, rank, worst))
-    files = []
-    for name, own in rows.items():
-        if own:
-            robot = load_whole(name)
-            figure = contact_sheet(
-                [(robot.name, robot)], own, side=robot.spec.side, title="worst episodes"
-            )
-            files.append(out / f"worst_{robot.name}.png")
-            figure.savefig(files[-1], dpi=100)
-    return files
-
-
 def _worst_row(folder: Path, line: Line, rank: int, measure: Metric) -> SheetRow:
     """Return the worst sample of an episode, with its rank, name and measure."""
     recording = read_recording(line.source, "left")
@@ -355,7 +342,10 @@ def _worst_row(folder: Path, line: Line, rank: int, measure: Metric) -> SheetRow
 
 
 def _worst_sample(recording: Recording, columns: Arrays, measure: Metric) -> int:
-    """Return the index of the sample that is worst in a measure, or in reach."""
+    """Return the index of the sample that is worst in a measure of joints, or else in reach.
+
+    The first half second counts only where there is no more: the robot is still on its way.
+    """
     usable = columns["valid"].reshape(len(recording), -1).all(axis=1) & recording.valid
     settled = usable & (recording.time >= recording.time[0] + SETTLING)
     usable = settled if settled.any() else usable

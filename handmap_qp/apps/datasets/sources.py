@@ -3,9 +3,8 @@
 import zlib
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from hashlib import sha256
-from itertools import filterfalse
 from pathlib import Path
 
 import msgspec
@@ -23,7 +22,7 @@ from handmap_qp.trackers.formats import (
     known_suffixes,
     list_sources,
 )
-from .manifest import Line
+from .manifest import WHOLE, Line, Shard
 from .workers import each_apart
 
 PATIENCE = 30.0
@@ -46,7 +45,7 @@ class JobOptions:
     """
 
     robots: dict[str, str]
-    arguments: MappingArguments = field(default_factory=MappingArguments)
+    arguments: MappingArguments = MappingArguments()
     smoother: LookAhead | None = None
 
     def load_robot(self, side: str) -> Hand:
@@ -118,10 +117,10 @@ def find_files(
         InvalidInputError: If an input does not exist, a folder has no recordings, or two files have
             the same name below different folders.
     """
-    found: list[tuple[str, Path]] = []
+    found = []
     repeated: list[Path] = []
     own = out and _identity(out)
-    seen: set[object] = set()
+    seen = set[object]()
     for given in inputs:
         before = len(found) + len(repeated)
         found += [
@@ -146,7 +145,7 @@ def list_jobs(
     folder: Path,
     options: JobOptions,
     digest: str = "",
-    shard: tuple[int, int] = (1, 1),
+    shard: Shard = WHOLE,
 ) -> list[Job]:
     """List the recordings of files, the longest first.
 
@@ -233,9 +232,8 @@ def _paths_of(
         ):
             yield path
         else:
-            inside = sorted(path.glob("[!.]*"))
-            links.extend(filter(Path.is_symlink, inside))
-            waiting.extend(filterfalse(Path.is_symlink, inside))
+            for each in sorted(path.glob("[!.]*")):
+                (links if each.is_symlink() else waiting).append(each)
         seen.add(identity)
 
 

@@ -8,12 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any
 
 from handmap_qp.errors import InvalidInputError
-
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
 
 CONTEXT = multiprocessing.get_context("spawn")
 ONE_THREAD = dict.fromkeys(
@@ -87,8 +84,8 @@ def started_pool(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def each_apart(
-    call: Callable[[_Item], _Result], items: Sequence[_Item], patience: float
-) -> list[_Result | None]:
+    call: Callable[[Any], Any], items: Sequence[Any], patience: float
+) -> list[Any]:
     """Call a function on each item in a process of its own, which an item may crash or hold.
 
     Args:
@@ -102,7 +99,7 @@ def each_apart(
     Raises:
         InvalidInputError: If the process does not start.
     """
-    found: list[_Result | None] = []
+    found = []
     while len(found) < len(items):
         with started_pool(1) as pool:
             try:

@@ -1,7 +1,7 @@
 """The commands `handmap map`, `handmap align` and `handmap calibrate`."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -86,8 +86,8 @@ class Map:
     mirror: bool = False
     person: PersonFile = None
     json: bool = False
-    inputs: InputFlags = field(default_factory=InputArguments)
-    arguments: MappingFlags = field(default_factory=MappingArguments)
+    inputs: InputFlags = InputArguments()
+    arguments: MappingFlags = MappingArguments()
 
     def run(self) -> None:
         """Read, measure and map, write the trajectories, and print summaries."""
@@ -180,7 +180,7 @@ class Align:
 
     recording: Positional[Annotated[Path, hinted("RECORDING", "(required)")]]
     at: tuple[float, float, float, float]
-    inputs: InputFlags = field(default_factory=InputArguments)
+    inputs: InputFlags = InputArguments()
 
     def run(self) -> None:
         """Read the recording, and print the option."""
@@ -226,7 +226,7 @@ class Calibrate:
     out: Annotated[Path, arg(metavar="FILE.yaml")] = Path("person.yaml")
     overwrite: bool = False
     json: bool = False
-    inputs: InputFlags = field(default_factory=InputArguments)
+    inputs: InputFlags = InputArguments()
 
     def run(self) -> None:
         """Measure the person, write the file, and print the measures."""

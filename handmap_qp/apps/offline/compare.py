@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import ceil
 from operator import itemgetter
 from pathlib import Path
@@ -113,7 +113,7 @@ class Compare:
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     person: PersonFile = None
     json: bool = False
-    inputs: InputFlags = field(default_factory=InputArguments)
+    inputs: InputFlags = InputArguments()
 
     def run(self) -> None:
         """Check everything, measure, print and write.
@@ -205,7 +205,7 @@ def results_of(comparison: Comparison) -> Values:
     """
     pinches = _pinch_samples(comparison)
     methods = {method: {"about": ""} for method in comparison.methods}
-    runs: dict[str, Values] = {take.name: {} for take in comparison.takes}
+    runs = {take.name: {} for take in comparison.takes}
     for run in comparison.runs:
         if run.motion is not None:
             methods[run.method] = {"about": run.motion.about}

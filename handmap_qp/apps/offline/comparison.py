@@ -40,23 +40,9 @@ from handmap_qp.mapping import PRESETS, HandMapper, preset_choice, rotation_onto
 from handmap_qp.se3 import Array, as_floats, inverse_pose
 from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import NpzFormat, read_archive
-from .fidelity import (
-    SETTLING,
-    assess_fidelity,
-    sample_workspace,
-)
-from .hand_trace import (
-    ByFinger,
-    HandTrace,
-    fingers_of,
-    trace_human,
-    trace_robot,
-)
-from .look_ahead import (
-    LookAhead,
-    look_ahead,
-    smooth_poses,
-)
+from .fidelity import SETTLING, assess_fidelity, sample_workspace
+from .hand_trace import ByFinger, HandTrace, fingers_of, trace_human, trace_robot
+from .look_ahead import LookAhead, look_ahead, smooth_poses
 from .metrics import mean_values
 from .surface_gaps import measure_gaps
 from .trajectory import held_samples, map_recording
@@ -176,9 +162,9 @@ class Comparison(NamedTuple):
     """
 
     robot: Hand
-    takes: tuple[Take, ...]
+    takes: Sequence[Take]
     methods: Names
-    runs: tuple[Run, ...]
+    runs: Sequence[Run]
 
     def of_method(self, method: str) -> list[Run]:
         """Return the runs of a method, a take each."""
@@ -315,7 +301,7 @@ def compare_methods(
         progress(f"{method.name} on {take.name}", len(runs), total)
         runs.append(_run(method, take, robot, workspace))
     progress("measured", total, total)
-    return Comparison(robot, tuple(takes), names, tuple(runs))
+    return Comparison(robot, takes, names, runs)
 
 
 def own_methods() -> Names:
@@ -471,5 +457,5 @@ def _run(
         step_time=motion.step_time,
     )
     if motion.wrist is None:
-        fidelity.values.update(palm_deg=float("nan"), palm_mm=float("nan"))
+        fidelity.values.update(palm_deg=np.nan, palm_mm=np.nan)
     return Run(method.name, take, *fidelity, motion)

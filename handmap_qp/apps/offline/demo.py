@@ -1,10 +1,8 @@
 """The command `handmap demo`: the recording of the package on a robot hand, with pictures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import arg
@@ -21,9 +19,6 @@ from .look_ahead import map_hands
 from .poses import find_poses
 from .summary import summarise, table_rows
 from .trajectory import Told, Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 FILES = ("errors.png", "gestures.png", "joints.png", "trajectory.npz")
 """What the demo writes."""
@@ -105,8 +100,8 @@ def run_demo(
     return trajectory
 
 
-def errors_figure(trajectory: Trajectory) -> Figure:
-    """Draw the errors of points and wrist, and the CPU time of each step, over time."""
+def errors_figure(trajectory: Trajectory) -> Any:
+    """Return a matplotlib figure of the errors of points and wrist, and CPU times of steps."""
     figure = require("matplotlib.figure", "plot").Figure(
         figsize=(7.5, 5.6), layout="constrained"
     )
@@ -131,8 +126,8 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     return figure
 
 
-def joints_figure(trajectory: Trajectory) -> Figure:
-    """Draw each joint of the robot over time, with its limits."""
+def joints_figure(trajectory: Trajectory) -> Any:
+    """Return a matplotlib figure of each joint of the robot over time, with its limits."""
     robot = trajectory.robot
     time = trajectory.time
     rows = -(-len(robot.joint_names) // 4)

@@ -22,14 +22,7 @@ from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Hand, Values
 from handmap_qp.mapping import MotionEstimator, polar
 from handmap_qp.se3 import Array, inverse_pose, lengths, rigid_fit, transform_points
-from .hand_trace import (
-    KNUCKLE,
-    MIDDLE,
-    TIP,
-    ByFinger,
-    HandTrace,
-    trace_robot,
-)
+from .hand_trace import KNUCKLE, MIDDLE, TIP, ByFinger, HandTrace, trace_robot
 from .metrics import mean_values
 from .surface_gaps import SurfaceGaps
 from .trajectory import rms_derivative
@@ -170,6 +163,7 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> ByFinger:
     """
     one, other = both = np.array([human.extension, robot.extension])
     is_still = np.ptp(both, axis=1).min(axis=0) < _STILL
+    correlations = _cosines(*(both - both.mean(axis=1, keepdims=True)).mT)
     low, high = np.percentile(one, (2.0, 98.0), axis=0)
     # Points of a finger are its knuckle, middle joint and tip.
     knuckles, _, tips = np.moveaxis(np.array([human.local, robot.local]), 3, 0)
@@ -178,7 +172,7 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> ByFinger:
     others = [i for i, name in enumerate(human.names) if name != THUMB] or [0]
     h, r = tips - knuckles[:, :, others].mean(axis=2, keepdims=True)
     return {
-        "extension_correlation": np.where(is_still, 0.0, _correlations(one, other)),
+        "extension_correlation": np.where(is_still, 0.0, correlations),
         "extension_rms": _rms(one - other),
         "extension_range": high - low,
         "direction_deg": angles_between(*(tips - knuckles)).mean(axis=0),
@@ -238,7 +232,7 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
     pairs = pairs[:, pairs[0] < NEAR]
     if pairs.shape[1] < 3 or not np.ptp(pairs, axis=1).all():
         return np.nan
-    return float(spearmanr(*pairs).statistic)
+    return spearmanr(*pairs).statistic
 
 
 def gap_metrics(
@@ -312,7 +306,7 @@ def latency(
     """
     if len(time) < 8:
         return np.nan
-    step = float(np.median(np.diff(time)))
+    step = np.median(np.diff(time))
     grid = np.arange(time[0], time[-1], step)
     tips = np.stack([hand.local[:, :, TIP] for hand in (human, robot)], axis=1)
     tips = make_interp_spline(time, tips, k=1)(grid)
@@ -328,13 +322,13 @@ def latency(
         )
         for lag in range(-most, most + 1)
     ]
-    best = int(np.argmax(values))
+    best = np.argmax(values)
     shift = 0.0
     if 0 < best < 2 * most:
         before, here, after = values[best - 1 : best + 2]
         curvature = before - 2.0 * here + after
         shift = 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
-    return float(1e3 * step * (best - most + shift))
+    return 1e3 * step * (best - most + shift)
 
 
 def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
@@ -417,11 +411,6 @@ def _laid_on(points: Array, onto: Array) -> Array:
     return fit / np.maximum(size, _LEAST**2) * turned + centre
 
 
-def _correlations(a: Array, b: Array) -> Array:
-    """Correlations of columns over time, shape (T, n) or (T,); 0 where either stands still."""
-    return _cosines((a - a.mean(axis=0)).T, (b - b.mean(axis=0)).T)
-
-
 def _cosines(a: Array, b: Array) -> Array:
     """Cosines between vectors along the last axis; 0 where either is zero."""
     norms = lengths(a) * lengths(b)
@@ -440,7 +429,7 @@ def _distance_mm(a: Array, b: Array) -> Array:
 
 
 def _mean(values: Array) -> float:
-    return float(values.mean()) if values.size else np.nan
+    return values.mean() if values.size else np.nan
 
 
 def _rms(values: Array) -> Array:

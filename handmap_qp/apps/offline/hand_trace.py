@@ -4,8 +4,6 @@ A human's come from raw landmarks, a robot's from its model, its joint angles an
 whatever mapping found those. So every mapping is measured in the same way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from itertools import repeat
@@ -77,7 +75,7 @@ class HandTrace(NamedTuple):
         """Distance from knuckle to tip as a share of the reach, shape (T, k)."""
         return norms(self.points[:, :, TIP] - self.points[:, :, KNUCKLE]) / self.reach
 
-    def part(self, samples: Array, names: Sequence[str]) -> HandTrace:
+    def part(self, samples: Array, names: Sequence[str]) -> "HandTrace":
         """Return some of the samples, by index or mask, and some of the fingers."""
         chosen = [self.names.index(name) for name in names]
         points = self.points[samples][:, chosen]
@@ -113,7 +111,7 @@ def trace_human(
         palm = wrist_poses @ affine(rotation, np.median(on_wrist[:, :3, 3], axis=0))
     points = landmarks[:, np.column_stack([FIRST_JOINTS, MIDDLES, TIPS])]
     reach = lengths.segments.sum(axis=1)
-    size = float(norms(lengths.bases[1:].mean(axis=0)) + reach[1:].mean())
+    size = norms(lengths.bases[1:].mean(axis=0)) + reach[1:].mean()
     return HandTrace(tuple(FINGERS), points, reach, palm, size)
 
 
@@ -143,6 +141,5 @@ def trace_robot(
     reach = np.array([one.reach for one in fingers])
     # The size of a thumb alone is that of the thumb.
     others = [i for i, name in enumerate(chains) if name != THUMB] or [0]
-    centre = local[0, others, KNUCKLE].mean(axis=0)
-    size = float(norms(centre) + reach[others].mean())
+    size = norms(local[0, others, KNUCKLE].mean(axis=0)) + reach[others].mean()
     return HandTrace(tuple(chains), points, reach, palm, size)

@@ -14,14 +14,13 @@ The smooth recording is mapped as any other, with the costs of speed and acceler
 smoothing (`SMOOTH_IK`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand
 from handmap_qp.human import PALM, Person, Recording, scaled_human
@@ -43,9 +42,6 @@ from .trajectory import (
     stretches,
     trajectory_of,
 )
-
-if TYPE_CHECKING:
-    from handmap_qp.apps.arguments import MappingArguments
 
 
 @dataclass(frozen=True)
@@ -203,7 +199,7 @@ def map_hands(
         trajectory = map_recording(mapper, first, progress)
         return recordings, trajectory, mapper.method, trajectory.valid[:, None]
     follower = RobotFollower(RobotMapper(robot, humans, choice.method, ik=ik))
-    followed: list[list[bool]] = []
+    followed = []
 
     def steps() -> Iterator[RobotStep]:
         for samples in paired(used):

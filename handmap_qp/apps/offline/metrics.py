@@ -88,5 +88,5 @@ def mean_values(rows: Sequence[Values]) -> Values:
     means = {}
     for metric in METRICS:
         finite = [row[metric.key] for row in rows if np.isfinite(row[metric.key])]
-        means[metric.key] = float(np.mean(finite)) if finite else float("nan")
+        means[metric.key] = float(np.mean(finite)) if finite else np.nan
     return means

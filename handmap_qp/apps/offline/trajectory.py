@@ -12,13 +12,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Hand, Names
-from handmap_qp.human import (
-    RULES,
-    Recording,
-    Rule,
-    recording_samples,
-    sample_columns,
-)
+from handmap_qp.human import RULES, Recording, Rule, recording_samples, sample_columns
 from handmap_qp.mapping import HandMapper, MapStep
 from handmap_qp.se3 import Array, Arrays, lengths
 from handmap_qp.stream import RULE_NAMES, STATUS_NAMES, Follower, StepTable
