@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 
 from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
 from .addresses import service_address
@@ -11,7 +10,7 @@ try:
     import msgspec
     import zmq
 
-    from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
+    from handmap_qp.client import Client, KeyFiles, ServiceError, ServiceTimeoutError
 except ModuleNotFoundError as missing:
     raise MissingExtraError(str(missing.name), "service") from missing
 
@@ -25,7 +24,7 @@ TIMEOUT = 3.0
 
 @contextmanager
 def connected(
-    option: str, host: str, keys: tuple[Path, Path] | None, *, refused: str
+    option: str, host: str, keys: KeyFiles | None, *, refused: str
 ) -> Iterator[tuple[Client, str]]:
     """Connect to the service, and close the connection if the block fails.
 

@@ -3,24 +3,21 @@
 import json
 import signal
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import tyro
 from rich.console import Console
+from tyro.conf import Positional, arg
 
 from handmap_qp.apps import live
 from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
 from handmap_qp.apps.tables import print_table
 from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.hands import Values
 from handmap_qp.human import read_person
 from handmap_qp.trackers import read_recording
-from .mediapipe_source import (
-    MediapipeSource,
-    environment_python,
-    install_environment,
-)
+from .mediapipe_source import MediapipeSource, environment_python, install_environment
 from .source import Recorder, Replay, Sink, Source, run
 
 _RARE = (
@@ -113,7 +110,7 @@ class Target:
             )
 
 
-TargetFlags = Annotated[Target, tyro.conf.arg(name="")]
+TargetFlags = Annotated[Target, arg(name="")]
 """Where the samples of a command go."""
 
 
@@ -132,10 +129,10 @@ class TrackReplay:
         target: Where the samples go.
     """
 
-    recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
+    recording: Positional[Annotated[Path, arg(metavar="RECORDING")]]
     speed: float = 1.0
     loop: bool = False
-    target: TargetFlags = field(default_factory=Target)
+    target: TargetFlags = Target()
 
     def run(self) -> None:
         """Replay the recording until its end or Ctrl-C."""
@@ -163,7 +160,7 @@ class TrackMediapipe(MediapipeSource):
     """
 
     install: bool = False
-    target: TargetFlags = field(default_factory=Target)
+    target: TargetFlags = Target()
 
     def run(self) -> None:
         """Track until the video ends or Ctrl-C."""
@@ -196,12 +193,10 @@ class TrackRecord:
         json: Print the summary as one JSON object instead of a table.
     """
 
-    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    out: Positional[Annotated[Path, arg(metavar="OUT")]]
     source: Annotated[
         str,
-        tyro.conf.arg(
-            name="from", metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"
-        ),
+        arg(name="from", metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
     ]
     session: OpenSession = None
     keys: KeyFiles = None
@@ -217,7 +212,7 @@ class TrackRecord:
         _lead(source, [recorder], is_json=self.json)
 
 
-def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> dict[str, Any]:
+def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> Values:
     """Lead samples to sinks until the source ends or Ctrl-C; print and return a summary."""
     # The state in one line on stderr, if stderr is a terminal.
     line = Console(stderr=True).status("waiting for the first sample")
@@ -230,14 +225,9 @@ def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> dict[str, 
         signal.signal(signal.SIGTERM, before)
     if is_json:
         print(json.dumps(summary))
-    else:
-        print_table(source.name, _table(summary))
-    return summary
-
-
-def _table(summary: dict[str, Any]) -> dict[str, Any]:
-    """Return the rows of a table: labels in words, counts by name in one line."""
-    return {
+        return summary
+    # Labels in words, counts by name in one line.
+    rows = {
         name.replace("_", " "): ", ".join(
             f"{text}: {count}" for text, count in value.items()
         )
@@ -246,3 +236,5 @@ def _table(summary: dict[str, Any]) -> dict[str, Any]:
         for name, value in summary.items()
         if value or name not in _RARE
     }
+    print_table(source.name, rows)
+    return summary

@@ -13,8 +13,6 @@ towards the camera; the origin is the camera. Their shape is MediaPipe's own; th
 the camera follows from the field of view.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib
@@ -32,6 +30,8 @@ import numpy as np
 _UPRIGHT = (1.0, -1.0, -1.0)
 _OTHER = {"Left": "right", "Right": "left"}
 """MediaPipe names hands for pictures mirrored as in a selfie; ours are not."""
+Hand = dict[str, Any]
+"""What a picture shows of the hand: fields of a sample; empty if it is not there."""
 _LOST = 30
 """Pictures in a row that a camera may fail to give."""
 
@@ -78,7 +78,7 @@ class HandTracker:
         self._arguments = arguments
         self._hands = Hands(max_num_hands=2, model_complexity=1)
 
-    def find(self, pixels: np.ndarray) -> dict[str, Any]:
+    def find(self, pixels: np.ndarray) -> Hand:
         """Return what a picture shows of the hand; nothing if it is not there.
 
         Returns:
@@ -95,7 +95,7 @@ class HandTracker:
         height, width = pixels.shape[:2]
         focal_length = 0.5 * width / math.tan(math.radians(0.5 * self._arguments.fov))
         centre = (0.5 * width, 0.5 * height)
-        best: dict[str, Any] = {}
+        best: Hand = {}
         for named, image, world in hands:
             kind = named.classification[0]
             confidence = min(1.0, kind.score)
@@ -145,14 +145,14 @@ def _read(capture: Any, patience: int) -> Iterator[np.ndarray]:
             yield picture
 
 
-def printed(stamp: float, hand: dict[str, Any]) -> None:
+def printed(stamp: float, hand: Hand) -> None:
     """Print a sample as one line of JSON."""
     print(json.dumps({"time": stamp, "valid": bool(hand), **hand}), flush=True)
 
 
 def sent(
     arguments: argparse.Namespace, closing: contextlib.ExitStack
-) -> Callable[[float, dict[str, Any]], None]:
+) -> Callable[[float, Hand], None]:
     """Open a session of the service until `closing`; return a function that sends samples to it."""
     client = _client_module()
     session = closing.enter_context(client.Client(arguments.to))
@@ -164,7 +164,7 @@ def sent(
     except failures as error:
         _stop(str(error))
 
-    def send(stamp: float, hand: dict[str, Any]) -> None:
+    def send(stamp: float, hand: Hand) -> None:
         try:
             session.send(time=stamp, valid=bool(hand), **hand)
         except failures as error:

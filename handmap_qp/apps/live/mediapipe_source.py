@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
+from tyro.conf import Suppress, arg
 
 from handmap_qp.apps.arguments import hinted
 from handmap_qp.errors import InvalidInputError
@@ -131,9 +131,9 @@ class MediapipeSource:
     camera: int = 0
     video: Annotated[Path | None, hinted("FILE", "(default: the camera)")] = None
     side: Side = "right"
-    is_mirrored: Annotated[bool, tyro.conf.arg(name="mirrored")] = False
+    is_mirrored: Annotated[bool, arg(name="mirrored")] = False
     fov: float = 65.0
-    is_paced: tyro.conf.Suppress[bool] = True
+    is_paced: Suppress[bool] = True
     rate = 0.0
     upright = ""
 
@@ -160,8 +160,7 @@ class MediapipeSource:
         ):
             try:
                 for line in process.stdout or ():
-                    found = _NOT_FOUND | json.loads(line)
-                    yield HumanSample(side=self.side, **found)
+                    yield HumanSample(side=self.side, **(_NOT_FOUND | json.loads(line)))
                 code = process.wait()
             finally:
                 # Also where the samples are no longer read.

@@ -1,18 +1,17 @@
 """A session of the mapping service as a sink (`ServiceSink`) or as a source (`ServiceSource`)."""
 
-import time
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, Self
+from time import monotonic
 
 import numpy as np
 
 from handmap_qp.apps.connection import GONE, connected, only_session
-from handmap_qp.client import Command, ServiceError, ServiceTimeoutError
+from handmap_qp.client import Command, KeyFiles, ServiceError, ServiceTimeoutError
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Side
+from handmap_qp.hands import Side, Values
 from handmap_qp.human import HumanSample, Person
+from .source import Sink
 
 _SILENCE = 1.0
 """Time without a command after which the service counts as silent [s]."""
@@ -22,7 +21,7 @@ _WAIT = 0.25
 """Time without a command after which the session's state is asked for [s]."""
 
 
-class ServiceSink:
+class ServiceSink(Sink):
     """Sends samples to a session of the service, and reads its commands.
 
     The session is open from construction until the end of the block. Its commands carry every
@@ -55,7 +54,7 @@ class ServiceSink:
         session: str | None = None,
         preset: str | None = None,
         person: Person | None = None,
-        keys: tuple[Path, Path] | None = None,
+        keys: KeyFiles | None = None,
         upright: str = "",
     ) -> None:
         measured = {} if person is None else person.session_fields()
@@ -75,19 +74,16 @@ class ServiceSink:
         self._counts = Counter(
             sent=0, hand_lost=0, commands=0, accepted=0, unanswered=0
         )
-        self._said: dict[str, Counter[str]] = {
-            name: Counter() for name in ("statuses", "flags", "refusals")
+        self._said = {
+            name: Counter[str]() for name in ("statuses", "flags", "refusals")
         }
         self._refusal = ""
         self.command: Command | None = None
-        self._heard = self._sent = time.monotonic()
-
-    def __enter__(self) -> Self:
-        return self
+        self._heard = self._sent = monotonic()
 
     def __exit__(self, *_: object) -> None:
-        end = time.monotonic() + _LAST_COMMAND
-        while self._sent > self._heard and time.monotonic() < end:
+        end = monotonic() + _LAST_COMMAND
+        while self._sent > self._heard and monotonic() < end:
             self._read(timeout=0.05)
         self._client.close()
 
@@ -106,7 +102,7 @@ class ServiceSink:
                 confidence=sample.confidence,
             )
             self._counts["sent"] += 1
-            self._sent = time.monotonic()
+            self._sent = monotonic()
         except ServiceError as error:
             self._note_refusal(error)
         except GONE:
@@ -116,7 +112,7 @@ class ServiceSink:
 
     def status(self) -> str:
         """Return the state of the robot, as the service last said."""
-        silence = time.monotonic() - self._heard
+        silence = monotonic() - self._heard
         if silence > _SILENCE:
             return f"{self._robot}: no answer for {silence:.0f} s"
         if self.command is None:
@@ -126,7 +122,7 @@ class ServiceSink:
         held = f", held by {' and '.join(pair)}" if pair else ""
         return f"{self._robot}: {self.command.status}{flags}{held}"
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Values:
         """Return counts of samples, commands, their states and flags, and refusals."""
         return {
             "robot": self._robot,
@@ -143,11 +139,11 @@ class ServiceSink:
             command = self._client.latest(timeout)
         except ServiceError as error:
             self._note_refusal(error)
-            self._heard = time.monotonic()
+            self._heard = monotonic()
             return
         if command is None:
             return
-        self._heard = time.monotonic()
+        self._heard = monotonic()
         self.command = command
         if "watchdog" not in command.flags:
             self._counts.update(commands=1, accepted=not command.rule)
@@ -191,7 +187,7 @@ class ServiceSource:
         host: str,
         *,
         session: str | None = None,
-        keys: tuple[Path, Path] | None = None,
+        keys: KeyFiles | None = None,
     ) -> None:
         with connected("--from", host, keys, refused="--session") as (
             self._client,
@@ -204,7 +200,7 @@ class ServiceSource:
                     argument="--from",
                     advice="start a client that opens one, such as handmap track replay",
                 )
-            about: dict[str, Any] = self._client.watch(self.name).about or {}
+            about: Values = self._client.watch(self.name).about or {}
             expect(
                 about["input"] == "landmarks",
                 "--session",
@@ -219,13 +215,13 @@ class ServiceSource:
                 got="one whose commands do not carry landmarks",
                 value=self.name,
             )
-            self.side: Side = about["side"]
+            self.side = about["side"]
             self.upright = about.get("upright", "")
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield the landmarks of each command that answers a mapped sample."""
         with self._client as client:
-            heard = time.monotonic()
+            heard = monotonic()
             while True:
                 try:
                     command = client.latest(_WAIT)
@@ -233,11 +229,11 @@ class ServiceSource:
                     # The service refused a sample of the session's client.
                     continue
                 if command is not None:
-                    heard = time.monotonic()
+                    heard = monotonic()
                     landmarks = (command.detail or {}).get("landmarks")
                     if landmarks is not None:
                         yield HumanSample(command.time, self.side, np.array(landmarks))
-                elif time.monotonic() - heard > _WAIT:
+                elif monotonic() - heard > _WAIT:
                     try:
                         client.status()
                     except ServiceTimeoutError:

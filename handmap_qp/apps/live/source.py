@@ -9,12 +9,12 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Names, Side
+from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import HumanSample, Recording, recording_samples
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers import write_recordings
@@ -58,7 +58,7 @@ class Sink(contextlib.AbstractContextManager[Any, Any], Protocol):
         """Return the present state in a few words."""
         ...
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Values:
         """Return what was done, by label."""
         ...
 
@@ -67,7 +67,7 @@ def run(
     source: Source,
     sinks: Sequence[Sink],
     report: Callable[[str], object] = lambda _: None,
-) -> dict[str, Any]:
+) -> Values:
     """Lead samples to sinks until the source ends or Ctrl-C.
 
     Args:
@@ -80,7 +80,7 @@ def run(
     """
     count = seen = 0
     expected = f" of {source.rate:.0f}" if source.rate else ""
-    times: deque[float] = deque(maxlen=_RATE_SAMPLES)
+    times = deque[float](maxlen=_RATE_SAMPLES)
     with contextlib.ExitStack() as open_sinks:
         for sink in sinks:
             open_sinks.enter_context(sink)
@@ -96,7 +96,7 @@ def run(
                 state = f"{source.name}: {count} samples at {rate:.0f}{expected} Hz"
                 state += f", hand seen in {seen / count:.0%}"
                 report(" | ".join([state, *(sink.status() for sink in sinks)]))
-    summary: dict[str, Any] = {"samples": count, "hand_seen": seen}
+    summary: Values = {"samples": count, "hand_seen": seen}
     for sink in sinks:
         summary |= sink.summary()
     return summary
@@ -145,7 +145,7 @@ class Replay:
             offset += duration
 
 
-class Recorder:
+class Recorder(Sink):
     """Collects samples, and writes them to a file at the end.
 
     Samples whose time stamps do not increase are left out and counted, because recordings are in
@@ -169,9 +169,6 @@ class Recorder:
         self._disordered = 0
         self._lost: Names = ()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Write the file.
 
@@ -188,7 +185,7 @@ class Recorder:
                 argument=self._argument,
                 advice="nothing was written",
             )
-        columns: dict[str, Any] = {
+        columns: Values = {
             name: np.array([getattr(sample, name) for sample in samples])
             for name in ("time", "landmarks", "valid", "confidence")
         }
@@ -221,7 +218,7 @@ class Recorder:
         """Return the number of samples kept."""
         return f"recording {len(self._samples)}"
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Values:
         """Return the file, counts, and what the file cannot hold."""
         counts = {"recorded": len(self._samples), "not_in_order": self._disordered}
         return counts | {"record": str(self.file), "lost": ", ".join(self._lost)}
