@@ -1,14 +1,12 @@
 """The command `handmap view`."""
 
-from __future__ import annotations
-
 import contextlib
 import webbrowser
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional
 
@@ -33,10 +31,7 @@ from handmap_qp.mapping import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
 from .live import LiveViewer
 from .replay import Replay, ReplayViewer
-from .serving import run_frames, serving
-
-if TYPE_CHECKING:
-    from viser import ViserServer
+from .serving import ViserServer, run_frames, serving
 
 
 @dataclass(frozen=True)
@@ -96,8 +91,8 @@ class View:
     host: str = "127.0.0.1"
     port: int = 8080
     open: bool = False
-    inputs: InputFlags = field(default_factory=InputArguments)
-    arguments: MappingFlags = field(default_factory=MappingArguments)
+    inputs: InputFlags = InputArguments()
+    arguments: MappingFlags = MappingArguments()
 
     def run(self) -> None:
         """Map the recording or connect to the service, and show it until interrupted."""
@@ -133,8 +128,8 @@ class View:
         changed = self.arguments.changed()
         usual = vars(View())
         given = {name for name, value in vars(self).items() if value != usual[name]}
-        read = (name for name, value in vars(self.inputs).items() if value)
-        given.update(changed, read)
+        inputs = vars(self.inputs)
+        given.update(changed, filter(inputs.get, inputs))
         problems = dict.fromkeys(("session", "keys"), "needs --live")
         if self.html is not None:
             problems |= dict.fromkeys(

@@ -4,15 +4,13 @@ viser calls callbacks in threads of its own. They only record a request, which t
 carries out, so that mapping and drawing happen in one thread.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,11 +22,9 @@ from handmap_qp.mapping import PRESETS, Choice
 from handmap_qp.options import Option, Options, options_of
 from handmap_qp.se3 import Array
 from .gauges import Gauges
-from .sample import Variant, ViewSample
+from .sample import Variant
 from .scene import Display, HandScene
-
-if TYPE_CHECKING:
-    from viser import ViserServer
+from .serving import ViserServer
 
 NOTHING = "nothing"
 KEPT = "kept options"
@@ -461,13 +457,13 @@ class Window:
         with save:
             add_controls(gui, "saving", self.send)
             self._saving = gui.add_markdown("", visible=False)
-        self._files: dict[str, Callable[[Any], bytes]] = {
+        self._files = {
             "options.yaml": lambda _: options_text().encode(),
             "handmap.png": _picture,
             "handmap.html": lambda _: page(),
         }
-        self._drawn: tuple[object, ...] = ()
-        self._gauged: tuple[ViewSample, ...] = ()
+        self._drawn = ()
+        self._gauged = ()
         self._gauges_due = 0.0
 
     def send(self, name: str, client: Any) -> None:

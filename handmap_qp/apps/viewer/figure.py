@@ -4,13 +4,11 @@ Each figure's world is a node of the scene, so its children take coordinates of 
 sends what has changed only.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,9 +33,7 @@ from handmap_qp.se3 import (
 )
 from handmap_qp.trackers import BONES, NEIGHBOURS
 from .sample import Variant, ViewSample
-
-if TYPE_CHECKING:
-    from viser import ViserServer
+from .serving import ViserServer
 
 Posture = tuple[Array, Array]
 """Joint angles [rad], shape (n,), and wrist pose, shape (4, 4)."""
@@ -217,7 +213,7 @@ class Trail:
 
     def __init__(self, server: ViserServer, path: str, colour: Colour) -> None:
         # Times [s], tips (n, 3) and the hand's centre (3,) [m], oldest first.
-        self._points: list[tuple[float, Array, Array]] = []
+        self._points = []
         self._lines = _add_lines(server, path, colour, 2.0)
         self.clear()
 
@@ -401,8 +397,7 @@ class HumanFigure(HandFigure):
     def __init__(self, server: ViserServer, node: str, hand: Hand) -> None:
         super().__init__(server, node, hand, HUMAN_COLOUR)
         self.shape: Shape = "ellipsoid"
-        variances = hand.points(hand.rest).var(axis=0)
-        self._size = float(np.sqrt(variances.sum()))
+        self._size = float(np.sqrt(hand.points(hand.rest).var(axis=0).sum()))
         ball: Any = partial(
             server.scene.add_icosphere, radius=self._size, cast_shadow=False
         )

@@ -1,11 +1,8 @@
 """The gauges: numbers of the instant, plots over time, and joints between their limits."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import cycle
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,9 +15,7 @@ from handmap_qp.ik import wrist_error
 from handmap_qp.se3 import Array
 from .figure import DEFORMATION_COLOUR, TARGET_COLOUR, as_bytes, known
 from .sample import Variant, ViewSample
-
-if TYPE_CHECKING:
-    from viser import ViserServer
+from .serving import ViserServer
 
 HUMAN = "#8a8f98"
 FIRST = "#2166d8"
@@ -109,7 +104,7 @@ class InstantGauges:
         It is measured between the surfaces of the last links, and negative where they overlap.
         """
         gaps = self._measures[hand](sample.robot_q[None])
-        return {finger: float(gap[0]) for finger, gap in gaps.items()}
+        return {finger: gap[0] for finger, gap in gaps.items()}
 
     def human_pinches(self, sample: ViewSample) -> dict[str, float]:
         """Return the human's gap between thumb and each other finger [m], by the finger's name.

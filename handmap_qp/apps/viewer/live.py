@@ -13,10 +13,9 @@ from handmap_qp.mapping import options_text, possible_presets
 from .controls import SteeringControls, Window, add_controls, say
 from .page import make_page
 from .sample import Variant, ViewSample
+from .serving import ViserServer
 
 if TYPE_CHECKING:
-    from viser import ViserServer
-
     from .remote import ServiceSession
 
 # Length of the plots' time axis [s].
@@ -57,7 +56,7 @@ class LiveViewer(Window):
         patience: float = 10.0,
     ) -> None:
         self._source = source
-        self.recent: deque[ViewSample] = deque()
+        self.recent = deque[ViewSample]()
         self._last_arrival = 0.0
         self._arrived = threading.Event()
         reader = ThreadPoolExecutor(1, thread_name_prefix="handmap view: live source")

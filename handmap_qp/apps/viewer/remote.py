@@ -1,19 +1,19 @@
 """A session of the mapping service, shown and steered from here: `ServiceSession`."""
 
-import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from operator import or_
 from pathlib import Path
+from time import monotonic, sleep
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from handmap_qp.apps.connection import FAILURES, connected, only_session
-from handmap_qp.client import Command, ServiceError
+from handmap_qp.client import Command, KeyFiles, ServiceError
 from handmap_qp.client.messages import Pose
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import (
@@ -97,15 +97,15 @@ class ServiceSession:
         *,
         session: str | None = None,
         robot: str | Path | None = None,
-        keys: tuple[Path, Path] | None = None,
+        keys: KeyFiles | None = None,
         patience: float = 10.0,
     ) -> None:
         self._host = host
-        self._details: list[Values] = [{}, {}]
-        self._requests: deque[Callable[[], Any]] = deque()
+        self._details = [{}, {}]
+        self._requests = deque[Callable[[], Any]]()
         with connected("--live", host, keys, refused="--live") as (self._client, _):
-            about = self._find_session(session, time.monotonic() + patience)
-            self.is_shared: bool = about["is_shared"]
+            about = self._find_session(session, monotonic() + patience)
+            self.is_shared = about["is_shared"]
             if not (about["has_detail"] or self.is_shared):
                 raise self._error(
                     "the session does not send enough detail to be shown",
@@ -137,9 +137,9 @@ class ServiceSession:
         with self._client as client:
             while not self._is_closed:
                 self._carry_out_requests()
-                if time.monotonic() >= next_status:
+                if monotonic() >= next_status:
                     self._update_status()
-                    next_status = time.monotonic() + _STATUS_PERIOD
+                    next_status = monotonic() + _STATUS_PERIOD
                 try:
                     command = client.latest(_WAIT)
                 except ServiceError:
@@ -229,9 +229,9 @@ class ServiceSession:
                     return about
                 problem = "the human hand has not been measured yet"
                 advice = "check that its client sends landmarks"
-            if time.monotonic() > end:
+            if monotonic() > end:
                 raise self._error(problem, advice)
-            time.sleep(0.1)
+            sleep(0.1)
 
     def _load_hands(self, robot: str, about: Values, lengths: Any) -> None:
         """Load the hands of the session."""
@@ -353,5 +353,4 @@ class ServiceSession:
 
 
 def _choice(about: Values) -> Choice:
-    choice = preset_choice(about["preset"])
-    return choice.with_changes(about["options"] | about["ik"])
+    return preset_choice(about["preset"]).with_changes(about["options"] | about["ik"])

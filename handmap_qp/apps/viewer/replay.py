@@ -1,10 +1,8 @@
 """A recording, mapped by one method or two (`Replay`), and in the browser (`ReplayViewer`)."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,9 +23,7 @@ from handmap_qp.stream import Follower, RobotFollower, paired
 from .controls import KEPT, NOTHING, PlayBar, SteeringControls, Window, say
 from .page import make_page
 from .sample import Variant, ViewSample
-
-if TYPE_CHECKING:
-    from viser import ViserServer
+from .serving import ViserServer
 
 
 class Replay:
@@ -172,10 +168,9 @@ class Replay:
 
     def _map(self, choice: Choice, label: str) -> Variant:
         robot = self._robot
-        mapper: Any
         if robot.parts:
             humans = self.human.by_side
-            mapper = RobotMapper(robot, humans, choice.method, ik=choice.ik)
+            mapper: Any = RobotMapper(robot, humans, choice.method, ik=choice.ik)
             follow: Any = RobotFollower(mapper).map_samples
             samples: Any = paired({each.side: each for each, _ in self._seen})
         else:
@@ -254,7 +249,7 @@ class ReplayViewer(Window):
         # Options count from `_base`: the initial ones, or those of a preset chosen later.
         self._start = self._base = replay.choice
         self._changes: Values = {}
-        self._pending: list[Callable[[], None]] = []
+        self._pending = []
         with self.control:
             self.play_bar = PlayBar(server, float(replay.time[-1]))
             self.steering = SteeringControls(

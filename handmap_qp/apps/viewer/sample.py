@@ -1,7 +1,5 @@
 """What the view shows at one instant: `ViewSample`; and over time: `Variant`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -64,10 +62,10 @@ class ViewSample:
     duration: float = float("nan")
     is_seen: bool = True
     note: str = ""
-    hands: Sequence[ViewSample] = ()
+    hands: Sequence["ViewSample"] = ()
 
     @property
-    def parts(self) -> tuple[ViewSample, ...]:
+    def parts(self) -> tuple["ViewSample", ...]:
         """The whole, then each of `hands`; the last ones are of one hand each."""
         return (self, *self.hands)
 

@@ -4,13 +4,11 @@ The scene's axes are those of the human's palm at the first sample: +y is distal
 dorsal. Each robot's world is rotated by its mapping's alignment, so that equal motions look equal.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -20,9 +18,7 @@ from handmap_qp.mapping import rotation_of
 from handmap_qp.se3 import Array, unit
 from .figure import Figure, HumanFigure, LandmarkFigure, RobotFigure, Shape
 from .sample import Variant, ViewSample
-
-if TYPE_CHECKING:
-    from viser import ViserServer
+from .serving import ViserServer
 
 # Between two figures [m].
 _GAP = 0.035
@@ -191,8 +187,8 @@ class BrowserCameras:
     def __init__(self, server: ViserServer) -> None:
         self._server = server
         self._size = np.zeros(3)
-        self._views: dict[int, tuple[float, float]] = {}
-        self._folded: set[int] = set()
+        self._views = {}
+        self._folded = set[int]()
         server.initial_camera.fov = _FIELD_OF_VIEW
 
     def fit(self, width: float, height: float, depth: float) -> None:

@@ -1,7 +1,5 @@
 """The web server of the view, which accepts its own page only, and the loop that draws frames."""
 
-from __future__ import annotations
-
 import http
 import io
 import socket
@@ -17,6 +15,9 @@ from handmap_qp.errors import expect, require
 
 if TYPE_CHECKING:
     from viser import ViserServer
+else:
+    ViserServer = Any
+    """Type of the server, for annotations: viser is imported when it is used."""
 
 FRAME_PERIOD = 1.0 / 30.0
 """Least time between two frames [s]."""
