@@ -24,7 +24,7 @@ from contextlib import suppress
 from functools import wraps
 from pathlib import Path
 from time import monotonic
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -52,6 +52,8 @@ KeyFiles = tuple[Path | str, Path | str]
 Request = dict[str, Any]
 R = TypeVar("R", bound=Reply)
 T = TypeVar("T")
+Use = Literal["requests", "samples", "stream"]
+Turn = Literal["call", "stream"]
 Call = Coroutine[Any, Any, T]
 
 
@@ -140,10 +142,9 @@ class _Core:
         self._keys = None if keys is None else _load_keys(keys)
         self._seq = 0
         self._protocol = PROTOCOL
-        # By use: "requests", "samples" or "stream".
-        self._sockets = {}
+        self._sockets: dict[Use, tuple[tuple[str, str], Any]] = {}
         # Calls of several tasks take turns. One task may wait for the stream meanwhile.
-        self._turns = defaultdict(asyncio.Lock)
+        self._turns: dict[Turn, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._forget()
 
     def _forget(self) -> None:
@@ -163,7 +164,7 @@ class _Core:
         """Return whether a socket's event comes in time."""
         return socket.poll(milliseconds, event)
 
-    async def _io(self, use: str, payload: bytes | None, until: float) -> bytes | None:
+    async def _io(self, use: Use, payload: bytes | None, until: float) -> bytes | None:
         """Send a payload, or return a message if it is None, before a time [s, monotonic].
 
         None is too late; what was sent is an empty message.
@@ -357,7 +358,7 @@ class _Core:
         elif kind == "configure":
             _note_changes(wanted, request)
 
-    def _socket(self, use: str) -> Any:
+    def _socket(self, use: Use) -> Any:
         """Return the socket for a use, connected when it is first needed for a session."""
         address = self.address
         kind = zmq.DEALER
@@ -394,7 +395,7 @@ class _Core:
         socket.connect(address)
         return socket
 
-    def _drop(self, use: str) -> None:
+    def _drop(self, use: Use) -> None:
         self._sockets.pop(use)[1].close(linger=0)
 
 
@@ -595,7 +596,7 @@ class Client(_Core):
         """End the session if the server can be reached, and close the sockets."""
         return self._run(self._close())
 
-    def _run(self, call: Call[T], turn: str = "call") -> T:
+    def _run(self, call: Call[T], turn: Turn = "call") -> T:
         try:
             while True:
                 call.send(None)
@@ -645,7 +646,7 @@ class AsyncClient(_Core):
         finally:
             polled.cancel()
 
-    async def _run(self, call: Call[T], turn: str = "call") -> T:
+    async def _run(self, call: Call[T], turn: Turn = "call") -> T:
         try:
             async with self._turns[turn]:
                 return await call
