@@ -21,6 +21,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
@@ -29,12 +30,30 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.human.sample import PALM
-from handmap_qp.se3 import inverse_pose, rigid_fit
+from handmap_qp.se3 import inverse_pose, rigid_fit, transform_points
 from peers import build, runner
 
-ROBOTS = ("allegro_hand_right", "leap_hand_right", "schunk_svh_hand_right")
+ROBOTS = (
+    "allegro_hand_right",
+    "leap_hand_right",
+    "schunk_svh_hand_right",
+    "shadow_hand_right",
+)
 """Robots that the peers are run with, by the names of their configuration files."""
-_OWN_NAMES = {"allegro_right": "allegro_hand_right"}
+_OWN_NAMES = {
+    "allegro_right": "allegro_hand_right",
+    "leap_right": "leap_hand_right",
+    "shadow_right": "shadow_hand_right",
+}
+# The same axes, senses and zeros, by other names: those of MuJoCo's models of the two hands.
+_LEAP_JOINTS = {
+    "if": {"mcp": "1", "rot": "0", "pip": "2", "dip": "3"},
+    "mf": {"mcp": "5", "rot": "4", "pip": "6", "dip": "7"},
+    "rf": {"mcp": "9", "rot": "8", "pip": "10", "dip": "11"},
+    "th": {"cmc": "12", "axl": "13", "mcp": "14", "ipl": "15"},
+}
+# Of the peers' Shadow alone.
+_WRIST_JOINTS = ("WRJ2", "WRJ1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +133,11 @@ class PeerMotion:
         q: Joint positions in the order of `robot.joint_names` [rad], shape (T, n). They may lie
             outside the robot's limits: they are the peer's, unchanged.
         cpu_time: CPU time of each retargeted sample [s], NaN where a sample was held, shape (T,).
-        base_pose: Pose of the robot's root link in the world, shape (T, 4, 4), of the peer's
-            position method; None of the others, which do not move the wrist.
+        base_pose: Pose of the peer's root link in the world, shape (T, 4, 4), of the peer's
+            position method; None of the others, which do not move it.
+        root: Pose of our root link in the peer's, shape (T, 4, 4). It moves where the peer's robot
+            has a wrist that ours has not (Shadow's).
+        straight: The same with that wrist straight, shape (4, 4); None if there is none.
         facts: Peer, version, configuration, low-pass factor and number of failures.
     """
 
@@ -125,6 +147,8 @@ class PeerMotion:
     q: np.ndarray
     cpu_time: np.ndarray
     base_pose: np.ndarray | None
+    root: np.ndarray
+    straight: np.ndarray | None
     facts: dict[str, Any]
 
     @cached_property
@@ -134,21 +158,31 @@ class PeerMotion:
 
     @cached_property
     def wrist(self) -> np.ndarray:
-        """Wrist of the robot in the world, its palm on the human's measured palm, (T, 4, 4)."""
-        return self.palm @ inverse_pose(self.robot.wrist_to_palm)
+        """Wrist of the robot in the world, (T, 4, 4): its palm on the human's measured palm.
+
+        Turned as the peer's own wrist turns it.
+        """
+        wrist = self.palm @ inverse_pose(self.robot.wrist_to_palm)
+        if self.straight is None:
+            return wrist
+        turn = inverse_pose(self.straight) @ self.root
+        turn[:, :3, 3] = 0.0
+        return wrist @ self._own_root @ turn @ inverse_pose(self._own_root)
 
     @cached_property
     def own_wrist(self) -> np.ndarray | None:
         """Wrist of the robot in the world where the peer itself put it, shape (T, 4, 4).
 
-        None of methods that do not move it. The peer's root link and ours are taken to be the same.
+        None of methods that do not move it.
         """
-        if self.base_pose is None:
-            return None
-        root = self.robot.link_poses(
-            [_root_link(self.robot.urdf_text)], self.robot.rest
-        )[0]
-        return self.base_pose @ inverse_pose(root)
+        if self.base_pose is not None:
+            return self.base_pose @ self.root @ inverse_pose(self._own_root)
+        return None if self.straight is None else self.wrist
+
+    @cached_property
+    def _own_root(self) -> np.ndarray:
+        """Pose of our root link, shape (4, 4), with the wrist at the identity."""
+        return _root_pose(self.robot)
 
 
 def run_peer(method: PeerMethod | str, recording: Recording, robot: Hand) -> PeerMotion:
@@ -200,7 +234,8 @@ def read_result(
     with np.load(file, allow_pickle=False) as arrays:
         values = dict(arrays)
     names = [str(name) for name in values["joint_names"]]
-    missing = sorted(set(robot.joint_names) - set(names))
+    wanted = {name: peer_joint(robot, name) for name in robot.joint_names}
+    missing = sorted(name for name, peers in wanted.items() if peers not in names)
     if missing:
         raise PeerError(
             f"{robot.name}: {method.name} gives no joint {', '.join(missing)}"
@@ -209,13 +244,25 @@ def read_result(
         raise PeerError(
             f"{file}: expected {len(recording)} samples of {recording.name}, got {len(values['q'])}"
         )
+    q = values["q"][:, [names.index(name) for name in wanted.values()]]
+    wrist = [name for name in names if name in _WRIST_JOINTS]
+    turns = values["q"][:, [names.index(name) for name in wrist]]
+    base_pose = values.get("base_pose")
+    straight = np.eye(4)
+    if wrist or base_pose is not None:
+        straight = _roots_in_peers(robot, q[:1], wrist, 0.0 * turns[:1])[0]
+    roots = np.tile(straight, (len(q), 1, 1))
+    if wrist:
+        roots = _roots_in_peers(robot, q, wrist, turns)
     return PeerMotion(
         method=method,
         robot=robot,
         recording=recording,
-        q=values["q"][:, [names.index(name) for name in robot.joint_names]],
+        q=q,
         cpu_time=values["cpu_time"],
-        base_pose=values.get("base_pose"),
+        base_pose=base_pose,
+        root=roots,
+        straight=straight if wrist else None,
         facts=json.loads(str(values["facts"])),
     )
 
@@ -245,6 +292,52 @@ def peer_robot(robot: Hand) -> str:
         got=f"{robot.name} ({robot.side})",
         advice="the peers have no configuration for it",
     )
+
+
+def peer_joint(robot: Hand, name: str) -> str:
+    """Return the peers' name of a joint of a robot hand of ours."""
+    if robot.name == "leap_right":
+        finger, _, joint = name.partition("_")
+        return _LEAP_JOINTS[finger][joint]
+    return name.removeprefix("rh_") if robot.name == "shadow_right" else name
+
+
+def _root_pose(robot: Hand) -> np.ndarray:
+    """Return the pose of a hand's root link, shape (4, 4), with its wrist at the identity."""
+    return robot.link_poses([_root_link(robot.urdf_text)], robot.rest)[0]
+
+
+def _roots_in_peers(
+    robot: Hand, q: np.ndarray, wrist: list[str], turns: np.ndarray
+) -> np.ndarray:
+    """Return poses of our root link in that of the peers' robot, by a fit of all joints' places.
+
+    Args:
+        robot: Our robot hand.
+        q: Its joint angles [rad], shape (k, n).
+        wrist: Joints that only the peers' robot has.
+        turns: Their angles [rad], shape (k, joints).
+
+    Returns:
+        Poses, shape (k, 4, 4); the identity where the peers' description is not there.
+    """
+    if not build.data_folder().is_dir():
+        return np.tile(np.eye(4), (len(q), 1, 1))
+    model = pin.buildModelFromUrdf(str(_urdf(peer_robot(robot))))
+    data = model.createData()
+    ours = [model.getJointId(peer_joint(robot, name)) for name in robot.joint_names]
+    joints = [*ours, *map(model.getJointId, wrist)]
+    columns = [model.joints[joint].idx_q for joint in joints]
+    root = inverse_pose(_root_pose(robot))
+    poses = []
+    for angles, turned in zip(q, turns, strict=True):
+        posture = pin.neutral(model)
+        posture[columns] = [*angles, *turned]
+        pin.forwardKinematics(model, data, posture)
+        here = [robot.frame_pose(name, angles)[:3, 3] for name in robot.joint_names]
+        there = np.array([data.oMi[joint].translation for joint in ours])
+        poses.append(rigid_fit(transform_points(root, np.array(here)), there))
+    return np.array(poses)
 
 
 def measured_palms(

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -414,6 +415,56 @@ def test_robot_that_the_peers_do_not_know_is_rejected(
         name="mine", side="right", joint_names=("leap_hand_right",)
     )
     assert peers.results.peer_robot(described) == "leap_hand_right"
+
+
+@pytest.mark.parametrize(
+    ("name", "theirs"),
+    [("leap_right", "leap_hand_right"), ("shadow_right", "shadow_hand_right")],
+)
+def test_joints_of_the_packages_leap_and_shadow_are_the_peers(
+    built: Any, name: str, theirs: str
+) -> None:
+    """Places of all joints lie on each other in a random posture, by one rigid motion."""
+    results, hand = built.results, load_hand(name)
+    assert results.peer_robot(hand) == theirs
+    joints = {results.peer_joint(hand, joint) for joint in hand.joint_names}
+    assert joints <= results._peer_joints(theirs)
+    assert len(joints) == len(hand.joint_names)
+    postures = np.random.default_rng(0).uniform(
+        hand.lower_limits, hand.upper_limits, (3, len(hand.joint_names))
+    )
+    model = pin.buildModelFromUrdf(str(results._urdf(theirs)))
+    data = model.createData()
+    ours_in_theirs = results._roots_in_peers(hand, postures, [], np.zeros((3, 0)))
+    to_root = np.linalg.inv(results._root_pose(hand))
+    for angles, pose in zip(postures, ours_in_theirs, strict=True):
+        posture = pin.neutral(model)
+        ids = [model.getJointId(results.peer_joint(hand, n)) for n in hand.joint_names]
+        posture[[model.joints[k].idx_q for k in ids]] = angles
+        pin.forwardKinematics(model, data, posture)
+        here = np.array([hand.frame_pose(n, angles)[:3, 3] for n in hand.joint_names])
+        there = np.array([data.oMi[k].translation for k in ids])
+        found = transform_points(pose @ to_root, here)
+        np.testing.assert_allclose(found, there, atol=5e-4)
+    np.testing.assert_allclose(ours_in_theirs[1:], ours_in_theirs[:-1], atol=5e-3)
+
+
+def test_a_wrist_that_only_the_peer_has_turns_ours(built: Any, tmp_path: Path) -> None:
+    hand = load_hand("shadow_right")
+    names = [built.results.peer_joint(hand, name) for name in hand.joint_names]
+    q = np.zeros((2, len(names) + 2))
+    q[1, 0] = 0.3
+    write_result(tmp_path / "made.npz", ["WRJ1", "WRJ2", *names], q)
+    recording = recording_of(np.tile(human_landmarks(), (2, 1, 1)))
+    method = built.results.METHODS["dex-dexpilot"]
+    motion = built.results.read_result(tmp_path / "made.npz", method, recording, hand)
+    palms = motion.own_wrist @ hand.wrist_to_palm
+    np.testing.assert_allclose(palms[0], motion.palm[0], atol=1e-6)
+    turn = motion.palm[1, :3, :3].T @ palms[1, :3, :3]
+    # WRJ1 bends the wrist about the axis across the palm.
+    np.testing.assert_allclose(
+        np.abs(Rotation.from_matrix(turn).as_rotvec()), [0.3, 0.0, 0.0], atol=1e-3
+    )
 
 
 def palm_directions(robot: Hand, q: np.ndarray) -> np.ndarray:
