@@ -215,7 +215,7 @@ class Scene:
 
     def _end(self, simulator: Simulator, bar: Bar) -> str:
         """Return which hand has a bar: "left" only if it is between the pads."""
-        touching = set(simulator.contacts().bodies)
+        touching = {*simulator.pressing()}
         names = [side for side in SIDES if touching & self.own[side]]
         if names != ["left"]:
             return " and ".join(names) or "none"

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 from experiment_variants import moved_grasp
+from scipy.spatial.transform import Rotation, Slerp
 from section_four.experiment import HandMotion, Scene
 
 from handmap_qp.apps.offline.comparison import ComparedMethod, prepare_take
 from handmap_qp.apps.simulation.commands import map_commands
-from handmap_qp.apps.simulation.simulator import poses_between
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.se3 import affine
@@ -94,7 +94,14 @@ def _resampled(motion: HandMotion, places: np.ndarray) -> tuple[np.ndarray, np.n
     shares = places - before
     q = motion.q[before] + shares[:, None] * (motion.q[before + 1] - motion.q[before])
     wrist = [
-        poses_between(motion.wrist[i], motion.wrist[i + 1], np.array([share]))[0]
+        _pose_between(motion.wrist[i], motion.wrist[i + 1], share)
         for i, share in zip(before, shares, strict=True)
     ]
     return q, np.array(wrist)
+
+
+def _pose_between(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
+    """Return the pose at a share of the way: in a line, turned about one axis; shape (4, 4)."""
+    turn = Slerp((0.0, 1.0), Rotation.from_matrix([start[:3, :3], end[:3, :3]]))
+    way = end[:3, 3] - start[:3, 3]
+    return affine(turn(share).as_matrix(), start[:3, 3] + share * way)

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from arc import SoftSimulator, holding_forces, squeeze, stiffness_of, take_hold
+from contact_forces import contacts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -105,11 +106,11 @@ def test_a_free_object_falls_as_galileo_said(
 def test_forces_on_the_object_are_its_weight_once_it_rests() -> None:
     simulator, _, _ = held(Physics(torsion=0.0))
     simulator.hold(0.5)
-    contacts = simulator.contacts()
-    np.testing.assert_allclose(contacts.forces.sum(axis=0), -WEIGHT[:3], atol=2e-3)
-    arms = contacts.points - simulator.object_pose[:3, 3]
+    touching = contacts(simulator)
+    np.testing.assert_allclose(touching.forces.sum(axis=0), -WEIGHT[:3], atol=2e-3)
+    arms = touching.points - simulator.object_pose[:3, 3]
     np.testing.assert_allclose(
-        np.cross(arms, contacts.forces).sum(axis=0), 0.0, atol=2e-4
+        np.cross(arms, touching.forces).sum(axis=0), 0.0, atol=2e-4
     )
 
 
@@ -122,7 +123,7 @@ def test_momentum_changes_by_the_impulse_of_contacts_and_gravity() -> None:
         data.mocap_pos[0] += (4e-6 * k, 0.0, 2e-6 * k)
         mujoco.mj_step(model, data)
         # The forces with which MuJoCo made this step.
-        impulse += (simulator.contacts().forces.sum(axis=0) + WEIGHT[:3]) * dt
+        impulse += (contacts(simulator).forces.sum(axis=0) + WEIGHT[:3]) * dt
     mujoco.mj_forward(model, data)
     gained = MASS * (velocity_of_object(simulator) - before)
     assert np.linalg.norm(gained) > 5e-3
@@ -140,10 +141,10 @@ def test_contact_forces_stay_in_their_friction_cones(
     target[0, 3] += 0.02
     for _ in range(10):
         simulator.follow(grasp.q + offset, target, 0.02)
-        contacts = simulator.contacts()
-        normal = contacts.normal_forces
+        touching = contacts(simulator)
+        normal = touching.normal_forces
         tangential = np.linalg.norm(
-            contacts.forces - normal[:, None] * contacts.normals, axis=1
+            touching.forces - normal[:, None] * touching.normals, axis=1
         )
         assert (normal >= -1e-9).all()
         assert (tangential <= friction * normal * (1.0 + 1e-6) + 1e-9).all()
@@ -184,7 +185,7 @@ def test_planned_forces_balance_the_load_and_are_found_in_the_simulation(
     forces = holding_forces(grasp, np.zeros(6), 6.0)
     np.testing.assert_allclose(grasp.matrix @ forces.ravel(), 0.0, atol=1e-9)
     simulator, _, _ = held(physics, compliance=compliance)
-    found = simulator.contacts().forces
+    found = contacts(simulator).forces
     assert len(found) == len(forces)
     torques = stiffness_of(simulator) @ (simulator.target[0] - simulator.q)
     np.testing.assert_allclose(torques_of(simulator), torques, atol=2e-3)
@@ -231,16 +232,16 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
     )
     simulator, grasp, offset = held(physics, compliance=compliance)
     simulator.hold(1.0)
-    start, q, pose = simulator.contacts(), simulator.q, simulator.object_pose
+    start, q, pose = contacts(simulator), simulator.q, simulator.object_pose
     links = [name.replace("f", "finger", 1) for name in start.bodies]
     frames = grasp.hand.link_poses(links, q, simulator.wrist)
-    contacts = tuple(
+    on_links = tuple(
         Contact(link, tuple(f[:3, :3].T @ (p - f[:3, 3])), tuple(f[:3, :3].T @ n))
         for link, f, p, n in zip(
             links, frames, start.points, start.normals, strict=True
         )
     )
-    now = Grasp(grasp.hand, q, pose, contacts, simulator.wrist)
+    now = Grasp(grasp.hand, q, pose, on_links, simulator.wrist)
     predicted = quasistatic(
         now.jacobian,
         now.matrix,
@@ -250,10 +251,10 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
         synergy_stiffness=stiffness,
     )
     for column, change in enumerate(0.01 * synergies.T):
-        base, rest = simulator.object_pose[:3, 3], simulator.contacts().forces
+        base, rest = simulator.object_pose[:3, 3], contacts(simulator).forces
         simulator.follow(grasp.q + offset + change, grasp.wrist_pose, 0.5)
         simulator.hold(0.2)
-        forces = (simulator.contacts().forces - rest).ravel()
+        forces = (contacts(simulator).forces - rest).ravel()
         wanted = 0.01 * predicted.contact_forces[:, column]
         cosine = forces @ wanted / np.linalg.norm(forces) / np.linalg.norm(wanted)
         assert cosine > 0.95, column
@@ -273,6 +274,58 @@ def test_the_same_commands_give_the_same_motion() -> None:
         simulator.follow(grasp.q + 0.5 * offset, grasp.wrist_pose, 0.2)
         poses.append(np.concatenate([simulator.data.qpos, simulator.data.qvel]))
     np.testing.assert_array_equal(poses[0], poses[1])
+
+
+def test_the_simulation_keeps_the_time_of_its_commands() -> None:
+    """Samples of 115 Hz are no whole steps of 2 ms, and those of 1 kHz less than one."""
+    grasp = cube_grasp()
+    simulator = Simulator(grasp.hand, Body(CUBE))
+    for _ in range(2):
+        simulator.reset(grasp.q, grasp.wrist_pose, FAR)
+        for k in range(1, 116):
+            simulator.follow(grasp.q, grasp.wrist_pose, 1.0 / 115.0)
+            assert simulator.time == pytest.approx(k / 115.0, abs=1.01e-3)
+
+
+def test_torques_are_those_of_the_maker_at_most() -> None:
+    """The URDF's limits, and the physics' where they are less; a limit of 0 stands for none."""
+    hand = load_hand("three_finger")
+    text = hand.urdf_text.replace('effort="5"', 'effort="0.05"', 1)
+    assert text != hand.urdf_text
+    weak = Hand(hand.spec, urdf_text=text)
+    for limit, wanted in ((1e3, {0.05, 5.0}), (0.4, {0.05, 0.4})):
+        simulator = Simulator(weak, Body(CUBE), Physics(torque=limit))
+        bounds = simulator.model.actuator_forcerange
+        np.testing.assert_array_equal(bounds[:, 0], -bounds[:, 1])
+        assert set(bounds[:, 1]) == wanted
+    simulator.reset(hand.rest, np.eye(4), FAR)
+    simulator.follow(hand.upper_limits, np.eye(4), 0.02)
+    torque = np.abs(simulator.instant().torque)
+    assert torque.max() == pytest.approx(0.4)
+    assert torque[bounds[:, 1] == 0.05] == pytest.approx(0.05)
+    romeo = Simulator(load_hand("romeo_left"), Body(CUBE), Physics(torque=0.7))
+    assert romeo.model.actuator_forcerange[0, 1] == 0.7
+    # Arms have those of their URDF alone.
+    arm = load_hand("g1_arm_left")
+    bounds = Simulator(arm, Body(CUBE), Physics(torque=0.1)).model.actuator_forcerange
+    efforts = arm.model.effortLimit[arm.v_indices]
+    wanted = np.where(arm.moves_wrist, efforts, np.minimum(efforts, 0.1))
+    np.testing.assert_array_equal(bounds[:, 1], wanted)
+
+
+def test_the_clearance_is_the_distance_of_the_nearest_link() -> None:
+    grasp = cube_grasp()
+    simulator = Simulator(grasp.hand, Body(Sphere(0.02)))
+    simulator.reset(grasp.q, np.eye(4), affine(np.eye(3), (0.0, 0.0, -0.3)))
+    far = simulator.clearance()
+    simulator.reset(grasp.q, np.eye(4), affine(np.eye(3), (0.0, 0.0, -0.2)))
+    assert far - simulator.clearance() == pytest.approx(0.1, abs=0.02)
+    body = simulator.hand.model.names[-1]
+    tip = simulator.body_pose(body)[:3, 3]
+    assert simulator.clearance() <= simulator.clearance([body])
+    simulator.reset(grasp.q, np.eye(4), affine(np.eye(3), tip))
+    assert simulator.clearance([body]) < 0.0
+    assert simulator.clearance() <= simulator.clearance([body])
 
 
 def test_a_stand_holds_the_object_until_it_lets_go() -> None:
@@ -386,6 +439,7 @@ def test_links_without_mass_have_that_of_their_shapes() -> None:
         {"gravity": (0.0, 0.0, float("inf"))},
         {"contact_time": 1e-3},
         {"density": "heavy"},
+        {"torque": 0.0},
         {"armature": float("inf")},
     ],
     ids=str,

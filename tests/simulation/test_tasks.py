@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from picks import HOUSEHOLD, made_pick, picks
+from scipy.spatial.transform import Rotation
 from simulation_cases import CUBE
 
 from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
@@ -39,7 +42,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.spec import PadSpec
 from handmap_qp.human.recording import Recording
-from handmap_qp.trackers.formats import DEMO, read_hands, write_recordings
+from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.archive import read_archive
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -109,11 +112,60 @@ def test_the_middle_is_as_far_from_the_surfaces_of_both_pads() -> None:
     assert to_finger - finger.radius == pytest.approx(half)
 
 
-def test_the_stand_lets_go_when_both_pads_press(lifted: PinchOutcome) -> None:
-    """Not when the pads should have met the object a while ago."""
+def test_the_stand_lets_go_when_both_pads_have_pressed(lifted: PinchOutcome) -> None:
+    """Not at the first touch, nor when the pads should have met the object a while ago."""
     at = lifted.episode.at
     pressed = np.flatnonzero(at.links_touching >= 2)[0]
-    assert lifted.pinch_time == pytest.approx(at.time[-1] - at.time[pressed], abs=0.05)
+    gripped = at.time[pressed] + 0.2
+    assert lifted.pinch_time == pytest.approx(at.time[-1] - gripped, abs=0.03)
+
+
+def test_the_stand_lets_go_at_last_where_no_grip_comes(pinching: PinchScene) -> None:
+    """A second after the pads should have met the object."""
+    below = PinchTrial(offset=(0.0, 0.0, -0.06))
+    met = pinching.meeting(below.shape.width)
+    at = pinching.run(below).episode.at
+    falls = np.flatnonzero(at.object_pose[0, 2, 3] - at.object_pose[:, 2, 3] > 1e-4)
+    assert at.time[falls[0]] == pytest.approx(met.time + 1.0, abs=0.05)
+    # A grip that ends before has had no object to lose.
+    short = PinchScene(pinching.commands, PinchWindow(0, 10, 40), pinching.physics)
+    outcome = short.run(below)
+    assert (outcome.is_held, outcome.held_time, outcome.slip) == (False, 0.0, 0.0)
+
+
+def test_a_trial_starts_where_the_open_hand_is_last_clear_of_the_object(
+    pinching: PinchScene,
+) -> None:
+    """The pads by 15 mm, all else at all; not at the last sample that may be the first."""
+    window = PinchWindow(8, 10, 60)
+    scene = PinchScene(pinching.commands, window, pinching.physics)
+    episode = scene.run(PinchTrial()).episode
+    place = episode.at.object_pose[0]
+    simulator = Simulator(pinching.commands.hand, episode.body, pinching.physics)
+    gaps = []
+    for i in range(9):
+        simulator.reset(*pinching.commands.at(i), place)
+        gaps.append(simulator.clearance(scene.pads.bodies))
+    start = 60 - len(episode.at.time)
+    assert gaps[start] >= 0.015 > gaps[start + 1]
+    assert start < window.start
+
+
+def test_an_object_in_the_hand_at_the_start_is_refused_by_name(
+    pinching: PinchScene,
+) -> None:
+    closed = PinchScene(
+        pinching.commands, PinchWindow(12, 14, 60, opened=11), pinching.physics
+    )
+    with pytest.raises(InvalidInputError, match=r"panda_gripper.* 15 mm") as caught:
+        closed.run(PinchTrial(offset=(0.0, 0.0, 0.01)))
+    assert caught.value.argument == "panda_gripper"
+    # Half of the width inside each pad: the gap is shut.
+    assert re.search(r"pads at -\d+ mm, the nearest link at -\d+ mm", str(caught.value))
+    # Pads that are clear do not make up for another link in the object.
+    tall = PinchTrial(shape=Box((0.02, 0.02, 0.3)))
+    with pytest.raises(InvalidInputError, match=r"pads at .* link at -\d+ mm"):
+        pinching.run(tall)
 
 
 @pytest.mark.parametrize(
@@ -144,7 +196,7 @@ def test_trials_repeat_with_their_seed(pinching: PinchScene) -> None:
     assert [t.mass for t in one] != [t.mass for t in other]
     assert all(0.02 <= trial.shape.width <= 0.045 for trial in one)
     assert {trial.mass for trial in random_trials(5, 0, "nominal")} == {0.05}
-    results = [pinching.run(one[0]) for _ in range(2)]
+    results = [pinching.run(one[0]._replace(shape=Sphere(0.012))) for _ in range(2)]
     first, second = (result.episode.at.object_pose for result in results)
     np.testing.assert_array_equal(first, second)
 
@@ -166,13 +218,55 @@ def test_a_pinch_is_found_in_landmarks() -> None:
     landmarks[50:150, 8] = landmarks[50:150, 4] + np.array([0.01, 0.0, 0.0])
     recording = Recording("made", time, landmarks, np.ones(200, dtype=bool), "right")
     window = find_pinch(recording)
-    assert (window.closed, window.end) == (50, 149)
-    assert time[window.start] == pytest.approx(0.25, abs=0.02)
+    assert window == PinchWindow(49, 50, 149, "right", opened=0)
     landmarks[:, 8] = landmarks[:, 4] + np.array([0.08, 0.0, 0.0])
-    with pytest.raises(InvalidInputError, match="no pinch"):
+    with pytest.raises(
+        InvalidInputError, match=r"open: expected a pinch .* got 0\.00 s"
+    ):
         find_pinch(
             Recording("open", time, landmarks, np.ones(200, dtype=bool), "right")
         )
+
+
+def slow_pinch(gap: Any, turn: Any = 0.0) -> Recording:
+    """A hand of a gap [m] that turns by an angle [rad], both over 3 s, at 100 Hz."""
+    time = np.arange(300) / 100.0
+    landmarks = np.tile(load_landmarks(), (300, 1, 1))
+    landmarks[:, 8] = landmarks[:, 4]
+    landmarks[:, 8, 0] += gap(time)
+    turns = Rotation.from_rotvec(np.outer(time * turn, [0.0, 0.0, 1.0])).as_matrix()
+    landmarks = np.einsum("tij,tpj->tpi", turns, landmarks)
+    return Recording("mine", time, landmarks, np.ones(300, dtype=bool), "right")
+
+
+def closing_at(*knots: float) -> Any:
+    """A gap of 100 mm that becomes 10 mm between two instants."""
+    return lambda time: np.interp(time, knots, [0.1, 0.01])
+
+
+def test_a_hand_that_is_not_open_shortly_before_is_no_pick() -> None:
+    """From 65 to 22 mm it takes 43 / 90 of the time in which it closes."""
+    window = find_pinch(slow_pinch(closing_at(0.1, 2.1)))
+    assert window.closed == pytest.approx(10 + 200 * 78 / 90, abs=1)
+    assert window.start == pytest.approx(10 + 200 * 35 / 90, abs=1)
+    # Open since the beginning, and at most a second before.
+    assert window.opened == 0
+    late = find_pinch(slow_pinch(closing_at(1.0, 2.0)))
+    assert 99 <= late.start - late.opened <= 100
+    with pytest.raises(InvalidInputError, match="at most 59 mm") as caught:
+        find_pinch(slow_pinch(closing_at(0.1, 2.5)))
+    assert caught.value.argument == "mine"
+    assert "open by 65 mm" in caught.value.expected
+
+
+def test_a_wrist_that_turns_while_the_hand_closes_makes_no_pick() -> None:
+    """From 65 mm to 22 mm within 43 / 90 s."""
+    closing = closing_at(0.5, 1.5)
+    still = np.radians(20.0) * 90 / 43
+    assert find_pinch(slow_pinch(closing, still)).closed == 137
+    with pytest.raises(InvalidInputError, match="got 31 degrees") as caught:
+        find_pinch(slow_pinch(closing, 1.5 * still))
+    assert "mine: expected a palm that turns by less than 25" in str(caught.value)
 
 
 def test_the_hand_that_pinches_longest_is_found_in_samples_of_the_longest() -> None:
@@ -185,27 +279,29 @@ def test_the_hand_that_pinches_longest_is_found_in_samples_of_the_longest() -> N
     slow[25:75, 8] = slow[25:75, 4] + np.array([0.01, 0.0, 0.0])
     pinching = Recording("pinching", time[::2], slow, np.ones(100), "right")
     window = find_pinch(still, pinching)
-    assert window == PinchWindow(25, 50, 148, "right")
-    assert find_pinch(pinching) == PinchWindow(13, 25, 74, "right")
+    assert window == PinchWindow(48, 50, 148, "right", opened=0)
+    assert find_pinch(pinching) == PinchWindow(24, 25, 74, "right", opened=0)
 
 
 def test_a_robot_with_both_hands_holds_the_object_in_the_one_that_pinches(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    hands = read_hands([DEMO])
+    left = made_pick("left")
+    open_hand = left.landmarks[:1].repeat(len(left), axis=0)
     # At half the rate of the other.
-    slow = hands["left"].part(slice(0, None, 2))
+    still = replace(left, landmarks=open_hand).part(slice(0, None, 2))
     files = [str(tmp_path / f"{side}.npz") for side in ("left", "right")]
-    for file, hand in zip(files, (slow, hands["right"]), strict=True):
+    for file, hand in zip(files, (still, made_pick()), strict=True):
         write_recordings([hand], file)
     out = tmp_path / "simulated.npz"
     page = tmp_path / "simulated.html"
-    words = ["simulate", *files, "--robot", "g1", "--json", "--out", str(out)]
+    words = ["simulate", *files, "--robot", "ur5_pair", "--json"]
+    words += ["--out", str(out)]
     assert cli.main([*words, "--html", str(page)]) == 0
     (row,) = json.loads(capsys.readouterr().out)["rows"]
     assert row["held"] == "yes"
     simulated = read_archive(out)
-    assert len(simulated["joint_names"]) == 3 + 2 * 14
+    assert len(simulated["joint_names"]) == 2 * (6 + 16)
     # Gravity is along z, in the robot's world: the stand of the object keeps its height.
     assert np.ptp(simulated["object_pose"][:, 2, 3]) < 0.1
     assert page.stat().st_size > 1e6
@@ -330,16 +426,23 @@ def test_the_command_counts_every_trial_and_writes_a_simulation(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "pinch.npz"
-    words = ["simulate", "demo::right", "--robot", "panda_gripper", "--json"]
+    file = tmp_path / "made.npz"
+    write_recordings([made_pick()], file)
+    words = ["simulate", str(file), "--robot", "allegro_right", "--json"]
     words += ["--methods", "fingertip-vectors"]
     assert cli.main([*words, "--trials", "2"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [row["trials"] for row in found["rows"]] == [2]
+    assert [row["refused"] for row in found["rows"]] == [0]
+    assert found["trials"][0]["tried"] == ["fingertip-vectors"]
     drawn = [describe_trial(trial) for trial in random_trials(2, 0)]
     assert [
-        {k: v for k, v in trial.items() if k != "held"} for trial in found["trials"]
+        {k: v for k, v in trial.items() if k not in ("held", "tried")}
+        for trial in found["trials"]
     ] == drawn
-    assert cli.main([*words, "--out", str(out)]) == 0
+    assert cli.main([*words, "--out", str(out), "--torque", "0.2"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert row["torque N m"] <= 0.2
     columns = np.load(out)
     assert set(columns) >= {
         "time",
@@ -348,8 +451,10 @@ def test_the_command_counts_every_trial_and_writes_a_simulation(
         "wrist",
         "object_pose",
         "normal_force",
+        "torque",
     }
-    assert str(columns["robot"]) == "panda_gripper"
+    assert np.abs(columns["torque"]).max() == pytest.approx(0.2)
+    assert str(columns["robot"]) == "allegro_right"
     assert columns["q"].shape == (len(columns["time"]), len(columns["joint_names"]))
 
 
@@ -363,15 +468,32 @@ def test_the_json_says_which_mapping_held_which_object(
     assert not all(heavy)
 
     def run(_: PinchScene, trial: PinchTrial) -> PinchOutcome:
+        if trial.mass > 0.09:
+            raise InvalidInputError("in the hand", argument="robot")
         return lifted._replace(is_held=trial.mass > 0.05)
 
     monkeypatch.setattr(PinchScene, "run", run)
+    refused = [trial.mass > 0.09 for trial in random_trials(6, 0)]
+    held = [a and not b for a, b in zip(heavy, refused, strict=True)]
+    assert any(held)
+    assert any(refused)
     words = ["simulate", "demo::right", "--robot", "panda_gripper", "--json"]
-    assert cli.main([*words, "--methods", "fingertip-vectors", "--trials", "6"]) == 0
+    words += ["--methods", "fingertip-vectors"]
+    assert cli.main([*words, "--trials", "6"]) == 0
     found = json.loads(capsys.readouterr().out)
-    wanted = [["fingertip-vectors"] if is_heavy else [] for is_heavy in heavy]
-    assert [trial["held"] for trial in found["trials"]] == wanted
-    assert found["rows"][0]["held %"] == round(100.0 * float(np.mean(heavy)), 1)
+    name = ["fingertip-vectors"]
+    assert [trial["held"] for trial in found["trials"]] == [name * yes for yes in held]
+    tried = [name * (not no) for no in refused]
+    assert [trial["tried"] for trial in found["trials"]] == tried
+    (row,) = found["rows"]
+    assert row["refused"] == sum(refused)
+    assert row["trials"] == 6 - sum(refused)
+    assert row["held %"] == round(100.0 * sum(held) / row["trials"], 1)
+    assert row["torque N m"] == pytest.approx(lifted.torque, abs=0.006)
+    # One object that is refused, and no other.
+    words += ["--trials", "1", "--objects", "nominal", "--mass", "0.2"]
+    assert cli.main(words) == 2
+    assert "robot: in the hand" in capsys.readouterr().err
 
 
 def test_a_hand_without_shapes_cannot_touch() -> None:
@@ -382,3 +504,21 @@ def test_a_hand_without_shapes_cannot_touch() -> None:
     )
     with pytest.raises(HandError, match="no collision shapes"):
         Simulator(Hand(hand.spec, urdf_text=text), Body(CUBE))
+
+
+@pytest.mark.slow
+def test_a_dozen_recordings_are_picks_and_the_household_can_be_simulated(
+    pinching: PinchScene, recordings: Path
+) -> None:
+    made = list(picks(sorted(recordings.glob("*.npz"))))
+    assert len({recording.name for recording in made}) == 12
+    for recording in made:
+        window = find_pinch(recording)
+        assert window.opened <= window.start < window.closed < window.end
+    assert len(HOUSEHOLD) == 12
+    for trial in HOUSEHOLD.values():
+        assert 0.005 < trial.shape.width < 0.2
+        simulator = Simulator(pinching.commands.hand, Body(trial.shape, trial.mass))
+        # The frame's origin is inside, where the pads come together.
+        reach = simulator.model.geom("/object").rbound
+        assert 0.0 < reach < 0.2

@@ -37,9 +37,6 @@ _FILES = {
     "html": (".html", ".htm"),
 }
 """Options that name a file to write, and its suffixes."""
-_OBJECT = "box:0.03"
-_MASS = 0.05
-_FRICTION = 0.8
 
 
 @dataclass(frozen=True)
@@ -71,6 +68,7 @@ class Simulate:
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
         stiffness: Stiffness of the fingers' actuators [N m/rad].
+        torque: Largest torque of the fingers' actuators [N m]; 1000 stands for none but the URDF's.
         up: World axis against gravity; y if omitted, z for a robot with both hands.
         trials: Random objects and places, for every mapping.
         objects: Random objects (varied), or the same object at random places (nominal).
@@ -88,10 +86,11 @@ class Simulate:
         tuple[str, ...], hinted("METHOD...", "(default: the first preset)")
     ] = ()
     peers: Annotated[Path | None, hinted("FOLDER")] = None
-    object: Annotated[str, arg(metavar="OBJECT")] = _OBJECT
-    mass: Annotated[float, arg(metavar="KG")] = _MASS
-    friction: float = _FRICTION
+    object: Annotated[str, arg(metavar="OBJECT")] = "box:0.03"
+    mass: Annotated[float, arg(metavar="KG")] = 0.05
+    friction: float = 0.8
     stiffness: float = 3.0
+    torque: float = 1e3
     up: Up | None = None
     trials: int = 0
     objects: Objects = "varied"
@@ -104,19 +103,23 @@ class Simulate:
 
     def run(self) -> None:
         """Simulate, print a table, and write the files."""
-        self._check()
         trial = PinchTrial(parse_object(self.object), self.mass, self.friction)
+        self._check(trial)
         trials = [trial]
         if self.trials:
             trials = random_trials(self.trials, self.seed, self.objects, trial)
         outcomes = self._simulate(trials)
         found: dict[str, Any] = {"robot": self.robot, "seed": self.seed}
         if self.trials:
-            found["rows"] = list(map(trial_row, outcomes, outcomes.values()))
+            found["rows"] = [
+                trial_row(name, [*made.values()]) | {"refused": len(trials) - len(made)}
+                for name, made in outcomes.items()
+            ]
             found["trials"] = drawn = []
             for i, trial in enumerate(trials):
-                held = [name for name, made in outcomes.items() if made[i].is_held]
-                drawn.append(describe_trial(trial) | {"held": held})
+                tried = [name for name in outcomes if i in outcomes[name]]
+                held = [name for name in tried if outcomes[name][i].is_held]
+                drawn.append(describe_trial(trial) | {"tried": tried, "held": held})
         else:
             found["rows"] = [
                 outcome_row(name, made[0]) for name, made in outcomes.items()
@@ -129,11 +132,10 @@ class Simulate:
         for path in filter(None, map(vars(self).get, _FILES)):
             print(f"wrote {path}")
 
-    def _check(self) -> None:
+    def _check(self, trial: PinchTrial) -> None:
         """Reject options that contradict each other, before any work is done."""
         problem = advice = ""
-        given = (self.object, self.mass, self.friction)
-        if self.objects == "varied" and given != (_OBJECT, _MASS, _FRICTION):
+        if self.objects == "varied" and trial != PinchTrial():
             problem = "draws object, mass and friction"
             advice = "add --objects nominal to draw places alone"
         for name, endings in _FILES.items():
@@ -150,21 +152,32 @@ class Simulate:
         sign = 9.81 if up.startswith("-") else -9.81
         x, y, z = (sign * (up[-1] == name) + 0.0 for name in "xyz")
         return Physics(
-            friction=self.friction, joint_stiffness=self.stiffness, gravity=(x, y, z)
+            friction=self.friction,
+            joint_stiffness=self.stiffness,
+            torque=self.torque,
+            gravity=(x, y, z),
         )
 
-    def _simulate(self, trials: list[PinchTrial]) -> dict[str, list[PinchOutcome]]:
-        """Pinch every object by every mapping."""
+    def _simulate(self, trials: list[PinchTrial]) -> dict[str, dict[int, PinchOutcome]]:
+        """Pinch every object by every mapping; objects that overlap its hand are left out.
+
+        Raises:
+            HandmapError: If a mapping has no object left, or cannot be used.
+        """
         methods = chosen_methods(self.methods, self.peers, self.robot)
         robot = load_whole(self.robot)
-        outcomes: dict[str, list[PinchOutcome]] = {}
+        outcomes: dict[str, dict[int, PinchOutcome]] = {}
         for name, mapped in map_pinch(methods, robot, self.recordings).items():
             scene = PinchScene(*mapped, self._physics())
-            made = outcomes[name] = []
+            made = outcomes[name] = {}
             with progress(name, len(trials)) as advance:
-                for trial in trials:
-                    made.append(scene.run(trial))
-                    advance(len(made))
+                for i, trial in enumerate(trials):
+                    try:
+                        made[i] = scene.run(trial)
+                    except InvalidInputError:
+                        if i + 1 == len(trials) and not made:
+                            raise
+                    advance(i + 1)
         return outcomes
 
     def _write(self, episodes: dict[str, Episode]) -> None:

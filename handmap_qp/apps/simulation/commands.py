@@ -1,10 +1,13 @@
 """What a mapping commands over time, and when the human pinches: `map_commands`, `find_pinch`."""
 
+import math
 from collections.abc import Iterable, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.offline.comparison import (
@@ -19,18 +22,20 @@ from handmap_qp.apps.offline.comparison import (
 )
 from handmap_qp.apps.offline.look_ahead import LookAhead, map_hands
 from handmap_qp.apps.offline.trajectory import stretches
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Side, joined
-from handmap_qp.human import Recording
-from handmap_qp.se3 import Array, lengths
+from handmap_qp.human import PALM, Recording
+from handmap_qp.se3 import Array, lengths, rigid_fit
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import read_hands, read_recording
 
 # The human pinches while thumb and index landmarks are nearer than the first, with interruptions
 # below the second [m].
 _CLOSED, _OPEN = 0.022, 0.035
-# Shortest pinch that counts, and time before it at which the simulation starts [s].
-_SHORTEST, _BEFORE = 0.5, 0.25
+# Shortest pinch that counts, and how long before it the hand may have been open [s].
+_SHORTEST, _BEFORE = 0.5, 1.0
+# A hand is open from this gap on [m], and its palm turns less than that while it closes [deg].
+_WIDE, _TURN = 0.065, 25.0
 
 
 class Commands(NamedTuple):
@@ -57,16 +62,19 @@ class PinchWindow(NamedTuple):
     """When the human pinches thumb and index finger.
 
     Attributes:
-        start: Index of the first sample of the simulation.
+        start: Index of the last sample at which the hand is open, before it closes.
         closed: Index of the sample at which the pinch has closed.
         end: Index of the last sample at which it is closed.
         side: The hand.
+        opened: Index of the first sample from which the hand is open until `start`, at most a
+            second before that.
     """
 
     start: int
     closed: int
     end: int
     side: Side = "right"
+    opened: int = 0
 
 
 def chosen_methods(
@@ -105,7 +113,7 @@ def map_pinch(
     A robot with several hands needs a recording of each. Its first part then is what pinches.
 
     Raises:
-        HandmapError: If a recording cannot be read or mapped, or shows no pinch.
+        HandmapError: If a recording cannot be read or mapped, or shows no pick.
     """
     if robot.parts:
         hands = read_hands(files)
@@ -139,10 +147,11 @@ def find_pinch(*recordings: Recording) -> PinchWindow:
     """Find the longest pinch of thumb and index finger, in samples of the longest recording.
 
     Raises:
-        InvalidInputError: If there is no pinch of half a second.
+        InvalidInputError: If there is no pinch of half a second, or the longest is no pick: within
+            a second before it, thumb and index finger are over 65 mm apart, and from then until
+            they close, the palm turns by less than 25 degrees.
     """
-    instants = max(recordings, key=len).time[:-1]
-    pinches = [(0.0, PinchWindow(0, 0, 0))]
+    pinches = [(0.0, 0, 0, np.zeros(0), recordings[0])]
     for recording in recordings:
         time = recording.time
         landmarks = recording.landmarks
@@ -151,16 +160,27 @@ def find_pinch(*recordings: Recording) -> PinchWindow:
         for run in stretches(~(gap > _OPEN)):
             shut = run.start + np.flatnonzero(gap[run] < _CLOSED)
             if len(shut):
-                closed, end = time[shut[[0, -1]]]
-                opened = time[min(run.stop, len(time) - 1)]
-                start = closed - _BEFORE
-                at = np.searchsorted(instants, [start, closed, end]).tolist()
-                window = PinchWindow(*at, recording.side)
-                pinches.append((opened - closed, window))
-    length, window = max(pinches)
-    if length < _SHORTEST:
-        raise InvalidInputError(
-            f"no pinch of thumb and index finger of {_SHORTEST:g} s",
-            argument=", ".join(recording.name for recording in recordings),
-        )
-    return window
+                closed, end = shut[[0, -1]]
+                length = time[min(run.stop, len(time) - 1)] - time[closed]
+                pinches.append((length, closed, end, gap, recording))
+    length, closed, end, gap, recording = max(pinches, key=itemgetter(0))
+    name = ", ".join(recording.name for recording in recordings)
+    wanted = f"a pinch of thumb and index finger of {_SHORTEST:g} s"
+    expect(length >= _SHORTEST, name, wanted, got=f"{length:.2f} s")
+    time = recording.time
+    recent = np.searchsorted(time, time[closed] - _BEFORE)
+    instant = f"in the second before it closes at {time[closed]:.2f} s"
+    wanted = f"a hand open by {1e3 * _WIDE:g} mm {instant}"
+    widest = np.fmax.reduce(gap[recent : closed + 1])
+    expect(widest > _WIDE, name, wanted, got=f"at most {1e3 * widest:.0f} mm")
+    open_hand = stretches(gap[:closed] > _WIDE)[-1]
+    start = open_hand.stop - 1
+    opened = max(open_hand.start, np.searchsorted(time, time[start] - _BEFORE))
+    palms = rigid_fit(*recording.landmarks[[start, closed]][:, PALM])
+    turn = math.degrees(Rotation.from_matrix(palms[:3, :3]).magnitude())
+    wanted = f"a palm that turns by less than {_TURN:g} degrees {instant}"
+    expect(turn < _TURN, name, wanted, got=f"{turn:.0f} degrees")
+    instants = max(recordings, key=len).time[:-1]
+    at = np.searchsorted(instants, time[[start, closed, end, opened]])
+    start, closed, end, opened = at.tolist()
+    return PinchWindow(start, closed, end, recording.side, opened)

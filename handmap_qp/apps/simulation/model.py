@@ -83,6 +83,11 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
     inertia = model.dof_M0[model.jnt_dofadr[model.actuator_trnid[:, 0]]]
     damping = 2.0 * np.sqrt(model.actuator_gainprm[:, 0] * inertia)
     model.actuator_biasprm[:, 2] = -damping
+    efforts = hand.model.effortLimit[hand.v_indices]
+    efforts[efforts == 0.0] = np.inf
+    bounds = np.where(hand.moves_wrist, np.inf, physics.torque)
+    model.actuator_forcelimited[:] = True
+    model.actuator_forcerange = np.outer(np.minimum(efforts, bounds), (-1.0, 1.0))
     return model
 
 
@@ -133,7 +138,6 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
             i = joint.idx_q
             ends = [model.lowerPositionLimit[i], model.upperPositionLimit[i]]
             if np.abs(ends).max() < _UNLIMITED:
-                made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
                 made.range = ends
             # Without one in the URDF, it follows from the shapes' density.
             if inertia.mass >= 1e-6:

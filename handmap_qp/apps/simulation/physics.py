@@ -121,24 +121,13 @@ class Body:
         expect(mass > 0.0, "mass", "a number > 0", value=self.mass)
 
 
-def named_shape(kind: str, size: float) -> Shape:
-    """Return a cube, a sphere, or a cylinder as long as twice its width.
-
-    Args:
-        kind: One of `KINDS`.
-        size: Its width [m].
-    """
-    if kind == "box":
-        return Box((size, size, size))
-    return Sphere(size / 2.0) if kind == "sphere" else Cylinder(size / 2.0, 2.0 * size)
-
-
 def parse_object(text: str) -> Shape | MeshShape:
     """Read an object as the command line gives it.
 
     Args:
         text: `box:0.05` or `box:0.03x0.04x0.1`, `sphere:0.04` (diameter), `cylinder:0.04x0.1`
-            (diameter and length), or the path of a mesh file in metres.
+            (diameter and length, twice the diameter if omitted), or the path of a mesh file in
+            metres.
 
     Raises:
         InvalidInputError: If it is none of these.
@@ -151,12 +140,16 @@ def parse_object(text: str) -> Shape | MeshShape:
     except ValueError:
         sizes = []
     match kind, *sizes:
+        case "box", size:
+            return Box((size, size, size))
         case "box", x, y, z:
             return Box((x, y, z))
+        case "sphere", diameter:
+            return Sphere(diameter / 2.0)
+        case "cylinder", diameter:
+            return Cylinder(diameter / 2.0, 2.0 * diameter)
         case "cylinder", diameter, length:
             return Cylinder(diameter / 2.0, length)
-        case _, size if kind in KINDS:
-            return named_shape(kind, size)
     file = Path(text)
     expect(
         file.is_file(),
@@ -197,8 +190,8 @@ class Physics(Options, frozen=True):
 
     Links of the hand collide with the object, not with each other.
 
-    Actuators press with `K (q_command - q) - D dq`, D critical; the hand's own weight is
-    compensated beside them.
+    Actuators press with `K (q_command - q) - D dq`, D critical, up to their limits; the hand's own
+    weight is compensated beside them.
     """
 
     friction: Annotated[
@@ -214,6 +207,14 @@ class Physics(Options, frozen=True):
     joint_stiffness: Annotated[
         float, number("Stiffness of the fingers' actuators [N m/rad, N/m].", above=True)
     ] = 3.0
+    torque: Annotated[
+        float,
+        number(
+            "Largest torque of the fingers' actuators [N m, N], and at most the effort limits of "
+            "the URDF; 1000 stands for none.",
+            above=True,
+        ),
+    ] = 1e3
     armature: Annotated[
         float, number("Inertia of each motor at its joint [kg m^2].")
     ] = 5e-4

@@ -1,16 +1,15 @@
 """Pinch and carry: a recorded pinch closes on an object, which must then stay (`PinchScene`).
 
-The object stands on a stand where the robot's pads come together when nothing is between them. The
-stand lets go when the thumb and another finger press on it, or when the pads should have met it a
-while ago. From then until the human opens his hand, the object must stay between the pads.
-`random_trials` draws many objects and places.
+The object stands on a stand where the robot's pads come together when nothing is between them, and
+the hand starts open, clear of it. The stand lets go when the thumb and another finger have pressed
+on it for a while, or when the pads should have met it long ago. From then until the human opens his
+hand, the object must stay between the pads. `random_trials` draws many objects and places.
 """
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import takewhile
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -18,9 +17,17 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
 from handmap_qp.apps.tables import Row
-from handmap_qp.errors import expect
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import THUMB, Hand, find_fingers, find_pads
-from handmap_qp.se3 import Array, affine, inverse_pose, lengths, transform_points
+from handmap_qp.se3 import (
+    Array,
+    affine,
+    inverse_pose,
+    lengths,
+    rotation_from_rpy,
+    transform_points,
+    unit,
+)
 from .commands import Commands, PinchWindow
 from .physics import (
     KINDS,
@@ -30,7 +37,7 @@ from .physics import (
     Physics,
     Shape,
     Sphere,
-    named_shape,
+    parse_object,
     turn_up,
 )
 from .simulator import Episode, Instant, Simulator
@@ -39,14 +46,15 @@ CUBE = Box((0.03, 0.03, 0.03))
 """The nominal object."""
 
 _INDEX = "index"
-# Force of thumb and of another finger at which the stand lets go [N].
-_PRESSED = 0.2
-# The stand lets go this long after the pads should have met the object, at the latest [s].
-_LATEST = 0.3
+# The stand lets go when thumb and another finger press with such a force [N], without a break for
+# such a time [s].
+_PRESSED, _GRIPPED = 0.2, 0.2
+# A grip that is not there so long after the pads should have met the object does not come [s].
+_LATEST = 1.0
+# A hand starts with its pads so far from the object [m].
+_CLEAR = 0.015
 # The object is lost farther than this, and half its size, from the middle between the pads [m].
 _LOST = 0.02
-# The robot's pads meet this long after the human's, at the latest [s]; filters make some late.
-_LAG = 1.0
 # The object of the simulation in which the pads meet, far from the hand.
 _NOTHING = Body(Sphere(0.01), 0.01)
 _FAR = affine(np.eye(3), (0.0, 0.0, 100.0))
@@ -68,6 +76,9 @@ class Pads:
     Args:
         hand: The hand.
 
+    Attributes:
+        bodies: Names of the joints that carry them.
+
     Raises:
         InvalidInputError: If the hand has no index finger, or no thumb.
     """
@@ -81,39 +92,36 @@ class Pads:
             got=f"{hand.name} with {', '.join(chains)}",
         )
         self._pads = find_pads(hand, {name: chains[name] for name in (THUMB, _INDEX)})
-        self._bodies = ["world", *hand.model.names[1:]]
-        self._of_thumb = [self._bodies[joint] for joint in chains[THUMB].joints]
+        bodies = ["world", *hand.model.names[1:]]
+        self.bodies = [bodies[pad.joint] for pad in self._pads.values()]
+        self._radii = np.array([pad.radius for pad in self._pads.values()])
+        self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
 
     def places(self, simulator: Simulator) -> Array:
         """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
+        pads = zip(self.bodies, self._pads.values(), strict=True)
         return np.array(
             [
-                transform_points(
-                    simulator.body_pose(self._bodies[pad.joint]), pad.offset
-                )
-                for pad in self._pads.values()
+                transform_points(simulator.body_pose(body), pad.offset)
+                for body, pad in pads
             ]
         )
 
     def gap(self, places: Array) -> float:
         """Return the distance between the pads' surfaces at such places [m]."""
-        radii = sum(pad.radius for pad in self._pads.values())
-        return float(lengths(places[1] - places[0])) - radii
+        return float(lengths(places[1] - places[0]) - self._radii.sum())
 
     def middle(self, places: Array) -> Array:
         """Return the point midway between the pads' surfaces at such places [m], shape (3,)."""
         thumb, finger = places
-        distance = max(float(lengths(finger - thumb)), 1e-6)
-        farther = self._pads[THUMB].radius - self._pads[_INDEX].radius
-        share = np.clip(0.5 + 0.5 * farther / distance, 0.0, 1.0)
-        return thumb + share * (finger - thumb)
+        farther = self._radii[0] - self._radii[1]
+        return (thumb + finger + farther * unit(finger - thumb)) / 2.0
 
     def is_pinched(self, simulator: Simulator) -> bool:
         """Return whether the thumb and another link press on the object."""
-        contacts = simulator.contacts()
-        is_thumb = np.isin(contacts.bodies, self._of_thumb)
-        pressing = contacts.normal_forces
-        return min(pressing[is_thumb].sum(), pressing[~is_thumb].sum()) > _PRESSED
+        forces = simulator.pressing()
+        thumb = sum(forces.get(name, 0.0) for name in self._of_thumb)
+        return min(thumb, sum(forces.values()) - thumb) > _PRESSED
 
 
 class PinchTrial(NamedTuple):
@@ -144,6 +152,7 @@ class PinchOutcome(NamedTuple):
         slip: Largest displacement of the object from its place between the pads [m], while held.
         rotation: Rotation of the object against the wrist, at the end or the loss [rad].
         force: Mean normal force while held [N].
+        torque: Largest torque of a finger's actuator while held [N m].
         episode: The simulation.
     """
 
@@ -153,18 +162,19 @@ class PinchOutcome(NamedTuple):
     slip: float
     rotation: float
     force: float
+    torque: float
     episode: Episode
 
 
 class Meeting(NamedTuple):
-    """The robot's pads when they are as near as an object is wide.
+    """Where the robot's pads are at an instant, or at many as columns with a leading axis.
 
     Attributes:
         time: The instant [s].
         places: As of `Pads.places`.
     """
 
-    time: float
+    time: Array
     places: Array
 
 
@@ -198,6 +208,10 @@ class PinchScene:
 
         Returns:
             What became of the object.
+
+        Raises:
+            InvalidInputError: If the open hand overlaps the object, or its pads are not 15 mm clear
+                of it, wherever the trial may start.
         """
         pads = self.pads
         width = trial.shape.width
@@ -206,32 +220,29 @@ class PinchScene:
         gravity = np.array(self.physics.gravity)
         up = -gravity if gravity.any() else np.array([0.0, 0.0, 1.0])
         # The object's z is up and its x along the pinch, turned about the vertical.
-        turn = Rotation.from_euler("z", trial.yaw).as_matrix()
+        turn = rotation_from_rpy((0.0, 0.0, trial.yaw))
         axes = turn_up(up, met.places[1] - met.places[0]).T @ turn
-        simulator = self._start(
-            Body(trial.shape, trial.mass),
-            self.physics.replaced(friction=trial.friction),
-            affine(axes, place),
-        )
+        physics = self.physics.replaced(friction=trial.friction)
+        body = Body(trial.shape, trial.mass)
+        simulator = Simulator(self.commands.hand, body, physics)
+        start = self._put_clear(simulator, affine(axes, place))
         instants = []
-        times = []
-        distances = []
-        for time in self._play(simulator):
+        away = []
+        # Index at which the stand lets go, and the time until which there was no grip.
+        freed, loose = -1, float(self.commands.time[start])
+        for i, time in enumerate(self._play(simulator, start)):
             instants.append(simulator.instant())
-            is_late = time >= met.time + _LATEST
-            if not times and (is_late or pads.is_pinched(simulator)):
+            off = simulator.object_pose[:3, 3] - pads.middle(pads.places(simulator))
+            away.append(lengths(off))
+            if not pads.is_pinched(simulator):
+                loose = time
+            if freed < 0 and time >= min(loose + _GRIPPED, met.time + _LATEST):
                 simulator.set_stand(holds=False)
-            elif not times:
-                continue
-            times.append(time)
-            middle = pads.middle(pads.places(simulator))
-            off = simulator.object_pose[:3, 3] - middle
-            distances.append(lengths(off))
-        # Pads that never pressed had no object to lose.
-        times = times or [0.0]
-        distances = distances or [np.inf]
-        episode = Episode.of(simulator, instants)
-        return _outcome(episode, np.array(distances), times, width)
+                freed = i
+        if freed < 0:
+            # Pads that never gripped had no object to lose.
+            away[-1] = np.inf
+        return _outcome(Episode.of(simulator, instants), np.array(away), freed, width)
 
     def meeting(self, width: float) -> Meeting:
         """Return the first instant at which the pads are as near as an object is wide.
@@ -245,55 +256,68 @@ class PinchScene:
         Returns:
             The instant, or that of the smallest gap if the pads do not come near enough.
         """
-        instants = self._closing
-        gaps = np.array([self.pads.gap(instant.places) for instant in instants])
-        last = np.argmax(gaps <= width)
-        if last == 0:
-            # Near from the start, or never.
-            return instants[0 if gaps[0] <= width else np.argmin(gaps)]
-        share = (gaps[last - 1] - width) / (gaps[last - 1] - gaps[last])
-        pairs = zip(instants[last - 1], instants[last], strict=True)
-        return Meeting(*(before + share * (after - before) for before, after in pairs))
+        closing = self._closing
+        gaps = np.array([self.pads.gap(places) for places in closing.places])
+        # Never nearer, or never farther: where they are nearest.
+        after = max(1, np.argmax(gaps <= width) or np.argmin(gaps))
+        share = np.interp(width, (gaps[after], gaps[after - 1]), [1.0, 0.0])
+        ends = [(column[after - 1], column[after]) for column in closing]
+        return Meeting(*(start + share * (end - start) for start, end in ends))
 
     @cached_property
-    def _closing(self) -> list[Meeting]:
-        """The robot's own motion while the human's pinch closes, with nothing between the pads."""
-        simulator = self._start(_NOTHING, self.physics, _FAR)
-        latest = self.commands.time[self.window.closed] + _LAG
-        closing = takewhile(lambda time: time < latest, self._play(simulator))
-        return [Meeting(time, self.pads.places(simulator)) for time in closing]
-
-    def _start(self, body: Body, physics: Physics, place: Array) -> Simulator:
-        """Put an object on its stand, and the hand where the recording starts."""
-        simulator = Simulator(self.commands.hand, body, physics)
-        simulator.reset(*self.commands.at(self.window.start), place)
+    def _closing(self) -> Meeting:
+        """The robot's own motion, with nothing between the pads."""
+        simulator = Simulator(self.commands.hand, _NOTHING, self.physics)
+        start = self.window.opened
+        simulator.reset(*self.commands.at(start), _FAR)
         simulator.set_stand(holds=True)
-        return simulator
+        played = self._play(simulator, start)
+        places = [(time, self.pads.places(simulator)) for time in played]
+        return Meeting(*map(np.array, zip(*places, strict=True)))
 
-    def _play(self, simulator: Simulator) -> Iterator[float]:
+    def _put_clear(self, simulator: Simulator, pose: Array) -> int:
+        """Put the object on its stand, and the open hand where it is last clear of the object.
+
+        Returns:
+            Index of the sample.
+        """
+        pads = others = 0.0
+        for start in range(self.window.start, self.window.opened - 1, -1):
+            simulator.reset(*self.commands.at(start), pose)
+            pads = simulator.clearance(self.pads.bodies)
+            others = simulator.clearance()
+            if others > 0.0 and pads >= _CLEAR:
+                simulator.set_stand(holds=True)
+                return start
+        raise InvalidInputError(
+            argument=self.commands.hand.name,
+            expected=f"an open hand clear of the object, its pads by {1e3 * _CLEAR:g} mm",
+            got=f"pads at {1e3 * pads:.0f} mm, the nearest link at {1e3 * others:.0f} mm",
+        )
+
+    def _play(self, simulator: Simulator, start: int) -> Iterator[float]:
         """Follow the recording to the end of the pinch, and yield the time of each sample [s]."""
         time = self.commands.time
-        for i in range(self.window.start + 1, self.window.end + 1):
+        for i in range(start + 1, self.window.end + 1):
             simulator.follow(*self.commands.at(i), time[i] - time[i - 1])
             yield float(time[i])
 
 
-def _outcome(
-    episode: Episode, distances: Array, time: Sequence[float], width: float
-) -> PinchOutcome:
-    """Judge the instants at the end, for which there are distances from the pads' middle."""
-    lost = np.flatnonzero(distances > _LOST + width / 2.0)
-    last = int(lost[0]) if len(lost) else len(distances) - 1
-    kept = Instant(*(each[-len(distances) :][: last + 1] for each in episode.at))
+def _outcome(episode: Episode, away: Array, freed: int, width: float) -> PinchOutcome:
+    """Judge what happens from an index on, by distances from the pads' middle, shape (T,)."""
+    lost = np.flatnonzero(away[freed:] > _LOST + width / 2.0)
+    free = Instant(*(column[freed:] for column in episode.at))
+    kept = Instant(*(column[: 1 + lost[0]] if len(lost) else column for column in free))
     poses = inverse_pose(kept.wrist) @ kept.object_pose
     turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
     return PinchOutcome(
-        is_held=not len(lost) and bool(episode.at.links_touching[-1] >= 2),
-        held_time=time[last] - time[0],
-        pinch_time=time[-1] - time[0],
+        is_held=not len(lost) and bool(free.links_touching[-1] >= 2),
+        held_time=np.ptp(kept.time),
+        pinch_time=np.ptp(free.time),
         slip=lengths(poses[:, :3, 3] - poses[0, :3, 3]).max(),
         rotation=float(turn),
         force=kept.normal_force.mean(),
+        torque=np.abs(kept.torque[:, ~episode.hand.moves_wrist]).max(),
         episode=episode,
     )
 
@@ -327,7 +351,7 @@ def random_trials(
         if objects == "varied":
             kind = random.choice(KINDS)
             trial = trial._replace(
-                shape=named_shape(kind, random.uniform(*_SIZES)),
+                shape=parse_object(f"{kind}:{random.uniform(*_SIZES)}"),
                 mass=float(np.exp(random.uniform(*np.log(_MASSES)))),
                 friction=random.uniform(*_FRICTIONS),
             )
@@ -352,22 +376,22 @@ def success_rate(held: int, count: int) -> tuple[float, float, float]:
 
 def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
     """Summarise the trials of one mapping in a row of a table."""
-    held = [outcome for outcome in outcomes if outcome.is_held]
-    rate, low, high = success_rate(len(held), len(outcomes))
+    rows = [outcome_row(name, outcome) for outcome in outcomes]
+    held = [row for row in rows if row["held"] == "yes"]
+    rate, low, high = success_rate(len(held), len(rows))
     shares = [o.held_time / max(o.pinch_time, 1e-9) for o in outcomes]
+    medians = {
+        key: round(np.median([row[key] for row in held]), 2) if held else "-"
+        for key in ("slip mm", "force N", "torque N m")
+    }
     return {
         "mapping": name,
-        "trials": len(outcomes),
+        "trials": len(rows),
         "held %": round(100.0 * rate, 1),
         "95 % interval": f"{100.0 * low:.0f}-{100.0 * high:.0f}",
         "time held %": round(100.0 * np.mean(shares), 1),
-        "slip mm": _median([1e3 * outcome.slip for outcome in held]),
-        "force N": _median([outcome.force for outcome in held]),
+        **medians,
     }
-
-
-def _median(values: list[float]) -> float | str:
-    return round(np.median(values), 1) if values else "-"
 
 
 def describe_trial(trial: PinchTrial) -> Row:
@@ -389,4 +413,5 @@ def outcome_row(name: str, outcome: PinchOutcome) -> Row:
         "slip mm": round(1e3 * outcome.slip, 1),
         "rotation deg": round(math.degrees(outcome.rotation)),
         "force N": round(outcome.force, 1),
+        "torque N m": round(outcome.torque, 2),
     }

@@ -1,4 +1,4 @@
-"""Step a hand and an object in time: `Simulator`, `Contacts`, `Episode`."""
+"""Step a hand and an object in time: `Simulator`, `Episode`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation, Slerp
 
 from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array, affine, check_pose, quat_wxyz_from_rotation
@@ -18,30 +18,10 @@ from .physics import Body, Physics
 # Friction of the stand against turning the object acts at the last levers [m]: 2/3 of the radius of
 # a disc of 30 mm under even pressure.
 _STAND_LEVERS = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
+# Distances beyond this are not measured [m].
+_FAR = 1.0
 # From Pinocchio's position and quaternion xyzw to MuJoCo's, wxyz.
 _SEVEN = [0, 1, 2, 6, 3, 4, 5]
-
-
-class Contacts(NamedTuple):
-    """Contacts between the hand and the object at one instant.
-
-    Attributes:
-        points: Places in the world [m], shape (n, 3).
-        normals: Unit normals into the object, shape (n, 3).
-        forces: Forces of the hand on the object, world axes [N], shape (n, 3).
-        bodies: Name of the joint that carries the touching link, for each contact; `world` for
-            the root of a hand that does not float.
-    """
-
-    points: Array
-    normals: Array
-    forces: Array
-    bodies: tuple[str, ...]
-
-    @property
-    def normal_forces(self) -> Array:
-        """Shares of the forces along the normals [N], shape (n,)."""
-        return np.einsum("ci,ci->c", self.forces, self.normals)
 
 
 class Instant(NamedTuple):
@@ -55,6 +35,7 @@ class Instant(NamedTuple):
         object_pose: Pose of the object, shape (4, 4).
         normal_force: Sum of the normal forces of the hand on the object [N].
         links_touching: Number of joints whose links touch the object.
+        torque: Torques of the actuators [N m, N], shape (n,).
     """
 
     time: Array
@@ -64,6 +45,7 @@ class Instant(NamedTuple):
     object_pose: Array
     normal_force: Array
     links_touching: Array
+    torque: Array
 
 
 class Episode(NamedTuple):
@@ -123,6 +105,7 @@ class Simulator:
         self.model = build_model(hand, body, self.physics)
         self.data = mujoco.MjData(self.model)
         self.target: tuple[Array, Array | None] = (hand.rest, None)
+        self._due = 0.0
         # The actuators are in the order of the joints' names.
         self._places = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
 
@@ -156,15 +139,16 @@ class Simulator:
 
     def instant(self) -> Instant:
         """Return what is now."""
-        contacts = self.contacts()
+        forces = self.pressing().values()
         return Instant(
             time=np.array(self.time),
             q=self.q,
             command=self.target[0],
             wrist=self.wrist,
             object_pose=self.object_pose,
-            normal_force=contacts.normal_forces.sum(),
-            links_touching=np.array(len(set(contacts.bodies))),
+            normal_force=np.array(sum(forces)),
+            links_touching=np.array(len(forces)),
+            torque=self.data.actuator_force.copy(),
         )
 
     def reset(self, q: ArrayLike, wrist: Array | None, object_pose: ArrayLike) -> None:
@@ -192,6 +176,7 @@ class Simulator:
             own = positions[joint.idx_q :][: joint.nq]
             data.joint(name).qpos = own[_SEVEN] if joint.nq == 7 else own
         self.target = (np.array(q, dtype=float), wrist)
+        self._due = 0.0
         self._lead(*self.target)
         mujoco.mj_forward(self.model, data)
 
@@ -208,22 +193,24 @@ class Simulator:
         self.model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
 
     def follow(self, q: ArrayLike, wrist: Array | None, duration: float) -> None:
-        """Move the command in a straight line to a posture, and simulate meanwhile.
+        """Move the command at an even speed to a posture, and simulate meanwhile.
 
         Args:
             q: Commanded joint angles at the end [rad], shape (n,).
             wrist: Commanded wrist pose at the end, shape (4, 4); None for a hand that does not
                 float.
-            duration: Time that it takes [s], rounded to whole steps of the simulation.
+            duration: Time that it takes [s]. It ends at a whole step of the simulation; what is
+                rounded off, if it does not end between two steps, is made up for later.
         """
         goal = np.array(q, dtype=float)
         start, start_wrist = self.target
-        steps = max(1, round(duration / self.physics.time_step))
-        shares = np.arange(1, steps + 1) / steps
-        wrists: Sequence[Array | None] = [None] * steps
-        if wrist is not None and start_wrist is not None:
-            wrists = list(poses_between(start_wrist, wrist, shares))
-        for share, place in zip(shares, wrists, strict=True):
+        self._due += duration
+        steps = max(1, round((self._due - self.time) / self.physics.time_step))
+        for share in np.arange(1, steps + 1) / steps:
+            place = None
+            if wrist is not None and start_wrist is not None:
+                ends = pin.SE3(start_wrist), pin.SE3(wrist)
+                place = pin.SE3.Interpolate(*ends, share).homogeneous
             self._lead(start + share * (goal - start), place)
             mujoco.mj_step(self.model, self.data)
         self.target = (goal, None if wrist is None else wrist.copy())
@@ -234,25 +221,36 @@ class Simulator:
         """Keep the last command, and simulate."""
         self.follow(*self.target, duration)
 
-    def contacts(self) -> Contacts:
-        """Return the contacts between the hand and the object."""
+    def pressing(self) -> dict[str, float]:
+        """Return the normal forces of the links on each joint that touch the object [N].
+
+        Joints are named as of `body_pose`.
+        """
         model = self.model
-        data = self.data
-        contact = data.contact
-        is_object = contact.geom == model.geom(OBJECT).id
-        rows = np.flatnonzero(is_object.any(axis=1) & (contact.efc_address >= 0))
-        forces = np.zeros((len(rows), 6))
-        for row, force in zip(rows, forces, strict=True):
-            mujoco.mj_contactForce(model, data, row, force)
-        # A frame's x axis points from the first geom to the second, on which the force acts.
-        signs = np.where(is_object[rows, 1], 1.0, -1.0)
-        frames = signs[:, None, None] * contact.frame[rows].reshape(-1, 3, 3)
-        touching = model.geom_bodyid[contact.geom[rows][~is_object[rows]]]
-        return Contacts(
-            points=contact.pos[rows],
-            normals=frames[:, 0],
-            forces=np.einsum("cij,ci->cj", frames, forces[:, :3]),
-            bodies=tuple(model.body(body).name for body in touching),
+        held = model.geom(OBJECT).id
+        force = np.zeros(6)
+        found: dict[str, float] = {}
+        for row, contact in enumerate(self.data.contact):
+            if held in contact.geom and contact.efc_address >= 0:
+                mujoco.mj_contactForce(model, self.data, row, force)
+                (link,) = contact.geom[contact.geom != held]
+                name = model.body(model.geom_bodyid[link]).name
+                found[name] = found.get(name, 0.0) + float(force[0])
+        return found
+
+    def clearance(self, bodies: Sequence[str] = ()) -> float:
+        """Return how far the object is from the hand [m], < 0 where they overlap.
+
+        Args:
+            bodies: Joints, named as of `body_pose`, whose links count; all if omitted.
+        """
+        model = self.model
+        # The object's shape is the last one.
+        *shapes, held = range(model.ngeom)
+        return min(
+            mujoco.mj_geomDistance(model, self.data, shape, held, _FAR, None)
+            for shape in shapes
+            if not bodies or model.body(model.geom_bodyid[shape]).name in bodies
         )
 
     def tell_actuators(self, command: Array) -> None:
@@ -267,22 +265,6 @@ class Simulator:
             # The only one.
             self.data.mocap_pos[0] = base[:3]
             self.data.mocap_quat[0] = base[3:]
-
-
-def poses_between(start: Array, end: Array, shares: Array) -> Array:
-    """Return poses at shares of the way: positions in a line, rotations about one axis.
-
-    Args:
-        start: Pose at share 0, shape (4, 4).
-        end: Pose at share 1, shape (4, 4).
-        shares: Between 0 and 1, shape (k,).
-
-    Returns:
-        Poses, shape (k, 4, 4).
-    """
-    turns = Slerp((0.0, 1.0), Rotation.from_matrix([start[:3, :3], end[:3, :3]]))
-    way = end[:3, 3] - start[:3, 3]
-    return affine(turns(shares).as_matrix(), start[:3, 3] + np.outer(shares, way))
 
 
 def _pose_of(part: Any) -> Array:
