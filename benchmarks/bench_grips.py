@@ -1,0 +1,234 @@
+"""Which objects robots hold that follow a person who picks: mappings and peers, over a dozen picks.
+
+    python benchmarks/bench_grips.py --seed 1 --json grips.json --picture grips.png
+    python benchmarks/bench_grips.py --objects household --robots allegro_right --trials 12
+
+Every robot follows every recording of `picks.py` by every mapping, and tries objects of
+`random_trials` (`varied`: cubes, balls and cylinders, 20 to 45 mm) or of `HOUSEHOLD`, each at a
+random place. All mappings and robots get the same objects and displacements. Torques are bounded by
+the makers' numbers (`TORQUES`). Shares of the objects that are held have intervals (95 %, Wilson).
+
+A trial that cannot start, because the open hand overlaps the object or its pads are less than 15 mm
+clear of it, is refused: it counts in no share, but beside it. A mapping that holds few and has many
+refused is no better for it. The results are written after each recording, so that a run that is
+stopped leaves what it has found.
+
+Seeds 0 to 99 are for work. The tables of docs/simulation.md have seeds that were looked at once.
+"""
+
+from __future__ import annotations
+
+import common  # first: it sets the number of threads before numpy is loaded
+
+# isort: split
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from peers import build
+from picks import HOUSEHOLD, picks
+
+from handmap_qp import load_hand
+from handmap_qp.apps.offline.comparison import prepare_take
+from handmap_qp.apps.simulation.commands import (
+    chosen_methods,
+    find_pinch,
+    map_commands,
+)
+from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.pinch import (
+    PinchScene,
+    PinchTrial,
+    random_trials,
+    success_rate,
+)
+from handmap_qp.errors import HandmapError, InvalidInputError
+
+PEERS = Path(__file__).resolve().parent / "peers"
+ROBOTS = ("allegro_right", "leap_right", "shadow_right")
+OWN = ("teleoperation", "fingertip-vectors")
+OTHERS = ("dex-dexpilot", "dexi-dexpilot", "dex-vector", "dexi-vector", "dex-position")
+TORQUES = {"allegro_right": 0.7, "leap_right": 0.95, "shadow_right": 2.0}
+"""Largest torque of a finger's joint by the maker [N m].
+
+Allegro's data sheet, and the URDFs of LEAP and Shadow by their makers. The URDF of the package's
+Allegro says 15, those of the others nothing for some joints.
+"""
+# Gravity points against y, as in the worlds of all recordings.
+_GRAVITY = (0.0, -9.81, 0.0)
+
+
+def draw(objects: str, count: int, seed: int) -> list[tuple[str, PinchTrial]]:
+    """Draw objects and places, with the kind of each."""
+    if objects == "varied":
+        trials = random_trials(count, seed)
+        return [(type(trial.shape).__name__.lower(), trial) for trial in trials]
+    # Each recording goes on in the list, so that a few trials of each see all objects.
+    names = [list(HOUSEHOLD)[(seed + k) % len(HOUSEHOLD)] for k in range(count)]
+    places = random_trials(count, seed, "nominal")
+    return [
+        (name, HOUSEHOLD[name]._replace(offset=place.offset, yaw=place.yaw))
+        for name, place in zip(names, places, strict=True)
+    ]
+
+
+def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Summarise trials in a row of a table; `held` of a refused one is None."""
+    tried = [each for each in found if each["held"] is not None]
+    held = [each for each in tried if each["held"]]
+    shown = "-"
+    if tried:
+        rate, low, high = success_rate(len(held), len(tried))
+        shown = f"{100.0 * rate:.0f} ({100.0 * low:.0f}-{100.0 * high:.0f})"
+    medians = {
+        key: f"{np.median([each[key] for each in held]):.3g}" if held else "-"
+        for key in ("slip mm", "force N", "torque N m")
+    }
+    return {
+        "": name,
+        "held %": shown,
+        "trials": len(tried),
+        "refused": len(found) - len(tried),
+        **medians,
+    }
+
+
+def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Return tables by their titles: by robot and mapping, recording, and object."""
+
+    def by(*keys: str) -> list[dict[str, Any]]:
+        groups = dict.fromkeys(tuple(each[key] for key in keys) for each in found)
+        return [
+            row(
+                ", ".join(group),
+                [e for e in found if tuple(e[key] for key in keys) == group],
+            )
+            for group in groups
+        ]
+
+    return {
+        "By robot and mapping": by("robot", "mapping"),
+        "By recording and mapping": by("recording", "mapping"),
+        "By object and mapping": by("object", "mapping"),
+    }
+
+
+def draw_shares(found: Sequence[dict[str, Any]], title: str) -> Any:
+    """Draw the share that each mapping holds on each robot, with its 95 % interval."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 3.5), layout="constrained")
+    axes = figure.subplots()
+    robots = list(dict.fromkeys(each["robot"] for each in found))
+    names = list(dict.fromkeys(each["mapping"] for each in found))
+    for k, name in enumerate(names):
+        for place, robot in enumerate(robots):
+            held = [
+                each["held"]
+                for each in found
+                if (each["mapping"], each["robot"]) == (name, robot)
+                and each["held"] is not None
+            ]
+            if held:
+                rate, low, high = 100.0 * np.array(success_rate(sum(held), len(held)))
+                axes.errorbar(
+                    place + 0.1 * (k - (len(names) - 1) / 2.0),
+                    rate,
+                    [[rate - low], [high - rate]],
+                    fmt="o",
+                    color=common.PALETTE[k % len(common.PALETTE)],
+                    label=name if place == 0 else None,
+                )
+    axes.set_xticks(range(len(robots)), robots)
+    axes.set(ylabel="held [%]", ylim=(0.0, 103.0), title=title)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def tried(scene: PinchScene, trial: PinchTrial) -> dict[str, Any]:
+    """Return what became of an object."""
+    try:
+        outcome = scene.run(trial)
+    except InvalidInputError as error:
+        return {"held": None, "refused": str(error)}
+    return {
+        "held": outcome.is_held,
+        "slip mm": 1e3 * outcome.slip,
+        "force N": float(outcome.force),
+        "torque N m": float(outcome.torque),
+        "held s": float(outcome.held_time),
+        "of s": float(outcome.pinch_time),
+    }
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Simulate all trials, print the tables, and write them."""
+    parser = common.make_parser((__doc__ or "").splitlines()[0])
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--methods", nargs="+", default=None)
+    parser.add_argument("--objects", choices=("varied", "household"), default="varied")
+    parser.add_argument("--trials", type=int, default=5, help="for each recording")
+    parser.add_argument("--picks", type=int, default=None, help="only the first ones")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = common.parse_arguments(parser, words)
+    is_built = not build.missing_peers()
+    methods = arguments.methods or [*OWN, *(OTHERS if is_built else ())]
+    if arguments.quick:
+        arguments.robots, arguments.trials, arguments.picks = ["allegro_right"], 1, 1
+        methods = ["teleoperation"]
+    every = list(picks(common.find_recordings(arguments.recordings)))
+    recordings = every[: arguments.picks]
+    found: list[dict[str, Any]] = []
+    problems: list[str] = []
+    results: dict[str, Any] = {}
+    with common.progress("picking", len(recordings) * len(arguments.robots)) as done:
+        for k, recording in enumerate(recordings):
+            window = find_pinch(recording)
+            # Other places and objects for each recording.
+            trials = draw(
+                arguments.objects, arguments.trials, 1000 * arguments.seed + k
+            )
+            for robot in arguments.robots:
+                hand = load_hand(robot)
+                take = prepare_take(recording, hand.side)
+                physics = Physics(gravity=_GRAVITY, torque=TORQUES.get(robot, 1e3))
+                outside = PEERS if {*methods} - {*OWN} else None
+                for method in chosen_methods(tuple(methods), outside, robot):
+                    where = {
+                        "robot": robot,
+                        "mapping": method.name,
+                        "recording": recording.name,
+                    }
+                    try:
+                        commands = map_commands(method, take, hand)
+                    except HandmapError as error:
+                        problems.append(f"{', '.join(where.values())}: {error}")
+                        continue
+                    scene = PinchScene(commands, window, physics)
+                    found += [
+                        where | {"object": name} | tried(scene, trial)
+                        for name, trial in trials
+                    ]
+                done()
+            results = {"seed": arguments.seed, "trials": found, "problems": problems}
+            if arguments.json != "-":
+                common.write_json(arguments.json, "bench_grips", results)
+    to_stderr = arguments.json == "-"
+    for title, rows in tables(found).items():
+        common.print_table(
+            f"{title}: {arguments.objects} objects, seed {arguments.seed}",
+            rows,
+            to_stderr=to_stderr,
+        )
+    for problem in problems:
+        print(problem, file=sys.stderr if to_stderr else sys.stdout)
+    title = f"{arguments.objects} objects, seed {arguments.seed}"
+    common.save_picture(arguments.picture, lambda: draw_shares(found, title))
+    if to_stderr:
+        common.write_json("-", "bench_grips", results)
+
+
+if __name__ == "__main__":
+    main()
