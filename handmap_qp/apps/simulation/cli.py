@@ -115,11 +115,10 @@ class Simulate:
                 trial_row(name, [*made.values()]) | {"refused": len(trials) - len(made)}
                 for name, made in outcomes.items()
             ]
-            found["trials"] = drawn = []
-            for i, trial in enumerate(trials):
-                tried = [name for name in outcomes if i in outcomes[name]]
-                held = [name for name in tried if outcomes[name][i].is_held]
-                drawn.append(describe_trial(trial) | {"tried": tried, "held": held})
+            found["trials"] = [
+                describe_trial(trial) | _by_whom(outcomes, i)
+                for i, trial in enumerate(trials)
+            ]
         else:
             found["rows"] = [
                 outcome_row(name, made[0]) for name, made in outcomes.items()
@@ -192,3 +191,12 @@ class Simulate:
             film(episode, up, self.film)
         if self.html is not None:
             write_page(self.html, episodes, up, f"{self.robot}, simulated")
+
+
+def _by_whom(
+    outcomes: dict[str, dict[int, PinchOutcome]], trial: int
+) -> dict[str, list[str]]:
+    """Return which mappings tried an object, and which held it."""
+    tried = [name for name in outcomes if trial in outcomes[name]]
+    held = [name for name in tried if outcomes[name][trial].is_held]
+    return {"tried": tried, "held": held}
