@@ -27,6 +27,7 @@ from .method import MapStep as MapStep
 from .method import Preset as Preset
 from .method import RobotCommand as RobotCommand
 from .method import RobotPosture as RobotPosture
+from .method import Stages as Stages
 from .method import Targets as Targets
 from .method import arm_held_by as arm_held_by
 from .options_file import options_text as options_text

@@ -85,6 +85,7 @@ class HandMapper:
         human: The hand that leads.
         dt: Time between samples [s].
         joint_tolerance: As given [rad].
+        tasks: Further terms of the QP's cost; `configure` changes them.
         core: The compiled core's `SampleMapper` from the present reference on; None where Python
             has to look at the next sample.
 
@@ -126,7 +127,8 @@ class HandMapper:
         chosen, weights = _method_of(method, options)
         bound = chosen.bind(human, robot)
         solver = self._solver(bound, ik or weights)
-        self._plan = _Plan(chosen, bound, solver, tuple(tasks))
+        self._plan = _Plan(chosen, bound, solver)
+        self.tasks: tuple[Task, ...] = tuple(tasks)
         self._start: _Start | None = _Start(robot.rest, None)
         self._reference: _Reference | None = None
         self._is_released = False
@@ -339,7 +341,7 @@ class HandMapper:
                 asked.wrist,
                 dt,
                 rest=rest,
-                tasks=(*asked.tasks, *plan.tasks),
+                tasks=(*asked.tasks, *self.tasks),
                 margins=asked.margins,
                 speed=speed,
             )
@@ -350,7 +352,7 @@ class HandMapper:
         """Return the core's mapper from a reference on; None if Python has to map."""
         plan = self._plan
         ik = plan.ik
-        is_python = self._is_released or plan.tasks or ik.options.tasks
+        is_python = self._is_released or self.tasks or ik.options.tasks
         if is_python or ik.core is None or not getattr(reference.map, "core", None):
             return None
         return self.core or self._core_by(ik.core, reference.map)
@@ -487,7 +489,7 @@ class HandMapper:
         if ik is not None:
             plan = plan._replace(ik=plan.ik.with_options(ik))
         if tasks is not None:
-            plan = plan._replace(tasks=tuple(tasks))
+            self.tasks = tuple(tasks)
         self._plan = plan
         self._reference = reference
         self.core = None
@@ -556,16 +558,15 @@ class LandmarkReader(Compiled):
     def __init__(self, human: Hand, quat_order: QuatOrder | None = None) -> None:
         self.quat_order = quat_order
         known = {name: i for i, name in enumerate(LANDMARK_NAMES)}
-        missing = [
-            point.name for point in human.reference_points if point.name not in known
-        ]
+        names = [point.name for point in human.reference_points]
+        missing = [name for name in names if name not in known]
         if missing:
             raise InvalidOptionsError(
                 option="human_points",
                 problem=f"{', '.join(missing)} cannot be read from landmarks",
                 advice="choose reference points among the landmarks, or call map_points",
             )
-        self.used = np.array([known[point.name] for point in human.reference_points])
+        self.used = np.array([known[name] for name in names])
         self.model = landmarks_at_rest(human)[PALM]
 
     def read(
@@ -640,7 +641,6 @@ class _Plan(NamedTuple):
     method: Method
     bound: BoundMethod
     ik: PointIk
-    tasks: tuple[Task, ...]
 
 
 class _Start(NamedTuple):
@@ -673,8 +673,7 @@ def _count_from(bound: BoundMethod, sample: HumanPose, vector: Array) -> _Refere
 
 def _bound_again(reference: _Reference, bound: BoundMethod) -> _Reference | None:
     """Count from the same reference by another method; None if it lacks what that needs."""
-    sample = reference.sample
-    posture = reference.posture
+    sample, posture, *_ = reference
     if (bound.needs_wrist or bound.reference_needs_wrist) and sample.wrist is None:
         return None
     vector = _Start(posture.q, posture.wrist).vector(bound.robot, posture.wrist)
@@ -709,14 +708,12 @@ def _targets(target_map: Any, sample: HumanPose) -> Targets:
 
 def posture_of(robot: Hand, vector: Array) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
+    q = vector[robot.q_indices]
     if (tree := ik.compiled.core_tree(robot)) is not None:
-        places = tree.posture(vector, robot.reference_points)
-        return RobotPosture(vector[robot.q_indices], *places)
+        return RobotPosture(q, *tree.posture(vector, robot.reference_points))
     placed = robot.configuration()
     placed.place(vector)
-    return RobotPosture(
-        vector[robot.q_indices], placed.points.copy(), placed.wrist.homogeneous
-    )
+    return RobotPosture(q, placed.points.copy(), placed.wrist.homogeneous)
 
 
 def stages_of(pose: HumanPose, asked: Targets, result: IkResult) -> Stages:

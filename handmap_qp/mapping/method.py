@@ -272,11 +272,13 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
         joint_names: Names of the n joints.
         q: Their angles [rad], shape (n,), inside their limits.
         wrist: Pose of the wrist frame in the robot's world, shape (4, 4).
+        effort: Torques with which a grip presses by `q` [N m], shape (n,); None without one.
     """
 
     joint_names: Names
     q: Array
     wrist: Array
+    effort: Array | None = None
 
 
 class StepSummary(NamedTuple):
@@ -406,12 +408,12 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     @property
     def motion(self) -> Array:
         """T from the reference configuration to now (eqs. 5-6), shape (4, 4)."""
-        return self._named("motion")
+        return self.named("motion")
 
     @property
     def motion_rigid(self) -> Array:
         """T_rb (eq. 2), shape (4, 4)."""
-        return self._named("motion_rigid")
+        return self.named("motion_rigid")
 
     @property
     def motion_deformation(self) -> Array:
@@ -419,17 +421,17 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
 
         With neither, `motion_deformation @ motion_rigid == motion`.
         """
-        return self._named("motion_deformation")
+        return self.named("motion_deformation")
 
     @property
     def residual_norms(self) -> Array:
         """Distance of each human point from where T takes it [m], shape (n_h,)."""
-        return self._named("residual_norms")
+        return self.named("residual_norms")
 
     @property
     def stretches(self) -> Array:
         """Eigenvalues of the stretch U before clamping, shape (3,)."""
-        return self._named("stretches")
+        return self.named("stretches")
 
     @property
     def is_clamped(self) -> bool:
@@ -497,7 +499,8 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         """QPs solved."""
         return self.ik.iterations
 
-    def _named(self, name: str) -> Array:
+    def named(self, name: str) -> Array:
+        """Return a result of the method by its name in `diagnostics`."""
         if name not in self.asked.diagnostics:
             raise InvalidOptionsError(
                 option="method",
