@@ -102,6 +102,12 @@ from .mapping.methods.virtual_object import (
 from .mapping.presets import PRESETS as PRESETS
 from .stream.follower import Follower as Follower
 from .stream.follower import Smoothing as Smoothing
+from .stream.grip import (
+    GripFollower as GripFollower,
+)
+from .stream.grip import (
+    GripOptions as GripOptions,
+)
 from .trackers.formats import read_recording as read_recording
 from .trackers.layouts.base import Layout as Layout
 from .trackers.layouts.tables import load_layout as load_layout

@@ -1,5 +1,7 @@
 from .follower import SMOOTH_IK as SMOOTH_IK
 from .follower import Follower as Follower
+from .grip import GripFollower as GripFollower
+from .grip import GripOptions as GripOptions
 from .guard import StreamGuard as StreamGuard
 from .measurement import measure_person as measure_person
 from .robot_follower import RobotFollower as RobotFollower

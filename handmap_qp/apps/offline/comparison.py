@@ -40,9 +40,23 @@ from handmap_qp.mapping import PRESETS, HandMapper, preset_choice, rotation_onto
 from handmap_qp.se3 import Array, as_floats, inverse_pose
 from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import NpzFormat, read_archive
-from .fidelity import SETTLING, assess_fidelity, sample_workspace
-from .hand_trace import ByFinger, HandTrace, fingers_of, trace_human, trace_robot
-from .look_ahead import LookAhead, look_ahead, smooth_poses
+from .fidelity import (
+    SETTLING,
+    assess_fidelity,
+    sample_workspace,
+)
+from .hand_trace import (
+    ByFinger,
+    HandTrace,
+    fingers_of,
+    trace_human,
+    trace_robot,
+)
+from .look_ahead import (
+    LookAhead,
+    look_ahead,
+    smooth_poses,
+)
 from .metrics import mean_values
 from .surface_gaps import measure_gaps
 from .trajectory import held_samples, map_recording

@@ -1,0 +1,233 @@
+"""`GripFollower`: what a thumb and a finger have met is held by a posture and a force.
+
+A pinch that closes around an object asks for pads that touch, as it does without one: the object is
+pushed along, and slips. So where the measured gap of the pads stays behind the commanded one, the
+measured joints of both fingers are kept, and closing on becomes torques that press along the line
+between the pads. The QP pulls to joint positions that press so: its limits hold.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import ArrayLike
+
+from handmap_qp.errors import expect
+from handmap_qp.hands import THUMB, Configuration, Hand
+from handmap_qp.human import HumanSample
+from handmap_qp.ik import AttachedPoints, TaskRows
+from handmap_qp.mapping import MapStep, Stages, robot_fingers
+from handmap_qp.options import Options, Positive
+from handmap_qp.se3 import Array, as_floats, lengths, unit
+from .follower import Follower
+
+# Weight of a held joint, which leaves other terms little [1/rad].
+_HELD = 3000.0
+# Share of a pinch from which on a person grips.
+_PINCHING = 0.5
+# Pads that close no faster than this have met something [m/s], if they do so for these samples.
+_STILL = 0.03
+_SAMPLES = 3
+# Time over which a force is raised, and a grip is let go [s].
+_RAISED = 0.1
+_LET_GO = 0.1
+
+
+class GripOptions(Options, frozen=True):
+    """How what is gripped is held.
+
+    Attributes:
+        stiffness: Stiffness of the fingers' position control [N m/rad].
+        force: Force with which thumb and finger press [N].
+        behind: How far the measured gap of the pads stays behind the commanded one where they have
+            met something [m].
+        opens_by: How much farther apart than in the grip a person's fingers let go [m].
+    """
+
+    stiffness: Positive = 3.0
+    force: Positive = 5.0
+    behind: Positive = 0.01
+    opens_by: Positive = 0.008
+
+
+class _HeldJoints(NamedTuple):
+    """Pulls some joints, by their columns of q, to positions [rad], shape (n,)."""
+
+    hand: Hand
+    columns: Array
+    positions: Array
+    weight: float
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        """Return a row a joint; see `Task.linearise`."""
+        off = hand.q[self.hand.q_indices] - self.positions
+        rows = np.eye(hand.nv)[self.hand.joint_columns[self.columns]]
+        return TaskRows(self.weight * off[self.columns], self.weight * rows)
+
+
+class _Grip(NamedTuple):
+    """What is held.
+
+    Attributes:
+        finger: Number of the finger, in the order of the pinches.
+        columns: Columns of q that move thumb and finger, shape (c,).
+        posture: Measured joint positions at the touch [rad], shape (n,).
+        levers: Torque of each joint for one newton between the pads [m], shape (n,).
+        force: Force that the command had there [N].
+        gap: Smallest gap of the person's fingers since then [m].
+        time: Time since then [s].
+        opening: Share of the way out, from 0 to 1.
+    """
+
+    finger: int
+    columns: Array
+    posture: Array
+    levers: Array
+    force: float
+    gap: float
+    time: float = 0.0
+    opening: float = 0.0
+
+
+class GripFollower:
+    """Lets a follower hold what thumb and finger grip, by the measured joints of the robot.
+
+    It is for one hand and the preset `teleoperation`. Without an object, it follows as before.
+
+    Args:
+        follower: Follows the samples.
+        options: How what is gripped is held.
+
+    Attributes:
+        follower: As given.
+        options: As given.
+
+    Raises:
+        InvalidOptionsError: If the robot has no thumb that meets a finger.
+    """
+
+    def __init__(self, follower: Follower, options: GripOptions | None = None) -> None:
+        self.follower = follower
+        self.options = options or GripOptions()
+        self._mapper = mapper = follower.mapper
+        self._tasks = mapper.tasks
+        self._hand = hand = mapper.robot
+        fingers = robot_fingers(hand)
+        names = fingers.names
+        has_pinch = THUMB in names and len(names) > 1
+        expect(has_pinch, "robot", "a hand with a thumb and a finger", value=hand.name)
+        pads = [fingers.pads[name] for name in names]
+        self._points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
+        self._radii = np.array([pad.radius for pad in pads])
+        self._columns = [fingers.used[name].columns for name in names]
+        self._placed = hand.configuration()
+        self._let_go()
+
+    def map_sample(
+        self, sample: HumanSample, measured_q: ArrayLike, **times: Any
+    ) -> MapStep:
+        """Map one sample of a tracker; see `Follower.map_sample`.
+
+        Args:
+            sample: The sample.
+            measured_q: Joint positions that the robot has [rad or m], shape (n,).
+            **times: `dt` and `arrival` [s].
+
+        Returns:
+            The step; its command has the `effort` of a grip.
+
+        Raises:
+            InvalidInputError: As there, or if a number here cannot be used.
+            InvalidOptionsError: As there, or if the method has no pinches.
+        """
+        shape = self._hand.rest.shape
+        q = as_floats(measured_q, "measured_q", shape=shape, is_finite=True)
+        step = self.follower.map_sample(sample, **times)
+        if self._mapper.reference is not self._reference:
+            self._let_go()
+        if not step.is_held:
+            self._advance(step, q)
+        if self._grip is None:
+            return step
+        effort = self._torques(self._grip)
+        command = structs.replace(step.command, effort=effort)
+        stages = Stages(step.stages.pose, step.asked, step.ik, command)
+        return structs.replace(step, stages=stages)
+
+    def _let_go(self) -> None:
+        """Grip nothing."""
+        self._grip: _Grip | None = None
+        # The finger that may meet something, its gap, and for how many samples it has.
+        self._near = 0, 0.0, 0
+        self._reference = self._mapper.reference
+        if self._mapper.tasks != self._tasks:
+            self._mapper.configure(tasks=self._tasks)
+
+    def _advance(self, step: MapStep, q: Array) -> None:
+        """Go on with a grip, or see whether there is one."""
+        dt = self._mapper.motion.dt
+        gaps = step.named("gaps")
+        if self._grip is None:
+            self._grip = grip = self._touched(step, q, gaps, dt)
+        else:
+            self._grip = grip = self._held(self._grip, gaps, dt)
+        if grip is None:
+            return
+        if grip.opening >= 1.0:
+            self._let_go()
+            return
+        positions = grip.posture + self._torques(grip) / self.options.stiffness
+        weight = _HELD * (1.0 - grip.opening) ** 2
+        held = _HeldJoints(self._hand, grip.columns, positions, weight)
+        self._mapper.configure(tasks=(*self._tasks, held))
+
+    def _held(self, grip: _Grip, gaps: Array, dt: float) -> _Grip:
+        """Return a grip after a sample of the person's gaps."""
+        gap = gaps[grip.finger]
+        opens = gap > grip.gap + self.options.opens_by
+        opening = grip.opening + (dt if opens else -dt) / _LET_GO
+        return grip._replace(
+            gap=min(grip.gap, gap), time=grip.time + dt, opening=max(opening, 0.0)
+        )
+
+    def _torques(self, grip: _Grip) -> Array:
+        """Return the torques with which a grip presses [N m], shape (n,)."""
+        share = min(grip.time / _RAISED, 1.0)
+        force = grip.force + share * (self.options.force - grip.force)
+        return (1.0 - grip.opening) * force * grip.levers
+
+    def _touched(
+        self, step: MapStep, q: Array, human: Array, dt: float
+    ) -> _Grip | None:
+        """Return the grip of pads that have met something; None if they have not."""
+        finger = int(human.argmin())
+        gap, levers = self._gap(q, finger)
+        before, last, samples = self._near
+        is_met = (
+            finger == before
+            and gap - self._gap(step.command.q, finger)[0] > self.options.behind
+            and last - gap < _STILL * dt
+            and step.named("pinching")[finger] > _PINCHING
+        )
+        samples = samples + 1 if is_met else 0
+        self._near = finger, gap, samples
+        if samples < _SAMPLES:
+            return None
+        columns = np.union1d(self._columns[0], self._columns[1 + finger])
+        pressed = self.options.stiffness * levers @ (step.command.q - q)
+        force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
+        return _Grip(finger, columns, q, levers, force, human[finger])
+
+    def _gap(self, q: Array, finger: int) -> tuple[float, Array]:
+        """Return the gap of the pads [m], and how fast joints close it [m/rad], shape (n,)."""
+        hand = self._hand
+        wrist = np.eye(4) if hand.is_floating else None
+        self._placed.place(hand.configuration_vector(q, wrist))
+        places = self._points.positions(self._placed)
+        thumb, own = self._points.jacobians(self._placed, places)[[0, 1 + finger]]
+        apart = places[1 + finger] - places[0]
+        closing = (thumb - own).T @ unit(apart)
+        gap = lengths(apart) - self._radii[0] - self._radii[1 + finger]
+        return float(gap), closing[hand.joint_columns]

@@ -1,0 +1,264 @@
+"""What thumb and finger grip: touch by encoders, a posture and a force, and the way out."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from picks import made_pick
+
+from handmap_qp import Hand, HandMapper, Recording, load_hand
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.human.recording import sample_columns
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.mapping.hand_pair import robot_fingers
+from handmap_qp.mapping.method import MapStep
+from handmap_qp.se3 import transform_points
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.grip import GripFollower, GripOptions, _Grip
+
+HUMAN = load_hand("human", points="landmarks")
+WIDTH = 0.03
+
+
+@pytest.fixture(scope="module")
+def allegro() -> Hand:
+    return load_hand("allegro_right")
+
+
+@lru_cache
+def pick(opens: bool = False) -> Recording:
+    """A hand closes at .8 s; then it may open as it has closed."""
+    recording = made_pick("right")
+    if not opens:
+        return recording
+    back = np.arange(110)[::-1]
+    order = np.append(np.arange(110), back)
+    time = np.arange(len(order)) / 60.0
+    valid = np.ones(len(order), dtype=bool)
+    return Recording("pick", time, recording.landmarks[order], valid, "right")
+
+
+def samples(opens: bool = False) -> Iterator[HumanSample]:
+    recording = pick(opens)
+    columns = sample_columns(recording)
+    yield from map(columns.sample, range(len(recording.time)))
+
+
+def gap_of(hand: Hand, q: np.ndarray) -> float:
+    """Distance of the pads of thumb and index [m], by the poses of their links."""
+    placed = hand.configuration()
+    wrist = np.eye(4) if hand.is_floating else None
+    placed.place(hand.configuration_vector(q, wrist))
+    pads = [robot_fingers(hand).pads[name] for name in ("thumb", "index")]
+    places = [
+        transform_points(placed.data.oMi[pad.joint].homogeneous, pad.offset)
+        for pad in pads
+    ]
+    apart = np.linalg.norm(places[1] - places[0])
+    return float(apart - pads[0].radius - pads[1].radius)
+
+
+def grip_follower(hand: Hand, **options: float) -> GripFollower:
+    follower = Follower(HandMapper(HUMAN, hand, "teleoperation"), smoothing=None)
+    return GripFollower(follower, GripOptions(**options))
+
+
+class Blocked:
+    """A hand whose pads cannot come nearer than an object is wide: its joints then stay."""
+
+    def __init__(self, hand: Hand, width: float = WIDTH) -> None:
+        self.hand = hand
+        self.width = width
+        self.q = hand.rest.copy()
+
+    def follow(self, q: np.ndarray) -> None:
+        if gap_of(self.hand, q) >= self.width:
+            self.q = q.copy()
+
+
+def run(
+    grip: GripFollower, width: float = WIDTH, opens: bool = False
+) -> Iterator[tuple[MapStep, np.ndarray]]:
+    """Yield each step, and the joints that had been measured."""
+    plant = Blocked(grip.follower.mapper.robot, width)
+    for sample in samples(opens):
+        measured = plant.q
+        step = grip.map_sample(sample, measured)
+        plant.follow(step.command.q)
+        yield step, measured
+
+
+def test_without_an_object_nothing_is_gripped(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    plain = Follower(HandMapper(HUMAN, allegro, "teleoperation"), smoothing=None)
+    for (step, _), sample in zip(run(grip, width=-1.0), samples(), strict=True):
+        assert step.command.effort is None
+        other = plain.map_sample(sample)
+        np.testing.assert_array_equal(step.command.q, other.command.q)
+
+
+def held(grip: GripFollower) -> _Grip:
+    found = grip._grip
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("stiffness", [3.0, 6.0])
+@pytest.mark.parametrize("force", [1.5, 3.0])
+def test_what_is_met_is_pressed_along_the_line_of_the_pads(
+    allegro: Hand, stiffness: float, force: float
+) -> None:
+    grip = grip_follower(allegro, stiffness=stiffness, force=force)
+    steps = list(run(grip))
+    q = np.array([step.command.q for step, _ in steps])
+    assert (np.abs(np.diff(q, axis=0)) * 60.0 <= allegro.velocity_limits + 1e-9).all()
+    found = held(grip)
+    posture, levers = found.posture, found.levers
+    # What the joints do is done to the pads: tau dq = -F d(gap).
+    for joint, lever in enumerate(levers):
+        ahead, behind = posture.copy(), posture.copy()
+        ahead[joint] += 1e-6
+        behind[joint] -= 1e-6
+        slope = (gap_of(allegro, ahead) - gap_of(allegro, behind)) / 2e-6
+        assert lever == pytest.approx(-slope, abs=1e-5)
+    # Once all of the force is there, position control presses with it.
+    last = steps[-1][0].command
+    assert last.effort is not None
+    np.testing.assert_allclose(last.effort, force * levers, rtol=1e-9)
+    moved = np.abs(levers) > 1e-3
+    pressed = stiffness * (last.q - posture)
+    np.testing.assert_allclose(pressed[moved], last.effort[moved], atol=0.003 * force)
+
+
+def test_the_force_rises_from_that_of_the_command(allegro: Hand) -> None:
+    grip = grip_follower(allegro, stiffness=2.0, force=40.0)
+    commands = [(step.command, measured) for step, measured in run(grip)]
+    levers = held(grip).levers
+    efforts = [command.effort for command, _ in commands]
+    forces = [e @ levers / (levers @ levers) for e in efforts if e is not None]
+    touch, measured = commands[-len(forces)]
+    own = 2.0 * levers @ (touch.q - measured) / (levers @ levers)
+    assert 1.0 < own < 30.0
+    assert forces[0] == pytest.approx(own)
+    # In a tenth of a second, evenly.
+    np.testing.assert_allclose(np.diff(forces[:6]), (40.0 - own) / 6.0, rtol=1e-6)
+    np.testing.assert_allclose(forces[6:], 40.0)
+
+
+def test_a_hand_that_is_not_pinching_grips_nothing(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    plant = Blocked(allegro, width=0.08)
+    slow = sample_columns(made_pick("right", closing=1.5))
+    for i in range(len(slow.time)):
+        step = grip.map_sample(slow.sample(i), plant.q)
+        plant.follow(step.command.q)
+        if step.command.effort is not None:
+            assert step.named("pinching").max() > 0.5
+    assert grip.follower.mapper.tasks
+
+
+def test_encoders_that_stay_for_two_samples_are_no_touch(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    plant = Blocked(allegro, width=-1.0)
+    for i, sample in enumerate(samples()):
+        step = grip.map_sample(sample, plant.q)
+        assert step.command.effort is None
+        if i not in (54, 55, 58, 59):
+            plant.follow(step.command.q)
+
+
+def test_only_pads_that_stay_behind_are_a_grip(allegro: Hand) -> None:
+    never = grip_follower(allegro, behind=1.0)
+    assert all(step.command.effort is None for step, _ in run(never))
+    # What is as narrow as they are behind is not found.
+    narrow = grip_follower(allegro, behind=0.02)
+    assert all(step.command.effort is None for step, _ in run(narrow, width=0.01))
+
+
+@pytest.mark.parametrize("opens_by", [0.008, 1.0])
+def test_it_opens_when_the_person_opens(allegro: Hand, opens_by: float) -> None:
+    grip = grip_follower(allegro, opens_by=opens_by)
+    steps = [step for step, _ in run(grip, opens=True)]
+    efforts = [
+        0.0 if step.command.effort is None else np.abs(step.command.effort).max()
+        for step in steps
+    ]
+    assert max(efforts) > 0.1
+    if opens_by == 1.0:
+        assert efforts[-1] > 0.1
+        return
+    assert efforts[-1] == 0.0
+    assert grip.follower.mapper.tasks == ()
+    # Without chatter, and fading: once on, once off.
+    is_on = np.array(efforts) > 0.0
+    assert np.abs(np.diff(is_on.astype(int))).sum() == 2
+    last = np.flatnonzero(is_on)[-1]
+    assert efforts[last] < 0.5 * max(efforts)
+
+
+def test_it_opens_from_the_smallest_gap_of_the_grip(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    at = _Grip(0, np.array([0]), allegro.rest, allegro.rest, 1.0, 0.03)
+    for gap in (0.02, 0.01, 0.017):
+        at = grip._held(at, np.array([gap]), 0.02)
+        assert at.opening == 0.0
+    assert grip._held(at, np.array([0.019]), 0.02).opening == pytest.approx(0.2)
+
+
+def test_terms_of_the_user_stay(allegro: Hand) -> None:
+    points = AttachedPoints.reference_points(allegro)
+    term = PointDistances(points, [(0, 1)], [0.05], [1e-6])
+    grip = grip_follower(allegro)
+    grip.follower.mapper.configure(tasks=[term])
+    grip = GripFollower(grip.follower)
+    seen = [grip.follower.mapper.tasks for _ in run(grip, opens=True)]
+    assert {len(tasks) for tasks in seen} == {1, 2}
+    assert {tasks[0] for tasks in seen} == {term}
+    assert grip.follower.mapper.tasks == (term,)
+
+
+def test_a_new_reference_lets_go(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    *_, (step, measured) = run(grip)
+    assert step.command.effort is not None
+    assert grip.follower.mapper.tasks
+    grip.follower.mapper.clutch()
+    *_, sample = samples()
+    assert grip.map_sample(sample, measured).command.effort is None
+    assert grip.follower.mapper.tasks == ()
+
+
+def test_copies_continue_alike(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    plant = Blocked(allegro)
+    copies: list[GripFollower] = []
+    for i, sample in enumerate(samples()):
+        if i == 75:
+            copies.append(copy.deepcopy(grip))
+        step = grip.map_sample(sample, plant.q)
+        for each in copies:
+            same = each.map_sample(sample, plant.q)
+            np.testing.assert_allclose(same.command.q, step.command.q, atol=1e-12)
+        plant.follow(step.command.q)
+    assert grip.follower.mapper.tasks
+
+
+def test_one_error_for_what_cannot_be_used(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    first, second, *_ = samples()
+    grip.map_sample(first, allegro.rest)
+    before = grip.follower.mapper.motion
+    for wrong in (allegro.rest[1:], np.full(len(allegro.rest), np.nan), "open"):
+        with pytest.raises(InvalidInputError, match="measured_q"):
+            grip.map_sample(second, wrong)
+    assert grip.follower.mapper.motion is before
+    paper = Follower(HandMapper(HUMAN, allegro, "paper"), smoothing=None)
+    with pytest.raises(InvalidOptionsError, match="gaps"):
+        GripFollower(paper).map_sample(first, allegro.rest)
+    with pytest.raises(InvalidOptionsError, match="stiffness"):
+        GripOptions(stiffness=0.0)
