@@ -8,6 +8,9 @@ Every robot follows every recording of `picks.py` by every mapping, and tries ob
 random place. All mappings and robots get the same objects and displacements. Torques are bounded by
 the makers' numbers (`TORQUES`). Shares of the objects that are held have intervals (95 %, Wilson).
 
+`teleoperation+grip` is the mapping with `GripFollower`: the robot's measured joints go back to it,
+and what thumb and finger have met is held with 5 N. It knows nothing else of the object.
+
 A trial that cannot start, because the open hand overlaps the object or its pads are less than 15 mm
 clear of it, is refused: it counts in no share, but beside it. A mapping that holds few and has many
 refused is no better for it. The results are written after each recording, so that a run that is
@@ -22,15 +25,16 @@ import common  # first: it sets the number of threads before numpy is loaded
 
 # isort: split
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gripping import GripScene
 from peers import build
 from picks import HOUSEHOLD, picks
 
-from handmap_qp import load_hand
+from handmap_qp import Recording, load_hand
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.simulation.commands import (
     chosen_methods,
@@ -49,6 +53,7 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 PEERS = Path(__file__).resolve().parent / "peers"
 ROBOTS = ("allegro_right", "leap_right", "shadow_right")
 OWN = ("teleoperation", "fingertip-vectors")
+GRIP = "teleoperation+grip"
 OTHERS = ("dex-dexpilot", "dexi-dexpilot", "dex-vector", "dexi-vector", "dex-position")
 TORQUES = {"allegro_right": 0.7, "leap_right": 0.95, "shadow_right": 2.0}
 """Largest torque of a finger's joint by the maker [N m].
@@ -163,6 +168,29 @@ def tried(scene: PinchScene, trial: PinchTrial) -> dict[str, Any]:
     }
 
 
+def scenes(
+    robot: str, recording: Recording, methods: Sequence[str], problems: list[str]
+) -> Iterator[tuple[str, PinchScene]]:
+    """Yield what each mapping makes of a recording; note those that cannot map it."""
+    window = find_pinch(recording)
+    hand = load_hand(robot)
+    take = prepare_take(recording, hand.side)
+    physics = Physics(gravity=_GRAVITY, torque=TORQUES.get(robot, 1e3))
+    if GRIP in methods:
+        yield GRIP, GripScene(take, hand, window, physics)
+    plain = tuple(name for name in methods if name != GRIP)
+    if not plain:
+        return
+    for method in chosen_methods(plain, PEERS if {*plain} - {*OWN} else None, robot):
+        try:
+            commands = map_commands(method, take, hand)
+        except HandmapError as error:
+            where = f"{robot}, {method.name}, {recording.name}"
+            problems.append(f"{where}: {error}")
+        else:
+            yield method.name, PinchScene(commands, window, physics)
+
+
 def main(words: Sequence[str] | None = None) -> None:
     """Simulate all trials, print the tables, and write them."""
     parser = common.make_parser((__doc__ or "").splitlines()[0])
@@ -174,7 +202,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = common.parse_arguments(parser, words)
     is_built = not build.missing_peers()
-    methods = arguments.methods or [*OWN, *(OTHERS if is_built else ())]
+    methods = arguments.methods or [*OWN, GRIP, *(OTHERS if is_built else ())]
     if arguments.quick:
         arguments.robots, arguments.trials, arguments.picks = ["allegro_right"], 1, 1
         methods = ["teleoperation"]
@@ -185,31 +213,17 @@ def main(words: Sequence[str] | None = None) -> None:
     results: dict[str, Any] = {}
     with common.progress("picking", len(recordings) * len(arguments.robots)) as done:
         for k, recording in enumerate(recordings):
-            window = find_pinch(recording)
             # Other places and objects for each recording.
             trials = draw(
                 arguments.objects, arguments.trials, 1000 * arguments.seed + k
             )
             for robot in arguments.robots:
-                hand = load_hand(robot)
-                take = prepare_take(recording, hand.side)
-                physics = Physics(gravity=_GRAVITY, torque=TORQUES.get(robot, 1e3))
-                outside = PEERS if {*methods} - {*OWN} else None
-                for method in chosen_methods(tuple(methods), outside, robot):
-                    where = {
-                        "robot": robot,
-                        "mapping": method.name,
-                        "recording": recording.name,
-                    }
-                    try:
-                        commands = map_commands(method, take, hand)
-                    except HandmapError as error:
-                        problems.append(f"{', '.join(where.values())}: {error}")
-                        continue
-                    scene = PinchScene(commands, window, physics)
+                for name, scene in scenes(robot, recording, methods, problems):
+                    where = {"robot": robot, "mapping": name}
+                    where["recording"] = recording.name
                     found += [
-                        where | {"object": name} | tried(scene, trial)
-                        for name, trial in trials
+                        where | {"object": kind} | tried(scene, trial)
+                        for kind, trial in trials
                     ]
                 done()
             results = {"seed": arguments.seed, "trials": found, "problems": problems}

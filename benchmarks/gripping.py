@@ -1,0 +1,73 @@
+"""A pick by a robot whose measured joints go back into the mapping: `GripScene`."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+
+import numpy as np
+
+from handmap_qp import Hand, HandMapper
+from handmap_qp.apps.offline.comparison import Take
+from handmap_qp.apps.simulation.commands import Commands, PinchWindow
+from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.pinch import PinchScene
+from handmap_qp.apps.simulation.simulator import Simulator
+from handmap_qp.human.recording import sample_columns
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.grip import GripFollower, GripOptions
+
+
+class GripScene(PinchScene):
+    """A robot that follows a recorded pinch, and holds what it meets by `GripFollower`.
+
+    Args:
+        take: The recording, prepared.
+        hand: The robot hand.
+        window: When the human pinches.
+        physics: Actuators, gravity and time steps.
+        stiffness: What the mapping believes the stiffness of the actuators to be, over what it is.
+    """
+
+    def __init__(
+        self,
+        take: Take,
+        hand: Hand,
+        window: PinchWindow,
+        physics: Physics,
+        stiffness: float = 1.0,
+    ) -> None:
+        human = take.human.with_points("landmarks")
+        follower = Follower(HandMapper(human, hand, "teleoperation"), smoothing=None)
+        self._samples = sample_columns(take.recording)
+        self._options = GripOptions(stiffness=stiffness * physics.joint_stiffness)
+        # Where the hand is at the earliest start.
+        made = []
+        for i in range(window.end + 1):
+            if i == window.opened + 1:
+                self._opened = copy.deepcopy(follower)
+            made.append(follower.map_sample(self._samples.sample(i)).command)
+        q, wrist = (np.array([getattr(c, key) for c in made]) for key in ("q", "wrist"))
+        time = take.recording.time[: len(made)]
+        commands = Commands(follower.mapper.robot, time, q, wrist)
+        super().__init__(commands, window, physics)
+        # That of the pads with nothing between them is of the mapping alone.
+        self._grips = False
+        _ = self._closing
+        self._grips = True
+
+    def _play(self, simulator: Simulator, start: int) -> Iterator[float]:
+        """Follow the recording to the end of the pinch, and yield the time of each sample [s]."""
+        if not self._grips:
+            yield from super()._play(simulator, start)
+            return
+        follower = copy.deepcopy(self._opened)
+        for i in range(self.window.opened + 1, start + 1):
+            follower.map_sample(self._samples.sample(i))
+        grip = GripFollower(follower, self._options)
+        time = self.commands.time
+        for i in range(start + 1, self.window.end + 1):
+            command = grip.map_sample(self._samples.sample(i), simulator.q).command
+            wrist = command.wrist if self.commands.hand.is_floating else None
+            simulator.follow(command.q, wrist, time[i] - time[i - 1])
+            yield float(time[i])
