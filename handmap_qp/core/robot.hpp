@@ -61,7 +61,7 @@ inline Pose turned(const Pose& palm, const Vec3& anchor, const Pose& to, double 
 // Moves a robot for what its hands ask.
 class RobotMover {
  public:
-  // Of a core's `Ik`, its gate, the robot as one hand, a function that makes `IkResult` of all hands,
+  // Of a core's `Ik`, its gate, the robot as one hand, a function that makes `IkResult` of all,
   // the pairs of each hand that pinch, the leaders by side, and the time in which palms turn.
   RobotMover(nb::object ik, nb::object gate, const nb::object& robot, const nb::object& result,
              const nb::list& pinching, nb::dict leaders, double turns_in)
@@ -86,8 +86,8 @@ class RobotMover {
       hands_[k].pinching = indices_of(nb::borrow(pinching[k])[nb::int_(0)]);
       hands_[k].among_own = indices_of(nb::borrow(pinching[k])[nb::int_(1)]);
     }
-    if (pinching.size() > 0)
-      margins_.assign(ik_.pairs->size(), module_of("handmap_qp.hands").get<double>("LINK_MARGIN"));
+    margin_ = module_of("handmap_qp.hands").get<double>("LINK_MARGIN");
+    if (pinching.size() > 0) margins_.assign(ik_.pairs->size(), margin_);
   }
   RobotMover(const RobotMover&) = delete;
 
@@ -95,9 +95,9 @@ class RobotMover {
   // for samples that Python has to look at. `worlds` are those of `move`.
   nb::object map(const nb::str& reader, const nb::object& given, const nb::object& given_wrists,
                  const nb::object& dt, const std::vector<Array>& worlds) {
-    static const nb::object &core = interned("core"), &map = interned("map"), &own_dt = interned("dt"),
-                            &last = interned("last"), &since = interned("since"),
-                            &stages = interned("stages");
+    static const nb::object &core = interned("core"), &map = interned("map"),
+                            &own_dt = interned("dt"), &last = interned("last"),
+                            &since = interned("since"), &stages = interned("stages");
     const Clock::time_point started = Clock::now();
     nb::dict numbers, wrists;
     if (!nb::try_cast(given, numbers) || !nb::try_cast(given_wrists, wrists) ||
@@ -159,9 +159,9 @@ class RobotMover {
   };
 
   // See `move`.
-  std::pair<nb::object, std::vector<nb::object>> moved(const std::vector<const Ask*>& asks,
-                                                       const Vector& times,
-                                                       const std::vector<Array>& worlds, double dt) {
+  using Moved = std::pair<nb::object, std::vector<nb::object>>;
+  Moved moved(const std::vector<const Ask*>& asks, const Vector& times,
+              const std::vector<Array>& worlds, double dt) {
     if (asks.size() != hands_.size() || times.size() != hands_.size() ||
         (!worlds.empty() && worlds.size() != hands_.size()))
       throw std::invalid_argument("wrong number of hands");
@@ -171,7 +171,7 @@ class RobotMover {
     aim(asks, times, worlds);
     goal_.postures = ik_.postures(wanted_rest_, std::max(dt, kShortestDt));
     auto [made, whole] = new_stages(reader_);
-    seek(ik_, goal_, dt, wanted_margins_, speed, whole.result);
+    seek(ik_, goal_, dt, margins_, speed, whole.result);
     finish(ik_, whole);
     whole.asked.points = whole.result.targets;
     whole.asked.wrist = goal_.wrists[0];
@@ -199,7 +199,6 @@ class RobotMover {
     goal_.distances.clear();
     goal_.offsets.clear();
     wanted_rest_ = rest_;
-    wanted_margins_ = margins_;
     asked_.resize(count);
     persons_.resize(count);
     for (size_t k = 0; k < count; ++k) {
@@ -220,9 +219,10 @@ class RobotMover {
       }
       for (size_t i = 0; i < rest_.size(); ++i)
         if (hands_[k].is_finger[i]) wanted_rest_[i] = asks[k]->map->rest[i];
-      if (asked.margins.empty()) continue;
+      // Others never change.
       for (size_t i = 0; i < hands_[k].pinching.size(); ++i)
-        wanted_margins_.at(hands_[k].pinching[i]) = asked.margins.at(hands_[k].among_own[i]);
+        margins_.at(hands_[k].pinching[i]) =
+            asked.margins.empty() ? margin_ : asked.margins.at(hands_[k].among_own[i]);
     }
     if (count == 2) bring_together(asks);
     for (const Asked& asked : asked_) {
@@ -271,19 +271,19 @@ class RobotMover {
   }
 
   // The stages of one hand.
-  nb::object part_of(const Stages& whole, const Ask& ask, size_t k) const {
+  nb::object part_of(const Stages& whole, const Ask& ask, size_t k) {
     auto [made, stages] = new_stages(ask.reader);
     const Part& part = ik_.tree.parts[k];
     const auto own = [&part](const std::vector<Vec3>& of) {
       return std::vector<Vec3>(of.begin() + part.first, of.begin() + part.end);
     };
+    const Result& all = whole.result;
     stages.pose = ask.pose;
-    stages.asked = asked_[k];
-    stages.asked.points = own(whole.result.targets);
-    stages.result = whole.result;
-    stages.result.targets = stages.asked.points;
-    stages.result.points = own(whole.result.points);
-    stages.result.wrists = {whole.result.wrists[k]};
+    stages.asked = std::move(asked_[k]);
+    stages.asked.points = own(all.targets);
+    stages.result = {all.status,       own(all.points),  stages.asked.points, {all.wrists[k]},
+                     all.displacement, all.active,       all.iterations,      all.last_step,
+                     all.held_by};
     stages.motion = whole.motion;
     stages.q = whole.q;
     return made;
@@ -294,12 +294,12 @@ class RobotMover {
   std::shared_ptr<const StepReader> reader_;
   Vector rest_, margins_;
   const nb::dict leaders_;
-  double turns_in_, near_, together_, together_share_;
+  double turns_in_, near_, together_, together_share_, margin_;
   std::vector<RobotHand> hands_;
   // What the hands ask, where the person's palms are in the robot's world, and what the QP is to do.
   std::vector<Asked> asked_;
   std::vector<Pose> persons_;
-  Vector wanted_rest_, wanted_margins_;
+  Vector wanted_rest_;
   Goal goal_;
 };
 
