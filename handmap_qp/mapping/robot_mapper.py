@@ -133,6 +133,7 @@ class Leader(HandMapper):
         """Make the next sample the reference; see `HandMapper.clutch`."""
         super().clutch()
         self.since = 0.0
+        self.last = MapStep(self.asked, (), 0.0)
 
     @property
     def renews_reference(self) -> bool:
@@ -159,14 +160,14 @@ class Leader(HandMapper):
         """Whether the robot's hand is to stay."""
         return self.asked and self.asked.map is None
 
-    def stay(self, verdict: Verdict | None = None) -> None:
-        """Ask that the robot's hand stays where it is now, with a verdict about its sample."""
+    def stay(self) -> None:
+        """Ask that the robot's hand stays where it is now."""
         at = posture_of(self.robot, self.motion.q)
         margins = self.asked and self.asked.targets.margins
         unseen = np.full((len(self.human.reference_points), 3), np.nan)
         targets = Targets(at.points, at.wrist, margins=margins)
-        asked: Any = Asked(HumanPose(unseen, None), targets, at.q, self.dt)
-        self.last = MapStep(asked, (), 0.0, verdict)
+        asked = Asked(HumanPose(unseen, None), targets, at.q, self.dt)
+        self.last = structs.replace(self.last, stages=asked)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Ask that the robot's hand stays where it is; arguments as of `HandMapper.hold`."""
@@ -311,7 +312,7 @@ class RobotMapper:
         self._ik.gate.motion = motion
         for leader in self.leaders.values():
             if leader.is_staying:
-                leader.stay(leader.last.verdict)
+                leader.stay()
 
     @property
     def base_pose(self) -> Array:
@@ -624,7 +625,7 @@ class RobotMapper:
             if method is not None:
                 # What they asked for last was of the former one.
                 for leader in self.leaders.values():
-                    leader.stay(leader.last.verdict)
+                    leader.stay()
 
     @contextmanager
     def _unless_refused(self) -> Iterator[None]:

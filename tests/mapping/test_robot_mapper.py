@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -618,6 +619,24 @@ def test_another_method_lets_hands_stay_until_their_next_sample(
         step = mapper.map_step({"left": q["left"]}, wrists, dt=DT)
     change = palms(step, g1)[1] - palms(before, g1)[1]
     assert np.abs(change).max() < 0.02
+
+
+def test_a_hand_that_waits_says_what_it_said_after_a_change_of_options(
+    g1: Hand,
+) -> None:
+    follower = RobotFollower(RobotMapper(g1, HUMANS, "teleoperation"))
+    for i in range(20):
+        samples = samples_of(i)
+        left = replace(samples["left"], confidence=0.5)
+        follower.map_samples(samples | {"left": left})
+    mapper = follower.mapper
+    mapper.configure("teleoperation")
+    mapper.motion = mapper.motion
+    step = follower.map_samples({"right": samples_of(20)["right"]})
+    assert step.hands["left"].confidence == 0.5
+    mapper.clutch()
+    step = follower.map_samples({"right": samples_of(21)["right"]})
+    assert step.hands["left"].confidence == 1.0
 
 
 def test_a_robot_with_two_hands_is_not_one_hand(g1: Hand) -> None:
