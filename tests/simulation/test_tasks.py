@@ -133,6 +133,18 @@ def test_the_stand_lets_go_at_last_where_no_grip_comes(pinching: PinchScene) -> 
     assert (outcome.is_held, outcome.held_time, outcome.slip) == (False, 0.0, 0.0)
 
 
+def test_what_was_carried_for_no_time_was_not_held(pinching: PinchScene) -> None:
+    whole = pinching.run(PinchTrial())
+    assert whole.is_held
+    time = pinching.commands.time
+    freed = np.searchsorted(time, time[pinching.window.end] - whole.pinch_time)
+    for later, is_held in ((0.1, False), (0.3, True)):
+        end = int(np.searchsorted(time, time[freed] + later))
+        window = pinching.window._replace(end=end)
+        scene = PinchScene(pinching.commands, window, pinching.physics)
+        assert scene.run(PinchTrial()).is_held == is_held
+
+
 def test_a_trial_starts_where_the_open_hand_is_last_clear_of_the_object(
     pinching: PinchScene,
 ) -> None:

@@ -311,7 +311,9 @@ def _outcome(episode: Episode, away: Array, freed: int, width: float) -> PinchOu
     poses = inverse_pose(kept.wrist) @ kept.object_pose
     turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
     return PinchOutcome(
-        is_held=not len(lost) and bool(free.links_touching[-1] >= 2),
+        is_held=not len(lost)
+        and bool(free.links_touching[-1] >= 2)
+        and np.ptp(free.time) >= _GRIPPED,
         held_time=np.ptp(kept.time),
         pinch_time=np.ptp(free.time),
         slip=lengths(poses[:, :3, 3] - poses[0, :3, 3]).max(),
