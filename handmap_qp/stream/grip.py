@@ -8,6 +8,7 @@ between the pads. The QP pulls to joint positions that press so: its limits hold
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,12 +28,14 @@ from .follower import Follower
 _HELD = 3000.0
 # Share of a pinch from which on a person grips.
 _PINCHING = 0.5
-# Pads that close no faster than this have met something [m/s], if they do so for these samples.
+# Pads that move no faster than this for so long have met something [m/s, s].
 _STILL = 0.03
-_SAMPLES = 3
+_TOUCHED = 0.1
 # Time over which a force is raised, and a grip is let go [s].
 _RAISED = 0.1
 _LET_GO = 0.1
+# A grip forgets the smallest gap of the person's fingers this fast [m/s]: trackers tremble.
+_FORGETS = 0.02
 
 
 class GripOptions(Options, frozen=True):
@@ -105,25 +108,30 @@ class GripFollower:
         options: As given.
 
     Raises:
-        InvalidOptionsError: If the robot has no thumb that meets a finger.
+        InvalidInputError: If it is for another preset, or the robot has no thumb that turns to a
+            finger.
     """
 
     def __init__(self, follower: Follower, options: GripOptions | None = None) -> None:
         self.follower = follower
         self.options = options or GripOptions()
         self._mapper = mapper = follower.mapper
-        self._tasks = mapper.tasks
         self._hand = hand = mapper.robot
         fingers = robot_fingers(hand)
         names = fingers.names
-        has_pinch = THUMB in names and len(names) > 1
-        expect(has_pinch, "robot", "a hand with a thumb and a finger", value=hand.name)
+        has_pinch = THUMB in names and len(names) > 1 and not fingers.has_jaws
+        has_pinch = has_pinch and hasattr(mapper.method, "pinch_weight")
+        wanted = "a hand that `teleoperation` moves, whose thumb turns to a finger"
+        expect(has_pinch, "follower", wanted, value=hand.name)
         pads = [fingers.pads[name] for name in names]
         self._points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
         self._radii = np.array([pad.radius for pad in pads])
         self._columns = [fingers.used[name].columns for name in names]
         self._placed = hand.configuration()
         self._let_go()
+
+    # A shallow copy would move the same robot.
+    __copy__ = deepcopy
 
     def map_sample(
         self, sample: HumanSample, measured_q: ArrayLike, **times: Any
@@ -132,7 +140,8 @@ class GripFollower:
 
         Args:
             sample: The sample.
-            measured_q: Joint positions that the robot has [rad or m], shape (n,).
+            measured_q: Joint positions that the robot has now [rad or m], shape (n,): read anew
+                for each sample.
             **times: `dt` and `arrival` [s].
 
         Returns:
@@ -144,10 +153,10 @@ class GripFollower:
         """
         shape = self._hand.rest.shape
         q = as_floats(measured_q, "measured_q", shape=shape, is_finite=True)
-        step = self.follower.map_sample(sample, **times)
         if self._mapper.reference is not self._reference:
             self._let_go()
-        if not step.is_held:
+        step = self.follower.map_sample(sample, **times)
+        if step.status not in ("held", "released"):
             self._advance(step, q)
         if self._grip is None:
             return step
@@ -159,11 +168,19 @@ class GripFollower:
     def _let_go(self) -> None:
         """Grip nothing."""
         self._grip: _Grip | None = None
-        # The finger that may meet something, its gap, and for how many samples it has.
-        self._near = 0, 0.0, 0
+        # The finger that may meet something, its gap, and for how long it has.
+        self._near = -1, 0.0, 0.0
+        # Whether the person's fingers have been apart since: only then they grip.
+        self._is_apart = False
         self._reference = self._mapper.reference
-        if self._mapper.tasks != self._tasks:
-            self._mapper.configure(tasks=self._tasks)
+        self._ask()
+
+    def _ask(self, *held: _HeldJoints) -> None:
+        """Hold joints from the next sample on; terms of the user stay."""
+        tasks = self._mapper.tasks
+        kept = [task for task in tasks if not isinstance(task, _HeldJoints)]
+        if held or len(kept) < len(tasks):
+            self._mapper.configure(tasks=(*kept, *held))
 
     def _advance(self, step: MapStep, q: Array) -> None:
         """Go on with a grip, or see whether there is one."""
@@ -181,7 +198,7 @@ class GripFollower:
         positions = grip.posture + self._torques(grip) / self.options.stiffness
         weight = _HELD * (1.0 - grip.opening) ** 2
         held = _HeldJoints(self._hand, grip.columns, positions, weight)
-        self._mapper.configure(tasks=(*self._tasks, held))
+        self._ask(held)
 
     def _held(self, grip: _Grip, gaps: Array, dt: float) -> _Grip:
         """Return a grip after a sample of the person's gaps."""
@@ -189,7 +206,9 @@ class GripFollower:
         opens = gap > grip.gap + self.options.opens_by
         opening = grip.opening + (dt if opens else -dt) / _LET_GO
         return grip._replace(
-            gap=min(grip.gap, gap), time=grip.time + dt, opening=max(opening, 0.0)
+            gap=min(grip.gap + _FORGETS * dt, gap),
+            time=grip.time + dt,
+            opening=max(opening, 0.0),
         )
 
     def _torques(self, grip: _Grip) -> Array:
@@ -204,16 +223,19 @@ class GripFollower:
         """Return the grip of pads that have met something; None if they have not."""
         finger = int(human.argmin())
         gap, levers = self._gap(q, finger)
-        before, last, samples = self._near
+        before, last, time = self._near
+        pinching = step.named("pinching")[finger]
+        self._is_apart |= pinching < _PINCHING
         is_met = (
-            finger == before
+            self._is_apart
+            and finger == before
+            and pinching > _PINCHING
+            and abs(gap - last) < _STILL * dt
             and gap - self._gap(step.command.q, finger)[0] > self.options.behind
-            and last - gap < _STILL * dt
-            and step.named("pinching")[finger] > _PINCHING
         )
-        samples = samples + 1 if is_met else 0
-        self._near = finger, gap, samples
-        if samples < _SAMPLES:
+        time = time + dt if is_met else 0.0
+        self._near = finger, gap, time
+        if time < _TOUCHED:
             return None
         columns = np.union1d(self._columns[0], self._columns[1 + finger])
         pressed = self.options.stiffness * levers @ (step.command.q - q)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Iterator
 from functools import lru_cache
 
@@ -162,14 +163,42 @@ def test_a_hand_that_is_not_pinching_grips_nothing(allegro: Hand) -> None:
     assert grip.follower.mapper.tasks
 
 
-def test_encoders_that_stay_for_two_samples_are_no_touch(allegro: Hand) -> None:
+@pytest.mark.parametrize("every", [2, 4])
+def test_encoders_that_are_read_seldom_are_no_touch(allegro: Hand, every: int) -> None:
     grip = grip_follower(allegro)
     plant = Blocked(allegro, width=-1.0)
-    for i, sample in enumerate(samples()):
+    for i, sample in enumerate(samples(opens=True)):
         step = grip.map_sample(sample, plant.q)
         assert step.command.effort is None
-        if i not in (54, 55, 58, 59):
+        if i % every == 0:
             plant.follow(step.command.q)
+
+
+def test_a_grip_begins_after_the_fingers_have_been_apart(allegro: Hand) -> None:
+    def closed(is_apart: bool) -> bool:
+        grip = grip_follower(allegro)
+        plant = Blocked(allegro)
+        steps = []
+        for i, sample in enumerate(samples()):
+            # At first, it sees a hand that has closed, or all of the closing.
+            if is_apart or i > 75:
+                steps.append(grip.map_sample(sample, plant.q))
+                plant.follow(steps[-1].command.q)
+        return steps[-1].command.effort is not None
+
+    assert closed(True)
+    assert not closed(False)
+
+
+def test_a_hand_that_trembles_keeps_what_it_grips(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    at = _Grip(0, np.array([0]), allegro.rest, allegro.rest, 1.0, 0.02)
+    random = np.random.default_rng(7)
+    # A gap that rises by 1 mm a second, and trembles by 3 mm.
+    for i in range(1800):
+        gap = 0.02 + 0.001 * i / 60.0 + random.uniform(0.0, 0.003)
+        at = grip._held(at, np.array([gap]), 1.0 / 60.0)
+        assert at.opening == 0.0
 
 
 def test_only_pads_that_stay_behind_are_a_grip(allegro: Hand) -> None:
@@ -207,7 +236,7 @@ def test_it_opens_from_the_smallest_gap_of_the_grip(allegro: Hand) -> None:
     for gap in (0.02, 0.01, 0.017):
         at = grip._held(at, np.array([gap]), 0.02)
         assert at.opening == 0.0
-    assert grip._held(at, np.array([0.019]), 0.02).opening == pytest.approx(0.2)
+    assert grip._held(at, np.array([0.02]), 0.02).opening == pytest.approx(0.2)
 
 
 def test_terms_of_the_user_stay(allegro: Hand) -> None:
@@ -215,22 +244,42 @@ def test_terms_of_the_user_stay(allegro: Hand) -> None:
     term = PointDistances(points, [(0, 1)], [0.05], [1e-6])
     grip = grip_follower(allegro)
     grip.follower.mapper.configure(tasks=[term])
-    grip = GripFollower(grip.follower)
     seen = [grip.follower.mapper.tasks for _ in run(grip, opens=True)]
     assert {len(tasks) for tasks in seen} == {1, 2}
     assert {tasks[0] for tasks in seen} == {term}
     assert grip.follower.mapper.tasks == (term,)
 
 
-def test_a_new_reference_lets_go(allegro: Hand) -> None:
+@pytest.mark.parametrize("way", ["clutch", "reset"])
+def test_a_new_reference_lets_go(allegro: Hand, way: str) -> None:
     grip = grip_follower(allegro)
     *_, (step, measured) = run(grip)
     assert step.command.effort is not None
     assert grip.follower.mapper.tasks
-    grip.follower.mapper.clutch()
+    plain = copy.deepcopy(grip).follower
+    plain.mapper.configure(tasks=())
+    for mapper in (grip.follower.mapper, plain.mapper):
+        getattr(mapper, way)()
     *_, sample = samples()
-    assert grip.map_sample(sample, measured).command.effort is None
+    later = dataclasses.replace(sample, time=sample.time + 1.0 / 60.0)
+    step = grip.map_sample(later, measured)
+    assert step.command.effort is None
     assert grip.follower.mapper.tasks == ()
+    np.testing.assert_array_equal(step.command.q, plain.map_sample(later).command.q)
+
+
+def test_a_release_keeps_a_grip(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    plant = Blocked(allegro)
+    kept = None
+    for i, sample in enumerate(samples(opens=True)):
+        step = grip.map_sample(sample, plant.q)
+        if i == 105:
+            grip.follower.mapper.release()
+            kept = step.command.effort
+            assert kept is not None
+        elif kept is not None:
+            np.testing.assert_array_equal(step.command.effort, kept)
 
 
 def test_copies_continue_alike(allegro: Hand) -> None:
@@ -239,7 +288,7 @@ def test_copies_continue_alike(allegro: Hand) -> None:
     copies: list[GripFollower] = []
     for i, sample in enumerate(samples()):
         if i == 75:
-            copies.append(copy.deepcopy(grip))
+            copies += copy.deepcopy(grip), copy.copy(grip)
         step = grip.map_sample(sample, plant.q)
         for each in copies:
             same = each.map_sample(sample, plant.q)
@@ -257,8 +306,9 @@ def test_one_error_for_what_cannot_be_used(allegro: Hand) -> None:
         with pytest.raises(InvalidInputError, match="measured_q"):
             grip.map_sample(second, wrong)
     assert grip.follower.mapper.motion is before
-    paper = Follower(HandMapper(HUMAN, allegro, "paper"), smoothing=None)
-    with pytest.raises(InvalidOptionsError, match="gaps"):
-        GripFollower(paper).map_sample(first, allegro.rest)
+    for robot, method in ((allegro, "paper"), (load_hand("panda_gripper"), None)):
+        other = Follower(HandMapper(HUMAN, robot, method))
+        with pytest.raises(InvalidInputError, match="thumb turns"):
+            GripFollower(other)
     with pytest.raises(InvalidOptionsError, match="stiffness"):
         GripOptions(stiffness=0.0)
