@@ -153,7 +153,7 @@ def test_the_force_rises_from_that_of_the_command(allegro: Hand) -> None:
 
 def test_a_hand_that_is_not_pinching_grips_nothing(allegro: Hand) -> None:
     grip = grip_follower(allegro)
-    plant = Blocked(allegro, width=0.08)
+    plant = Blocked(allegro, width=0.13)
     slow = sample_columns(made_pick("right", closing=1.5))
     for i in range(len(slow.time)):
         step = grip.map_sample(slow.sample(i), plant.q)
@@ -289,6 +289,7 @@ def test_copies_continue_alike(allegro: Hand) -> None:
     for i, sample in enumerate(samples()):
         if i == 75:
             copies += copy.deepcopy(grip), copy.copy(grip)
+            assert all(each.follower is not grip.follower for each in copies)
         step = grip.map_sample(sample, plant.q)
         for each in copies:
             same = each.map_sample(sample, plant.q)
