@@ -298,7 +298,7 @@ class Follower:
         mapper: HandMapper,
         *,
         rejoin: RejoinKind = "glide",
-        smoothing: Smoothing | None = Smoothing(),  # noqa: B008
+        smoothing: Smoothing | None = Smoothing(),
     ) -> None:
         if rejoin not in get_args(RejoinKind):
             kinds = ", ".join(get_args(RejoinKind))
