@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from handmap_qp import Hand, HandMapper
 from handmap_qp.apps.offline.comparison import Take
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow
 from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pinch import PinchScene
+from handmap_qp.apps.simulation.pinch import Meeting, PinchScene
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.stream.follower import Follower
@@ -26,21 +27,15 @@ class GripScene(PinchScene):
         hand: The robot hand.
         window: When the human pinches.
         physics: Actuators, gravity and time steps.
-        stiffness: What the mapping believes the stiffness of the actuators to be, over what it is.
     """
 
     def __init__(
-        self,
-        take: Take,
-        hand: Hand,
-        window: PinchWindow,
-        physics: Physics,
-        stiffness: float = 1.0,
+        self, take: Take, hand: Hand, window: PinchWindow, physics: Physics
     ) -> None:
         human = take.human.with_points("landmarks")
         follower = Follower(HandMapper(human, hand, "teleoperation"), smoothing=None)
         self._samples = sample_columns(take.recording)
-        self._options = GripOptions(stiffness=stiffness * physics.joint_stiffness)
+        self._options = GripOptions(stiffness=physics.joint_stiffness)
         # Where the hand is at the earliest start.
         made = []
         for i in range(window.end + 1):
@@ -51,16 +46,14 @@ class GripScene(PinchScene):
         time = take.recording.time[: len(made)]
         commands = Commands(follower.mapper.robot, time, q, wrist)
         super().__init__(commands, window, physics)
-        # That of the pads with nothing between them is of the mapping alone.
-        self._grips = False
-        _ = self._closing
-        self._grips = True
+
+    @cached_property
+    def _closing(self) -> Meeting:
+        """The motion of the mapping alone, with nothing between the pads."""
+        return PinchScene(self.commands, self.window, self.physics)._closing
 
     def _play(self, simulator: Simulator, start: int) -> Iterator[float]:
         """Follow the recording to the end of the pinch, and yield the time of each sample [s]."""
-        if not self._grips:
-            yield from super()._play(simulator, start)
-            return
         follower = copy.deepcopy(self._opened)
         for i in range(self.window.opened + 1, start + 1):
             follower.map_sample(self._samples.sample(i))
