@@ -74,21 +74,19 @@ class CompiledIk:
 
     def sample_mapper(self, target_map: Any) -> Any:
         """Return the core's way from samples to steps, by a `TargetMap` that it has too."""
-        assert core is not None
         return core.SampleMapper(
             self.core, self._gate, target_map, self._hand, self._result
         )
 
     def asker(self, target_map: Any, hand: Hand) -> Any:
         """Return the core's way from samples of one hand to what it asks of the robot."""
-        assert core is not None
         return core.Asker(target_map, hand, self._result_of(hand))
 
     def robot_mover(self, *arguments: Any) -> Any:
         """Return the core's way from samples of all hands to a step; see `RobotMapper`."""
-        assert core is not None
-        own = self.core, self._gate, self._hand, self._result
-        return core.RobotMover(*own, *arguments)
+        return core.RobotMover(
+            self.core, self._gate, self._hand, self._result, *arguments
+        )
 
     def _linearise(self, tasks: Sequence[Task], q: Array) -> tuple[Array, Array, Array]:
         """Return the rows of tasks that are written in Python, at a configuration."""

@@ -9,7 +9,6 @@ import os
 import zlib
 from functools import cached_property, wraps
 from pathlib import Path
-from types import ModuleType
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -23,7 +22,7 @@ def fingerprint() -> str:
     return f"{zlib.crc32(content):08x}" if content else ""
 
 
-def _load() -> tuple[ModuleType | None, str]:
+def _load() -> tuple[Any, str]:
     if os.environ.get("HANDMAP_PURE", "") not in ("", "0"):
         return None, "Python path: HANDMAP_PURE is set"
     again = "install handmap_qp again with a C++ compiler, such as g++"

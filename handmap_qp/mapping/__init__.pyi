@@ -12,6 +12,7 @@ from .hand_pair import KNUCKLES as KNUCKLES
 from .hand_pair import HandPair as HandPair
 from .hand_pair import RobotFingers as RobotFingers
 from .hand_pair import bone_lengths as bone_lengths
+from .hand_pair import gap_task as gap_task
 from .hand_pair import points_in_palm as points_in_palm
 from .hand_pair import require_partners as require_partners
 from .hand_pair import resting_posture as resting_posture

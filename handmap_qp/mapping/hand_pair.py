@@ -207,7 +207,7 @@ class HandPair:
             at_rest = self.human_rest[self.tips]
             gaps = lengths(at_rest[1:] - at_rest[0])
             pads = [self.pads[finger] for finger in self.fingers]
-            task = _gap_task(self.robot, pads, gaps)
+            task = gap_task(self.robot, pads, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
         places = [self.chains[finger].knuckle for finger in self.fingers]
@@ -231,7 +231,7 @@ class HandPair:
             return knuckles[0] + gain * (human - self.human_rest[self.knuckles[0]])
         middle = knuckles[self._others].mean(axis=0)
         above = middle + gain * (human - self.human_knuckles)
-        chains = find_fingers(self.human)
+        chains = _human_fingers(self.human)
         pads = find_pads(self.human, chains)
         human_pinching = _pinching_thumb(self.human, chains, pads)
         return (
@@ -395,6 +395,21 @@ def bone_lengths(human: Hand, fingers: Sequence[str]) -> Array:
     return reaches[[FINGERS.index(finger) for finger in fingers]]
 
 
+def _human_fingers(human: Hand) -> dict[str, Finger]:
+    """Find a human's fingers; those of a scaled hand have their tips elsewhere."""
+    standard = human.unscaled
+    tree = core_tree(human)
+    if standard is None or tree is None:
+        return find_fingers(human)
+    chains = robot_fingers(standard).chains
+    named = {point.name: point for point in standard.spec.points}
+    places = tree.places([named[TIPS[finger]] for finger in chains])
+    return {
+        finger: Finger(human, chains[finger].joints, tip, name=finger)
+        for finger, tip in zip(chains, places, strict=True)
+    }
+
+
 def _pinching_thumb(
     hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
 ) -> Array:
@@ -409,7 +424,7 @@ def _pinching_thumb(
             _pinching_ik(hand.unscaled or hand), places, touching, tip
         )
     ik = PointIk(hand, _PINCHING)
-    task = _gap_task(hand, used, 0.0)
+    task = gap_task(hand, used)
     tips = []
     for is_used in np.eye(len(used) - 1):
         own = task.aimed_at(task.distances, is_used * task.weights)
@@ -420,7 +435,9 @@ def _pinching_thumb(
 _pinching_ik = lru_cache(maxsize=16)(partial(PointIk, options=_PINCHING))
 
 
-def _gap_task(hand: Hand, pads: Sequence[Pad], gaps: Array | float) -> PointDistances:
+def gap_task(
+    hand: Hand, pads: Sequence[Pad], gaps: Array | float = 0.0
+) -> PointDistances:
     """Return the task of giving the first pad, the thumb's, gaps to p others [m], shape (p,)."""
     points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
     pairs = [(0, k) for k in range(1, len(points))]

@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Configuration, Hand
 from handmap_qp.human import HumanSample
-from handmap_qp.ik import AttachedPoints, TaskRows
-from handmap_qp.mapping import MapStep, Stages, robot_fingers
+from handmap_qp.ik import LENGTH_UNIT, TaskRows
+from handmap_qp.mapping import MapStep, Stages, gap_task, robot_fingers
 from handmap_qp.options import Options, Positive
-from handmap_qp.se3 import Array, as_floats, lengths, unit
+from handmap_qp.se3 import Array, as_floats, lengths
 from .follower import Follower
 
 # Weight of a held joint, which leaves other terms little [1/rad].
@@ -119,13 +119,16 @@ class GripFollower:
         self._hand = hand = mapper.robot
         fingers = robot_fingers(hand)
         names = fingers.names
-        has_pinch = THUMB in names and len(names) > 1 and not fingers.has_jaws
-        has_pinch = has_pinch and hasattr(mapper.method, "pinch_weight")
+        has_pinch = (
+            hasattr(mapper.method, "pinch_weight")
+            and THUMB in names
+            and len(names) > 1
+            and not fingers.has_jaws
+        )
         wanted = "a hand that `teleoperation` moves, whose thumb turns to a finger"
         expect(has_pinch, "follower", wanted, value=hand.name)
         pads = [fingers.pads[name] for name in names]
-        self._points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
-        self._radii = np.array([pad.radius for pad in pads])
+        self._task = gap_task(hand, pads)
         self._columns = [fingers.used[name].columns for name in names]
         self._placed = hand.configuration()
         self._let_go()
@@ -177,19 +180,16 @@ class GripFollower:
 
     def _ask(self, *held: _HeldJoints) -> None:
         """Hold joints from the next sample on; terms of the user stay."""
-        tasks = self._mapper.tasks
-        kept = [task for task in tasks if not isinstance(task, _HeldJoints)]
-        if held or len(kept) < len(tasks):
-            self._mapper.configure(tasks=(*kept, *held))
+        kept = [t for t in self._mapper.tasks if not isinstance(t, _HeldJoints)]
+        self._mapper.configure(tasks=(*kept, *held))
 
     def _advance(self, step: MapStep, q: Array) -> None:
         """Go on with a grip, or see whether there is one."""
         dt = self._mapper.motion.dt
         gaps = step.named("gaps")
-        if self._grip is None:
-            self._grip = grip = self._touched(step, q, gaps, dt)
-        else:
-            self._grip = grip = self._held(self._grip, gaps, dt)
+        grip = self._grip
+        grip = self._held(grip, gaps, dt) if grip else self._touched(step, q, gaps, dt)
+        self._grip = grip
         if grip is None:
             return
         if grip.opening >= 1.0:
@@ -203,12 +203,11 @@ class GripFollower:
     def _held(self, grip: _Grip, gaps: Array, dt: float) -> _Grip:
         """Return a grip after a sample of the person's gaps."""
         gap = gaps[grip.finger]
-        opens = gap > grip.gap + self.options.opens_by
-        opening = grip.opening + (dt if opens else -dt) / _LET_GO
+        way = dt if gap > grip.gap + self.options.opens_by else -dt
         return grip._replace(
             gap=min(grip.gap + _FORGETS * dt, gap),
             time=grip.time + dt,
-            opening=max(opening, 0.0),
+            opening=max(grip.opening + way / _LET_GO, 0.0),
         )
 
     def _torques(self, grip: _Grip) -> Array:
@@ -222,7 +221,7 @@ class GripFollower:
     ) -> _Grip | None:
         """Return the grip of pads that have met something; None if they have not."""
         finger = int(human.argmin())
-        gap, levers = self._gap(q, finger)
+        gap = self._gaps(q)[finger]
         before, last, time = self._near
         pinching = step.named("pinching")[finger]
         self._is_apart |= pinching < _PINCHING
@@ -231,25 +230,27 @@ class GripFollower:
             and finger == before
             and pinching > _PINCHING
             and abs(gap - last) < _STILL * dt
-            and gap - self._gap(step.command.q, finger)[0] > self.options.behind
+            and gap - self._gaps(step.command.q)[finger] > self.options.behind
         )
         time = time + dt if is_met else 0.0
         self._near = finger, gap, time
         if time < _TOUCHED:
             return None
+        self._place(q)
+        slopes = self._task.linearise(self._placed).jacobian[finger]
+        unit = LENGTH_UNIT / self._task.weights[finger]
+        levers = -unit * slopes[self._hand.joint_columns]
         columns = np.union1d(self._columns[0], self._columns[1 + finger])
         pressed = self.options.stiffness * levers @ (step.command.q - q)
         force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
         return _Grip(finger, columns, q, levers, force, human[finger])
 
-    def _gap(self, q: Array, finger: int) -> tuple[float, Array]:
-        """Return the gap of the pads [m], and how fast joints close it [m/rad], shape (n,)."""
-        hand = self._hand
-        wrist = np.eye(4) if hand.is_floating else None
-        self._placed.place(hand.configuration_vector(q, wrist))
-        places = self._points.positions(self._placed)
-        thumb, own = self._points.jacobians(self._placed, places)[[0, 1 + finger]]
-        apart = places[1 + finger] - places[0]
-        closing = (thumb - own).T @ unit(apart)
-        gap = lengths(apart) - self._radii[0] - self._radii[1 + finger]
-        return float(gap), closing[hand.joint_columns]
+    def _gaps(self, q: Array) -> Array:
+        """Return the gaps from the thumb's pad to those of the fingers [m], shape (f,)."""
+        self._place(q)
+        places = self._task.points.positions(self._placed)
+        return lengths(places[1:] - places[0]) - self._task.distances
+
+    def _place(self, q: Array) -> None:
+        wrist = np.eye(4) if self._hand.is_floating else None
+        self._placed.place(self._hand.configuration_vector(q, wrist))

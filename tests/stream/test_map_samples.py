@@ -64,9 +64,9 @@ def one_by_one(follower: Follower, columns: SampleColumns) -> StepTable:
 
 
 def assert_same(one: StepTable, other: StepTable) -> None:
-    # The last column is CPU time. Limits of acceleration make more of rounding.
+    # The last column is CPU time.
     np.testing.assert_allclose(
-        one.rows[:, :-1], other.rows[:, :-1], rtol=0.0, atol=1e-11
+        one.rows[:, :-1], other.rows[:, :-1], rtol=0.0, atol=1e-12
     )
 
 
