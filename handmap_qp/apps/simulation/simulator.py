@@ -199,8 +199,8 @@ class Simulator:
             q: Commanded joint angles at the end [rad], shape (n,).
             wrist: Commanded wrist pose at the end, shape (4, 4); None for a hand that does not
                 float.
-            duration: Time that it takes [s]. It ends at a whole step of the simulation; what is
-                rounded off, if it does not end between two steps, is made up for later.
+            duration: Time that it takes [s]. It ends at a whole step of the simulation; later calls
+                make up for the rest, so that the time of a recording is kept.
         """
         goal = np.array(q, dtype=float)
         start, start_wrist = self.target
