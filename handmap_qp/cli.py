@@ -13,6 +13,7 @@ import re
 import shutil
 import sys
 import textwrap
+from collections import defaultdict
 from collections.abc import Sequence
 from functools import reduce
 from operator import or_
@@ -279,7 +280,8 @@ def _answer_without_command(words: list[str]) -> NoReturn:
         case []:
             raise InvalidInputError("expected a command (see handmap --help)")
         case [group, word, *_] if group in _GROUPS:
-            hint = did_you_mean(word, _members(group))
+            members = [name.split()[1] for name in COMMANDS if name.split()[0] == group]
+            hint = did_you_mean(word, members)
             if not hint and group != "track":
                 hint = f"to describe one: handmap {group} show {word}"
             hint = hint or f"see handmap {group} --help"
@@ -291,16 +293,6 @@ def _answer_without_command(words: list[str]) -> NoReturn:
             hint = did_you_mean(word, known) or "see handmap --help"
             raise InvalidInputError(f"no {kind} {word!r}: {hint}")
     raise SystemExit(0)
-
-
-def _members(group: str) -> dict[str, _Place]:
-    """Return the commands of a group by their second words."""
-    first = f"{group} "
-    return {
-        name.removeprefix(first): place
-        for name, place in COMMANDS.items()
-        if name.startswith(first)
-    }
 
 
 def _list_of(prefix: str) -> str:
@@ -349,16 +341,13 @@ def _any_command() -> Any:
         settings = tyro.conf.subcommand(word, description=about, prefix_name=False)
         return Annotated[kind, settings]
 
-    def union(places: dict[str, _Place], group: str = "", *more: Any) -> Any:
-        kinds = [
-            named(word, place.load(f"{group} {word}"), place.about)
-            for word, place in places.items()
-        ]
-        return reduce(or_, [*kinds, *more])
-
-    single = {name: place for name, place in COMMANDS.items() if " " not in name}
-    groups = [named(group, union(_members(group), group)) for group in _GROUPS]
-    return union(single, "", *groups)
+    # By the first of two words, which commands of one word do not have.
+    kinds = defaultdict(list)
+    for name, place in COMMANDS.items():
+        group, _, word = name.rpartition(" ")
+        kinds[group].append(named(word, place.load(name), place.about))
+    groups = [named(group, reduce(or_, kinds[group])) for group in _GROUPS]
+    return reduce(or_, [*kinds[""], *groups])
 
 
 def _cause(end: BaseException) -> HandmapError | None:
