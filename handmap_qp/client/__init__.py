@@ -142,7 +142,7 @@ class _Core:
         self._keys = None if keys is None else _load_keys(keys)
         self._seq = 0
         self._protocol = PROTOCOL
-        self._sockets: dict[Use, tuple[tuple[str, str], Any]] = {}
+        self._sockets: dict[Use, Any] = {}
         # Calls of several tasks take turns. One task may wait for the stream meanwhile.
         self._turns: dict[Turn, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._forget()
@@ -153,7 +153,6 @@ class _Core:
         self._last_command: messages.Command | None = None
         self._open_request: Request = {}  # as it must be repeated to reopen the session
         self._addressee: Request = {"session": ""}  # or the name of a watched session
-        self._stream_name = ""
         self._stream_port = 0
         self._released_at = 0  # number of the last request that changed `is_released`
 
@@ -224,9 +223,7 @@ class _Core:
             )
         state = await self._call({"type": "status", "name": name}, State)
         self._addressee = {"name": name}
-        self._stream_name = name
-        self._stream_port = state.stream_port
-        self._socket("stream")
+        self._subscribe(name, state.stream_port)
         return state
 
     async def _close(self) -> None:
@@ -347,9 +344,9 @@ class _Core:
             self._last_command = None
             self._released_at = reply.seq
             self._addressee = {"session": request["session"]}
-            self._stream_name = reply.name
-            self._stream_port = reply.stream_port
-            self._socket("stream")  # subscribe before the first command
+            # Answers to samples before a reopening would reopen the session again.
+            self._drop("samples")
+            self._subscribe(reply.name, reply.stream_port)
         elif not wanted or "name" in request:
             return
         elif kind in _ENGAGING:
@@ -358,25 +355,21 @@ class _Core:
         elif kind == "configure":
             _note_changes(wanted, request)
 
+    def _subscribe(self, name: str, port: int) -> None:
+        """Read the stream of a session from its next command on."""
+        self._drop("stream")
+        self._stream_port = port
+        self._socket("stream").setsockopt(zmq.SUBSCRIBE, name.encode() + TOPIC_END)
+
     def _socket(self, use: Use) -> Any:
-        """Return the socket for a use, connected when it is first needed for a session."""
-        address = self.address
-        kind = zmq.DEALER
-        session = ""
-        if use == "stream":
-            address = f"{address.rpartition(':')[0]}:{self._stream_port}"
-            kind = zmq.SUB
-            session = self._stream_name
-        elif use == "samples":
-            # Answers to samples before a reopening would reopen the session again.
-            session = f"{self._addressee.get('session', '')}{self.reopened}"
+        """Return the socket for a use, connected when it is first needed."""
         if use in self._sockets:
-            endpoint, socket = self._sockets[use]
-            if endpoint == (address, session):
-                return socket
-            self._drop(use)
-        socket = self._context.instance().socket(kind)
-        self._sockets[use] = (address, session), socket
+            return self._sockets[use]
+        host, _, port = self.address.rpartition(":")
+        kind = zmq.DEALER
+        if use == "stream":
+            kind, port = zmq.SUB, self._stream_port
+        socket = self._sockets[use] = self._context.instance().socket(kind)
         # A request waits in the client until there is a connection. Of samples and commands, the
         # socket keeps the newest one.
         socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
@@ -390,13 +383,12 @@ class _Core:
             socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = (
                 self._keys
             )
-        if use == "stream":
-            socket.setsockopt(zmq.SUBSCRIBE, session.encode() + TOPIC_END)
-        socket.connect(address)
+        socket.connect(f"{host}:{port}")
         return socket
 
     def _drop(self, use: Use) -> None:
-        self._sockets.pop(use)[1].close(linger=0)
+        if (socket := self._sockets.pop(use, None)) is not None:
+            socket.close(linger=0)
 
 
 def _note_changes(wanted: Request, request: Request) -> None:
