@@ -144,7 +144,7 @@ class World:
         payload, who = msgspec.msgpack.encode(request), self.caller(client)
 
         async def ask() -> None:
-            self.dispatcher.receive(payload, client, answers.append, who=lambda: who)
+            self.dispatcher.receive(payload, client, answers.append, by=who)
             while not answers:
                 await asyncio.sleep(0.0)
 
@@ -152,7 +152,7 @@ class World:
             self._loop.run_until_complete(ask())
         else:
             # All others are answered at once.
-            self.dispatcher.receive(payload, client, answers.append, who=lambda: who)
+            self.dispatcher.receive(payload, client, answers.append, by=who)
         return msgspec.msgpack.decode(answers[0])
 
     def _request(self, client: str, kind: str, *, by_name: bool) -> Request:

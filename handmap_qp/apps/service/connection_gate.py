@@ -201,7 +201,7 @@ class _Client(SmallReads):
         self.heard = time.monotonic()
         self._gate = gate
         self._frames = count_frames()
-        self._credit = Bucket(_RATE, self.heard, gate.credit)
+        self._credit = Bucket(_RATE, gate.credit)
         next(self._frames)
 
     def connection_made(self, transport: Any) -> None:
@@ -240,7 +240,7 @@ class _Client(SmallReads):
             self.end(str(error))
             return
         self._inner.write(data)
-        if self._credit.charge(time.monotonic(), cost) <= 0.0:
+        if self._credit.charge(cost) <= 0.0:
             self.transport.pause_reading()
             reason = "a client sent more than its messages need"
             self._starving = self._loop.call_later(_STARVED, self.end, reason)
@@ -248,7 +248,7 @@ class _Client(SmallReads):
     def refund(self, cost: float) -> str:
         """Give credit back; return the address of the client."""
         self.heard = time.monotonic()
-        if self._credit.charge(self.heard, -cost) > 0.0 and self._starving is not None:
+        if self._credit.charge(-cost) > 0.0 and self._starving is not None:
             self._starving.cancel()
             self._starving = None
             self.transport.resume_reading()

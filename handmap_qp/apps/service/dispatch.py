@@ -44,7 +44,7 @@ from handmap_qp.errors import RefusedError
 from .logs import Throttle
 from .safety import Bucket, refuse_if
 from .session import Session
-from .sessions import Caller, Sessions
+from .sessions import UNKNOWN, Caller, Sessions
 
 Answer = Callable[[bytes], None]
 """Callback of a transport that sends an answer; it must not block."""
@@ -173,10 +173,10 @@ class Dispatcher:
         self.stream_port = 0
         self._settings = sessions.settings
         self._metrics = sessions.metrics
-        self._who = Caller
+        self._by = UNKNOWN
         self._started = sessions.clock()
         self._version = version("handmap-qp")
-        self._configures = Bucket(self._settings.configures, self._started)
+        self._configures = Bucket(self._settings.configures, clock=sessions.clock)
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending = {}
@@ -195,7 +195,7 @@ class Dispatcher:
         answer: Answer,
         *,
         subscribe: Subscriber | None = None,
-        who: Callable[[], Caller] = Caller,
+        by: Caller = UNKNOWN,
     ) -> bool:
         """Handle one message; call it from the event loop.
 
@@ -206,7 +206,7 @@ class Dispatcher:
                 answer.
             subscribe: Subscribes the connection to a stream; None if the transport has no such
                 streams.
-            who: Returns who the client is.
+            by: The client.
 
         Returns:
             False if the rate limit rejected the message unread.
@@ -217,11 +217,11 @@ class Dispatcher:
 
         samples, errors = self._rates(peer)
         now = self.sessions.clock()
-        self._who = who
+        self._by = by
         self._metrics.counts["requests"] += 1
-        if not samples.take(now):
+        if not samples.take():
             self._metrics.refusals["rate"] += 1
-            if errors.take(now):
+            if errors.take():
                 send(Error(code="rate", message="too many messages"))
             return False
         match request := decode_request(payload):
@@ -280,8 +280,9 @@ class Dispatcher:
 
     def _new_rates(self, _peer: Hashable) -> tuple[Bucket, Bucket]:
         """Return the limits of a connection: of its messages, and of the errors that say so."""
-        now = self.sessions.clock()
-        return Bucket(self._settings.rate, now), Bucket(_ERRORS_PER_SECOND, now, 1.0)
+        clock = self.sessions.clock
+        errors = Bucket(_ERRORS_PER_SECOND, 1.0, clock)
+        return Bucket(self._settings.rate, clock=clock), errors
 
     def _tick(self, session: Session, now: float) -> None:
         trips = session.counts["watchdog"]
@@ -335,7 +336,7 @@ class Dispatcher:
         owner's key and supervisor may clear a stop too.
         """
         session = self.sessions.named(request.name or "")
-        by = self._who()
+        by = self._by
         refuse_if(request.session, "give session or name, not both", "name")
         may_clear = by.key in self._settings.supervisor or by.owner("") == session.owner
         free = Status | Stop | Clear if may_clear else Status | Stop
@@ -358,7 +359,7 @@ class Dispatcher:
                 two_handed=self.sessions.cache.two_handed,
                 stream_port=self.stream_port,
             )
-        self.sessions.audit.note("stop", self._who(), **_changes(request))
+        self.sessions.audit.note("stop", self._by, **_changes(request))
         for session in list(self.sessions.by_secret.values()):
             self._attempt(self._act, request, session, now)
         return None
@@ -381,11 +382,11 @@ class Dispatcher:
                 return session.state(request.seq, self._version, self.stream_port, now)
             case Close():
                 reason = "closed by its client"
-                self.sessions.end(request.session, "no_session", reason, by=self._who())
+                self.sessions.end(request.session, "no_session", reason, by=self._by)
                 return None
             case Configure():
                 limit = f"more than {self._settings.configures:g} changes of options a second"
-                is_due = self._configures.take(now)
+                is_due = self._configures.take()
                 refuse_if(not is_due, f"{limit}: try again later", code="rate")
                 session.configure(request)
             case Reset():
@@ -402,7 +403,7 @@ class Dispatcher:
                 self._tick(session, now)
         event = type(request).__name__.lower()
         self.sessions.audit.note(
-            event, self._who(), session=session.name, **_changes(request)
+            event, self._by, session=session.name, **_changes(request)
         )
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
@@ -423,7 +424,7 @@ class Dispatcher:
             send(session.answer)
             return
         if (task := self._opening.get(payload)) is None:
-            opening = self._open(request, payload, self._who())
+            opening = self._open(request, payload, self._by)
             task = asyncio.create_task(opening)
             self._opening[payload] = task
         task.add_done_callback(

@@ -12,7 +12,6 @@ import json
 import logging
 import os
 import resource
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -110,12 +109,12 @@ class Throttle:
     """
 
     def __init__(self, rate: float = 1.0, burst: float = 1.0) -> None:
-        self._bucket = Bucket(rate, time.monotonic(), burst)
+        self._bucket = Bucket(rate, burst)
         self._left_out = 0
 
     def passing(self, must: bool = False) -> int | None:
         """Return how many reports were left out before this one; None if it is left out too."""
-        if not (self._bucket.take(time.monotonic()) or must):
+        if not (self._bucket.take() or must):
             self._left_out += 1
             return None
         left_out = self._left_out

@@ -10,6 +10,8 @@ own (`handmap_qp.ik.limits`), and `StepClock` limits the time that the next comm
 """
 
 import math
+import time
+from collections.abc import Callable
 from enum import Enum, auto
 
 import numpy as np
@@ -426,29 +428,35 @@ class Bucket:
 
     Args:
         rate: Events per second.
-        now: The present [s].
         burst: Events at once; those of a quarter of a second if omitted.
+        clock: Monotonic clock [s].
     """
 
-    def __init__(self, rate: float, now: float, burst: float | None = None) -> None:
+    def __init__(
+        self,
+        rate: float,
+        burst: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._rate = rate
         self._burst = self._left = max(1.0, 0.25 * rate if burst is None else burst)
-        self._then = now
+        self._clock = clock
+        self._then = clock()
 
-    def take(self, now: float) -> bool:
+    def take(self) -> bool:
         """Count an event; return whether it is allowed."""
-        if self.charge(now, 0.0) < 1.0:
+        if self.charge(0.0) < 1.0:
             return False
         self._left -= 1.0
         return True
 
-    def charge(self, now: float, count: float) -> float:
+    def charge(self, count: float) -> float:
         """Count events that have happened; return how many are left, negative for a debt.
 
         Args:
-            now: The present [s].
             count: Number of events; negative to take them back.
         """
+        now = self._clock()
         refilled = min(self._burst, self._left + (now - self._then) * self._rate)
         self._left = min(self._burst, refilled - count)
         self._then = now

@@ -266,15 +266,12 @@ class Server:
                 client.end("a message has too many parts")
             return
         address = "" if client is None else client.refund(cost)
-
-        def who() -> Caller:
-            keys = self._clients
-            key = "" if keys is None else keys.name_of(str(parts[-1].get("User-Id")))
-            return Caller(address, key)
-
+        keys = self._clients
+        key = "" if keys is None else keys.name_of(str(parts[-1].get("User-Id")))
+        by = Caller(address, key)
         try:
             self.dispatcher.receive(
-                payload, envelope[0], partial(self._reply, envelope), who=who
+                payload, envelope[0], partial(self._reply, envelope), by=by
             )
         except Exception as error:
             self._bugs.report(ERROR, "failed", failure=error)

@@ -51,6 +51,10 @@ class Caller(NamedTuple):
         return f"{kind}:{digest}"
 
 
+UNKNOWN = Caller()
+"""A client of which nothing is known."""
+
+
 def refusal(owner: str, client: str, *, is_attended: bool, is_rival: bool) -> str:
     """Return why a client may not continue a session: `busy`, `denied`, or empty if it may.
 
@@ -95,8 +99,8 @@ class Sessions:
         self._works = WeakSet[Future[Any]]()
         # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
-        burst = self.settings.sessions
-        self._opens = Bucket(self.settings.opens, self.clock(), burst)
+        limits = self.settings
+        self._opens = Bucket(limits.opens, limits.sessions, self.clock)
         # Names of the sessions that are being opened, by their secrets.
         self._opening: dict[str, str] = {}
         self._ended: dict[str, str] = {}
@@ -292,7 +296,7 @@ class Sessions:
             "name",
         )
         refuse_if(
-            not self._opens.take(self.clock()),
+            not self._opens.take(),
             f"more than {self.settings.opens:g} sessions opened a second: try again later",
             code="rate",
         )

@@ -154,6 +154,8 @@ class WebSocketTransport:
 
     async def _read(self, connection: ServerConnection, outbox: "_Outbox") -> None:
         """Pass messages to the dispatcher until the connection closes or is silent for too long."""
+        address = connection.remote_address
+        by = Caller(f"web@{address[0]}" if address else "web")
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             while True:
                 # A connection that reads a stream may be silent.
@@ -170,7 +172,7 @@ class WebSocketTransport:
                     ("web", connection.id),
                     partial(outbox.answer, form),
                     subscribe=partial(outbox.subscribe, form),
-                    who=partial(_who, connection),
+                    by=by,
                 )
                 # Back-pressure: stop reading from clients that do not drain replies, and throttle
                 # those over the rate limit.
@@ -194,7 +196,7 @@ class _Connection(ServerConnection, SmallReads):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._fragments = 0
-        self._controls = Bucket(_CONTROLS_PER_SECOND, monotonic(), _CONTROLS)
+        self._controls = Bucket(_CONTROLS_PER_SECOND, _CONTROLS)
         super().connection_made(transport)
 
     def process_event(self, event: Event) -> None:
@@ -202,7 +204,7 @@ class _Connection(ServerConnection, SmallReads):
         if isinstance(event, Frame) and not is_control:
             self._fragments = 0 if event.fin else self._fragments + 1
         if self._fragments >= _MOST_FRAGMENTS or (
-            is_control and not self._controls.take(monotonic())
+            is_control and not self._controls.take()
         ):
             self.transport.abort()
         else:
@@ -280,12 +282,6 @@ def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
             advice=(error.reason or "").replace("_", " ").lower(),
         ) from error
     return tls
-
-
-def _who(connection: ServerConnection) -> Caller:
-    """Return the address of a client."""
-    address = connection.remote_address
-    return Caller(f"web@{address[0]}" if address else "web")
 
 
 def _from_json(message: str) -> bytes:
