@@ -153,7 +153,6 @@ class _Core:
         self._last_command: messages.Command | None = None
         self._open_request: Request = {}  # as it must be repeated to reopen the session
         self._addressee: Request = {"session": ""}  # or the name of a watched session
-        self._stream_port = 0
         self._released_at = 0  # number of the last request that changed `is_released`
 
     def _sample(self, kind: str, human: Request) -> Request:
@@ -198,11 +197,11 @@ class _Core:
         await self._io("samples", _ENCODE(self._numbered(sample)), 0.0)
 
     async def _latest(self, timeout: float) -> Command | None:
-        if not self._stream_port:
+        if "stream" not in self._sockets:
             raise RuntimeError("open a session first, or watch one")
         until = monotonic() + timeout
         # Another task may replace the stream by opening a session, or end it by closing.
-        while self._stream_port:
+        while "stream" in self._sockets:
             payload = await self._io("stream", None, until)
             if payload is not None:
                 reply = self._read_streamed(payload)
@@ -358,17 +357,14 @@ class _Core:
     def _subscribe(self, name: str, port: int) -> None:
         """Read the stream of a session from its next command on."""
         self._drop("stream")
-        self._stream_port = port
-        self._socket("stream").setsockopt(zmq.SUBSCRIBE, name.encode() + TOPIC_END)
+        host = self.address.rpartition(":")[0]
+        stream = self._socket("stream", zmq.SUB, f"{host}:{port}")
+        stream.setsockopt(zmq.SUBSCRIBE, name.encode() + TOPIC_END)
 
-    def _socket(self, use: Use) -> Any:
+    def _socket(self, use: Use, kind: int = zmq.DEALER, address: str = "") -> Any:
         """Return the socket for a use, connected when it is first needed."""
         if use in self._sockets:
             return self._sockets[use]
-        host, _, port = self.address.rpartition(":")
-        kind = zmq.DEALER
-        if use == "stream":
-            kind, port = zmq.SUB, self._stream_port
         socket = self._sockets[use] = self._context.instance().socket(kind)
         # A request waits in the client until there is a connection. Of samples and commands, the
         # socket keeps the newest one.
@@ -383,7 +379,7 @@ class _Core:
             socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = (
                 self._keys
             )
-        socket.connect(f"{host}:{port}")
+        socket.connect(address or self.address)
         return socket
 
     def _drop(self, use: Use) -> None:

@@ -30,6 +30,7 @@ from handmap_qp.client.messages import (
     Error,
     Named,
     Open,
+    Pose,
     Release,
     Request,
     Reset,
@@ -141,12 +142,11 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
 
 def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
     """Yield field and message of poses that cannot be used; infinity and NaN cannot either."""
-    names = "wrist", "robot_wrist", "base"
-    poses = {name: getattr(request, name, None) for name in names}
-    hands = getattr(request, "hands", None) or {}
-    poses |= {f"hands.{side}.wrist": hand.wrist for side, hand in hands.items()}
-    for name, pose in poses.items():
-        if pose is None:
+    fields = msgspec.structs.asdict(request)
+    for side, hand in (fields.get("hands") or {}).items():
+        fields[f"hands.{side}.wrist"] = hand.wrist
+    for name, pose in fields.items():
+        if not isinstance(pose, Pose):
             continue
         norm = math.hypot(*pose.quat_xyzw)
         far = math.hypot(*pose.position)

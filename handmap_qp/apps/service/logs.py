@@ -100,21 +100,14 @@ def logs_on_stderr(level: str) -> Iterator[None]:
         log.setLevel(logging.NOTSET)
 
 
-class Throttle:
-    """Lets so many reports pass per second, and counts those left out.
+class Throttle(Bucket):
+    """A rate limit of reports, which counts those left out."""
 
-    Args:
-        rate: Reports per second.
-        burst: Reports at once.
-    """
-
-    def __init__(self, rate: float = 1.0, burst: float = 1.0) -> None:
-        self._bucket = Bucket(rate, burst)
-        self._left_out = 0
+    _left_out = 0
 
     def passing(self, must: bool = False) -> int | None:
         """Return how many reports were left out before this one; None if it is left out too."""
-        if not (self._bucket.take() or must):
+        if not (self.take() or must):
             self._left_out += 1
             return None
         left_out = self._left_out

@@ -434,7 +434,7 @@ class Bucket:
 
     def __init__(
         self,
-        rate: float,
+        rate: float = 1.0,
         burst: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:

@@ -345,12 +345,10 @@ class Session:
             flags.append(step.rule)
             trust = self._trust(step, humans)
             return self._command(now, step.status, flags, sample, **trust)
-        human = None if self.robot.parts else humans[self.request.side]
-        landmarks = None if human is None else human.landmarks
         flags = self._accept(now) + flags + [step.rule] * bool(step.rule)
         if self._state is SessionState.FOLLOWING:
             flags += self._follow(step)
-            self._measure_gap(sample.time, landmarks)
+            self._measure_gap(sample.time, humans)
         else:
             self._stay(step)
         flags += step.stages.summary.flags
@@ -426,10 +424,7 @@ class Session:
             RefusedError: If an emergency stop is in force.
         """
         self._check_not_stopped()
-        if self._mapper_state is MapperState.ALIGNED:
-            self._hands.mapper.clutch()
-        else:
-            self._reset_mapper()
+        self._reset_mapper()
         self._handle(Event.CLUTCH)
 
     def configure(self, request: Configure) -> None:
@@ -554,12 +549,13 @@ class Session:
         gap = hands.choice.method.values.get("contact_gap")
         self._gap_meter = None if gap is None or is_known else ContactGapMeter(gap)
 
-    def _measure_gap(self, time: float, landmarks: Array | None) -> None:
+    def _measure_gap(self, time: float, humans: Humans) -> None:
         """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
         meter = self._gap_meter
-        if meter is None or landmarks is None or "contact_gap" in self.request.options:
+        human = None if self.robot.parts else humans[self.request.side]
+        if meter is None or human is None or "contact_gap" in self.request.options:
             return
-        if meter.add(time, landmarks):
+        if meter.add(time, human.landmarks):
             self._choose(self._hands, self.request)
 
     def _choose(self, hands: Hands, wanted: Open) -> None:
