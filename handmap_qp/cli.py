@@ -17,6 +17,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from functools import reduce
 from operator import or_
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, Protocol, TextIO
 
 import handmap_qp
@@ -39,82 +40,59 @@ class Command(Protocol):
 
 
 class _Place(NamedTuple):
-    """Module of a command, whose class has the command's name, and one line about it."""
+    """Module and class of a command."""
 
     module: str
-    about: str
+    kind: str
 
-    def load(self, name: str) -> Any:
-        """Import the class of a command, such as `HandsList` of `hands list`."""
+    def load(self) -> Any:
+        """Import the class."""
         module = importlib.import_module(f"handmap_qp.apps.{self.module}")
-        return getattr(module, name.title().replace(" ", ""))
+        return getattr(module, self.kind)
+
+    @property
+    def about(self) -> str:
+        """The first line of the class's own explanation, from the file: an import takes longer."""
+        file = Path(__file__).with_name("apps") / f"{self.module.replace('.', '/')}.py"
+        _, _, text = file.read_text(encoding="utf-8").partition(f"\nclass {self.kind}")
+        return text.split('"""')[1].partition("\n")[0]
 
 
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
 _MODULES = {
-    "offline.demo": {
-        "demo": "Map a human hand's motion to a robot hand; needs no data of your own.",
-    },
-    "offline.cli": {
-        "map": "Map a recording of a human hand to a robot hand.",
-        "align": "Find how a tracker's world and a robot's are aligned, "
-        "from three reaches in a recording.",
-        "calibrate": "Measure a person's hand in recordings, and keep it in a file.",
-    },
-    "datasets.convert": {
-        "convert": "Convert recordings of human hands between file formats.",
-    },
-    "datasets.batch": {
-        "batch": "Map whole data sets of human hands to robot hands.",
-    },
-    "datasets.report": {
-        "report": "Report the quality of the episodes of a batch, and write a filter.",
-    },
-    "offline.compare": {
-        "compare": "Compare mapping methods on recordings of a human hand, "
-        "by what the robot's hand shows.",
-    },
-    "viewer.cli": {
-        "view": "Show a mapping in the browser, and change its preset and options while it plays.",
-    },
-    "onboarding.cli": {
-        "hands list": "List the hands of the package.",
-        "hands show": "Describe a hand: joints, limits and reference points.",
-        "hands init": "Find a hand, or both of a robot, in a URDF or MJCF file: write a hand.yaml.",
-        "hands migrate": "Turn a configuration of dex-retargeting into a hand.yaml.",
-        "hands check": "Check a hand.yaml against its URDF, and draw the hand with its labels.",
-        "hands match": "Find the robot posture that corresponds to the resting human hand.",
-        "robots list": "List the robots of the package: a left and a right hand in one model.",
-        "robots show": "Describe a robot: its hands, and its joints with their limits, by part.",
-        "robots check": "Check a robot.yaml and both of its hands, and draw the robot.",
-    },
-    "offline.layouts_cli": {
-        "layouts": "List the layouts of trackers, or show one: order, frame and units.",
-    },
-    "simulation.cli": {
-        "simulate": "Simulate a mapped hand that holds an object, "
-        "with contacts, friction and gravity.",
-    },
-    "service.cli": {
-        "serve": "Serve the mapper to trackers and robots over ZeroMQ and WebSocket.",
-        "keys": "Make the keys that `handmap serve --keys` needs; existing keys stay.",
-    },
-    "live.cli": {
-        "track replay": "Play a recording as if it were live.",
-        "track mediapipe": "Track a hand in a camera's picture or a video file with MediaPipe.",
-        "track record": "Record the human samples that lead a session of the service.",
-    },
-    "doctor": {
-        "doctor": "Report versions, extras, solvers, recordings and rendering.",
-    },
+    "demo": "offline.demo",
+    "map": "offline.cli",
+    "align": "offline.cli",
+    "calibrate": "offline.cli",
+    "convert": "datasets.convert",
+    "batch": "datasets.batch",
+    "report": "datasets.report",
+    "compare": "offline.compare",
+    "view": "viewer.cli",
+    "hands list": "onboarding.cli",
+    "hands show": "onboarding.cli",
+    "hands init": "onboarding.cli",
+    "hands migrate": "onboarding.cli",
+    "hands check": "onboarding.cli",
+    "hands match": "onboarding.cli",
+    "robots list": "onboarding.cli",
+    "robots show": "onboarding.cli",
+    "robots check": "onboarding.cli",
+    "layouts": "offline.layouts_cli",
+    "simulate": "simulation.cli",
+    "serve": "service.cli",
+    "keys": "service.cli",
+    "track replay": "live.cli",
+    "track mediapipe": "live.cli",
+    "track record": "live.cli",
+    "doctor": "doctor",
 }
-"""Commands and a line about each, by their module below `handmap_qp.apps`."""
-COMMANDS: dict[str, _Place] = {
-    name: _Place(module, about)
-    for module, lines in _MODULES.items()
-    for name, about in lines.items()
+"""Module below `handmap_qp.apps` of each command, in the order of the list of `handmap --help`."""
+COMMANDS = {
+    name: _Place(module, name.title().replace(" ", ""))
+    for name, module in _MODULES.items()
 }
-"""All commands by name, in the order of the list that `handmap --help` prints."""
+"""All commands by name, in that order."""
 _GROUPS = {
     "hands": "List, describe, write and check descriptions of robot hands.",
     "robots": "List, describe and check robots with two hands; `hands init` describes one.",
@@ -231,7 +209,7 @@ def parse(arguments: Sequence[str]) -> Command:
     name = next(filter(COMMANDS.__contains__, firsts), None)
     if name is None:
         _answer_without_command(words)
-    command = COMMANDS[name].load(name)
+    command = COMMANDS[name].load()
     # Options of a method had the name of one in front, before methods could be added.
     rest = [
         re.sub(r"^--teleoperation\.", "--", word) for word in words[len(name.split()) :]
@@ -345,7 +323,7 @@ def _any_command() -> Any:
     kinds = defaultdict(list)
     for name, place in COMMANDS.items():
         group, _, word = name.rpartition(" ")
-        kinds[group].append(named(word, place.load(name), place.about))
+        kinds[group].append(named(word, place.load(), place.about))
     groups = [named(group, reduce(or_, kinds[group])) for group in _GROUPS]
     return reduce(or_, [*kinds[""], *groups])
 

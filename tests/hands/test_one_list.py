@@ -84,8 +84,7 @@ def test_every_command_that_takes_a_hand_is_here() -> None:
     taking = {
         name
         for name, place in COMMANDS.items()
-        if {"hand", "robot", "target"}
-        & {item.name for item in fields(place.load(name))}
+        if {"hand", "robot", "target"} & {item.name for item in fields(place.load())}
     }
     # The hands of `serve` are paths of further ones; these take robots with two hands.
     assert taking - {"serve", "robots show", "robots check"} == set(LINES)
