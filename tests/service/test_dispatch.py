@@ -186,6 +186,8 @@ def test_a_session_that_fails_leaves_the_others_their_watchdogs(
     here, sessions = Desk(), list[Session]()
     for secret in ("another-secret-of-the-tests", SECRET):
         sessions.append(make_session(watchdog=0.2))
+        request = sessions[-1].request
+        sessions[-1].request = msgspec.structs.replace(request, session=secret)
         sessions[-1].step(Sampler()(), 0.0)
         here.sessions.by_secret[secret] = sessions[-1]
     monkeypatch.setattr(sessions[0], "tick", burst)
@@ -228,7 +230,7 @@ def test_postures_are_noted_at_each_command_only_with_a_file(
         )
         session = asyncio.run(here.sessions.open(again, Caller()))
         assert session.record.q == tuple(last["q"])
-        here.sessions.end(secret, "no_session", "test")
+        here.sessions.end(session, "test")
         found = store.find("lab", "three_finger", 8)
         assert found is not None
         assert found.q == tuple(last["q"])

@@ -255,11 +255,10 @@ class Dispatcher:
         """Run the watchdogs and close idle sessions; return the time until the next call [s]."""
         now = self.sessions.clock()
         due = now + _LONGEST_TICK
-        for secret, session in list(self.sessions.by_secret.items()):
+        for session in list(self.sessions.by_secret.values()):
             is_idle = now - session.last_request > self._settings.idle
             if is_idle and not session.will_move:
-                reason = "closed: its client was silent too long"
-                self.sessions.end(secret, "no_session", reason)
+                self.sessions.end(session, "closed: its client was silent too long")
                 continue
             try:
                 if session.due <= now:
@@ -381,8 +380,7 @@ class Dispatcher:
             case Status():
                 return session.state(request.seq, self._version, self.stream_port, now)
             case Close():
-                reason = "closed by its client"
-                self.sessions.end(request.session, "no_session", reason, by=self._by)
+                self.sessions.end(session, "closed by its client", self._by)
                 return None
             case Configure():
                 limit = f"more than {self._settings.configures:g} changes of options a second"

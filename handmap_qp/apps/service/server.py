@@ -267,9 +267,9 @@ class Server:
             return
         address = "" if client is None else client.refund(cost)
         keys = self._clients
-        key = "" if keys is None else keys.name_of(str(parts[-1].get("User-Id")))
-        by = Caller(address, key)
         try:
+            key = "" if keys is None else keys.name_of(str(parts[-1].get("User-Id")))
+            by = Caller(address, key)
             self.dispatcher.receive(
                 payload, envelope[0], partial(self._reply, envelope), by=by
             )

@@ -326,10 +326,10 @@ class Session:
         """
         try:
             humans = self._form.each(sample, self._form.read)
+            self._dt, flags = self._clock.grant(sample.time, now)
             if self._hands.calibration is not None:
                 return self._calibrate(self._hands.calibration, humans, sample, now)
             self._prepare_mapper()
-            self._dt, flags = self._clock.grant(sample.time, now)
             step = self._map(humans, sample, now)
         except HandmapError as error:
             self.counts["refused"] += 1
@@ -527,7 +527,6 @@ class Session:
         rules = [*added.values()]
         rule = rules[0] if all(rules) else ""
         hands = calibration.result()
-        self._dt, _ = self._clock.grant(sample.time, now)
         self.counts["held"] += bool(rule)
         flags = [rule] if rule else self._accept(now)
         trust = {"rule": rule, "confidence": sample.confidence}

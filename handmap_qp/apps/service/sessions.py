@@ -190,8 +190,7 @@ class Sessions:
         if (last := self.store.records.get(name)) is not None and last.stop:
             session.stop(last.stop)
         if running is not None:
-            reason = "a client restored this session"
-            self.end(running.request.session, "taken", reason, by=by)
+            self.end(running, "a client restored this session", by, "taken")
         self._last_heard.pop(name, None)
         self.by_secret[request.session] = session
         self.note(session)
@@ -214,17 +213,22 @@ class Sessions:
             self.store.note(session.record)
 
     def end(
-        self, secret: str, code: str, reason: str, *, by: Caller | str = "server"
+        self,
+        session: Session,
+        reason: str,
+        by: Caller | str = "server",
+        code: str = "no_session",
     ) -> None:
         """Close a session.
 
         Args:
-            secret: Secret of the session.
-            code: Error code for clients that go on using it.
+            session: The session.
             reason: The reason for stream and log.
             by: Who ends it, for the audit log.
+            code: Error code for clients that go on using it.
         """
-        session = self.by_secret.pop(secret)
+        secret = session.request.session
+        del self.by_secret[secret]
         self.store.note(session.record)
         self._ended[secret] = code
         if len(self._ended) > _REMEMBERED:
@@ -243,8 +247,8 @@ class Sessions:
 
     def close(self) -> None:
         """Close all sessions."""
-        for secret in list(self.by_secret):
-            self.end(secret, "no_session", "the server stops")
+        for session in list(self.by_secret.values()):
+            self.end(session, "the server stops")
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _submit(self, work: Callable[[], Hands]) -> Future[Hands]:
