@@ -5,7 +5,7 @@ public keys of admitted clients are also in `clients/`.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import KeysView, Sequence
 from contextlib import suppress
 from logging import INFO, WARNING
 from pathlib import Path
@@ -40,12 +40,12 @@ class ClientKeys:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._seen = {}
-        self._keys = frozenset[bytes]()
+        self._admitted: dict[bytes, str] = {}
         # Names stay when a client is shut out, because its connections stay too.
-        self._names: dict[str, str] = {}
+        self._names: dict[bytes, str] = {}
         self._refusals = Throttle()
 
-    def read(self) -> frozenset[bytes]:
+    def read(self) -> KeysView[bytes]:
         """Return the keys, Z85; read the files again only if the folder has changed."""
         seen = {}
         for file in self._folder.glob("*.key"):
@@ -54,18 +54,16 @@ class ClientKeys:
                 status = file.stat()
                 seen[file] = (status.st_ino, status.st_mtime_ns, status.st_size)
         if seen != self._seen:
-            keys = {file: key for file in seen if (key := _read_public(file))}
+            keys = {key: file.stem for file in seen if (key := _read_public(file))}
             self._seen = seen
-            self._keys = frozenset(keys.values())
-            self._names |= {
-                key.decode("ascii", "replace"): f.stem for f, key in keys.items()
-            }
-            report(INFO, "keys", clients=len(self._keys))
-        return self._keys
+            self._admitted = keys
+            self._names |= keys
+            report(INFO, "keys", clients=len(keys))
+        return self._admitted.keys()
 
     def name_of(self, key: str) -> str:
         """Return the name of a client by its public key, Z85; the key if it was never read."""
-        return self._names.get(key, key)
+        return self._names.get(key.encode(), key)
 
     def callback(self, domain: str, key: bytes) -> bool:
         """Return whether a client is admitted; pyzmq gives the method its name.
