@@ -43,7 +43,7 @@ from handmap_qp.human import UNSEEN, ContactGapMeter, HumanSample, PalmShape
 from handmap_qp.ik import Motion
 from handmap_qp.mapping import MapStep, check_joints
 from handmap_qp.se3 import Array
-from handmap_qp.trackers import LAYOUTS, load_layout
+from handmap_qp.trackers import LAYOUTS
 from .opening import (
     Calibration,
     Hands,
@@ -97,7 +97,7 @@ class SampleForm:
             # Only layouts of the package: a name must not open files of the server.
             message = f"no layout {name!r}; there are {', '.join(LAYOUTS)}"
             refuse_if(name not in LAYOUTS, message, "layout")
-            self._layout = load_layout(name)
+            self._layout = LAYOUTS[name]
             self._field, self._wanted = "values", f"values of {name}"
 
     def each(self, sample: Step, work: Callable[[Side, Step], Any]) -> Humans:
