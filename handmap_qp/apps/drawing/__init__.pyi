@@ -6,7 +6,6 @@ from .hands import ROBOT_COLOUR as ROBOT_COLOUR
 from .hands import UPRIGHT as UPRIGHT
 from .hands import draw_hands as draw_hands
 from .hands import load_shape as load_shape
-from .hands import mesh_folder as mesh_folder
 from .hands import require_matplotlib as require_matplotlib
 from .hands import save_panels as save_panels
 from .hands import save_picture as save_picture

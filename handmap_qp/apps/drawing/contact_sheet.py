@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, Side, Values, carrier_of
+from handmap_qp.errors import expect, require
+from handmap_qp.hands import Hand, Side, Values, carrier_of, find_fingers
 from handmap_qp.human import (
     FIRST_JOINTS,
     LANDMARK_COUNT,
@@ -34,7 +34,6 @@ from handmap_qp.se3 import (
     lengths,
     rigid_fit,
     transform_points,
-    unit,
 )
 from .hands import (
     UPRIGHT,
@@ -83,7 +82,8 @@ _INK, _PALE = "#222831", "#6b7280"
 # Across the palm: wrist to knuckles, and from knuckle to knuckle.
 _KNUCKLES = FIRST_JOINTS.tolist()
 _PALM_BONES = (*product((0,), _KNUCKLES), *pairwise(_KNUCKLES))
-_PALM_FACES = [(0, *pair) for pair in pairwise(_KNUCKLES)]
+# The palm is flat, and seen from both sides.
+_PALM_FACES = [(0, *pair[::way]) for pair in pairwise(_KNUCKLES) for way in (1, -1)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -310,13 +310,10 @@ def _pictures(solids: list[Triangles], side: Side, background: float) -> Array:
 def _human_triangles(landmarks: Array) -> Triangles:
     """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
     points = transform_points(UPRIGHT, landmarks)
-    # The palm is flat, and seen from both sides.
-    corners = points[_PALM_FACES]
-    corners = np.concatenate([corners, corners[:, ::-1]])
-    sides = np.diff(corners, axis=1)
-    normals = unit(np.cross(sides[:, :1], sides[:, 1:])).repeat(3, axis=1)
+    palm = require("trimesh", "plot").Trimesh(points, _PALM_FACES)
+    normals = palm.face_normals[:, None].repeat(3, axis=1)
     parts = [
-        Triangles.painted(corners, normals, _PALM_COLOUR),
+        Triangles.painted(palm.triangles, normals, _PALM_COLOUR),
         spheres(points[PALM], _JOINT, _PALM_COLOUR),
     ]
     bones = [(pair, _PALM_BONE, _PALM_COLOUR) for pair in _PALM_BONES]
@@ -333,20 +330,12 @@ def _human_triangles(landmarks: Array) -> Triangles:
 
 
 def _coloured(shape: HandShape) -> HandShape:
-    """The same shape without an arm, grey, with every finger's links in the finger's colour.
-
-    A link moves with the finger whose points alone lie on or beyond its joint.
-    """
-    hand = shape.hand
+    """The same shape without an arm, grey, with every finger's links in the finger's colour."""
+    fingers = find_fingers(shape.hand).values()
     links = {}
     for link, solid in shape.without_arm().links.items():
-        carried = hand.model.subtrees[carrier_of(hand, link)]
-        beyond = {
-            point.finger or ""
-            for point in hand.spec.points
-            if carrier_of(hand, point.link) in carried
-        }
-        finger = beyond.pop() if len(beyond) == 1 else ""
-        colour = FINGER_COLOURS.get(finger, _ROBOT_COLOUR)
+        joint = carrier_of(shape.hand, link)
+        moved = [finger.name for finger in fingers if joint in finger.joints]
+        colour = FINGER_COLOURS[moved[0]] if len(moved) == 1 else _ROBOT_COLOUR
         links[link] = Triangles.painted(solid.vertices, solid.normals, colour)
-    return HandShape(hand, links)
+    return HandShape(shape.hand, links)

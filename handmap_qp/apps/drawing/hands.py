@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, require
-from handmap_qp.hands import Hand, carrier_of, parse_urdf, urdf_path
+from handmap_qp.hands import Hand, carrier_of
 from handmap_qp.se3 import Array, affine, unit
 from .raster import Camera, Colour, Triangles, merged, render
 from .shapes import read_shapes
@@ -44,6 +44,8 @@ _TITLE = 48
 _TUBE_SIDES = 10
 # Most triangles kept per mesh file.
 _MAX_MESH_TRIANGLES = 4000
+# Most cells of a grid in which they are merged, along the longest side of a mesh.
+_MOST_CELLS = 96.0
 # Faces that meet at a smaller angle than this are shaded as one smooth surface.
 _SMOOTH_ANGLE = np.radians(40.0)
 
@@ -87,7 +89,7 @@ class HandShape(NamedTuple):
 
 
 def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
-    """Read the visual shapes of a hand from its URDF, or its collision shapes if it has none.
+    """Read the visual shapes of a hand from its URDF, or its collision shapes if there are none.
 
     Mesh paths are resolved as in `handmap_qp.hands.sources.find_mesh`. A mesh that cannot be
     read is left out.
@@ -102,11 +104,10 @@ def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    robot = parse_urdf(hand.urdf_text)
-    kind = "visual" if robot.find("link/visual") is not None else "collision"
+    found = read_shapes(hand, "visual") or read_shapes(hand, "collision")
     links = {
         link: merged([_drawn(shape, colour or own or GREY) for shape, own in shapes])
-        for link, shapes in read_shapes(robot, kind, mesh_folder(hand)).items()
+        for link, shapes in found.items()
     }
     return HandShape(hand, links)
 
@@ -261,18 +262,13 @@ def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
         ) from error
 
 
-def mesh_folder(hand: Hand) -> Path:
-    """Return the folder in which the meshes of a hand's URDF are looked for."""
-    return urdf_path(hand.spec).parent
-
-
 def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
     """Simplify a shape's meshes, and turn faces outwards, or to both sides of an open one."""
     trimesh = require("trimesh", "plot")
     bare = [trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes]
     mesh = trimesh.util.concatenate(bare)
     mesh.merge_vertices()
-    coarse = trimesh.Trimesh(*_simplified(mesh.vertices, mesh.faces), process=False)
+    coarse = _simplified(mesh)
     is_closed = mesh.is_watertight and mesh.is_winding_consistent
     if not is_closed or mesh.volume < 0.0:
         inverse = coarse.copy()
@@ -281,21 +277,16 @@ def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
     return solid(coarse, colour)
 
 
-def _simplified(vertices: Array, faces: Array) -> tuple[Array, Array]:
-    """Simplify a mesh: merge vertices in each cell of the finest grid that gives few triangles."""
-    places = vertices - vertices.min(axis=0)
-    places /= places.max()
-    cells = 96
-    coarse = faces
-    cell_of = np.arange(len(vertices))
-    while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
-        grid = np.floor(places * cells).astype(int)
-        _, cell_of = np.unique(grid, axis=0, return_inverse=True)
-        coarse = cell_of[faces]
-        coarse = coarse[(coarse != np.roll(coarse, 1, axis=1)).all(axis=1)]
-        cells = int(0.85 * cells)
-    counts = np.bincount(cell_of)
-    means = np.column_stack(
-        [np.bincount(cell_of, weights) / counts for weights in vertices.T]
-    )
-    return means, coarse
+def _simplified(mesh: Any) -> Any:
+    """Merge a mesh's vertices in each cell of the finest grid that gives few triangles."""
+    coarse = mesh
+    cells = _MOST_CELLS / mesh.extents.max()
+    while len(coarse.faces) > _MAX_MESH_TRIANGLES:
+        coarse = mesh.copy()
+        coarse.apply_scale(cells)
+        # Vertices of one cell are the same without digits behind the point.
+        coarse.merge_vertices(digits_vertex=0)
+        coarse.update_faces(coarse.nondegenerate_faces())
+        coarse.apply_scale(1.0 / cells)
+        cells *= 0.85
+    return coarse

@@ -31,6 +31,8 @@ _PANEL = (430, 500)
 _SKIN = (0.93, 0.80, 0.72)
 _OTHER = (0.55, 0.57, 0.60)
 _AXIS_LENGTH = 0.045  # m
+_ARROW = {"arrowstyle": "-|>", "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
+_OUT = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
 # Abduction of the fingers in the picture [rad].
 _SPREADS = (0.75, 0.16, 0.02, -0.12, -0.28)
 # Joints of the forearm that lie farther from the wrist are left out [m].
@@ -66,19 +68,21 @@ def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
     q = _open_posture(human)
     solid = load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT)
     points, labels, is_used = _entries(layout, human, q)
-    places = transform_points(UPRIGHT, points)
     directions = _wrist_axes(layout, side)
-    ends = transform_points(UPRIGHT, _AXIS_LENGTH * directions)
-    around = np.vstack([solid.vertices.reshape(-1, 3), places, ends, np.zeros(3)])
+    # The wrist, the ends of its axes, and the entries.
+    marks = np.vstack([np.zeros(3), _AXIS_LENGTH * directions, points])
+    places = transform_points(UPRIGHT, marks)
+    around = np.vstack([solid.vertices.reshape(-1, 3), places])
     camera = Camera.framing(around, _PANEL, azimuth=90.0, elevation=14.0, margin=0.07)
     draw_hands(axes, solid, camera)
-    shown = camera.project(places)[:, :2]
+    pixels = camera.project(places)[:, :2]
+    _draw_axes(axes, pixels[:4], directions)
+    shown = pixels[4:]
     colours = np.where(is_used[:, None], HUMAN_COLOUR, _OTHER)
     sizes = np.where(is_used, 34.0, 16.0)
     axes.scatter(
         *shown.T, s=sizes, c=colours, edgecolors="white", linewidths=0.8, zorder=3
     )
-    _draw_axes(axes, camera, ends, directions)
     # Landmarks have room at their right. Joints between wrist and knuckles stand close together,
     # so their labels are turned and go below.
     for (x, y), label, is_own in zip(shown, labels, is_used, strict=True):
@@ -90,26 +94,21 @@ def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
             axes.text(x + 1, y + 6, label, fontsize=7, color="0.35", **style)
 
 
-def _draw_axes(axes: Any, camera: Camera, ends: Array, directions: Array) -> None:
-    """Draw the wrist's axes as arrows with their names; an axis at right angles says its side."""
-    origin = camera.project(np.zeros(3))[:2]
-    for end, direction, name, colour in zip(
+def _draw_axes(axes: Any, pixels: Array, directions: Array) -> None:
+    """Draw the wrist's axes as arrows with their names; an axis at right angles says its side.
+
+    Pixels are those of the wrist and of the ends of its axes, shape (4, 2).
+    """
+    origin, *ends = pixels
+    for (x, y), direction, name, colour in zip(
         ends, directions, "xyz", AXIS_COLOURS, strict=True
     ):
-        if not direction.any():
-            continue
-        x, y = camera.project(end)[:2]
-        arrow = {
-            "arrowstyle": "-|>",
-            "color": colour,
-            "lw": 2.2,
-            "shrinkA": 0,
-            "shrinkB": 0,
-        }
-        axes.annotate("", xy=(x, y), xytext=origin, arrowprops=arrow, zorder=4)
-        sides = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
-        text = name + sides.get(direction[2].round(6), "")
-        axes.text(x + 5, y + 11, text, fontsize=9, color=colour, zorder=6, **_halo())
+        if direction.any():
+            arrow = _ARROW | {"color": colour}
+            axes.annotate("", xy=(x, y), xytext=origin, arrowprops=arrow, zorder=4)
+            text = name + _OUT.get(direction[2].round(6), "")
+            style = {"color": colour, "zorder": 6, **_halo()}
+            axes.text(x + 5, y + 11, text, fontsize=9, **style)
 
 
 def _halo() -> Values:
@@ -153,14 +152,12 @@ def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
 
 def _angle_entries(layout: AngleLayout, landmarks: Array) -> _Entries:
     """Return the joints that angles turn, two of which share the first place of a finger."""
-    texts: dict[int, str] = {}
+    indices: dict[int, list[str]] = {}
     for i, entry in enumerate(layout.table.angles):
         finger, k = divmod(HUMAN_JOINTS.index(entry.joint), 4)
-        place = 1 + 4 * finger + max(0, k - 1)
-        texts[place] = f"{texts[place]}, {i}" if place in texts else f"{i}"
-    shown = sorted(texts)
-    labels = [texts[place] for place in shown]
-    return landmarks[shown], labels, np.ones(len(shown), dtype=bool)
+        indices.setdefault(1 + 4 * finger + max(0, k - 1), []).append(f"{i}")
+    labels = [*map(", ".join, indices.values())]
+    return landmarks[[*indices]], labels, np.full(len(labels), True)
 
 
 def _wrist_axes(layout: Layout, side: Side) -> Array:

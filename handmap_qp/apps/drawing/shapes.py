@@ -7,29 +7,36 @@ from pathlib import Path
 from typing import Any
 
 from handmap_qp.errors import require
-from handmap_qp.hands import find_mesh, get_numbers, origin_of
+from handmap_qp.hands import (
+    Hand,
+    find_mesh,
+    get_numbers,
+    origin_of,
+    parse_urdf,
+    urdf_path,
+)
 from .raster import Colour
 
 LinkShape = tuple[list[Any], Colour | None]
 """Meshes of trimesh, several of some files, and their colour; None for that of the file."""
 
 
-def read_shapes(
-    robot: ET.Element, kind: str, folder: Path
-) -> dict[str, list[LinkShape]]:
+def read_shapes(hand: Hand, kind: str) -> dict[str, list[LinkShape]]:
     """Read the shapes of each link that has any, in the link's frame [m].
 
-    Meshes that cannot be read are left out.
+    Meshes that cannot be read are left out. They are looked for in the folder of the hand's URDF,
+    as by `find_mesh`.
 
     Args:
-        robot: The `<robot>` element.
+        hand: The hand.
         kind: `visual` or `collision`.
-        folder: Folder of the URDF, for `find_mesh`.
 
     Raises:
         HandError: If a shape lacks its numbers.
         MissingExtraError: If trimesh is not installed.
     """
+    robot = parse_urdf(hand.urdf_text)
+    folder = urdf_path(hand.spec).parent
     named = {each.get("name"): each for each in robot.iter("material") if len(each)}
     found = {}
     for link in robot.iterfind("link"):
@@ -50,7 +57,7 @@ def shape_meshes(
 
     Args:
         shape: A `<visual>` or `<collision>` element.
-        folder: As of `read_shapes`.
+        folder: Folder of the URDF, for `find_mesh`.
         miss: Called with the name of a mesh that cannot be read.
     """
     return [

@@ -4,7 +4,6 @@ Each figure's world is a node of the scene, so its children take coordinates of 
 sends what has changed only.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from functools import partial
 from itertools import product
@@ -17,10 +16,9 @@ from handmap_qp.apps.drawing import (
     ROBOT_COLOUR,
     Colour,
     LinkShape,
-    mesh_folder,
     read_shapes,
 )
-from handmap_qp.hands import Hand, Values, carrier_of, finger_tips, joined, parse_urdf
+from handmap_qp.hands import Hand, Values, carrier_of, finger_tips, joined
 from handmap_qp.human import TIPS
 from handmap_qp.mapping import polar
 from handmap_qp.se3 import (
@@ -61,13 +59,48 @@ _EDGES = np.array([(i, i | j) for i in range(8) for j in (1, 2, 4) if not i & j]
 """Corners of `_UNIT_BOX` at both ends of each edge."""
 
 
-def as_bytes(colour: Colour) -> tuple[int, int, int]:
-    """Return a colour as three numbers up to 255."""
-    red, green, blue = (round(255 * part) for part in colour)
-    return red, green, blue
+class Spheres:
+    """Spheres at points of a figure's world; their number follows the points, as methods do.
+
+    A slow browser moves all nodes in the same frame, whereas a batch of points would lag.
+
+    Args:
+        path: Name of the parent node.
+        radius: Radius [m].
+        colour: Their colour.
+        opacity: 0 to 1; opaque if omitted.
+    """
+
+    def __init__(
+        self,
+        server: ViserServer,
+        path: str,
+        radius: float,
+        colour: Colour,
+        opacity: float | None = None,
+    ) -> None:
+        self._nodes: list[Any] = []
+        self._add = lambda: server.scene.add_icosphere(
+            f"{path}/{len(self._nodes)}",
+            radius,
+            colour,
+            opacity=opacity,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def move(self, points: Array | None) -> None:
+        """Place the spheres at points (n, 3), and hide those that have none."""
+        places = () if points is None else points
+        while len(self._nodes) < len(places):
+            self._nodes.append(self._add())
+        for i, node in enumerate(self._nodes):
+            node.visible = i < len(places)
+            if node.visible:
+                node.position = places[i]
 
 
-class Figure(ABC):
+class Figure:
     """Something in the row, with a name below it and a trail of its fingertips.
 
     Args:
@@ -85,6 +118,9 @@ class Figure(ABC):
     """
 
     part = 0
+    shows: str
+    """The field of a `ViewSample` with its points."""
+    _points: Spheres
 
     def __init__(
         self, server: ViserServer, node: str, colour: Colour, variant: int = 0
@@ -107,13 +143,13 @@ class Figure(ABC):
     def is_shown(self, is_shown: bool) -> None:
         self._frame.visible = self._label.visible = is_shown
 
-    @abstractmethod
     def points(self, sample: ViewSample) -> Array | None:
         """Return its points in the figure's world [m], shape (n, 3); None if they are not known."""
+        return known(getattr(sample, self.shows))
 
-    @abstractmethod
     def draw(self, sample: ViewSample) -> None:
-        """Draw one instant."""
+        """Draw one instant; points that are not known are hidden."""
+        self._points.move(self.points(sample))
 
     def place_of(self, sample: ViewSample) -> tuple[Array, Array] | None:
         """Return its centre, (3,), and corners, (n, 3), in the figure's world [m], if known."""
@@ -167,47 +203,6 @@ class Figure(ABC):
         self._label.position = (x, low, z)
 
 
-class Spheres:
-    """Spheres at points of a figure's world; their number follows the points, as methods do.
-
-    A slow browser moves all nodes in the same frame, whereas a batch of points would lag.
-
-    Args:
-        path: Name of the parent node.
-        radius: Radius [m].
-        colour: Their colour.
-        opacity: 0 to 1; opaque if omitted.
-    """
-
-    def __init__(
-        self,
-        server: ViserServer,
-        path: str,
-        radius: float,
-        colour: Colour,
-        opacity: float | None = None,
-    ) -> None:
-        self._nodes: list[Any] = []
-        self._add = lambda: server.scene.add_icosphere(
-            f"{path}/{len(self._nodes)}",
-            radius,
-            as_bytes(colour),
-            opacity=opacity,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
-
-    def move(self, points: Array | None) -> None:
-        """Place the spheres at points (n, 3), and hide those that have none."""
-        places = () if points is None else points
-        while len(self._nodes) < len(places):
-            self._nodes.append(self._add())
-        for i, node in enumerate(self._nodes):
-            node.visible = i < len(places)
-            if node.visible:
-                node.position = places[i]
-
-
 class Trail:
     """The tips of one hand over the last seconds, in the coordinates of a figure's world."""
 
@@ -248,6 +243,8 @@ class Trail:
 class LandmarkFigure(Figure):
     """The landmarks as the tracker gave them, with bones between; hidden at first."""
 
+    shows = "landmarks"
+
     def __init__(self, server: ViserServer, node: str) -> None:
         super().__init__(server, node, LANDMARK_COLOUR)
         self.is_shown = False
@@ -256,14 +253,10 @@ class LandmarkFigure(Figure):
         )
         self._bones = _add_lines(server, f"/{node}/bones", LANDMARK_COLOUR, 3.0)
 
-    def points(self, sample: ViewSample) -> Array | None:
-        """Return the landmarks, unless some are not known."""
-        return known(sample.landmarks)
-
     def draw(self, sample: ViewSample) -> None:
-        """Show the landmarks; hide those that are not known."""
+        """Show the landmarks with their bones."""
+        super().draw(sample)
         points = self.points(sample)
-        self._points.move(points)
         self._bones.visible = points is not None
         if points is not None:
             self._bones.points = points[_LINES]
@@ -279,8 +272,7 @@ class HandFigure(Figure):
 
     point_size = 0.1
     """Radius of the reference points, relative to the hand's size: about that of fingertips."""
-    whose = "robot"
-    """What the names of its fields of a `ViewSample` begin with."""
+    shows = "robot_points"
 
     def __init__(
         self,
@@ -318,14 +310,9 @@ class HandFigure(Figure):
             server, f"/{node}/points", self.point_size * self.radius, colour
         )
 
-    def points(self, sample: ViewSample) -> Array | None:
-        """Return the hand's points, which may be known where its posture is not."""
-        return known(getattr(sample, f"{self.whose}_points"))
-
     def posture(self, sample: ViewSample) -> Posture | None:
-        """Return joint angles and wrist, if both are known."""
-        q, wrist = (getattr(sample, f"{self.whose}_{part}") for part in ("q", "wrist"))
-        return None if q is None or wrist is None else (q, wrist)
+        """Return joint angles and wrist, if both are known; points may be known without them."""
+        return sample.robot_q, sample.robot_wrist
 
     def place_of(self, sample: ViewSample) -> tuple[Array, Array] | None:
         """Return the hand's centre and corners of its links' boxes, or those of its points."""
@@ -342,6 +329,7 @@ class HandFigure(Figure):
 
     def draw(self, sample: ViewSample) -> None:
         """Draw the hand and its points; hide a hand of unknown posture."""
+        super().draw(sample)
         posture = self.posture(sample)
         self._body.visible = posture is not None
         if posture is not None and self._links:
@@ -353,7 +341,6 @@ class HandFigure(Figure):
             placed = inverse_pose(poses[0]) @ poses
             for node, pose in zip(self._links.values(), placed, strict=True):
                 _place(node, pose)
-        self._points.move(self.points(sample))
 
     def _is_in_view(self, link: str) -> bool:
         """Return whether the view is fitted to a link.
@@ -392,7 +379,7 @@ class HumanFigure(HandFigure):
     """
 
     point_size = 0.08
-    whose = "human"
+    shows = "human_points"
 
     def __init__(self, server: ViserServer, node: str, hand: Hand) -> None:
         super().__init__(server, node, hand, HUMAN_COLOUR)
@@ -403,7 +390,7 @@ class HumanFigure(HandFigure):
         )
         self._ellipsoid = ball(
             f"/{node}/ellipsoid",
-            color=as_bytes(DEFORMATION_COLOUR),
+            color=DEFORMATION_COLOUR,
             subdivisions=4,
             opacity=0.2,
         )
@@ -415,6 +402,12 @@ class HumanFigure(HandFigure):
             opacity=0.15,
         )
         self._cube = _add_lines(server, f"/{node}/cube", DEFORMATION_COLOUR, 2.5)
+
+    def posture(self, sample: ViewSample) -> Posture | None:
+        """Return joint angles and wrist, if both are known."""
+        q = sample.human_q
+        wrist = sample.human_wrist
+        return None if q is None or wrist is None else (q, wrist)
 
     def tips(self, sample: ViewSample) -> Array | None:
         """Return the tracked tips, or else those of the posture."""
@@ -507,7 +500,7 @@ def link_meshes(hand: Hand) -> dict[str, list[Any]]:
     Returns:
         Meshes of trimesh by the link's name.
     """
-    shapes = read_shapes(parse_urdf(hand.urdf_text), "visual", mesh_folder(hand))
+    shapes = read_shapes(hand, "visual")
     return {link: _merged(parts) for link, parts in shapes.items()}
 
 
@@ -521,8 +514,7 @@ def _merged(shapes: list[LinkShape]) -> list[Any]:
             if mesh.visual.kind == "texture":
                 textured.append(mesh)
                 continue
-            own = mesh.visual.face_colors if colour is None else as_bytes(colour)
-            mesh.visual.face_colors = own
+            mesh.visual.face_colors = colour or mesh.visual.face_colors
             plain.append(mesh)
     return [concatenate(plain), *textured] if plain else textured
 
@@ -532,7 +524,7 @@ def _add_lines(server: ViserServer, path: str, colour: Colour, thickness: float)
     return server.scene.add_line_segments(
         path,
         np.zeros((1, 2, 3)),
-        as_bytes(colour),
+        colour,
         thickness=thickness,
         thickness_units="screen",
     )

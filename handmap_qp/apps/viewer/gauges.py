@@ -13,7 +13,7 @@ from handmap_qp.hands import CONTACT_GAP, FINGERS, Hand, find_fingers
 from handmap_qp.human import tip_gaps
 from handmap_qp.ik import wrist_error
 from handmap_qp.se3 import Array
-from .figure import DEFORMATION_COLOUR, TARGET_COLOUR, as_bytes, known
+from .figure import DEFORMATION_COLOUR, TARGET_COLOUR, known
 from .sample import Variant, ViewSample
 from .serving import ViserServer
 
@@ -54,10 +54,13 @@ def legend(entries: Sequence[tuple[str, str]]) -> str:
 
 SCENE_LEGEND = legend(
     [
-        ("human points", f"rgb{as_bytes(HUMAN_COLOUR)}"),
-        ("robot points", f"rgb{as_bytes(ROBOT_COLOUR)}"),
-        ("targets", f"rgb{as_bytes(TARGET_COLOUR)}"),
-        ("ball after T_def", f"rgb{as_bytes(DEFORMATION_COLOUR)}"),
+        (name, "rgb({:.1%} {:.1%} {:.1%})".format(*colour))
+        for name, colour in (
+            ("human points", HUMAN_COLOUR),
+            ("robot points", ROBOT_COLOUR),
+            ("targets", TARGET_COLOUR),
+            ("ball after T_def", DEFORMATION_COLOUR),
+        )
     ]
 )
 """What the colours in the scene mean, as HTML."""
