@@ -5,7 +5,7 @@ A field added to `MappingArguments` becomes an option of every command that maps
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass, field, make_dataclass, replace
 from functools import reduce
 from operator import or_
 from pathlib import Path
@@ -17,7 +17,6 @@ from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import (
     FINGERS,
     Hand,
-    HumanLengths,
     Names,
     Side,
     Values,
@@ -119,9 +118,9 @@ class InputArguments:
                 like (`handmap_qp.trackers.plausibility`).
         """
         if self.layout is not None:
-            return read_with_layout(
-                path, load_layout(self.layout), self.side, _lengths_of(person)
-            )
+            lengths = None if person is None else read_person(person).lengths
+            layout = load_layout(self.layout)
+            return read_with_layout(path, layout, self.side, lengths)
         try:
             recording = read_recording(path, self.side or wanted)
         except RecordingError as error:
@@ -163,16 +162,10 @@ class InputArguments:
         expect(
             len(paths) in (1, 2), "RECORDING", "one file or two", got=f"{len(paths)}"
         )
-        layout = load_layout(self.layout)
-        lengths = _lengths_of(person)
         return {
-            side: read_with_layout(path, layout, side, lengths)
+            side: replace(self, side=side).read(path, person=person)
             for side, path in zip(SIDES, (paths[0], paths[-1]), strict=True)
         }
-
-
-def _lengths_of(person: Path | None) -> HumanLengths | None:
-    return None if person is None else read_person(person).lengths
 
 
 def person_of(recordings: Sequence[Recording], file: Path | None) -> Person:

@@ -44,13 +44,8 @@ class Doctor:
 
     def run(self) -> None:
         """Examine the installation and print the result."""
-        report = {
-            "versions": versions(),
-            "extras": extras(),
-            "solvers": solvers(),
-            "folders": folders(),
-            "libraries": libraries(),
-        }
+        parts = versions, extras, solvers, folders, libraries
+        report = {part.__name__: part() for part in parts}
         if self.json:
             print(json.dumps(report))
             return
@@ -77,14 +72,13 @@ def extras() -> dict[str, str]:
     """Return for every extra `installed`, or how to install it."""
     found: dict[str, list[str]] = {}
     for requirement in metadata.requires(_PACKAGE) or []:
-        extra = re.search(r"extra == ['\"]([\w-]+)['\"]", requirement)
-        name = re.match(r"[\w.-]+", requirement)
-        # `all` would repeat the others.
-        if extra is None or name is None or name[0] == _PACKAGE or extra[1] == "all":
+        parts = re.match(r"([\w.-]+).*extra == ['\"]([\w-]+)['\"]", requirement)
+        # `all` repeats the others.
+        if parts is None or parts[2] == "all":
             continue
-        missing = found.setdefault(extra[1], [])
-        if _version(name[0]) == "not installed":
-            missing.append(name[0])
+        missing = found.setdefault(parts[2], [])
+        if _version(parts[1]) == "not installed":
+            missing.append(parts[1])
     return {
         extra: "installed"
         if not missing
@@ -103,7 +97,7 @@ def solvers() -> dict[str, str]:
 
 def folders() -> dict[str, str]:
     """Return the state of the folders of recordings and hands that tests and benchmarks read."""
-    return {name: _folder_state(os.environ.get(name), name) for name in _FOLDERS}
+    return {name: _folder_state(name, files) for name, files in _FOLDERS.items()}
 
 
 def libraries() -> dict[str, str]:
@@ -121,8 +115,8 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-def _folder_state(folder: str | None, name: str) -> str:
+def _folder_state(name: str, files: str) -> str:
+    folder = os.environ.get(name)
     if folder is None:
         return "not set"
-    count = sum(1 for _ in Path(folder).glob(_FOLDERS[name]))
-    return f"{folder}: {count} files {_FOLDERS[name]}"
+    return f"{folder}: {len([*Path(folder).glob(files)])} files {files}"
