@@ -121,9 +121,8 @@ class DisplayControls:
     """What the scene shows."""
 
     def __init__(self, server: ViserServer) -> None:
-        self._presses: list[str] = []
         self.follow, self.shape, self.landmarks, self.trails, self.clear = add_controls(
-            server.gui, "display", lambda name, _: self._presses.append(name)
+            server.gui, "display"
         )
 
     def apply_to(self, scene: HandScene) -> None:
@@ -131,8 +130,9 @@ class DisplayControls:
         display = Display(
             self.follow.value, self.shape.value, self.landmarks.value, self.trails.value
         )
-        if self._presses or (scene.display.has_trails and not display.has_trails):
-            self._presses.clear()
+        # viser sets a button's value when it is pressed.
+        if self.clear.value or scene.display.has_trails > display.has_trails:
+            self.clear.value = False
             scene.clear_trails()
         scene.display = display
 
@@ -307,21 +307,17 @@ class OptionControls:
         handle = self._gui.add_dropdown(
             label, option.choices, initial_value=str(option.default), hint=option.about
         )
-        given = None
+        values: Values = dict(zip(option.choices, option.choices, strict=True))
 
         def to_shown(value: Any) -> str:
-            nonlocal given
-            if isinstance(value, str):
-                return value
-            # A value beside the words, such as a rotation matrix.
-            given = value
-            if _GIVEN not in handle.options:
-                handle.options = (*handle.options, _GIVEN)
-            return _GIVEN
+            # A value beside the words may be a rotation matrix.
+            shown = value if isinstance(value, str) else _GIVEN
+            values[shown] = value
+            if shown not in handle.options:
+                handle.options = tuple(values)
+            return shown
 
-        return _Control(
-            handle, to_shown, lambda value: given if value == _GIVEN else value
-        )
+        return _Control(handle, to_shown, values.__getitem__)
 
 
 def _as_text(value: Any) -> str:
