@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from handmap_qp.hands import Values
 from handmap_qp.ik.core import description
 from .tables import print_table
 
@@ -103,8 +102,10 @@ def folders() -> dict[str, str]:
 def libraries() -> dict[str, str]:
     """Return the system libraries for solvers and for MuJoCo's rendering."""
     # Slim images lack libgomp, to which compiled dependencies link.
-    found: Values = {name: ctypes.util.find_library(name) for name in ("gomp", *_GL)}
-    state = {f"lib{name}": path or "not found" for name, path in found.items()}
+    state = {
+        f"lib{name}": ctypes.util.find_library(name) or "not found"
+        for name in ("gomp", *_GL)
+    }
     return state | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "not set")}
 
 

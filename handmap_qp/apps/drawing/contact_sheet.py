@@ -123,12 +123,7 @@ def sheet_rows(
             is not one of a valid sample.
     """
     for i, q in enumerate(motions):
-        expect(
-            np.ndim(q) == 2 and len(q) == len(recording),
-            f"motions[{i}]",
-            f"shape ({len(recording)}, n)",
-            got=str(np.shape(q)),
-        )
+        as_floats(q, f"motions[{i}]", shape=(len(recording), "n"))
     bases = measure_hand(recording).bases[1:]
     sign = 1.0 if recording.side == "right" else -1.0
     palm = np.vstack([np.zeros(3), bases]) * (sign, 1.0, 1.0)

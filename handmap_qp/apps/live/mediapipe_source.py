@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -102,11 +102,8 @@ def _find_python() -> str:
 def _run(command: list[str], problem: str) -> None:
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
-        lines = (done.stderr.strip() or done.stdout.strip() or problem).splitlines()
-        errors = [line for line in lines if line.startswith("ERROR:")]
-        raise InvalidInputError(
-            f"{problem}: {(errors or lines)[-1]}", argument="--install"
-        )
+        line = _last_line(done.stderr.strip() or done.stdout.strip(), "ERROR:")
+        raise InvalidInputError(f"{problem}: {line or problem}", argument="--install")
 
 
 @dataclass(eq=False)
@@ -171,12 +168,14 @@ class MediapipeSource:
                     process.kill()
             if code:
                 messages.seek(0)
-                raise InvalidInputError(_last_of(messages), argument=option)
+                name = f"{_PROGRAM.stem}: "
+                line = _last_line(messages.read(), name).removeprefix(name)
+                raise InvalidInputError(
+                    line or "MediaPipe ended without a message", argument=option
+                )
 
 
-def _last_of(messages: Iterable[str]) -> str:
-    """Return the process's own last line, or else the last one."""
-    lines = ["MediaPipe ended without a message", *messages]
-    name = "mediapipe_process: "
-    text = ([line for line in lines if line.startswith(name)] or lines)[-1]
-    return text.removeprefix(name).strip()
+def _last_line(text: str, start: str) -> str:
+    """Return the last line with this start, or else the last one; empty if there is none."""
+    lines = ["", *text.splitlines()]
+    return ([line for line in lines if line.startswith(start)] or lines)[-1].strip()
