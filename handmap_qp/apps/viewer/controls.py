@@ -84,6 +84,7 @@ class _Control:
 
     Attributes:
         handle: The viser control.
+        taken: Its value at the last `take` or `show`.
         to_shown: Converts a value to the handle's, which may be rounded or clipped.
         to_value: Converts the handle's value back.
     """
@@ -93,28 +94,27 @@ class _Control:
     to_value: Callable[[Any], Any] = lambda value: value
 
     def __post_init__(self) -> None:
-        self._taken = self.handle.value
-
-    @property
-    def is_changed(self) -> bool:
-        """Whether the user has changed it since the last `take`."""
-        return self.handle.value != self._taken
+        self.taken = self.handle.value
 
     def take(self) -> Any:
         """Return the value."""
-        self._taken = self.handle.value
-        return self.to_value(self._taken)
+        self.taken = self.handle.value
+        return self.to_value(self.taken)
 
     def show(self, value: Any) -> None:
         """Show a value, except where the user has just changed the control."""
         shown = self.to_shown(value)
-        if shown != self._taken:
-            self.handle.value = self._taken = shown
+        if shown != self.taken:
+            self.handle.value = self.taken = shown
 
 
 def _take_changes(controls: dict[str, _Control]) -> Values:
     """Return what the user has changed since the last call, by name."""
-    return {name: each.take() for name, each in controls.items() if each.is_changed}
+    return {
+        name: each.take()
+        for name, each in controls.items()
+        if each.handle.value != each.taken
+    }
 
 
 class DisplayControls:

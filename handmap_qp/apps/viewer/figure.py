@@ -171,10 +171,10 @@ class Figure:
         parts = (sample.parts[self.part] for sample in samples)
         found = [room for part in parts if (room := self._room(part)) is not None]
         if found:
-            travel, parts = np.array(found).swapaxes(0, 1)
-            self.room[0] = _box_of(travel[:, 0])
-            low = np.percentile(parts[:, 0], _RARE, axis=0)
-            self.room[1] = low, np.percentile(parts[:, 1], 100.0 - _RARE, axis=0)
+            (travel, _), (low, high) = np.moveaxis(np.array(found), 0, 2)
+            self.room[0] = _box_of(travel)
+            low = np.percentile(low, _RARE, axis=0)
+            self.room[1] = low, np.percentile(high, 100.0 - _RARE, axis=0)
 
     def include(self, sample: ViewSample) -> None:
         """Make room for one more instant, with a margin where the room has to grow."""

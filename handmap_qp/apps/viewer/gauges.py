@@ -159,10 +159,8 @@ class InstantGauges:
         q = sample.robot_q
         postures = [q, robot.rest, *(other.robot_q for other in others)]
         shares = 100.0 * np.clip((np.array(postures) - low) / (high - low), 0.0, 1.0)
-        held = False if sample.is_limited is None else sample.is_limited
-        colours = np.where(
-            robot.at_position_limit(q), RED, np.where(held, ORANGE, FIRST)
-        )
+        held = np.where(sample.is_limited, ORANGE, FIRST)
+        colours = np.where(robot.at_position_limit(q), RED, held)
         bars = list(map(_joint_bar, robot.joint_names, q, shares.T, colours))
         groups = "".join(
             f'<div style="color:#666;margin-top:2px">{escape(finger)}</div>'

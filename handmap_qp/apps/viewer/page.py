@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
+from itertools import pairwise
 from typing import Any
 
 from handmap_qp.hands import Hand
@@ -48,11 +49,9 @@ def make_page(
         scene.display = display or scene.display
         scene.draw(instants[0])
         serializer = server.get_scene_serializer()
-        shown = instants[0][0].time
-        for samples in _at_rate(instants, _RATE)[1:]:
-            serializer.insert_sleep(samples[0].time - shown)
+        for before, samples in pairwise(_at_rate(instants, _RATE)):
+            serializer.insert_sleep(samples[0].time - before[0].time)
             scene.draw(samples)
-            shown = samples[0].time
         page = serializer.as_html()
     gauges = InstantGauges(variants, human)
     start, end = (instants[i][0].time for i in (0, -1))

@@ -296,8 +296,7 @@ class ServiceSession:
         hands: Sequence[ViewSample] = (),
     ) -> ViewSample:
         """Convert a command, or what it says of a hand, to a sample with the k-th human hand."""
-        is_part = robot is not self.robot
-        state: Any = command.hands.get(robot.side, command) if is_part else command
+        state: Any = command if hands else command.hands.get(robot.side, command)
         q = np.array(command.q)
         wrist = np.eye(4) if hands else state.wrist.matrix
         arrays: Values = {

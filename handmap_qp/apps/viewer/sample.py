@@ -32,7 +32,7 @@ class ViewSample:
         pivot: The human's pivot after T, in W [m], shape (3,); given with `deformation`.
         object_pose: Pose in V of the variant's object, shape (4, 4); None if there is none.
         is_limited: Whether a position or speed limit held each robot joint in this step, shape
-            (n,); None if the source does not report it.
+            (n,); False if the source does not report it.
         status: How the step ended.
         held_by: Both links of the pair that keeps the robot from its targets; empty if none does.
         rule: The rule that the sample broke, such as `jump`; empty if it broke none.
@@ -55,7 +55,7 @@ class ViewSample:
     deformation: Array | None = None
     pivot: Array | None = None
     object_pose: Array | None = None
-    is_limited: Array | None = None
+    is_limited: Array | bool = False
     status: str = ""
     held_by: Sequence[str] = ()
     rule: str = ""

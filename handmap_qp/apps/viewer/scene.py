@@ -267,5 +267,5 @@ def _robot_axes(variant: Variant, upright: Array | None) -> Array:
 
 
 def _alignment(variant: Variant) -> Any:
-    options = {} if variant.choice is None else variant.choice.method.values
-    return options.get("alignment", "world")
+    method = variant.choice and variant.choice.method
+    return getattr(method, "alignment", "world")
