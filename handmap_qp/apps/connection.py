@@ -25,7 +25,7 @@ TIMEOUT = 3.0
 @contextmanager
 def connected(
     option: str, host: str, keys: KeyFiles | None, *, refused: str
-) -> Iterator[tuple[Client, str]]:
+) -> Iterator[Client]:
     """Connect to the service, and close the connection if the block fails.
 
     A failure of the service in the block is an error of an option.
@@ -37,7 +37,7 @@ def connected(
         refused: The option at fault if the service refuses the request.
 
     Yields:
-        The client, and the address.
+        The client.
 
     Raises:
         InvalidInputError: If the service cannot be reached or refuses the request.
@@ -47,7 +47,7 @@ def connected(
         try:
             client = Client(address, timeout=TIMEOUT, keys=keys)
             closing.callback(client.close)
-            yield client, address
+            yield client
         except HandmapError:
             raise
         except ServiceTimeoutError as error:

@@ -192,13 +192,11 @@ def render(
         row on top.
     """
     fine = camera.magnified(supersampling)
-    solid = _rasterise(triangles.vertices, fine)
-    picture = _shaded(triangles, solid, fine)
-    picture[..., :3] *= 1.0 - _CREASE_DEPTH * _creases(solid.depth, fine)[..., None]
+    picture, depth = _shaded(triangles, fine)
+    picture[..., :3] *= 1.0 - _CREASE_DEPTH * _creases(depth, fine)[..., None]
     if marks is not None:
-        surface = _rasterise(marks.vertices, fine)
-        shaded = _shaded(marks, surface, fine)
-        seen = np.where(surface.depth > solid.depth, _HIDDEN_MARK_OPACITY, 1.0)
+        shaded, place = _shaded(marks, fine)
+        seen = np.where(place > depth, _HIDDEN_MARK_OPACITY, 1.0)
         opacity = seen * shaded[..., 3]
         picture += opacity[..., None] * (shaded - picture)
     width, height = camera.size
@@ -267,11 +265,11 @@ def _centres(pixels: Array, width: int) -> Array:
     return np.column_stack([column + 0.5, row + 0.5, np.ones(len(row))])
 
 
-def _shaded(triangles: Triangles, surface: _Surface, camera: Camera) -> Array:
-    """Return linear light and opacity at every pixel, shape (height, width, 4)."""
+def _shaded(triangles: Triangles, camera: Camera) -> tuple[Array, Array]:
+    """Return linear light and opacity at every pixel, (height, width, 4), and its depth [m]."""
     width, height = camera.size
     picture = np.zeros((height * width, 4))
-    pixels, centres, triangle, shares, _ = surface
+    pixels, centres, triangle, shares, depth = _rasterise(triangles.vertices, camera)
     rotation = camera.world_to_camera[:3, :3]
     corners = triangles.normals[triangle] @ rotation.T
     normals = unit(np.einsum("kc,kcj->kj", shares, corners))
@@ -285,7 +283,7 @@ def _shaded(triangles: Triangles, surface: _Surface, camera: Camera) -> Array:
     albedo = _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
     picture[pixels, :3] = albedo * light[:, None] + _HIGHLIGHT * shine[:, None] ** 40
     picture[pixels, 3] = 1.0
-    return picture.reshape(height, width, 4)
+    return picture.reshape(height, width, 4), depth
 
 
 def _creases(depth: Array, camera: Camera) -> Array:

@@ -58,7 +58,7 @@ class ServiceSink(Sink):
         upright: str = "",
     ) -> None:
         measured = {} if person is None else person.session_fields()
-        with connected("--to", host, keys, refused="--to") as (self._client, _):
+        with connected("--to", host, keys, refused="--to") as self._client:
             self.session = self._client.open(
                 robot,
                 name=session,
@@ -189,14 +189,11 @@ class ServiceSource:
         session: str | None = None,
         keys: KeyFiles | None = None,
     ) -> None:
-        with connected("--from", host, keys, refused="--session") as (
-            self._client,
-            address,
-        ):
+        with connected("--from", host, keys, refused="--session") as self._client:
             self.name = only_session(self._client, session)
             if not self.name:
                 raise InvalidInputError(
-                    f"no session is open at {address}",
+                    f"no session is open at {self._client.address}",
                     argument="--from",
                     advice="start a client that opens one, such as handmap track replay",
                 )

@@ -131,7 +131,7 @@ class DisplayControls:
             self.follow.value, self.shape.value, self.landmarks.value, self.trails.value
         )
         # viser sets a button's value when it is pressed.
-        if self.clear.value or scene.display.has_trails > display.has_trails:
+        if self.clear.value or (scene.display.has_trails and not display.has_trails):
             self.clear.value = False
             scene.clear_trails()
         scene.display = display

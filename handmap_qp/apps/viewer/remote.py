@@ -103,7 +103,7 @@ class ServiceSession:
         self._host = host
         self._details = [{}, {}]
         self._requests = deque[Callable[[], Any]]()
-        with connected("--live", host, keys, refused="--live") as (self._client, _):
+        with connected("--live", host, keys, refused="--live") as self._client:
             about = self._find_session(session, monotonic() + patience)
             self.is_shared = about["is_shared"]
             if not (about["has_detail"] or self.is_shared):
