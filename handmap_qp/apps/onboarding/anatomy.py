@@ -4,15 +4,13 @@ Each answer is *certain* only if two independent kinds of evidence agree: positi
 plane of the knuckles, or names. What is derived from an answer is never surer than it.
 """
 
-from collections.abc import Iterable
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from handmap_qp.hands import Side, human
 from handmap_qp.se3 import Array, lengths, unit
-from .finger_names import named_fingers, named_side
+from .finger_names import named_fingers
 from .flexion import HandFlexion
 
 FINGERS = human.FINGERS[1:]
@@ -74,7 +72,7 @@ class Anatomy:
     Args:
         flexion: How the fingers flex.
         names: Names of every finger's links and joints.
-        hints: Names that may contain a side: of the robot, its file and its palm.
+        named: The side that names say.
         side: The side, if known.
         thumb: Index of the thumb, if known.
 
@@ -90,7 +88,7 @@ class Anatomy:
         self,
         flexion: HandFlexion,
         names: list[list[str]],
-        hints: Iterable[str],
+        named: Side | None,
         side: Side | None,
         thumb: int | None,
     ) -> None:
@@ -103,13 +101,12 @@ class Anatomy:
         axes = flexion.axes[self._rest]
         values, vectors = np.linalg.eigh(axes.T @ axes)
         # Jaws and hands with fingers all around have no common axis of flexion.
-        has_axis = axes.any() and values[-1] >= 0.8 * values.sum()
+        has_axis = values[-1] > 0.8 * values.sum()
         self._axis = has_axis * vectors[:, -1]
         distal = self._find_distal()
         dorsal = self._find_dorsal(distal)
         across = np.cross(distal.answer, dorsal.answer)
         radial = self._find_radial(across)
-        named = named_side(chain(hints, *names))
         turned, found = _find_side(
             across, dorsal, radial, self._thumb_clue, side, named
         )
@@ -198,7 +195,7 @@ class Anatomy:
         agreement = lengths(mean)
         palmar = _beside(mean, ahead)
         how = f"opposite to the fingertips' motion in flexion (agreement {agreement:.2f} of 1)"
-        sign = float(np.median(flexion.certainty[rest]))
+        sign = np.median(flexion.certainty[rest])
         upright = np.cross(self._axis, ahead)
         if abs(palmar @ upright) > 0.2:
             # The axes of flexion are exact; the way of the tips depends on the posture.
@@ -422,9 +419,7 @@ def angle_between(one: Array, other: Array) -> float:
 
 
 def _snapped(
-    direction: Array,
-    knuckles: Array = _UNKNOWN,
-    axis: Array = _UNKNOWN,
+    direction: Array, knuckles: Array = _UNKNOWN, axis: Array = _UNKNOWN
 ) -> Array:
     """Return the link's axis next to a unit vector, or else the vector.
 

@@ -6,7 +6,7 @@ answer has its evidence and its confidence.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import chain, compress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,13 +29,10 @@ from handmap_qp.hands import (
 )
 from handmap_qp.se3 import Array, lengths, transform_points
 from .anatomy import Anatomy, Clue
+from .finger_names import named_side
 from .flexion import HandFlexion
 from .robot import Robot
-from .structure import (
-    RobotFinger,
-    find_palms,
-    find_structure,
-)
+from .structure import RobotFinger, find_palms, find_structure
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
 _REST_SHARE = 0.4
@@ -184,7 +181,7 @@ class _FoundHand:
         self.robot = robot
         self.structure = find_structure(robot)
         fingers = self.structure.fingers
-        names = [finger.names for finger in fingers]
+        names = [[*finger.joint_names, *finger.links] for finger in fingers]
         given = next((i for i, group in enumerate(names) if thumb in group), None)
         if thumb is not None and given is None:
             problem = f"no finger has a link or joint {thumb!r}"
@@ -192,7 +189,8 @@ class _FoundHand:
         flexion = HandFlexion(robot, fingers)
         self.palm = self.structure.palm.answer
         hints = (robot.name, robot.file.stem, self.palm)
-        self.anatomy = Anatomy(flexion, names, hints, side, given)
+        named = named_side(chain(hints, *names))
+        self.anatomy = Anatomy(flexion, names, named, side, given)
         self.fingers = list[RobotFinger]()
         for i, called in self.anatomy.fingers.items():
             fingers[i].name = called
@@ -219,8 +217,8 @@ class _FoundHand:
         joints = (*arm, *own)
         still = robot.positions(robot.rest) | part.positions(part.rest)
         origin = self._palm_origin()
-        tips = [self._tip(finger) for finger in self.fingers]
-        points, sets = point_sets([*tips, *self._middles()])
+        found = chain.from_iterable(map(self._points, self.fingers))
+        points, sets = point_sets(found)
         rest = robot.positions(self._rest())
         if arm:
             rest = part.positions(_arm_rest(part, self.palm)) | rest
@@ -242,20 +240,9 @@ class _FoundHand:
             reference="fingertips",
             root=None if part.is_whole else part.root,
             locked={joint: at for joint, at in still.items() if joint not in joints},
-            limits=_chosen(part.assumed, arm) | _chosen(robot.assumed, own),
-            mimic=robot.dropped_rules,
+            limits=_chosen(part.spec.limits, arm) | _chosen(robot.spec.limits, own),
+            mimic=robot.spec.mimic,
         )
-
-    def _middles(self) -> list[PointSpec]:
-        """Return the PIP joints of fingers, and the IP joint of the thumb."""
-        points = []
-        for finger in self.fingers:
-            if place := finger.find_middle():
-                body, xyz = place
-                xyz = xyz if lengths(xyz) > _OFF_AXIS else np.zeros(3)
-                kind = "ip" if finger.name == THUMB else "pip"
-                points.append(_point(finger, kind, self.robot.links[body][0], xyz))
-        return points
 
     def _name(self) -> str:
         """Return the robot's name, with the hand's side if there is more to the robot."""
@@ -301,23 +288,39 @@ class _FoundHand:
         self.clues.append(Clue("rest", "half open", how, sure))
         return q
 
-    def _tip(self, finger: RobotFinger) -> PointSpec:
-        """Return a fingertip."""
+    def _points(self, finger: RobotFinger) -> Iterator[PointSpec]:
+        """Yield a fingertip, and the PIP joint of a finger, or the IP joint of the thumb."""
         end = finger.end
-        sure = max(self._sure["thumb" if finger.name == THUMB else "fingers"], 0.3)
+        is_thumb = finger.name == THUMB
+        sure = max(self._sure["thumb" if is_thumb else "fingers"], 0.3)
         sure = min(end.confidence, sure)
         self.clues.append(end._replace(what=f"{finger.name}_tip", confidence=sure))
-        return _point(finger, "tip", end.answer, finger.xyz, self._pad(finger))
+        places = {"tip": (end.answer, finger.xyz)}
+        if middle := finger.find_middle():
+            body, xyz = middle
+            xyz = xyz if lengths(xyz) > _OFF_AXIS else np.zeros(3)
+            places["ip" if is_thumb else "pip"] = self.robot.links[body][0], xyz
+        for kind, (link, xyz) in places.items():
+            # An additional finger is paired with the human little one.
+            yield PointSpec(
+                f"{finger.name}_{kind}",
+                link,
+                _vector(xyz, 4),
+                finger.name,
+                partner=None if finger.name in FINGERS else f"little_{kind}",
+                pad=self._pad(finger) if kind == "tip" else None,
+            )
 
     def _pad(self, finger: RobotFinger) -> PadSpec | None:
         """Return the pad of a finger whose surface is visual only; the mapping finds all others."""
+        robot = self.robot
         body, tip = finger.tip
-        cloud = self.robot.surface(body)
-        shapes = [self.robot.elements[link] for link in self.robot.links[body]]
-        if not len(cloud) or any(link.findall("collision") for link in shapes):
+        cloud = robot.surface(body)
+        links = [robot.elements[link] for link in robot.links[body]]
+        if not len(cloud) or any(link.findall("collision") for link in links):
             return None
         centre, radius = ball_in(cloud, tip)
-        pose = self.robot.pose_in(finger.links[-1], finger.end.answer)
+        pose = robot.pose_in(finger.links[-1], finger.end.answer)
         return PadSpec(round(radius, 4), _vector(transform_points(pose, centre), 4))
 
     def _palm_origin(self) -> Array:
@@ -404,24 +407,6 @@ def _chosen(values: dict[str, Any], joints: Names) -> dict[str, Any]:
     return {joint: values[joint] for joint in joints if joint in values}
 
 
-def _point(
-    finger: RobotFinger,
-    kind: str,
-    link: str,
-    xyz: Array,
-    pad: PadSpec | None = None,
-) -> PointSpec:
-    """Return a point of a finger; an additional one is paired with the human little finger."""
-    return PointSpec(
-        f"{finger.name}_{kind}",
-        link,
-        _vector(xyz, 4),
-        finger.name,
-        partner=None if finger.name in FINGERS else f"little_{kind}",
-        pad=pad,
-    )
-
-
 def _vector(values: Array, digits: int) -> Vector:
-    x, y, z = (values.round(digits) + 0.0).tolist()
+    x, y, z = values.round(digits) + 0.0
     return x, y, z

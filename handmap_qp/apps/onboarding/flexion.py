@@ -28,6 +28,8 @@ _STRETCHED = 0.985
 _PHALANX = 0.2
 # A thumb is this share of the fingers' reach in front of the palm.
 _LEAST_HEIGHT = 0.05
+# A direction that is not known.
+_UNKNOWN = np.zeros(3)
 
 
 class HandFlexion:
@@ -63,7 +65,7 @@ class HandFlexion:
         self,
         robot: Hand,
         fingers: Sequence[Finger],
-        palmar: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        palmar: Array = _UNKNOWN,
     ) -> None:
         self._fingers = fingers
         self._view = PalmKinematics(robot)
@@ -75,7 +77,7 @@ class HandFlexion:
         straight = np.ma.masked_all(self.moves.shape)
         # Sense in which each joint turns a tip about the axis of the finger's curling.
         self._curls = np.zeros(self.moves.shape)
-        self.axes = np.zeros((len(fingers), 3))
+        self.axes = np.zeros_like(self.bases)
         senses = np.zeros(len(fingers))
         for i, finger in enumerate(fingers):
             self.moves[i, finger.columns] = True
@@ -94,15 +96,15 @@ class HandFlexion:
         self.slides = ~motions[:, 3:].any(axis=(0, 1))
         self._settle_even(palmar)
         self.ways = self._ways()
-        self.axes *= np.sign((self._curls * self.sign).sum(axis=1, keepdims=True))
+        self.axes *= np.sign(self._curls @ self.sign)[:, None]
         self._close_jaws()
         self._sign_base_joints()
         start, self.q_closed = self._ends(self.sign)
         # A jaw is open at one end of its range, which need not be zero.
         jaws = (self.sign != 0.0) & self.slides
         self.q_open = np.where(jaws, start, self.q_open)
-        postures = np.array([self.q_open, self.q_closed])
-        self.tips_open, self.tips_closed = self.tips(postures)
+        self.tips_open = self.tips(self.q_open)
+        self.tips_closed = self.tips(self.q_closed)
         lines = self.tips_open - self.bases
         self.reach = lengths(lines)
         for i in np.flatnonzero(self._curls.any(axis=1)):
@@ -118,7 +120,7 @@ class HandFlexion:
         signs = np.abs(self._curls) * self.sign
         return unit(np.einsum("fkn,fn->fk", self._motions, signs))
 
-    def _settle_even(self, palmar: Sequence[float] | Array) -> None:
+    def _settle_even(self, palmar: Array) -> None:
         """Choose the direction of fingers that curl equally far both ways.
 
         Follow the palm if it is known, else the other fingers, else towards the other tips, else
@@ -131,7 +133,7 @@ class HandFlexion:
         units = unit(slopes)
         is_parallel = np.abs(units @ units.T) > PARALLEL
         groups: dict[int, list[int]] = {}
-        for i in np.flatnonzero(even).tolist():
+        for i in np.flatnonzero(even):
             first = next((k for k in groups if is_parallel[i, k]), i)
             groups.setdefault(first, []).append(i)
         for alike in sorted(groups.values(), key=len, reverse=True):

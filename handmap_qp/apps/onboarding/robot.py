@@ -8,7 +8,6 @@ written to the `hand.yaml` for its owner to correct.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
@@ -35,12 +34,11 @@ from handmap_qp.hands import (
     joints_by_name,
     mimics_of,
     parse_urdf,
-    prepare_urdf,
-    read_mimic_rules,
     root_links,
     zero_posture,
 )
 from handmap_qp.se3 import Array, inverse_pose, transform_points
+from handmap_qp.trackers import first_of
 
 # Assumed ranges [rad or m] and speeds [per s] of joints without limits in the URDF.
 _ASSUMED_RANGE = {
@@ -60,7 +58,9 @@ _MOST_POINTS = 3000
 class Robot(Hand):
     """A robot, or a part of one, in which a hand is looked for.
 
-    Its palm is its root until one is found, and it rests at zero, clipped to its limits.
+    Its palm is its root until one is found, and it rests at zero, clipped to its limits. Its spec
+    has the limits that the URDF lacks, and drops the rules whose leader is outside this part of it:
+    those joints are treated as independent.
 
     Args:
         text: The URDF.
@@ -76,13 +76,9 @@ class Robot(Hand):
         surface: Points of a body's visuals, else of its collision shapes, by its number, in its
             frame [m], shape (k, 3); a `HandError` if a shape lacks its numbers.
         joints: Movable joints of the model, in the order of the file.
-        rules: Rules of those that follow another one, by name.
         elements: The URDF's element of each link.
         parents: The link that carries each link but the root.
         endless: Names of the joints of type `continuous` in the file.
-        assumed: Limits that the URDF lacks, by joint.
-        dropped_rules: Mimic rules whose leader is not in this part of the robot; these joints are
-            treated as independent.
 
     Raises:
         HandError: If the URDF cannot be used, in one line.
@@ -104,13 +100,16 @@ class Robot(Hand):
             self.is_whole = root in (None, *root_links(robot))
             if root is not None:
                 cut_subtree(robot, root)
-            movable = self._complete(robot)
-            spec = self._provisional(robot, movable)
+            spec = self._provisional(robot)
             super().__init__(spec, urdf_text=tostring(robot, encoding="unicode"))
         except HandError as error:
             error.file = file
             raise
-        self.joints = [self.model.getJointId(name) for name in movable]
+        robot = parse_urdf(self.urdf_text)
+        self.elements = {link.get("name", ""): link for link in robot.iterfind("link")}
+        self.parents = {child: parent for _, parent, child in edges(robot)}
+        movable = joints_by_name(robot, MOVABLE)
+        self.joints = [*map(self.model.getJointId, movable)]
         bodies = [f for f in self.model.frames if f.type == pin.FrameType.BODY]
         self.frames = {frame.name: frame for frame in bodies}
         self.links = [
@@ -118,39 +117,28 @@ class Robot(Hand):
             for body in range(self.model.njoints)
         ]
 
-    def _complete(self, robot: Element) -> list[str]:
-        """Complete rules and limits in a URDF; return its movable joints, in its order."""
+    def _provisional(self, robot: Element) -> HandSpec:
+        """Describe the robot as a hand whose palm is the root, and complete rules and limits."""
+        (self.root,) = root_links(robot)
         for name in fix_free_joints(robot):
             self._remark(name, "has more than one coordinate: it is taken as fixed")
-        given = {
-            name: _limits(joint)
-            for name, joint in joints_by_name(robot, MOVABLE).items()
-        }
-        self.endless = {n for n, one in given.items() if one.kind == "continuous"}
-        rules = {n: rule for n, rule in mimics_of(robot).items() if n in given}
-        lost = [n for n, rule in rules.items() if rule.joint not in given]
-        self.dropped_rules = dict.fromkeys(lost)
+        self.endless = {*joints_by_name(robot, ["continuous"])}
+        joints = joints_by_name(robot, MOVABLE)
+        rules = mimics_of(robot)
+        lost = [n for n in joints if n in rules and rules[n].joint not in joints]
         for name in lost:
             self._remark(
                 f"{name} (mimics {rules[name].joint})",
                 "has a leader that is missing or fixed here: taken as independent; couple what "
                 "belongs together under `mimic` in the hand.yaml",
             )
-        equal = self._assume_limits(given, rules.keys() - lost)
-        locked = prepare_urdf(robot, None, self.dropped_rules, equal, self.assumed)
-        self._locked_at = {name: round(at, 6) for name, at in locked.items()}
-        return [name for name in given if name not in locked]
-
-    def _provisional(self, robot: Element, movable: list[str]) -> HandSpec:
-        """Describe the robot as a hand whose palm is the root."""
-        (self.root,) = root_links(robot)
-        if not movable:
+        followers = rules.keys() - lost
+        limits, locked = self._assume_limits(joints, followers)
+        still = followers | locked.keys()
+        active = tuple(name for name in joints if name not in still)
+        if not active:
             problem = f"no movable joint hangs from the link {self.root!r}"
             raise self.error(problem, self.root)
-        self.rules = read_mimic_rules(robot)
-        self.elements = {link.get("name", ""): link for link in robot.iterfind("link")}
-        self.parents = {child: parent for _, parent, child in edges(robot)}
-        active = tuple(name for name in movable if name not in self.rules)
         return HandSpec(
             name=robot.get("name") or self.file.stem,
             urdf=str(self.file),
@@ -162,6 +150,9 @@ class Robot(Hand):
             points=(PointSpec("root", self.root),),
             sets={"root": ("root",)},
             reference="root",
+            locked=locked,
+            limits=limits,
+            mimic=dict.fromkeys(lost),
         )
 
     def _take_postures(self) -> None:
@@ -172,11 +163,8 @@ class Robot(Hand):
         """Assumptions, one sentence each; those about several joints in one."""
         found = []
         for what, subjects in self._remarks.items():
-            shown = ", ".join(subjects[:_MOST_NAMES])
-            if len(subjects) > _MOST_NAMES:
-                shown += f" and {len(subjects) - _MOST_NAMES} more"
-            shown += ": each" * (len(subjects) > 1)
-            found.append(f"{shown} {what}")
+            each = f" ({len(subjects)}): each" * (len(subjects) > 1)
+            found.append(f"{first_of(subjects, _MOST_NAMES)}{each} {what}")
         return [*found, *self.notes]
 
     def error(self, problem: str, value: object = None) -> HandError:
@@ -188,16 +176,22 @@ class Robot(Hand):
 
     # -- structure
 
+    def below(self, body: int) -> list[int]:
+        """Return the bodies that hang from a body, in the order of the file."""
+        return [joint for joint in self.joints if self.model.parents[joint] == body]
+
     def leaves(self, body: int) -> list[int]:
         """Return the last bodies of all branches of a body; the body itself if it has none."""
-        below = [j for j in self.joints if self.model.parents[j] == body]
-        return [leaf for j in below for leaf in self.leaves(j)] or [body]
+        below = self.below(body)
+        return [leaf for branch in below for leaf in self.leaves(branch)] or [body]
 
     # -- kinematics
 
     def positions(self, q: Array) -> dict[str, float]:
-        """Return the positions of all joints by name, also of locked ones [rad or m]."""
-        return self._locked_at | dict(zip(self.joint_names, q.tolist(), strict=True))
+        """Return the positions of all joints but followers by name [rad or m]."""
+        values = self.all_joints(q)
+        every = zip(self.all_joint_names, self.all_joint_roles, values, strict=True)
+        return {name: at for name, role, at in every if role != "follower"}
 
     def pose_in(self, link: str, other: str, q: Array | None = None) -> Array:
         """Return a link's pose in another link's frame, at rest if q is omitted, (4, 4)."""
@@ -227,20 +221,21 @@ class Robot(Hand):
     # -- assumptions
 
     def _assume_limits(
-        self, given: Mapping[str, _Limits], followers: Collection[str]
-    ) -> dict[str, float]:
-        """Assume limits that are missing or wrong; return positions of joints with equal ones."""
+        self, joints: dict[str, Element], followers: set[str]
+    ) -> tuple[dict[str, LimitSpec], dict[str, float]]:
+        """Assume limits that are missing or wrong, and lock joints with equal ones; by joint."""
+        given = {name: _limits(joint) for name, joint in joints.items()}
         turns = [
             one.upper - one.lower for one in given.values() if one.kind == "revolute"
         ]
-        in_degrees = bool(turns and np.nanmedian(turns) > _LARGEST_TURN)
-        self.assumed = dict[str, LimitSpec]()
-        equal = dict[str, float]()
+        in_degrees = bool(np.nanmedian(turns or 0.0) > _LARGEST_TURN)
+        limits = dict[str, LimitSpec]()
+        locked = dict[str, float]()
         for name, one in given.items():
             if name in followers:
                 continue
             if one.lower == one.upper:
-                equal[name] = one.lower
+                locked[name] = round(one.lower, 6)
                 self._remark(name, "has equal limits: it is locked")
                 continue
             ends, what = _assumed_range(one, in_degrees=in_degrees)
@@ -253,13 +248,13 @@ class Robot(Hand):
                     for other in given.values()
                     if other.kind == one.kind and other.speed > 0.0
                 ]
-                speed = float(np.median(usual or _ASSUMED_SPEED[one.kind]))
+                speed = np.median(usual or _ASSUMED_SPEED[one.kind])
                 self._remark(
                     name, f"has no speed limit in the URDF: {speed:.4g} is assumed"
                 )
             if speed or None not in ends:
-                self.assumed[name] = LimitSpec(*ends, speed)
-        return equal
+                limits[name] = LimitSpec(*ends, speed)
+        return limits, locked
 
 
 class _Limits(NamedTuple):

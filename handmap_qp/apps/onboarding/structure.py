@@ -5,7 +5,7 @@ with at least two finger-like branches. Bodies inside such branches that qualify
 metacarpal with two fingers, are not the palm.
 """
 
-from itertools import chain, compress, groupby
+from itertools import chain, compress
 from typing import NamedTuple
 
 import numpy as np
@@ -48,8 +48,7 @@ class RobotFinger(Finger):
         joint_names: Movable joints from the palm outwards.
         drivers: The active joints that move them, each itself or its mimic leader.
         links: First link of the body on each joint.
-        names: All of these, from which the finger's own name may be read.
-        carriers: Links of the palm's body out to the one that carries the finger.
+        carriers: Links from the root to the one that carries the finger.
         length: Length from its first joint to its tip at zero [m].
     """
 
@@ -61,17 +60,15 @@ class RobotFinger(Finger):
         frame = robot.frames[self.end.answer]
         super().__init__(robot, joints, (leaf, frame.placement.act(self.xyz)))
         self.joint_names = [robot.model.names[joint] for joint in joints]
-        rules = robot.rules
-        self.drivers = [rules[n].joint if n in rules else n for n in self.joint_names]
+        self.drivers = [robot.joint_names[column] for column in self.columns]
         self.links = [robot.links[joint][0] for joint in joints]
-        self.names = [*self.joint_names, *self.links]
         link = robot.parents[self.links[0]]
         self.carriers = [link]
-        while (link := robot.parents.get(link, "")) in robot.links[palm]:
+        while link := robot.parents.get(link):
             self.carriers.insert(0, link)
         origins = robot.link_poses(self.links, robot.rest)[:, :3, 3]
-        steps = [*np.diff(origins, axis=0), self.tip[1]]
-        self.length = lengths(np.array(steps)).sum()
+        steps = np.vstack([np.diff(origins, axis=0), self.tip[1]])
+        self.length = lengths(steps).sum()
 
 
 class Structure(NamedTuple):
@@ -178,7 +175,7 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     """
     links = [finger.links[0] for finger in fingers]
     roots = robot.link_poses(links, robot.rest)[:, :3, 3]
-    near = lengths(roots[:, None] - roots[None]) < _APART
+    near = lengths(roots[:, None] - roots) < _APART
     group = np.linalg.matrix_power(near.astype(float), len(fingers))[0] > 0.0
     if min(group.sum(), (~group).sum()) < 2:
         return
@@ -196,11 +193,8 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
 def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
     """Return the chains of the branches of a body that could be fingers; none of a single one."""
     branches = []
-    chains = [
-        RobotFinger(robot, leaf, body) for leaf in robot.leaves(body) if leaf != body
-    ]
-    for _, group in groupby(chains, key=lambda one: one.joints[0]):
-        branch = list(group)
+    for start in robot.below(body):
+        branch = [RobotFinger(robot, leaf, body) for leaf in robot.leaves(start)]
         first, *more = branch[0].joint_names
         is_wheel = first in robot.endless and not more
         if not is_wheel and max(one.length for one in branch) < LONGEST_FINGER:
@@ -211,7 +205,7 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
 def _palm_link(fingers: list[RobotFinger]) -> str:
     """Return the outermost link of a body from which all its fingers branch."""
     ways = [finger.carriers for finger in fingers]
-    # All begin with the body's first link, and part once.
+    # All begin with the root, and part once.
     shared = set.intersection(*map(set, ways))
     return ways[0][len(shared) - 1]
 
@@ -234,7 +228,7 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
         if end not in robot.parents.values()
     }
     distance, far = max(
-        ((float(lengths(place)), end) for end, place in ends.items()),
+        ((lengths(place), end) for end, place in ends.items()),
         default=(0.0, ""),
     )
     if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, ends[far]):
@@ -267,7 +261,7 @@ def _is_at_end(robot: Robot, body: int, place: Array) -> bool:
     cloud = robot.surface(body)
     if not len(cloud):
         return True
-    length = float(lengths(place))
+    length = lengths(place)
     beyond = (cloud @ place).max() / length - length
     balls = [
         robot.frames[link].placement.act(origin_of(shape)[:3, 3])
