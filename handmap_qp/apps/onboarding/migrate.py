@@ -130,7 +130,20 @@ def migrate(
     links = configuration.links
     carriers = {landmark: _carrier(robot, link) for landmark, link in links.items()}
     found = detect(urdf, thumb=carriers.get("thumb_tip"), name=name)
-    points = {point.name: point for point in _renamed(found, carriers)}
+    # The found points take the configuration's names; of other fingers they are left out.
+    names = {
+        finger: landmark.partition("_")[0]
+        for landmark, joint in carriers.items()
+        for finger, chain in found.chains.items()
+        if joint in chain
+    }
+    points = dict[str, PointSpec]()
+    for point in found.spec.points:
+        if finger := names.get(point.finger or ""):
+            own = f"{finger}_{point.name.rpartition('_')[2]}"
+            points[own] = msgspec.structs.replace(
+                point, name=own, finger=finger, partner=None
+            )
     for landmark, link in links.items():
         points[landmark] = PointSpec(landmark, link, finger=landmark.partition("_")[0])
     every, sets = point_sets(points.values())
@@ -151,26 +164,3 @@ def _carrier(robot: Robot, link: str) -> str:
             return robot.model.names[body]
         problem = f"no joint moves the link {link!r}"
     raise robot.error(problem, link)
-
-
-def _renamed(found: Detection, carriers: dict[str, str]) -> list[PointSpec]:
-    """Return the found points under the finger names of the configuration.
-
-    Points of fingers that the configuration does not name are left out.
-    """
-    names = {
-        finger: landmark.partition("_")[0]
-        for landmark, joint in carriers.items()
-        for finger, chain in found.chains.items()
-        if joint in chain
-    }
-    return [
-        msgspec.structs.replace(
-            point,
-            name=f"{names[point.finger]}_{point.name.rpartition('_')[2]}",
-            finger=names[point.finger],
-            partner=None,
-        )
-        for point in found.spec.points
-        if point.finger in names
-    ]
