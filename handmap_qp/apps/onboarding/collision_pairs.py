@@ -126,11 +126,10 @@ def colliding_links(
     """
     geometry = read_collision_shapes(hand)
     joints = [shape.parentJoint for shape in geometry.geometryObjects]
-    near = {joint: _neighbours(hand.model, joint, joints) for joint in joints}
-    carried = [{*hand.model.subtrees[wrist]} for wrist in wrists]
+    parts = [_neighbours(hand.model, joint, joints) for joint in {*joints}]
+    parts += [{*hand.model.subtrees[wrist]} for wrist in wrists]
     for (i, one), (j, other) in combinations(enumerate(joints), 2):
-        is_within = any({one, other} <= part for part in carried)
-        if one not in near[other] and other not in near[one] and not is_within:
+        if not any({one, other} <= part for part in parts):
             geometry.addCollisionPair(pin.CollisionPair(i, j))
     postures = np.vstack([q, random_postures(hand, _FEW)])
     overlaps = pair_distances(hand, geometry, postures) <= 0.0
@@ -138,20 +137,16 @@ def colliding_links(
     return [*dict.fromkeys(compress(ShapePairs(geometry, ()).links, found))]
 
 
-def _neighbours(
-    model: pin.Model,
-    joint: int,
-    with_shape: list[int],
-) -> list[int]:
+def _neighbours(model: pin.Model, joint: int, with_shape: list[int]) -> set[int]:
     """Return a joint and those above it up to the next one with a body that is not short.
 
     Bodies on these joints may overlap where they meet.
     """
-    found = [joint]
+    found = {joint}
     while joint > 0:
         length = lengths(model.jointPlacements[joint].translation)
         joint = model.parents[joint]
-        found.append(joint)
+        found.add(joint)
         if joint in with_shape and length > _SHORT:
             break
     return found
