@@ -5,7 +5,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
@@ -51,7 +51,7 @@ def print_result(
         print_rows(title, rows)
 
 
-def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
+def rows_of(columns: Mapping[str, Iterable[Any]]) -> list[Row]:
     """Return the rows of a table by its columns; short columns end with empty cells."""
     rows = zip_longest(*columns.values(), fillvalue="")
     return [dict(zip(columns, row, strict=True)) for row in rows]

@@ -33,15 +33,7 @@ from handmap_qp.trackers import first_of
 from .anatomy import FINGERS, Clue, angle_between
 from .collision_pairs import colliding_links
 from .detect import detect_text, left_out_wrist
-from .findings import (
-    MOST_NAMES,
-    Finding,
-    Found,
-    Report,
-    advice,
-    fine,
-    warning,
-)
+from .findings import MOST_NAMES, Finding, Found, Report, advice, fine, warning
 from .measure import (
     check_arm,
     check_contacts,
@@ -95,7 +87,8 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
         report.name = built.name
         for check in _CHECKS + _MOTIONS * has_motion:
             report.add(check(built))
-    if not any(finding.level == "warning" for finding in report.findings):
+    # The worst is first.
+    if report.findings[0].level != "warning":
         what = (
             "no contradiction between description, names, limits, shapes and gestures"
         )
@@ -116,9 +109,8 @@ def check_robot(robot: Hand, *, has_motion: bool = True) -> Report:
         found = check_hand(str(hand.spec.file), has_motion=has_motion)
         report.error = report.error or found.error
         report.add(one._replace(key=f"{side}: {one.key}") for one in found.findings)
-    hands = robot.hands
-    whole = hands[0]
-    wrists = [carrier_of(whole, hand.spec.wrist.link) for hand in hands]
+    whole = robot.hands[0]
+    wrists = [carrier_of(whole, hand.spec.wrist.link) for hand in robot.hands]
     # Links of one hand are among its own findings.
     pairs = colliding_links(whole, whole.rest, wrists)
     report.add([_overlap(pairs, "move the arms apart, and away from the body")])
@@ -134,7 +126,7 @@ def _list_joints(hand: Hand) -> Found:
         "role": hand.all_joint_roles,
         "limits": [f"[{lower:.3g}, {upper:.3g}]" for lower, upper in ends],
         "speed": [f"{speed:.3g}" for speed in hand.velocity_limits],
-        "rest": hand.all_joints(hand.rest).tolist(),
+        "rest": hand.all_joints(hand.rest),
     }
     yield "Joints", rows_of(columns)
 
@@ -190,7 +182,8 @@ def _check_followers(hand: Hand) -> Found:
     if not followers:
         return
     plain = pin.buildModelFromXML(hand.urdf_text)
-    at = [plain.idx_qs[plain.getJointId(joint)] for joint in hand.joint_names]
+    # It lacks the coordinates of a floating wrist, which come first.
+    at = hand.q_indices + plain.nq - hand.model.nq
     lower, upper = plain.lowerPositionLimit[at], plain.upperPositionLimit[at]
     low, high = hand.lower_limits, hand.upper_limits
     narrowed = np.maximum(low - lower, upper - high) > 0.005 * (upper - lower)
@@ -260,7 +253,7 @@ def _check_meshes(hand: Hand) -> Found:
 def _check_wrist(hand: Hand) -> Found:
     """Find actuated wrist joints that the description leaves out."""
     spec = hand.spec
-    is_on_arm = hand.has_moving_wrist and not hand.is_floating
+    is_on_arm = hand.moves_wrist.any()
     if spec.root is None or is_on_arm or urdf_path(spec).suffix != ".urdf":
         return
     joints, base = left_out_wrist(Robot(read_urdf(spec), urdf_path(spec)), spec.root)
@@ -304,11 +297,7 @@ def _compare_detection(hand: Hand) -> Found:
         yield warning("side", f"{clues['side'].how}: a {side} hand", f"side: {side}")
 
 
-def _compare_axes(
-    hand: Hand,
-    found: HandSpec,
-    clues: dict[str, Clue],
-) -> Found:
+def _compare_axes(hand: Hand, found: HandSpec, clues: dict[str, Clue]) -> Found:
     """Find axes of the palm that point elsewhere than the detected ones."""
     links = [hand.spec.palm.link, found.palm.link]
     own, theirs = hand.link_poses(links, hand.rest)[:, :3, :3]

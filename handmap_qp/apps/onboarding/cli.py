@@ -66,11 +66,7 @@ _TITLES = {"points": "Reference points"}
 _WROTE = "wrote {0}; check it with: handmap {1} check {0}"
 
 
-def _print_found(
-    hand: Hand,
-    found: Detection,
-    rows: Rows,
-) -> None:
+def _print_found(hand: Hand, found: Detection, rows: Rows) -> None:
     """Print what was found of a hand."""
     followers = hand.all_joint_roles.count("follower")
     print_rows(
@@ -82,17 +78,16 @@ def _print_found(
 
 def list_hands() -> Rows:
     """List all hands that have a name, and what installs them; those of others come last."""
-    specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
     return [
         {
-            "name": name,
+            "name": spec.name,
             "side": spec.side,
             "joints": len(spec.joints),
             "wrist": spec.wrist.mount,
             "point sets": ", ".join(spec.sets),
             "available": _available(spec),
         }
-        for name, spec in specs.items()
+        for spec in map(read_hand_spec, hand_files().values())
     ]
 
 
@@ -172,11 +167,11 @@ def _joint_rows(hand: Hand, **more: Sequence[str]) -> Rows:
     columns = {
         "joint": hand.joint_names,
         **more,
-        "lower rad": hand.lower_limits.tolist(),
-        "upper rad": hand.upper_limits.tolist(),
-        "speed rad/s": hand.velocity_limits.tolist(),
-        "stop": hand.stop_distances.tolist(),
-        "rest rad": hand.rest.tolist(),
+        "lower rad": hand.lower_limits,
+        "upper rad": hand.upper_limits,
+        "speed rad/s": hand.velocity_limits,
+        "stop": hand.stop_distances,
+        "rest rad": hand.rest,
     }
     return rows_of(columns)
 
@@ -343,8 +338,7 @@ class HandsInit:
         ]
         if not self.json:
             _print_found(hand, found, rows)
-        said = {"name": hand.name, "out": str(out)}
-        return said | {"found": rows, "notes": found.notes}
+        return {"name": name, "out": str(out), "found": rows, "notes": found.notes}
 
 
 @dataclass(frozen=True)
@@ -465,9 +459,10 @@ class HandsMatch:
         source = self.recording
         recording = None if source is None else InputArguments().read(source)
         match = match_hand(robot, recording=recording, human_length=self.human_length)
+        written = []
         if self.picture is not None:
             draw_match(match, self.picture)
-        written = [] if self.picture is None else [str(self.picture)]
+            written = [str(self.picture)]
         said = {"name": robot.name, "joints": match.rows, "written": written}
         title = f"{robot.name}: the posture that matches the resting human's"
         print_result(said, {title: match.rows}, as_json=self.json)

@@ -79,8 +79,12 @@ class Report:
             HandError: If the hand cannot be built.
         """
         rows = [finding._asdict() for finding in self.findings]
-        shown = None if picture is None else str(picture)
-        said = {"name": self.name, **self.measured, "findings": rows, "picture": shown}
+        said = {
+            "name": self.name,
+            **self.measured,
+            "findings": rows,
+            "picture": picture and str(picture),
+        }
         tables = {f"{self.name}: findings": rows, **self.measured}
         # A table of one error would say it twice.
         if as_json or self.error is None:

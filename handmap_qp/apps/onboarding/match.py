@@ -36,13 +36,13 @@ class Match(NamedTuple):
         robot = self.robot
         columns = {
             "joint": robot.joint_names,
-            "lower": robot.lower_limits.tolist(),
-            "upper": robot.upper_limits.tolist(),
-            "rest": robot.rest.tolist(),
+            "lower": robot.lower_limits,
+            "upper": robot.upper_limits,
+            "rest": robot.rest,
             "matched": self.q.tolist(),
         }
         if robot.matched is not None:
-            columns["in hand.yaml"] = robot.matched.tolist()
+            columns["in hand.yaml"] = robot.matched
         return [r for r in rows_of(columns) if r["joint"] in robot.spec.joints]
 
     @property

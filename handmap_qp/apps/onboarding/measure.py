@@ -29,14 +29,7 @@ from handmap_qp.se3 import Array, Arrays, affine, lengths, unit
 from handmap_qp.trackers import first_of
 from .anatomy import angle_between
 from .collision_pairs import joined_notes
-from .findings import (
-    MOST_NAMES,
-    Found,
-    Rows,
-    advice,
-    fine,
-    warning,
-)
+from .findings import MOST_NAMES, Found, Rows, advice, fine, warning
 from .flexion import HandFlexion
 
 HUMAN_LENGTH = 0.19
@@ -61,8 +54,8 @@ _WAYS = ("forward", "left", "up", "back", "right", "down")
 _ASTRAY = 30.0
 # So is a shorter way for one of 50 mm [mm].
 _SHORT = 25.0
-# Last joints flex by this share of the others' angle.
-_SHARES = {"DIP_flexion": 0.8, "IP_flexion": -0.6}
+# Last joints flex by this share of the others' angle, the thumb's to the other side.
+_SHARES = np.array([(1.0, 1.0, -0.6), *4 * [(1.0, 1.0, 0.8)]])
 # Thumb and finger meet in this part of a fist.
 _PINCHED = 0.65
 # Contacts move a joint aside by more than this part of its range.
@@ -97,7 +90,7 @@ def check_reach(hand: Hand) -> Found:
     ranges = hand.upper_limits - hand.lower_limits
     postures = np.where(own, hand.lower_limits + shares * ranges, hand.rest)
     places = np.array([hand.points(q) for q in postures])
-    gaps = places[:, None] - places[:: max(1, len(places) // 100)]
+    gaps = places[:, None] - places[::4]
     spans = 1e3 * lengths(gaps).max(axis=(0, 1))
     jacobians = hand.point_jacobian(hand.rest)[:, own].reshape(len(spans), 3, -1)
     best: dict[str, int] = {}
@@ -109,11 +102,11 @@ def check_reach(hand: Hand) -> Found:
         point = hand.reference_points[i].name
         motions = np.linalg.svd(jacobians[i], compute_uv=False)
         motions = motions[motions > _LEAST_MOTION]
-        slowest = 1e3 * min(motions.tolist(), default=0.0)
+        slowest = 1e3 * min(motions, default=0.0)
         rows.append(
             {
                 "point": point,
-                "span mm": float(spans[i]),
+                "span mm": spans[i],
                 "moves in": f"{len(motions)} of 3 directions",
                 "slowest direction, mm per rad or m": slowest,
                 "manipulability": f"{motions.prod() * motions.any():.2e}",
@@ -132,7 +125,7 @@ def measure_arm(hand: Hand) -> Array | None:
         Distance that it reaches in each of 26 directions around rest [m]; 0 where rest is at the
         edge of its range. None without an arm.
     """
-    if hand.is_floating or not hand.has_moving_wrist:
+    if not hand.moves_wrist.any():
         return None
     postures = [hand.rest, *random_postures(hand, _ARM_SAMPLES)]
     start, *ends = (hand.frame_pose("wrist", q)[:3, 3] for q in postures)
@@ -199,7 +192,7 @@ def check_motion(hand: Hand) -> Found:
     for name, posture in standard_postures(mapper.human).items():
         *_, last = _follow(mapper, posture)
         point = hand.reference_points[np.argmax(last.point_error)].name
-        error = 1e3 * float(last.point_error.max())
+        error = 1e3 * last.point_error.max()
         stops = [*compress(hand.joint_names, hand.at_position_limit(last.command.q))]
         rows.append(
             {
@@ -307,8 +300,8 @@ def check_contacts(hand: Hand) -> Found:
     held_by = [mode([*filter(None, compress(links, at)), ""]) for at in is_aside.T]
     columns = {
         "joint": hand.joint_names,
-        "without contacts": free.tolist(),
-        "with contacts": held.tolist(),
+        "without contacts": free,
+        "with contacts": held,
         "held by": held_by,
     }
     yield "A tour of gestures", rows_of(columns)
@@ -323,11 +316,11 @@ def check_contacts(hand: Hand) -> Found:
 def gestures(human: Hand) -> Array:
     """Return gestures: spread fingers, any of them bent, each at the thumb, shape (k, 20)."""
     flat, spread, fist, *_ = standard_postures(human).values()
-    fingers = [FINGERS.index(name.partition("_")[0]) for name in human.joint_names]
     each = np.eye(len(FINGERS))
-    pinches = _PINCHED * np.maximum(each, each[FINGERS.index(THUMB)])
+    # The thumb comes first.
+    pinches = _PINCHED * np.maximum(each, each[0])
     bends = np.array([*product((0.0, 1.0), repeat=len(each)), *pinches])
-    return np.vstack([spread, flat + bends[:, fingers] * (fist - flat)])
+    return np.vstack([spread, flat + bends.repeat(4, axis=1) * (fist - flat)])
 
 
 def standard_postures(human: Hand) -> Arrays:
@@ -335,15 +328,11 @@ def standard_postures(human: Hand) -> Arrays:
 
     def posture(*flexions: float, spread: float = 1.0) -> Array:
         """Flex fingers from the thumb onwards; the others rest."""
-        flexed = dict(zip(FINGERS, flexions, strict=False))
-        q = human.rest.copy()
-        for i, name in enumerate(human.joint_names):
-            finger, _, joint = name.partition("_")
-            if finger in flexed and "flexion" in joint:
-                q[i] = flexed[finger] * _SHARES.get(joint, 1.0)
-            elif joint == "MCP_abduction":
-                q[i] *= spread
-        return np.clip(q, human.lower_limits, human.upper_limits)
+        # Each finger has four joints, of which the first abducts it.
+        q = human.rest.reshape(-1, 4).copy()
+        q[1:, 0] *= spread
+        q[: len(flexions), 1:] = _SHARES[: len(flexions)] * np.vstack(flexions)
+        return np.clip(q.ravel(), human.lower_limits, human.upper_limits)
 
     return {
         "flat hand": posture(0.1, 0.05, 0.05, 0.05, 0.05),
@@ -474,7 +463,7 @@ def palm_rows(robot: Hand) -> Rows:
                 "palm": hand.spec.palm.link,
                 "at, m": _joined(pose[:3, 3], 3),
                 "fingers point": _joined(pose[:3, 1], 2),
-                "reach, m": 0.0 if reach is None else float(np.median(reach)),
+                "reach, m": 0.0 if reach is None else np.median(reach),
             }
         )
     return rows
