@@ -37,11 +37,8 @@ _PANEL = (760, 820)
 _AXIS_GAP = np.array([38.0, -14.0])
 _OTHER_COLOUR = (0.25, 0.25, 0.28)
 _AXES = ("x, across", "y, distal", "z, dorsal")
-# Caption and azimuth [deg] of both views of each hand.
-_VIEWS = {
-    "right": {"back of the hand": 90.0, "palm, from the thumb's side": 215.0},
-    "left": {"back of the hand": 90.0, "palm, from the thumb's side": -35.0},
-}
+# Caption of both views of a hand, and how far the camera turns from its back to the thumb [deg].
+_VIEWS = {"back of the hand": 0.0, "palm, from the thumb's side": 125.0}
 _ELEVATION = 12.0
 _ROBOT_VIEWS = {"from +x": 20.0, "from +y": 80.0}
 # Length of the axes of a robot's palms [m].
@@ -83,9 +80,10 @@ def draw_hand(hand: Hand, path: Path, *directions: Any) -> None:
     require_matplotlib()
     points = [point.name for point in hand.spec.points]
     scene = _Scene(hand.with_points(points), *directions)
+    turn = 1.0 if hand.side == "right" else -1.0
     panels = {
-        caption: partial(scene.draw, azimuth=azimuth)
-        for caption, azimuth in _VIEWS[hand.side].items()
+        caption: partial(scene.draw, azimuth=90.0 + turn * angle)
+        for caption, angle in _VIEWS.items()
     }
     title = f"{hand.name}: a {hand.side} hand, {len(hand.joint_names)} joints; at rest"
     save_panels(path, title, _PANEL, panels)
@@ -99,17 +97,19 @@ def draw_robot(robot: Hand, path: Path) -> None:
         MissingExtraError: If matplotlib is not installed.
     """
     hands = robot.hands
-    first = next(iter(hands))
-    triangles = load_shape(first).triangles(first.rest)
+    triangles = load_shape(hands[0]).triangles(hands[0].rest)
     poses = [hand.frame_pose("palm", hand.rest) for hand in hands]
-    axes = [
-        tube([pose[:3, 3], end], 0.03 * _ROBOT_AXES, colour)
-        for pose in poses
-        for end, colour in zip(
-            transform_points(pose, _ROBOT_AXES * np.eye(3)), AXIS_COLOURS, strict=True
-        )
-    ]
-    marks = merged(axes)
+    marks = merged(
+        [
+            tube([pose[:3, 3], end], 0.03 * _ROBOT_AXES, colour)
+            for pose in poses
+            for end, colour in zip(
+                transform_points(pose, _ROBOT_AXES * np.eye(3)),
+                AXIS_COLOURS,
+                strict=True,
+            )
+        ]
+    )
     corners = np.vstack([triangles.vertices, marks.vertices]).reshape(-1, 3)
 
     def draw(axes: Any, azimuth: float) -> None:
@@ -212,7 +212,7 @@ class _Scene:
             steps = 24.0 * np.arange(len(chosen))
             heights = np.maximum.accumulate(places[chosen, 1] - steps) + steps
             excess = max(0.0, heights.max(initial=0.0) - _PANEL[1] + 20.0)
-            for i, height in zip(chosen.tolist(), heights - excess, strict=True):
+            for i, height in zip(chosen, heights - excess, strict=True):
                 colour = self.colours[i]
                 axes.annotate(
                     self.hand.reference_points[i].name,

@@ -240,12 +240,11 @@ def _urdf_reference(urdf: str, folder: Path) -> str:
     if is_named_source(urdf):
         return urdf
     file = Path(urdf).resolve()
-    parts = file.parts
-    if "cmeel.prefix" in parts:
-        inside = parts[parts.index("cmeel.prefix") + 2 :]
+    if inside := file.as_posix().partition("/cmeel.prefix/share/")[2]:
+        package, _, path = inside.partition("/")
         try:
-            if package_folder(inside[0]).resolve().joinpath(*inside[1:]) == file:
-                return f"package://{'/'.join(inside)}"
+            if package_folder(package).resolve() / path == file:
+                return f"package://{inside}"
         except (MissingExtraError, MissingPackageError):
             pass
     relative = os.path.relpath(file, folder.resolve())
