@@ -45,7 +45,6 @@ class NpzFormat(RecordingFormat):
 
     name = "npz"
     suffixes = (".npz",)
-    about = "arrays of numpy by name; lossless, one recording of each hand"
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the archive has no arrays of another form."""

@@ -109,13 +109,11 @@ class RecordingFormat(abc.ABC):
     Attributes:
         name: Short name, as of `handmap convert --format`.
         suffixes: Suffixes of its files, the usual one first; empty for folders.
-        about: What it is, in one line.
         lacks: What of a recording it cannot hold: names of `LOSSES`.
     """
 
     name: str
     suffixes: Names
-    about: str
     lacks: ClassVar[Names] = ()
 
     def recognises(self, path: Path) -> bool:

@@ -40,7 +40,6 @@ class CsvFormat(RecordingFormat):
 
     name = "csv"
     suffixes = (".csv",)
-    about = "a text table with a row for each sample; numbers are kept exactly"
     lacks = ("source", "upright")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:

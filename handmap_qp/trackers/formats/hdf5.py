@@ -164,7 +164,6 @@ class RobomimicFormat(_Hdf5Format):
 
     name = "robomimic"
     group = "data"
-    about = "HDF5 in the form of robomimic; lossless, any number of recordings"
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the demonstrations by their numbers."""
@@ -240,7 +239,6 @@ class EgoDexFormat(_Hdf5Format):
 
     name = "egodex"
     group = "transforms"
-    about = "EgoDex's HDF5, poses of ARKit's joints; one recording of each hand"
     lacks = ("source", "upright", "no wrist", "wrist position", "no confidence")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:

@@ -77,9 +77,6 @@ class LeRobotFormat(RecordingFormat):
 
     name = "lerobot"
     suffixes: Names = ()
-    about = (
-        "a folder in the form of LeRobot v3 (parquet); written, not read; any number"
-    )
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the folder has the description of a data set."""

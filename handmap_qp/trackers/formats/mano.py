@@ -58,7 +58,6 @@ class ManoFormat(RecordingFormat):
 
     name = "mano"
     suffixes = (".npz",)
-    about = "MANO's 21 joints, or its parameters with your copy of the licensed model"
     lacks = ("wrist", "confidence", "source", "upright")
 
     def __init__(self, model: Path | None = None) -> None:

@@ -55,9 +55,6 @@ class McapFormat(RecordingFormat):
 
     name = "mcap"
     suffixes = (".mcap",)
-    about = (
-        "a ROS 2 bag: sensor_msgs/JointState, and landmarks as geometry_msgs/PoseArray"
-    )
     lacks = ("digits of time", "source", "upright", "unseen", "digits of wrist")
 
     def recognises(self, path: Path) -> bool:
