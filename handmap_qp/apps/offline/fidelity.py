@@ -22,7 +22,15 @@ from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Hand, Values
 from handmap_qp.mapping import MotionEstimator, polar
 from handmap_qp.se3 import Array, inverse_pose, lengths, rigid_fit, transform_points
-from .hand_trace import KNUCKLE, MIDDLE, TIP, ByFinger, HandTrace, trace_robot
+from .hand_trace import (
+    KNUCKLE,
+    MIDDLE,
+    TIP,
+    ByFinger,
+    HandTrace,
+    angles_between,
+    trace_robot,
+)
 from .metrics import mean_values
 from .surface_gaps import SurfaceGaps
 from .trajectory import rms_derivative
@@ -182,11 +190,6 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> ByFinger:
     }
 
 
-def angles_between(a: Array, b: Array) -> Array:
-    """Angles between vectors of shape (..., 3) [deg], shape (...)."""
-    return np.degrees(np.arctan2(lengths(np.cross(a, b)), (a * b).sum(axis=-1)))
-
-
 def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """Compare the motions that both hands impose on an object between their fingers.
 
@@ -326,8 +329,8 @@ def latency(
     shift = 0.0
     if 0 < best < 2 * most:
         before, here, after = values[best - 1 : best + 2]
-        curvature = before - 2.0 * here + after
-        shift = 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
+        # The first of the largest values: that before it is smaller.
+        shift = 0.5 * (before - after) / (before - 2.0 * here + after)
     return 1e3 * step * (best - most + shift)
 
 

@@ -83,6 +83,11 @@ class HandTrace(NamedTuple):
         return HandTrace(tuple(names), points, self.reach[chosen], palm, self.size)
 
 
+def angles_between(a: Array, b: Array) -> Array:
+    """Angles between vectors of shape (..., 3) [deg], shape (...)."""
+    return np.degrees(np.arctan2(norms(np.cross(a, b)), (a * b).sum(axis=-1)))
+
+
 def trace_human(
     landmarks: Array,
     lengths: HumanLengths,

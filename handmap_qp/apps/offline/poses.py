@@ -11,6 +11,7 @@ import numpy as np
 from handmap_qp.hands import FINGERS
 from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.se3 import Array, Arrays, as_floats, lengths
+from .hand_trace import angles_between
 
 STRAIGHT = 60.0
 """A finger whose bones turn by less than this from wrist to tip is straight [deg]."""
@@ -64,18 +65,15 @@ def measure_posture(landmarks: Array) -> Posture:
     # Chains of wrist, MCP, PIP, DIP and tip.
     chains = [[0, *range(first, first + 4)] for first in (5, 9, 13, 17)]
     bones = np.diff(points[:, chains], axis=2)
+    sizes = lengths(bones)
+    bones[~((sizes > 0.0) & (sizes < np.inf))] = np.nan
+    flexion = angles_between(bones[:, :, 1:], bones[:, :, :-1]).sum(axis=2)
+    # On both hands, the normal is such that the little finger's side is the positive one.
     normal = np.cross(bones[:, 0, 0], bones[:, 3, 0])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        bones /= lengths(bones)[..., None]
-        normal /= lengths(normal)[:, None]
-    cosines = (bones[:, :, 1:] * bones[:, :, :-1]).sum(axis=3)
-    flexion = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).sum(axis=2)
-    # The turn about the normal from index to little finger: on both hands, the normal is such
-    # that the little finger's side is the positive one.
     index, little = np.cross(normal, bones[:, [0, 3], 1].swapaxes(0, 1))
-    sine = (np.cross(index, little) * normal).sum(axis=1)
-    cosine = (index * little).sum(axis=1)
-    return Posture(flexion, tip_gaps(points), np.degrees(np.arctan2(sine, cosine)))
+    side = (np.cross(index, little) * normal).sum(axis=1)
+    spread = np.copysign(angles_between(index, little), side)
+    return Posture(flexion, tip_gaps(points), spread)
 
 
 POSES = (
