@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
-from itertools import islice
+from itertools import accumulate, islice
 from typing import NamedTuple
 
 from msgspec import structs
@@ -217,10 +217,6 @@ def _result(future: Work, death: type[Exception]) -> Sequence[Line] | None:
 def _next_group(waiting: deque[Job], workers: int) -> Group:
     """Take the next jobs for one worker; towards the end fewer, so that all have some."""
     most = max(1, len(waiting) // (2 * workers)) if workers else 1
-    count, frames = 0, 0
-    for job in islice(waiting, most):
-        frames += job.line.frames
-        if count and frames > GROUP_FRAMES:
-            break
-        count += 1
+    frames = accumulate(job.line.frames for job in islice(waiting, most))
+    count = max(1, sum(total <= GROUP_FRAMES for total in frames))
     return tuple(waiting.popleft() for _ in range(count))

@@ -194,7 +194,7 @@ class Align:
         rotation = alignment_from_gestures(np.diff(places, axis=0))
         # YAML takes 1e-09 for a text.
         rows = [[f"{number:.9f}" for number in row] for row in rotation]
-        print("--alignment", *rows[0], *rows[1], *rows[2])
+        print("--alignment", *np.ravel(rows))
         text = str(rows).replace("'", "")
         print(f"or, in a file for --options:\nalignment: {text}")
 
