@@ -128,15 +128,7 @@ class Compare:
         if self.out is not None:
             require_matplotlib()
             make_folder(self.out, "--out")
-        with progress("comparing") as advance:
-
-            def say(
-                what: str,
-                done: int,
-                total: int,
-            ) -> None:
-                advance(done, f"{what} ({done} of {total})")
-
+        with progress("comparing") as say:
             takes = _takes(self, robot, person, say)
             comparison = compare_methods(takes, robot, methods, say)
             written = [] if self.out is None else _write(self.out, comparison, say)
@@ -272,7 +264,7 @@ def _takes(
         print(f"handmap: {_mirrored(robot)}: {', '.join(turned)}", file=sys.stderr)
     takes = []
     for i, recording in enumerate(recordings):
-        say(f"measuring the hand of {recording.name}", i, len(recordings))
+        say(i, f"measuring the hand of {recording.name} ({i} of {len(recordings)})")
         takes.append(prepare_take(recording, side, person=person))
     return takes
 
@@ -309,13 +301,13 @@ def _write(
         table.write_text(markdown(comparison), encoding="utf-8")
         text = msgspec.json.encode(results_of(comparison))
         results.write_bytes(msgspec.json.format(text, indent=1) + b"\n")
-        say("drawing metrics", 0, 2)
+        say(0, "drawing metrics (0 of 2)")
         draw_metrics(metrics, comparison)
-        say("drawing poses", 1, 2)
-        sheet, missing = draw_poses(poses, comparison)
-    if sheet is not None:
+        say(1, "drawing poses (1 of 2)")
+        poses.unlink(missing_ok=True)
+        missing = draw_poses(poses, comparison)
+    if poses.exists():
         return files
-    poses.unlink(missing_ok=True)
     shown = f"handmap: no contact sheet; not shown: {', '.join(missing)}"
     print(shown, file=sys.stderr)
     return files[:-1]
@@ -357,7 +349,7 @@ def _palm(take: Take) -> str:
     return "palm of the tracker" if take.has_wrist else "palm fitted to its landmarks"
 
 
-def draw_metrics(file: Path, comparison: Comparison) -> Path:
+def draw_metrics(file: Path, comparison: Comparison) -> None:
     """Draw a PNG file: a panel for every metric, with large dots for methods, small for recordings.
 
     Raises:
@@ -378,19 +370,18 @@ def draw_metrics(file: Path, comparison: Comparison) -> Path:
         )
         figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.985))
         figure.savefig(file)
-    return file
 
 
-def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[str]]:
+def draw_poses(file: Path, comparison: Comparison) -> list[str]:
     """Draw the contact sheet: each pose as the recording that shows it most clearly has it.
 
     Six methods are side by side; further ones are below, beside the human again.
 
-    Methods that failed on one of those recordings are left out.
+    Methods that failed on one of those recordings are left out. No file is written if no recording
+    shows a pose or no method could be drawn.
 
     Returns:
-        The PNG file, or None if no recording shows a pose or no method could be drawn; names of the
-        poses and methods that are not on it.
+        Names of the poses and methods that are not on it.
 
     Raises:
         MissingExtraError: If matplotlib or trimesh is not installed.
@@ -405,7 +396,7 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     names = (*POSES, *comparison.methods)
     missing = [name for name in names if name not in {*shown, *drawn}]
     if not shown or not drawn:
-        return None, missing
+        return missing
     matplotlib = require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -436,7 +427,7 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
         for band in bands
     ]
     matplotlib.image.imsave(file, np.concatenate(padded))
-    return file, missing
+    return missing
 
 
 def _clearest(comparison: Comparison) -> dict[str, tuple[Take, int]]:

@@ -68,8 +68,8 @@ SMOOTH = "+smooth"
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
 
-Progress = Callable[[str, int, int], None]
-"""Takes what is done next, how much is done, and how much there is in all."""
+Progress = Callable[[int, str], None]
+"""Takes how much is done, and in words what comes next."""
 
 
 class OutsideError(HandmapError):
@@ -281,8 +281,8 @@ def compare_methods(
         takes: What the human did.
         robot: The robot hand.
         methods: The methods.
-        progress: Called before each run, and after the last, with the name of the run, the number
-            of runs done and their total number.
+        progress: Called before each run, and after the last, with the number of runs done, and the
+            name of the run.
 
     Returns:
         All runs.
@@ -312,9 +312,10 @@ def compare_methods(
     runs = []
     total = len(takes) * len(methods)
     for take, method in product(takes, methods):
-        progress(f"{method.name} on {take.name}", len(runs), total)
+        done = len(runs)
+        progress(done, f"{method.name} on {take.name} ({done} of {total})")
         runs.append(_run(method, take, robot, workspace))
-    progress("measured", total, total)
+    progress(total, "measured")
     return Comparison(robot, takes, names, runs)
 
 
