@@ -7,7 +7,6 @@ medians over 0.1 s first, which single outliers and noise hardly move.
 
 import math
 from collections import deque
-from functools import partial
 
 import numpy as np
 
@@ -116,8 +115,7 @@ class ContactGapMeter:
         Returns:
             Whether `gap` has changed.
         """
-        thumb, *tips = landmarks[TIPS, :].tolist()
-        self._recent.append((time, [*map(partial(math.dist, thumb), tips)]))
+        self._recent.append((time, tip_gaps(landmarks).tolist()))
         while not 0.0 <= time - self._recent[0][0] <= _MEDIAN_TIME:
             self._recent.popleft()
         if len(self._recent) < 3:

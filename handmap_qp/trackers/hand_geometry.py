@@ -165,7 +165,7 @@ def carried_fingers(landmarks: Array) -> Array:
     ranges = np.ptp(away, axis=0).max(axis=1)
     changing = (np.abs(np.diff(away, axis=0)) > _STEP).any(axis=2).mean(axis=0)
     bones = unit(np.diff(chains[-1], axis=1))
-    bends = (bones[:, 1:] * bones[:, :-1]).sum(axis=2)
+    bends = np.vecdot(bones[:, 1:], bones[:, :-1])
     is_inside = ((bends > _INSIDE[0]) & (bends < _INSIDE[1])).any(axis=1)
     return (ranges < _CARRIED) & is_inside & (median(changing) > _OTHERS_CHANGE)
 
@@ -185,22 +185,22 @@ def palmar_evidence(landmarks: Array) -> PalmarEvidence:
     """
     offsets = landmarks - landmarks[:, :1]
     along = offsets[:, 9]
-    palmar = unit(np.cross(offsets[:, 5], offsets[:, 17]))
+    palmar = unit(np.cross(offsets[:, 5], offsets[:, 17]))[:, None]
     sizes = np.maximum(lengths(along), 1e-12)
-    heights = (offsets @ palmar[:, :, None])[:, :, 0] / sizes[:, None]
+    heights = np.vecdot(offsets, palmar) / sizes[:, None]
     fingers = landmarks[:, 5:].reshape(-1, 4, 4, 3)
     bones = unit(np.diff(fingers[:, :, :3], axis=2))
     turns = np.cross(bones[:, :, 0], bones[:, :, 1])
-    bends = turns @ np.cross(unit(along), palmar)[:, :, None]
+    bends = np.vecdot(turns, np.cross(unit(along)[:, None], palmar))
     # Up to people's hyperextension, an MCP joint may be bent to either side.
-    bent = (bones[:, :, 0] @ palmar[:, :, None]).mean(axis=(1, 2))
+    bent = np.vecdot(bones[:, :, 0], palmar).mean(axis=1)
     limit = HYPEREXTENSION[0]
     features = np.array(
         [
             heights[:, 1],
             -0.5 * (heights[:, 9] + heights[:, 13]),
             heights[:, 2],
-            bends.mean(axis=(1, 2)),
+            bends.mean(axis=1),
             bent - np.clip(bent, -limit, limit),
         ]
     )

@@ -417,8 +417,8 @@ def _laid_on(points: Array, onto: Array) -> Array:
 def _cosines(a: Array, b: Array) -> Array:
     """Cosines between vectors along the last axis; 0 where either is zero."""
     norms = lengths(a) * lengths(b)
-    dots = (a * b).sum(axis=-1)
-    return np.clip(dots / np.where(norms > 0.0, norms, np.inf), -1.0, 1.0)
+    norms = np.where(norms > 0.0, norms, np.inf)
+    return np.clip(np.vecdot(a, b) / norms, -1.0, 1.0)
 
 
 def _turns(rotations: Array) -> Array:

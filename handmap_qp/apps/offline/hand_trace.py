@@ -85,7 +85,7 @@ class HandTrace(NamedTuple):
 
 def angles_between(a: Array, b: Array) -> Array:
     """Angles between vectors of shape (..., 3) [deg], shape (...)."""
-    return np.degrees(np.arctan2(norms(np.cross(a, b)), (a * b).sum(axis=-1)))
+    return np.degrees(np.arctan2(norms(np.cross(a, b)), np.vecdot(a, b)))
 
 
 def trace_human(

@@ -71,7 +71,7 @@ def measure_posture(landmarks: Array) -> Posture:
     # On both hands, the normal is such that the little finger's side is the positive one.
     normal = np.cross(bones[:, 0, 0], bones[:, 3, 0])
     index, little = np.cross(normal, bones[:, [0, 3], 1].swapaxes(0, 1))
-    side = (np.cross(index, little) * normal).sum(axis=1)
+    side = np.vecdot(np.cross(index, little), normal)
     spread = np.copysign(angles_between(index, little), side)
     return Posture(flexion, tip_gaps(points), spread)
 
