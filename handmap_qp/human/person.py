@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import yaml
 from msgspec.structs import astuple
@@ -113,7 +112,7 @@ def read_person(path: Path | str) -> Person:
     )
     file = Path(path)
     try:
-        found: Any = typed(read_yaml(file), _PERSON_FILE, file)
+        found = typed(read_yaml(file), _PersonFile, file)
         columns = zip(*map(astuple, astuple(found.fingers)), strict=True)
         lengths = HumanLengths(*map(np.array, columns))
         return Person(found.name, lengths, found.contact_gap)
@@ -140,15 +139,22 @@ class _FingerFile(Document, frozen=True):
     roll: float = 0.0
 
 
-_FINGERS_FILE = msgspec.defstruct(
-    "_FingersFile", [(name, _FingerFile) for name in FINGERS], bases=(Document,)
-)
-_PERSON_FILE = msgspec.defstruct(
-    "_PersonFile",
-    [("name", str), ("contact_gap", float), ("fingers", _FINGERS_FILE)],
-    bases=(Document,),
-)
-"""The keys of a person's file."""
+class _FingersFile(Document, frozen=True):
+    """The fingers of a person's file, in the order of `FINGERS`."""
+
+    thumb: _FingerFile
+    index: _FingerFile
+    middle: _FingerFile
+    ring: _FingerFile
+    little: _FingerFile
+
+
+class _PersonFile(Document, frozen=True):
+    """The keys of a person's file."""
+
+    name: str
+    contact_gap: float
+    fingers: _FingersFile
 
 
 def _row(values: Array) -> str:

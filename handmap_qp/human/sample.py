@@ -16,7 +16,7 @@ import numpy as np
 
 from handmap_qp import ik
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, Names, PointSpec, Side
+from handmap_qp.hands import FINGERS, Hand, Names, PointSpec, Side
 from handmap_qp.se3 import Array, as_floats, check_pose, frozen, transform_points
 
 LANDMARK_COUNT = 21
@@ -28,7 +28,7 @@ LANDMARK_NAMES: Names = (
     *(f"thumb_{joint}" for joint in ("cmc", "mcp", "ip", "tip")),
     *(
         f"{finger}_{joint}"
-        for finger in ("index", "middle", "ring", "little")
+        for finger in FINGERS[1:]
         for joint in ("mcp", "pip", "dip", "tip")
     ),
 )
