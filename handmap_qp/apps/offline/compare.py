@@ -496,7 +496,7 @@ def _draw_panel(
 
 def _range(metric: Metric, means: list[float]) -> tuple[float, float]:
     """Return the limits of a panel that shows most methods, without being stretched by one."""
-    finite = np.array([v for v in means if np.isfinite(v)])
+    finite = np.array(means)[np.isfinite(means)]
     if not len(finite):
         return 0.0, 1.0
     low = min(0.0, finite.min())

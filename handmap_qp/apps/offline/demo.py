@@ -10,7 +10,6 @@ from tyro.conf import arg
 from handmap_qp.apps.arguments import HandName, MappingArguments
 from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
 from handmap_qp.apps.tables import print_table, progress
-from handmap_qp.errors import require
 from handmap_qp.hands import load_hand
 from handmap_qp.output_files import output_folder
 from handmap_qp.stream import measure_person
@@ -102,9 +101,9 @@ def run_demo(
 
 def errors_figure(trajectory: Trajectory) -> Any:
     """Return a matplotlib figure of the errors of points and wrist, and CPU times of steps."""
-    figure = require("matplotlib.figure", "plot").Figure(
-        figsize=(7.5, 5.6), layout="constrained"
-    )
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.5, 5.6), layout="constrained")
     points, wrist, step = figure.subplots(
         3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0)
     )
@@ -128,12 +127,12 @@ def errors_figure(trajectory: Trajectory) -> Any:
 
 def joints_figure(trajectory: Trajectory) -> Any:
     """Return a matplotlib figure of each joint of the robot over time, with its limits."""
+    from matplotlib.figure import Figure
+
     robot = trajectory.robot
     time = trajectory.time
     rows = -(-len(robot.joint_names) // 4)
-    figure = require("matplotlib.figure", "plot").Figure(
-        figsize=(9.5, 2.1 * rows + 0.4), layout="constrained"
-    )
+    figure = Figure(figsize=(9.5, 2.1 * rows + 0.4), layout="constrained")
     grid = figure.subplots(rows, 4, sharex=True, squeeze=False)
     limits = np.degrees([robot.lower_limits, robot.upper_limits]).T
     for axes, name, q, (lower, upper) in zip(

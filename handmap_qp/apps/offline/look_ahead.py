@@ -65,7 +65,7 @@ class LookAhead:
         expect(0.0 <= gap < np.inf, "longest_gap", "a time >= 0", value=gap)
 
 
-def look_ahead(recording: Recording, options: LookAhead | None = None) -> Recording:
+def look_ahead(recording: Recording, options: LookAhead = LookAhead()) -> Recording:
     """Smooth a recording forwards and backwards in time, and fill its short gaps.
 
     Args:
@@ -76,20 +76,19 @@ def look_ahead(recording: Recording, options: LookAhead | None = None) -> Record
         The smoothed recording; samples in filled gaps are valid. Wrist poses and confidences of the
         tracker are left out, because the filled samples have none.
     """
-    chosen = options or LookAhead()
     time = recording.time
     valid = recording.valid
     filled = valid.copy()
     for gap in stretches(~valid):
         is_inside = gap.start > 0 and gap.stop < len(time)
-        if is_inside and time[gap.stop] - time[gap.start - 1] <= chosen.longest_gap:
+        if is_inside and time[gap.stop] - time[gap.start - 1] <= options.longest_gap:
             filled[gap] = True
     landmarks = recording.landmarks.copy()
     for part in stretches(filled):
         if valid[part].sum() < 3:
             filled[part] &= valid[part]
         else:
-            landmarks[part] = _smoothed(recording.part(part), chosen)
+            landmarks[part] = _smoothed(recording.part(part), options)
     return replace(
         recording, landmarks=landmarks, valid=filled, wrist=None, confidence=None
     )
@@ -222,7 +221,7 @@ def continuous_quats(rotations: Array) -> Array:
     # A copy: SciPy before 1.16 takes no array that is read-only.
     turns = Rotation.from_matrix(rotations.copy())
     quats = turns.as_quat(canonical=True, scalar_first=True)
-    flips = (quats[1:] * quats[:-1]).sum(axis=1) < 0.0
+    flips = np.vecdot(quats[1:], quats[:-1]) < 0.0
     quats[1:][np.cumsum(flips) % 2 == 1] *= -1.0
     return quats
 
