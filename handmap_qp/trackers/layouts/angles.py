@@ -129,20 +129,17 @@ class AngleLayout(Layout):
         """Reject angles of the other unit, and those of a wrong sign."""
         unit = self.table.unit
         largest = float(np.abs(values).max(initial=0.0))
-        if unit == "rad":
-            other = "degrees"
-            is_other = largest > 2.0 * _LARGEST_ANGLE
-            got = f"{largest:.4g}"
-        else:
+        other = "degrees"
+        is_other = largest > 2.0 * _LARGEST_ANGLE
+        if unit == "deg":
             other = "radians"
             is_other = len(values) > 1 and 0.0 < largest < _STRAIGHTEST
-            got = f"none above {largest:.3g}"
         convert = f"convert them, or set `unit: {other[:3]}` in a table of your own"
         expect(
             not is_other,
             "values",
             f"angles in {unit}",
-            got=got,
+            got=f"some of up to {largest:.4g}",
             advice=f"these are {other}: {convert}",
         )
         is_middle = [name.endswith("PIP_flexion") for name in HUMAN_JOINTS]

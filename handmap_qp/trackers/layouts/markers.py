@@ -92,12 +92,12 @@ class MarkerLayout(Layout):
         ik = PointIk(human, _FIT)
         landmarks = human.with_points("landmarks")
         markers = transform_points(self.world, values)
-        is_near = np.abs(markers).max() <= FARTHEST
+        farthest = np.abs(markers).max()
         expect(
-            is_near,
+            farthest <= FARTHEST,
             "values",
             f"coordinates within {FARTHEST:g} m",
-            got=f"{np.abs(markers).max():.3g} m",
+            got=f"{farthest:.3g} m",
         )
         palm = human.points(human.rest)[self._on_palm]
         wrist = rigid_fit(palm, markers[0, self._on_palm])

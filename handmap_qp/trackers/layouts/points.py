@@ -219,9 +219,8 @@ def _indices(
 ) -> Array:
     """Return the indices of our landmarks among `count` joints, which must all differ."""
     known = set(given) & set(range(count))
-    are_right = len(given) == len(known) == LANDMARK_COUNT
     expect(
-        are_right,
+        len(given) == len(known) == LANDMARK_COUNT,
         key,
         f"{LANDMARK_COUNT} different indices below count, {count}",
         value=given,
