@@ -66,6 +66,7 @@ class Recording:
         shape = (count, LANDMARK_COUNT, 3)
         landmarks = as_floats(self.landmarks, "landmarks", shape=shape)
         valid = as_flags(self.valid, "valid", count)
+        columns = {"time": time, "landmarks": landmarks, "valid": valid}
         check_side(self.side)
         if self.upright != "":
             upright_axes(self.upright)
@@ -73,18 +74,15 @@ class Recording:
         is_right = ~valid | finite_samples(landmarks)
         finite = "finite numbers in every valid sample"
         _expect_each(is_right, "landmarks", finite, landmarks, "others in sample {1}")
-        wrist = self.wrist
-        confidence = self.confidence
-        if wrist is not None:
-            wrist = check_poses(wrist, "wrist", valid)
-        if confidence is not None:
-            shares = confidence = as_floats(confidence, "confidence", shape=(count,))
+        if self.wrist is not None:
+            columns["wrist"] = check_poses(self.wrist, "wrist", valid)
+        if self.confidence is not None:
+            shares = as_floats(self.confidence, "confidence", shape=(count,))
+            columns["confidence"] = shares
             is_right = ~valid | ((shares >= 0.0) & (shares <= 1.0))
             _expect_each(is_right, "confidence", "numbers from 0 to 1", shares)
-        columns = (time, landmarks, valid, wrist, confidence)
-        for name, array in zip(_COLUMNS, columns, strict=True):
-            copy = None if array is None else frozen(array.copy())
-            object.__setattr__(self, name, copy)
+        for name, array in columns.items():
+            object.__setattr__(self, name, frozen(array.copy()))
 
     def __len__(self) -> int:
         """Number of samples."""

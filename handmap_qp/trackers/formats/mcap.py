@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,10 @@ _KINDS = {
 }
 _FRAME = "tracker"
 _NOWHERE = (np.nan,) * 7
+_NUMBERS_OF = attrgetter(
+    *(f"position.{name}" for name in "xyz"), *(f"orientation.{name}" for name in "wxyz")
+)
+"""Returns the numbers of a pose: position, then quaternion."""
 
 
 class McapFormat(RecordingFormat):
@@ -76,11 +81,10 @@ class McapFormat(RecordingFormat):
             name = _main(topics)
             logs, messages = zip(*_messages(bag, name), strict=True)
             times = [_instant(message) for message in messages]
-            sevens = {}
-            for _, message in _messages(bag, topics.get("wrist")):
-                p = message.pose.position
-                q = message.pose.orientation
-                sevens[_instant(message)] = p.x, p.y, p.z, q.w, q.x, q.y, q.z
+            sevens = {
+                _instant(message): _NUMBERS_OF(message.pose)
+                for _, message in _messages(bag, topics.get("wrist"))
+            }
             wrists = np.array([sevens.get(time, _NOWHERE) for time in times])
             shares = {
                 log: message.data
@@ -189,7 +193,7 @@ def _instant(message: Any) -> float:
     return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
 
 
-def _points(message: Any) -> list[tuple[float, float, float]]:
+def _points(message: Any) -> list[tuple[float, ...]]:
     """Return the landmarks of a message [m]."""
     count = len(message.poses)
     expect(
@@ -198,7 +202,7 @@ def _points(message: Any) -> list[tuple[float, float, float]]:
         f"{LANDMARK_COUNT} poses in every message",
         value=count,
     )
-    return [(p.position.x, p.position.y, p.position.z) for p in message.poses]
+    return [_NUMBERS_OF(pose)[:3] for pose in message.poses]
 
 
 def _forward(
