@@ -7,9 +7,11 @@ fits joint angles to it.
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -221,33 +223,12 @@ def palm_sizes(palms: Array) -> Array:
     return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
 
 
+_RULES = Path(__file__).with_name("rules.json")
 Rule = str
 """Name of what is wrong with a sample, one of `RULES`; empty if nothing is."""
 
-RULES: dict[Rule, str] = {
-    "missing": "the tracker did not see the hand, or its confidence is 0",
-    "zero": "landmarks lie in one place or at the origin, as trackers send when they see no hand",
-    "size": "the palm is less than half or more than twice as large as the person's, or the hand's "
-    "size changed for a while",
-    "outlier": "one landmark left its place on the hand: lengths of bones changed at once",
-    "jump": "the hand moved faster, or from one speed to another, than hands do",
-    "flip": "the hand turned over or became its mirror image from one sample to the next",
-    "frozen": "the landmarks have repeated exactly for 0.25 s, or one finger for a while",
-    "gap": "no sample came for more than 0.25 s; it is followed where the hand has not moved",
-    "settling": "the samples make sense again, but not yet for long enough",
-    "duplicate": "the time stamp is the same as that of the sample before",
-    "disorder": "the time stamp is earlier than that of the sample before",
-    "clock_jump": "the tracker's clock was set; the hand is where it was and is followed",
-    "time": "for a while: time stamps are not in seconds, or do not run as samples arrive",
-    "unit": "for a while: landmarks are not in metres",
-    "order": "for a while: landmarks are in another order",
-    "side": "for a while: landmarks are those of the other hand, or of a mirrored world",
-    "flexion": "for a while: fingers bend backwards",
-    "wrist": "for a while: the wrist's orientation does not follow the palm of the landmarks",
-    "unproven": "the wrist has not followed a palm that turned yet; it is followed at a quarter of "
-    "the speed limits",
-}
-"""The rules, in words; `RULE_NAMES` of `stream.step_table` numbers them in this order."""
+RULES: dict[Rule, str] = json.loads(_RULES.read_bytes())
+"""The rules, in words (`rules.json`); `RULE_NAMES` of `stream.step_table` has the same order."""
 
 UNPROVEN_SPEED = 0.25
 """Share of the speed limits at which the robot follows a wrist that is not proven yet."""
