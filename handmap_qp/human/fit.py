@@ -117,7 +117,7 @@ class LandmarkFitter:
         posture = q.reshape(_SHAPE)
         pull = _REST_WEIGHT * (posture - self._rest)
         residuals = np.hstack([errors[1:].reshape(len(FINGERS), -1), pull])
-        return posture, np.square(residuals).sum(axis=1)
+        return posture, np.vecdot(residuals, residuals)
 
 
 def fit_recording(

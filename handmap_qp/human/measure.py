@@ -115,10 +115,10 @@ def measure_shape(landmarks: Array, palm: Array) -> tuple[Array, Array]:
     normals = np.cross(proximal, beyond)
     angles = np.arctan2(normals[..., 2], -normals[..., 0])
     is_bent = lengths(normals) > _BENT * lengths(proximal) * lengths(beyond)
-    rolls = np.zeros(len(FINGERS))
-    for i in range(1, len(FINGERS)):
-        if is_bent[:, i].sum() >= _FEWEST_BENT:
-            rolls[i] = np.median(angles[is_bent[:, i], i])
+    is_bent &= is_bent.sum(axis=0) >= _FEWEST_BENT
+    bent = np.ma.array(angles, mask=~is_bent)
+    rolls = np.ma.median(bent, axis=0).filled(0.0)
+    rolls[0] = 0.0
     bases = np.median(laid[:, FIRST_JOINTS], axis=0)
     return bases, np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
 

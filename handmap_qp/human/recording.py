@@ -259,7 +259,7 @@ def as_flags(values: Any, name: str, count: int) -> Array:
 
 def finite_samples(values: Array) -> Array:
     """Tell of samples (T, ...) whether all their numbers are finite, shape (T,)."""
-    return np.asarray(np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
+    return np.all(np.isfinite(values), axis=tuple(range(1, values.ndim)))
 
 
 def _expect_each(
@@ -270,6 +270,6 @@ def _expect_each(
     got: str = "{} in sample {}",
 ) -> None:
     """Reject an array if one of its samples is wrong; `got` tells its value and its index."""
-    sample = int(np.argmin(is_right))
+    sample = np.argmin(is_right)
     text = got.format(values[sample], sample)
     expect(is_right[sample], argument, expected, value=values, got=text)

@@ -140,7 +140,7 @@ def stuck_fingers(landmarks: Array) -> Array:
         True or False for each finger, shape (5,).
     """
     chains = landmarks[:, 1:].reshape(-1, 5, 4, 3)
-    bones = np.square(np.diff(chains[:, :, 1:], axis=2)).sum(axis=3)
+    bones = lengths(np.diff(chains[:, :, 1:], axis=2)) ** 2
     trembling = (np.ptp(bones, axis=0) / bones.mean(axis=0)).max(axis=1)
     usual = median(trembling)
     # Rounded landmarks of a hand at rest repeat in the tracker's world too.

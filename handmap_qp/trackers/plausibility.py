@@ -189,7 +189,7 @@ class InputCheck(Compiled):
         landmarks = np.array(points)
         # Trackers send the same point 21 times where they lost the hand: that is no mistake of
         # units or order, and has rules of its own.
-        is_hand = np.abs(landmarks[:, 9] - landmarks[:, 0]).sum(axis=1) > 1e-9
+        is_hand = lengths(landmarks[:, 9] - landmarks[:, 0]) > 1e-9
         guess = _find_time_unit(np.array(self._last_time + times))
         self._last_time = times[-1:]
         if guess is None and is_hand.any():

@@ -356,7 +356,7 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
         "key_angle_deg": np.degrees(np.arccos(cosine)).mean(),
         "key_scale": (lengths(b) / (lengths(a) + _LEAST)).mean(),
         "motion_preservation": _mean(_cosines(*steps)),
-        "flatness_mm2": 1e6 * _mean((bends**2).sum(axis=2)),
+        "flatness_mm2": 1e6 * _mean(np.vecdot(bends, bends)),
     }
 
 

@@ -189,8 +189,8 @@ def map_hands(
         )
         for side, recording in used.items()
     }
-    side, first = next(iter(used.items()))
-    human = humans[side]
+    first = recordings[0]
+    human = humans[first.side]
     choice = arguments.preset_for(human, robot.hands[0], first.upright)
     ik = choice.ik if smoother is None else choice.ik.replaced(**SMOOTH_IK)
     if not robot.parts:

@@ -144,7 +144,7 @@ def rank_poses(recording: Recording) -> Ranked:
         is larger the clearer the pose is, to compare recordings by. None where no sample shows it.
     """
     posture = measure_posture(recording.landmarks)
-    start = recording.time[int(np.argmax(recording.valid))] + SETTLING
+    start = recording.time[np.argmax(recording.valid)] + SETTLING
     is_usable = recording.valid & (recording.time >= start)
     found: Ranked = {}
     for name, scores in _scores(posture).items():

@@ -128,7 +128,7 @@ class AngleLayout(Layout):
     def _check(self, values: Array, q: Array) -> None:
         """Reject angles of the other unit, and those of a wrong sign."""
         unit = self.table.unit
-        largest = float(np.abs(values).max(initial=0.0))
+        largest = np.abs(values).max()
         other = "degrees"
         is_other = largest > 2.0 * _LARGEST_ANGLE
         if unit == "deg":
@@ -144,7 +144,7 @@ class AngleLayout(Layout):
         )
         is_middle = [name.endswith("PIP_flexion") for name in HUMAN_JOINTS]
         back = -np.degrees(q[:, is_middle].mean(axis=1))
-        sample = int(np.argmax(back))
+        sample = np.argmax(back)
         expect(
             back[sample] <= _BACKWARDS,
             "values",
