@@ -57,7 +57,7 @@ def smallest_gap(time: Array, landmarks: Array) -> float:
     from scipy.ndimage import median_filter
 
     gaps = tip_gaps(landmarks)
-    period = float(np.median(np.diff(time))) if len(time) > 1 else _MEDIAN_TIME
+    period = np.median(np.diff(time)) if len(time) > 1 else _MEDIAN_TIME
     width = max(1, 2 * round(0.5 * _MEDIAN_TIME / max(period, 1e-6)) + 1)
     size = (min(width, len(gaps)), 1)
     smooth = median_filter(gaps, size, mode="nearest")

@@ -112,7 +112,7 @@ class Recording:
         The first is the median of the others.
         """
         steps = np.diff(self.time)
-        return np.concatenate([[np.median(steps) if len(steps) else 1.0 / 60.0], steps])
+        return np.insert(steps, 0, np.median(steps) if len(steps) else 1.0 / 60.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +175,7 @@ def turned(recording: Recording, turn: Array, own: Array, **changes: Any) -> Rec
     return replace(
         recording,
         landmarks=landmarks,
-        wrist=None if wrist is None else affine(turn, np.zeros(3)) @ wrist @ own,
+        wrist=None if wrist is None else affine(turn) @ wrist @ own,
         **changes,
     )
 
@@ -252,7 +252,7 @@ def as_flags(values: Any, name: str, count: int) -> Array:
         InvalidInputError: If they are something else.
     """
     flags = as_floats(values, name, shape=(count,))
-    is_flag = ((flags == 0.0) | (flags == 1.0)).all()
+    is_flag = np.isin(flags, (0.0, 1.0)).all()
     expect(is_flag, name, "truth values, or 0 and 1", value=values)
     return flags.astype(bool)
 

@@ -110,7 +110,7 @@ def assess_fidelity(
             finger in common.
     """
     shared = [name for name in human.names if name in robot.names]
-    seen = np.full(len(time), True) if valid is None else np.asarray(valid, dtype=bool)
+    seen = np.ones(len(time), dtype=bool) if valid is None else valid
     wanted = f"{len(time)} samples as in time"
     sized = {"human": human.palm, "robot": robot.palm, "valid": seen}
     for name, rows in sized.items():

@@ -232,8 +232,7 @@ def _smoothed(recording: Recording, options: LookAhead) -> Array:
     valid = recording.valid
     held = recording.landmarks[held_samples(valid)]
     points = held[:, PALM]
-    turns = rigid_fit(points[0], points)[:, :3, :3]
-    palms = affine(turns, points.mean(axis=1))
+    palms = rigid_fit(points[0] - points[0].mean(axis=0), points)
     local = transform_points(inverse_pose(palms), held)
     inside = whittaker(time, local.reshape(len(time), -1), valid, options.cutoff)
     poses = smooth_poses(time, palms, valid, options)

@@ -106,7 +106,7 @@ class LeRobotFormat(RecordingFormat):
             for feature, field in fields.items()
         }
         steps = np.concatenate([recording.steps for recording in recordings])
-        fps = max(1.0, float(np.round(1.0 / np.median(steps))))
+        fps = max(1, round(1.0 / np.median(steps)))
         kind = "human_hand"
         with writing_set(path, fps=fps, features=features, robot_type=kind) as writer:
             for own in recordings:

@@ -154,7 +154,7 @@ def _joints_of_parameters(
     )
     if components < _TURNS:
         fingers = fingers @ model["hands_components"][:components]
-    if not bool(arrays["flat_hand_mean"]):
+    if not arrays["flat_hand_mean"]:
         fingers = fingers + model["hands_mean"]
     turns = np.hstack([root, fingers]).reshape(count, _JOINTS, 3)
     return _posed_joints(model, turns, shape) + shift[:, None]

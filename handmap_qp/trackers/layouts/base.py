@@ -185,7 +185,7 @@ class Layout(abc.ABC):
             distal = reflection @ axis_direction(axes.distal)
             dorsal = reflection @ axis_direction(axes.dorsal)
             turn = axes_convention(distal, dorsal)
-        return np.linalg.inv(self.world) @ affine(turn.T, np.zeros(3))
+        return np.linalg.inv(self.world) @ affine(turn.T)
 
     def order(self, side: Side) -> Array | None:
         """Return the index of each of our landmarks among joints; None if there are no joints."""
@@ -310,10 +310,9 @@ class Layout(abc.ABC):
             InvalidInputError: As of `read` and of `Recording`.
         """
         landmarks, poses, seen = self._convert(values, side, wrists, valid, lengths)
-        times = np.asarray(time, dtype=float)
         return Recording(
             name,
-            times,
+            as_floats(time, "time"),
             landmarks,
             seen,
             side,
