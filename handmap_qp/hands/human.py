@@ -18,7 +18,7 @@ import numpy as np
 from handmap_qp.errors import HandError, expect
 from handmap_qp.se3 import Array, Arrays, as_floats, frozen
 from .sources import urdf_directory
-from .spec import Names
+from .spec import Names, Side
 from .urdf import (
     child_of,
     get_numbers,
@@ -113,6 +113,11 @@ class HumanLengths:
 
     def __reduce__(self) -> tuple[type[Self], tuple[Array | float, ...]]:
         return type(self), (self.bases, self.segments, self.rolls, self.contact_gap)
+
+    def palm(self, side: Side) -> Array:
+        """Return wrist and knuckles of a hand of a side in its palm frame [m], shape (5, 3)."""
+        sign = -1.0 if side == "left" else 1.0
+        return np.vstack([np.zeros(3), self.bases[1:]]) * (sign, 1.0, 1.0)
 
     @property
     def hand_length(self) -> float:

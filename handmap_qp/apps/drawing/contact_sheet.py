@@ -124,9 +124,7 @@ def sheet_rows(
     """
     for i, q in enumerate(motions):
         as_floats(q, f"motions[{i}]", shape=(len(recording), "n"))
-    bases = measure_hand(recording).bases[1:]
-    sign = 1.0 if recording.side == "right" else -1.0
-    palm = np.vstack([np.zeros(3), bases]) * (sign, 1.0, 1.0)
+    palm = measure_hand(recording).palm(recording.side)
     rows = []
     for label, i in poses.items():
         if i is None:

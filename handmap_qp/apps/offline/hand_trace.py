@@ -107,9 +107,7 @@ def trace_human(
     Returns:
         The trace.
     """
-    sign = -1.0 if side == "left" else 1.0
-    template = np.vstack([np.zeros(3), lengths.bases[1:]]) * (sign, 1.0, 1.0)
-    palm = rigid_fit(template, landmarks[:, PALM])
+    palm = rigid_fit(lengths.palm(side), landmarks[:, PALM])
     if wrist_poses is not None:
         on_wrist = inverse_pose(wrist_poses) @ palm
         rotation = nearest_rotation(on_wrist[:, :3, :3].mean(axis=0))
