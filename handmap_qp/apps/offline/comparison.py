@@ -27,13 +27,13 @@ import numpy as np
 
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
-from handmap_qp.hands import Hand, Names, Side, Values, load_hand
+from handmap_qp.hands import Hand, Names, Side, Values
 from handmap_qp.human import (
     Person,
     Recording,
     fit_recording,
-    human_name,
     mirrored,
+    scaled_human,
     turned,
 )
 from handmap_qp.mapping import PRESETS, HandMapper, preset_choice, rotation_onto
@@ -246,7 +246,7 @@ def prepare_take(
     held = held_samples(recording.valid)
     poses = recording.wrist
     lengths = (person or measure_person(recording)).lengths
-    human = load_hand(human_name(side), lengths=lengths)
+    human = scaled_human(recording, lengths=lengths)
     wrist = None if poses is None else poses[held]
     trace = trace_human(recording.landmarks[held], lengths, side, wrist)
     return Take(

@@ -6,7 +6,13 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Document, Hand, HumanLengths, Side
-from handmap_qp.human import LANDMARK_COUNT, LANDMARK_NAMES, PALM, HumanSample
+from handmap_qp.human import (
+    LANDMARK_COUNT,
+    LANDMARK_NAMES,
+    PALM,
+    HumanSample,
+    landmarks_at_rest,
+)
 from handmap_qp.se3 import (
     Array,
     QuatOrder,
@@ -167,8 +173,8 @@ class PointLayout(Layout):
         )
         wrist = sample.wrist
         if wrist is None:
-            model = sized_human(sample.side)
-            wrist = rigid_fit(model.points(model.rest)[PALM], sample.landmarks[PALM])
+            palm = landmarks_at_rest(sized_human(sample.side))[PALM]
+            wrist = rigid_fit(palm, sample.landmarks[PALM])
         return self._write(sample.landmarks, wrist, sample.side)
 
     def write_posture(
