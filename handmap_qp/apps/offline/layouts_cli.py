@@ -121,11 +121,13 @@ def _facts(layout: Layout) -> Values:
     facts["wrist pose"] = "fitted" if layout.has_wrist else "none; fitted to the palm"
     if wrist is not None:
         own = f"of the joint {wrist.joint}"
-        facts["wrist pose"] = [own if layout.has_wrist else "given beside the values"]
-        facts["wrist pose"] += [
-            f"{side}: fingers along {found.distal}, back of the hand along {found.dorsal}"
-            for side, found in (("right", wrist.right), ("left", wrist.left))
-            if found is not None
+        facts["wrist pose"] = [
+            own if layout.has_wrist else "given beside the values",
+            *(
+                f"{side}: fingers along {axes.distal}, back of the hand along {axes.dorsal}"
+                for side, axes in (("right", wrist.right), ("left", wrist.left))
+                if axes is not None
+            ),
         ]
         facts["quaternions"] = getattr(table, "quaternion", wrist.quaternion)
     return facts | {

@@ -26,20 +26,20 @@ from .lerobot import LeRobotFormat
 from .mano import ManoFormat
 from .mcap import McapFormat
 
-_OWN = (
-    NpzFormat(),
-    CsvFormat(),
-    LeRobotFormat(),
-    RobomimicFormat(),
-    EgoDexFormat(),
-    McapFormat(),
-    ManoFormat(),
+_KINDS = (
+    NpzFormat,
+    CsvFormat,
+    LeRobotFormat,
+    RobomimicFormat,
+    EgoDexFormat,
+    McapFormat,
+    ManoFormat,
 )
 
 
 FORMATS: Mapping[str, RecordingFormat] = Plugins(
     "handmap_qp.formats",
-    lambda: {form.name: form for form in _OWN},
+    lambda: {kind.name: kind() for kind in _KINDS},
     "handmap_qp.trackers.formats.base:RecordingFormat",
 )
 """All formats by name; where a suffix has several, the first one that recognises a file reads it,
