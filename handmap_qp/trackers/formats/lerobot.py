@@ -23,14 +23,7 @@ from handmap_qp.hands import Names, Values
 from handmap_qp.human import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
 from handmap_qp.se3 import Array, Arrays
-from .base import (
-    COLUMNS,
-    WORDS,
-    Entry,
-    RecordingFormat,
-    column,
-    known_columns,
-)
+from .base import COLUMNS, WORDS, Entry, RecordingFormat, column, known_columns
 
 VERSION = "v3.0"
 DATA_FILE_SIZE = 100 * 2**20
@@ -94,12 +87,7 @@ class LeRobotFormat(RecordingFormat):
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as an episode."""
-        expect(
-            recordings,
-            "recordings",
-            "at least one",
-            got="none",
-        )
+        expect(recordings, "recordings", "at least one", got="none")
         fields = {f"observation.{name}": name for name in known_columns(*recordings)}
         features = {
             feature: Feature("bool" if field == "valid" else "float64", COLUMNS[field])
@@ -168,10 +156,7 @@ class LeRobotWriter:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        fps: float,
-        features: Mapping[str, Feature],
+        self, folder: Path, fps: float, features: Mapping[str, Feature]
     ) -> None:
         self._pa = require("pyarrow", "files")
         self._pq = require("pyarrow.parquet", "files")
@@ -186,10 +171,7 @@ class LeRobotWriter:
         self._open: Values = {}
 
     def add(
-        self,
-        columns: Arrays,
-        task: str,
-        about: Mapping[str, Any] | None = None,
+        self, columns: Arrays, task: str, about: Mapping[str, Any] | None = None
     ) -> None:
         """Add an episode.
 
