@@ -220,7 +220,7 @@ def expect_hand_length(length: float, argument: str) -> None:
 def palm_sizes(palms: Array) -> Array:
     """Return RMS distances of palms' points (..., 5, 3) from their centroids [m], shape (...)."""
     offsets = palms - palms.mean(axis=-2, keepdims=True)
-    return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
+    return np.sqrt(np.vecdot(offsets, offsets).mean(axis=-1))
 
 
 _RULES = Path(__file__).with_name("rules.json")

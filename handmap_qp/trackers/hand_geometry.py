@@ -98,8 +98,8 @@ def own_distances(landmarks: Array) -> Distances:
     Args:
         landmarks: Finite landmarks in any unit, shape (T, ..., 21, 3).
     """
-    apart = np.diff(landmarks[..., _PAIRS, :], axis=-2)
-    squares = np.square(apart).sum(axis=(-2, -1))
+    apart = np.diff(landmarks[..., _PAIRS, :], axis=-2)[..., 0, :]
+    squares = np.vecdot(apart, apart)
     squares.sort(axis=0)
     count = len(squares)
     rows = squares[[count // 4, count // 2, count - 1 - count // 4]]

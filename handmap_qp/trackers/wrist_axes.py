@@ -146,7 +146,7 @@ def _mean_relative(palms: Array, rotations: Array) -> tuple[Array, Array]:
 
 def _cosine(a: Array, b: Array) -> Array:
     """Return cosines of the angles between rotations, shape (...)."""
-    return np.clip(((a * b).sum(axis=(-2, -1)) - 1.0) / 2.0, -1.0, 1.0)
+    return np.clip((np.vecdot(a, b).sum(axis=-1) - 1.0) / 2.0, -1.0, 1.0)
 
 
 _ROLLS = {
