@@ -90,8 +90,7 @@ def _text(number: float) -> str:
 
 
 def _by_side(
-    header: Mapping[str, int],
-    rows: Iterable[Row],
+    header: Mapping[str, int], rows: Iterable[Row]
 ) -> Iterator[tuple[Side, Row]]:
     """Yield the rows with their hands, of a table that has all columns of a recording."""
     needed = ["side", "time", *COLUMNS["landmarks"]]
@@ -141,10 +140,7 @@ def _rows(reader: Iterable[Row], is_padded: bool) -> Iterator[Row]:
             yield row
 
 
-def numbers(
-    rows: Iterable[Row],
-    places: Mapping[str, int],
-) -> Array:
+def numbers(rows: Iterable[Row], places: Mapping[str, int]) -> Array:
     """Read columns of a table; an empty field is NaN.
 
     Args:

@@ -45,12 +45,7 @@ def load_layout(layout: str | Path | Layout) -> Layout:
     """
     if isinstance(layout, Layout):
         return layout
-    expect(
-        isinstance(layout, str | Path),
-        "layout",
-        "a name or a path",
-        value=layout,
-    )
+    expect(isinstance(layout, str | Path), "layout", "a name or a path", value=layout)
     name = str(layout)
     if Path(name).suffix in (".yaml", ".yml"):
         return _load(Path(name))
@@ -81,7 +76,5 @@ def _load(file: Path) -> Layout:
         reason = reason_of(error)
         text = f"cannot be read: {reason}" if isinstance(error, OSError) else reason
         raise InvalidInputError(
-            f"{file}: {text}",
-            argument="layout",
-            value=str(file),
+            f"{file}: {text}", argument="layout", value=str(file)
         ) from error
