@@ -93,7 +93,7 @@ def _plain(value: Any) -> Any:
 
 _ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
-_OPTIONS = ("options", *messages.FORMER, "ik")
+_OPTIONS = ("options", *messages.former_names(messages.Open), "ik")
 _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 from msgspec import Meta, Struct
-from msgspec.structs import force_setattr
+from msgspec.structs import fields, force_setattr
 
 PROTOCOL = 2
 """Version of the messages."""
@@ -174,17 +174,23 @@ class Request(
     session: Short = ""
 
 
-FORMER = {"mapping": "paper", "teleoperation": "teleoperation"}
-"""Former names of `options`, and the preset that each stands for."""
+Former = Annotated[Options, Meta()]
+"""A former name of `options`: that of a preset, or `mapping` for the preset paper."""
+
+
+def former_names(message: type[Struct]) -> list[str]:
+    """Return the former names of `options` in a message."""
+    return [field.name for field in fields(message) if field.type is Former]
 
 
 def _rename_options(request: "Open | Configure") -> None:
     """Move options of former names to their present one."""
-    for former, preset in FORMER.items():
+    for former in former_names(type(request)):
         if given := getattr(request, former):
             force_setattr(request, "options", given | request.options)
             force_setattr(request, former, {})
             if isinstance(request, Open) and request.preset is None:
+                preset = "paper" if former == "mapping" else former
                 force_setattr(request, "preset", preset)
 
 
@@ -245,8 +251,8 @@ class Open(Request):
     mount: Literal["floating", "fixed"] | None = None
     preset: Preset | None = None
     options: Options = {}
-    mapping: Options = {}
-    teleoperation: Options = {}
+    mapping: Former = {}
+    teleoperation: Former = {}
     ik: Options = {}
     robot_q: Angles | None = None
     robot_wrist: Pose | None = None
@@ -261,7 +267,9 @@ class Open(Request):
     has_detail: bool = False
     is_shared: bool = False
 
-    __post_init__ = _rename_options
+    def __post_init__(self) -> None:
+        """Take options by their former names."""
+        _rename_options(self)
 
 
 class HandSample(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -386,12 +394,14 @@ class Configure(Named):
 
     preset: Preset | None = None
     options: Options = {}
-    mapping: Options = {}
-    teleoperation: Options = {}
+    mapping: Former = {}
+    teleoperation: Former = {}
     ik: Options = {}
     has_detail: bool | None = None
 
-    __post_init__ = _rename_options
+    def __post_init__(self) -> None:
+        """Take options by their former names."""
+        _rename_options(self)
 
 
 class Reset(Request):
@@ -611,15 +621,15 @@ class About(Struct, frozen=True, kw_only=True):
     mount: str | None
     preset: str
     options: Options
-    mapping: Options = {}
-    teleoperation: Options = {}
+    mapping: Former = {}
+    teleoperation: Former = {}
     ik: Options
     has_detail: bool
     is_shared: bool
 
     def __post_init__(self) -> None:
         """Give options their former names too."""
-        former = self.preset if self.preset in FORMER else "mapping"
+        former = self.preset if self.preset in former_names(About) else "mapping"
         force_setattr(self, former, self.options)
 
 
