@@ -74,6 +74,7 @@ from .mapping.estimation import (
     estimate_motion as estimate_motion,
 )
 from .mapping.mapper import HandMapper as HandMapper
+from .mapping.method import PRESETS as PRESETS
 from .mapping.method import (
     MapStep as MapStep,
 )
@@ -99,7 +100,6 @@ from .mapping.methods.virtual_object import (
 from .mapping.methods.virtual_object import (
     VirtualSphere as VirtualSphere,
 )
-from .mapping.presets import PRESETS as PRESETS
 from .stream.follower import Follower as Follower
 from .stream.follower import Smoothing as Smoothing
 from .stream.grip import (

@@ -22,6 +22,7 @@ from .mapper import LandmarkReader as LandmarkReader
 from .mapper import check_dt as check_dt
 from .mapper import check_joints as check_joints
 from .method import FOLLOWING as FOLLOWING
+from .method import PRESETS as PRESETS
 from .method import Diagnostics as Diagnostics
 from .method import HumanPose as HumanPose
 from .method import MapStep as MapStep
@@ -31,6 +32,7 @@ from .method import RobotPosture as RobotPosture
 from .method import Stages as Stages
 from .method import Targets as Targets
 from .method import arm_held_by as arm_held_by
+from .method import get_preset as get_preset
 from .options_file import options_text as options_text
 from .options_file import read_options as read_options
 from .palm import PalmMap as PalmMap
@@ -38,9 +40,7 @@ from .palm import PalmMethod as PalmMethod
 from .palm import known_palm as known_palm
 from .palm import require_points as require_points
 from .presets import IK_NAMES as IK_NAMES
-from .presets import PRESETS as PRESETS
 from .presets import Choice as Choice
-from .presets import get_preset as get_preset
 from .presets import kept_options as kept_options
 from .presets import known_options as known_options
 from .presets import possible_presets as possible_presets

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from .method import Method
-from .presets import PRESETS
+from .method import PRESETS, Method
 
 METHODS: Mapping[str, Callable[..., Method]] = MappingProxyType(
     {name: preset.method.replaced for name, preset in PRESETS.items()}

@@ -50,8 +50,9 @@ from .method import (
     Stages,
     TargetMap,
     Targets,
+    default_preset,
+    get_preset,
 )
-from .presets import default_preset, get_preset
 
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 

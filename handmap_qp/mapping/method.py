@@ -9,8 +9,9 @@ A method says how a human sample becomes targets of the robot. It goes through t
 
 `MapStep` has these targets, what the QP made of them, and the command of the robot.
 
-`handmap_qp.mapping.methods` has the methods of the package. One of another package is a file with
-its options (a subclass of `MethodOptions` with `bind`) and presets (`handmap_qp.mapping.presets`).
+Every module in `handmap_qp.mapping.methods` is a method with presets (`PRESETS`). One of another
+package is a file with its options (a subclass of `MethodOptions` with `bind`) and presets, which
+entry points of the group `handmap_qp.presets` name.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from importlib import import_module
 from operator import attrgetter
+from pkgutil import iter_modules
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -33,12 +36,14 @@ from typing import (
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.errors import InvalidOptionsError, did_you_mean
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import Finding, Rule, Verdict
 from handmap_qp.ik import WRIST_LEVERS, IkOptions, IkResult, Status, Task, wrist_error
 from handmap_qp.options import Options
+from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import Array, Arrays, lengths, transform_points
+from . import methods
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
@@ -236,6 +241,43 @@ class Preset(NamedTuple):
     weakness: str
     rank: int = 2
     suits: Callable[[Hand, Hand], bool] = lambda *_: False
+
+
+def _own() -> dict[str, Preset]:
+    found = [
+        item
+        for module in iter_modules(methods.__path__, f"{methods.__name__}.")
+        for item in import_module(module.name).PRESETS.items()
+    ]
+    return dict(sorted(found, key=lambda item: item[1].rank))
+
+
+PRESETS: Mapping[str, Preset] = Plugins(
+    "handmap_qp.presets", _own, "handmap_qp.mapping.method:Preset"
+)
+"""All presets, by name."""
+
+
+def get_preset(name: str) -> Preset:
+    """Return a preset.
+
+    Raises:
+        InvalidOptionsError: If there is no such preset.
+    """
+    try:
+        return PRESETS[name]
+    except KeyError:
+        raise InvalidOptionsError(
+            option="preset",
+            expected=f"one of {', '.join(PRESETS)}",
+            value=name,
+            advice=did_you_mean(name, PRESETS),
+        ) from None
+
+
+def default_preset(human: Hand, robot: Hand) -> str:
+    """Return the preset of two hands for which none is named: the first that suits them."""
+    return next(name for name, each in PRESETS.items() if each.suits(human, robot))
 
 
 StepStatus = Status | Literal["held", "gliding"]

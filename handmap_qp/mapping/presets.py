@@ -1,55 +1,15 @@
-"""Presets: a mapping method, its options and QP weights that go together, by name.
-
-Every module in `handmap_qp.mapping.methods` is a method with presets (`PRESETS`). Other packages
-add theirs by entry points of the group `handmap_qp.presets`, each of which names a `Preset`.
-"""
+"""The choice of a preset for two hands, and of options: `Choice`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from importlib import import_module
-from pkgutil import iter_modules
+from collections.abc import Iterable
 from typing import NamedTuple
 
-from handmap_qp.errors import HandmapError, InvalidOptionsError, did_you_mean
+from handmap_qp.errors import HandmapError
 from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.ik import IkOptions
 from handmap_qp.options import Option, options_of
-from handmap_qp.plugins import Plugins
-from . import methods
-from .method import MethodOptions, Preset
-
-
-def _own() -> dict[str, Preset]:
-    found = [
-        item
-        for module in iter_modules(methods.__path__, f"{methods.__name__}.")
-        for item in import_module(module.name).PRESETS.items()
-    ]
-    return dict(sorted(found, key=lambda item: item[1].rank))
-
-
-PRESETS: Mapping[str, Preset] = Plugins(
-    "handmap_qp.presets", _own, "handmap_qp.mapping.method:Preset"
-)
-"""All presets, by name."""
-
-
-def get_preset(name: str) -> Preset:
-    """Return a preset.
-
-    Raises:
-        InvalidOptionsError: If there is no such preset.
-    """
-    try:
-        return PRESETS[name]
-    except KeyError:
-        raise InvalidOptionsError(
-            option="preset",
-            expected=f"one of {', '.join(PRESETS)}",
-            value=name,
-            advice=did_you_mean(name, PRESETS),
-        ) from None
+from .method import PRESETS, MethodOptions, Preset, default_preset, get_preset
 
 
 def known_options() -> dict[str, list[tuple[str, Option]]]:
@@ -74,11 +34,6 @@ def preset_with(names: Iterable[str], human: Hand, robot: Hand) -> str:
         if PRESETS[name].method.values.keys() >= set(names)
     )
     return next(able, first)
-
-
-def default_preset(human: Hand, robot: Hand) -> str:
-    """Return the preset of two hands for which none is named: the first that suits them."""
-    return next(name for name, each in PRESETS.items() if each.suits(human, robot))
 
 
 def possible_presets(human: Hand, robot: Hand) -> Names:
