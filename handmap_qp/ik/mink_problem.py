@@ -8,86 +8,43 @@ Levenberg-Marquardt term grows with the square of the error. Ours, in `damping_t
 error (see `IkOptions.error_damping`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import mink
 import numpy as np
-import pinocchio as pin
 import qpsolvers
 
 from handmap_qp.hands import Configuration, Hand
 from handmap_qp.se3 import Array, lengths
 from .limits import Rows
 from .options import IkOptions
-from .qp import carriers, point_rows, wrist_rows
-from .tasks import Goal, Task
-
-ErrorAndJacobian = tuple[Array, Array]
+from .qp import followed_rows
+from .tasks import Goal
 
 
 class Term(mink.Task):
-    """A term `|diag(cost) (J dq + e)|^2` of the cost.
+    """A term `|diag(cost) (J dq + e)|^2` of the cost, at one configuration.
 
     Args:
         cost: Weight of each row, shape (r,), or one for all, shape (1,).
-        linearise: Returns e, shape (r,), and J, shape (r, nv), at a configuration.
+        error: e, shape (r,).
+        jacobian: J, shape (r, nv).
     """
 
-    def __init__(
-        self, cost: Array, linearise: Callable[[Any], ErrorAndJacobian]
-    ) -> None:
+    def __init__(self, cost: Array, error: Array, jacobian: Array) -> None:
         super().__init__(cost=cost)
-        self.linearise = linearise
+        self.error = error
+        self.jacobian = jacobian
 
     def compute_error(self, configuration: Any) -> Array:
         """Return e, shape (r,)."""
-        return self.linearise(configuration)[0]
+        return self.error
 
     def compute_jacobian(self, configuration: Any) -> Array:
         """Return J, shape (r, nv)."""
-        return self.linearise(configuration)[1]
-
-
-def point_term(
-    targets: Array, cost: Array, wrist: pin.SE3 | None = None, part: int = 0
-) -> Term:
-    """Return the term of a hand's p reference points to their targets.
-
-    Args:
-        targets: Targets of all points [m], shape (m, 3).
-        cost: Weight of the error of each of its own [cost]/[m], shape (p,).
-        wrist: Target of the wrist, if they go with it.
-        part: Index of the hand.
-    """
-    return Term(np.repeat(cost, 3), lambda hand: point_rows(hand, targets, wrist, part))
-
-
-def wrist_term(target: pin.SE3, costs: tuple[float, float], part: int = 0) -> Term:
-    """Return the term of the wrist frame to a pose, by the SE(3) logarithm in the wrist's own axes.
-
-    Args:
-        target: Target of the wrist frame.
-        costs: Weights of the translational error [cost]/[m] and the rotational one [cost]/[rad].
-        part: Index of the hand.
-    """
-    return Term(np.repeat(costs, 3), lambda hand: wrist_rows(hand, target, part))
-
-
-def posture_term(hand: Hand, cost: float | Array, posture: Array) -> Term:
-    """Return the term of all joints to a posture: the null-space term of eq. (8), costs of speed.
-
-    Args:
-        hand: The hand.
-        cost: Weight of every joint's error [cost]/[rad].
-        posture: Joint positions to pull to, shape (n,).
-    """
-    jacobian = np.eye(len(hand.active_columns))[hand.joint_columns]
-    return Term(
-        np.full(len(posture), cost),
-        lambda placed: (placed.q[hand.q_indices] - posture, jacobian),
-    )
+        return self.jacobian
 
 
 def damping_term(
@@ -107,29 +64,12 @@ def damping_term(
         of: Terms whose errors and Jacobians count.
         free_translations: Number of leading coordinates that translate, without this damping.
     """
-
-    def linearise(hand: Configuration) -> ErrorAndJacobian:
-        further = np.zeros(nv)
-        for term in of:
-            error, jacobian = term.linearise(hand)
-            levers = lengths((term.cost[:, None] * jacobian).T)
-            further += error_damping * lengths(term.cost * error) * levers
-        further[:free_translations] = 0.0
-        return np.zeros(nv), np.diag(np.sqrt(cost**2 + further))
-
-    return Term(np.ones(1), linearise)
-
-
-def task_term(task: Task) -> Term:
-    """Return the rows of a `Task`, with its damping as further rows without an error."""
-
-    def linearise(hand: Configuration) -> ErrorAndJacobian:
-        residual, jacobian, damping = task.linearise(hand)
-        roots = np.sqrt(np.broadcast_to(damping, (hand.nv,)))
-        error = np.append(residual, np.zeros(hand.nv))
-        return error, np.vstack([jacobian, np.diag(roots)])
-
-    return Term(np.ones(1), linearise)
+    further = np.zeros(nv)
+    for term in of:
+        levers = lengths((term.cost[:, None] * term.jacobian).T)
+        further += error_damping * lengths(term.cost * term.error) * levers
+    further[:free_translations] = 0.0
+    return Term(np.sqrt(cost**2 + further), np.zeros(nv), np.eye(nv))
 
 
 class RowsLimit(mink.Limit):
@@ -167,24 +107,26 @@ class _ActiveConfiguration:
         return getattr(self._configuration, name)
 
 
-def make_terms(hand: Hand, options: IkOptions, goal: Goal) -> list[Term]:
-    """Return the terms whose sum is the cost of one sample."""
-    costs = options.point_costs(hand)
-    on = dict(enumerate(carriers(options, goal)))
-    first = 0
-    followed = []
-    for part, each in enumerate(hand.hands):
-        end = first + len(each.reference_points)
-        term = point_term(goal.points, costs[first:end], on.get(part), part)
-        followed.append(term)
-        first = end
-    for part, wrist in enumerate(() if goal.wrists is None else goal.wrists):
-        followed.append(wrist_term(pin.SE3(wrist), options.wrist_costs, part))
-    nv = len(hand.active_columns)
+def make_terms(
+    hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
+) -> list[Term]:
+    """Return the terms whose sum is the cost of one iteration; arguments as of `build_problem`."""
+    followed = [
+        Term(*rows) for rows in followed_rows(hand, options, configuration, goal)
+    ]
+    nv = configuration.nv
     free = 3 if hand.is_floating else 0
-    damping = damping_term(nv, options.damping, options.error_damping, followed, free)
-    postures = [posture_term(hand, *posture) for posture in goal.postures]
-    return [*followed, damping, *postures, *map(task_term, goal.tasks)]
+    terms = [damping_term(nv, options.damping, options.error_damping, followed, free)]
+    q = configuration.q[hand.q_indices]
+    joints = np.eye(nv)[hand.joint_columns]
+    for cost, posture in goal.postures:
+        terms.append(Term(np.full(len(q), cost), q - posture, joints))
+    for task in goal.tasks:
+        residual, jacobian, damping = task.linearise(configuration)
+        terms.append(Term(np.ones(1), residual, jacobian))
+        roots = np.sqrt(np.full(nv, damping))
+        terms.append(Term(roots, np.zeros(nv), np.eye(nv)))
+    return [*followed, *terms]
 
 
 def build_problem(
@@ -212,5 +154,7 @@ def build_problem(
     # Our configuration has the attributes that build_ik and our tasks read of mink's, which is one
     # of MuJoCo. The limits are of displacements, so the time has no meaning.
     active: Any = _ActiveConfiguration(configuration)
-    tasks = [*make_terms(hand, options, goal), *extra_tasks]
-    return mink.build_ik(active, tasks, 1.0, damping=0.0, limits=[limit])
+    terms = make_terms(hand, options, configuration, goal)
+    return mink.build_ik(
+        active, [*terms, *extra_tasks], 1.0, damping=0.0, limits=[limit]
+    )

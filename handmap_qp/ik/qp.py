@@ -155,6 +155,25 @@ def wrist_rows(
     return pin.log6(offset).vector, hand.wrist_jacobian(pin.Jlog6(offset), part)
 
 
+def followed_rows(
+    hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
+) -> list[tuple[Array, Array, Array]]:
+    """Return costs, errors, shape (r,) each, and Jacobian, (r, k), of all points and wrists.
+
+    Arguments are those of `direct_cost`.
+    """
+    costs = _costs(hand, options)
+    on = dict(enumerate(carriers(options, goal)))
+    blocks = []
+    for part, own in enumerate(configuration.parts):
+        rows = point_rows(configuration, goal.points, on.get(part), part)
+        blocks.append((costs[3 * own.start : 3 * own.stop], *rows))
+    for part, wrist in enumerate(() if goal.wrists is None else goal.wrists):
+        rows = wrist_rows(configuration, pin.SE3(wrist), part)
+        blocks.append((costs[-6:], *rows))
+    return blocks
+
+
 def direct_cost(
     hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
 ) -> tuple[Array, Array]:
@@ -166,18 +185,9 @@ def direct_cost(
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
     """
-    costs = _costs(hand, options)
-    on = dict(enumerate(carriers(options, goal)))
-    blocks = []
-    for part, own in enumerate(configuration.parts):
-        rows = point_rows(configuration, goal.points, on.get(part), part)
-        blocks.append((costs[3 * own.start : 3 * own.stop], *rows))
-    for part, wrist in enumerate(() if goal.wrists is None else goal.wrists):
-        rows = wrist_rows(configuration, pin.SE3(wrist), part)
-        blocks.append((costs[-6:], *rows))
     H = np.zeros((configuration.nv, configuration.nv))
     c, diagonal = np.zeros((2, configuration.nv))
-    for cost, error, jacobian in blocks:
+    for cost, error, jacobian in followed_rows(hand, options, configuration, goal):
         error = cost * error
         jacobian = cost[:, None] * jacobian
         H += jacobian.T.dot(jacobian)
