@@ -35,14 +35,15 @@ class Configuration:
     `place` and `displace` put it somewhere else.
 
     Args:
-        model: Pinocchio model, whose last m frames are the reference points.
-        wrists: Index of the frame of each hand's wrist.
-        counts: Number of reference points of each hand; m together.
-        expansion: From the active coordinates to the model's tangent space, shape (model.nv, k);
-            None if all are active.
+        model: Pinocchio model.
+        wrists: Frame of each hand's wrist.
+        points: Frames of the m reference points, one hand after the other. No other frame of the
+            model has the name of any.
+        counts: Number of reference points of each hand.
+        spread: From the active coordinates to the model's tangent space, shape (model.nv, k).
 
     Attributes:
-        model: The model.
+        model: A copy of the model with these frames.
         data: Its Pinocchio data. Read the joint Jacobian from `joint_jacobian`, not from here.
         q: Configuration last placed, shape (nq,); a read-only view that follows every placement.
         points: Reference points in the world [m], shape (m, 3), likewise.
@@ -53,31 +54,31 @@ class Configuration:
     def __init__(
         self,
         model: pin.Model,
-        wrists: Sequence[int],
+        wrists: Sequence[pin.Frame],
+        points: Sequence[pin.Frame],
         counts: Sequence[int],
-        expansion: Array | None = None,
+        spread: Array,
     ) -> None:
-        self.model = model
-        self.expansion = expansion
-        self.data = model.createData()
+        self._given = model, wrists, points, counts, spread
+        self.model = pin.Model(model)
+        self.spread = spread
+        self._wrists = [*map(self.model.addFrame, wrists)]
+        self._frames = [*map(self.model.addFrame, points)]
+        self.data = self.model.createData()
         self._q = pin.neutral(model)
         self.q = frozen(self._q.view())
-        self._wrists = tuple(wrists)
-        self._counts = tuple(counts)
         ends = [*accumulate(counts)]
         self.parts = [*map(slice, [0, *ends], ends)]
-        self._frames = range(model.nframes - ends[-1], model.nframes)
         # Pinocchio's arrays follow every placing, so they are fetched once.
         self._translations = [self.data.oMf[i].translation for i in self._frames]
         self._points = np.array(self._translations)
         self.points = frozen(self._points.view())
-        self.wrists = [self.data.oMf[wrist] for wrist in wrists]
+        self.wrists = [self.data.oMf[wrist] for wrist in self._wrists]
         self.place(self._q)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Build a copy anew: the workspace is views of Pinocchio's memory."""
-        frames = self._wrists, self._counts
-        return type(self), (self.model, *frames, self.expansion), self._q
+        return type(self), self._given, self._q
 
     @property
     def wrist(self) -> pin.SE3:
@@ -87,7 +88,7 @@ class Configuration:
     @property
     def nv(self) -> int:
         """Number of active velocity coordinates, k: the wrist's and those of joints that lead."""
-        return self.model.nv if self.expansion is None else self.expansion.shape[1]
+        return self.spread.shape[1]
 
     def place(self, q: Array) -> None:
         """Put the model at a configuration.
@@ -123,10 +124,7 @@ class Configuration:
             start: Pinocchio configuration, shape (nq,).
             displacement: Displacement in the active coordinates [rad or m], shape (k,).
         """
-        step = (
-            displacement if self.expansion is None else self.expansion.dot(displacement)
-        )
-        self.place(pin.integrate(self.model, start, step))
+        self.place(pin.integrate(self.model, start, self.spread.dot(displacement)))
 
     def joint_jacobian(self) -> Array:
         """Spatial velocity at the world's origin per velocity of the model.
@@ -175,4 +173,4 @@ class Configuration:
         Returns:
             Jacobian, shape (r, k); the same array if all coordinates are active.
         """
-        return jacobian if self.expansion is None else jacobian.dot(self.expansion)
+        return jacobian if self.nv == self.model.nv else jacobian.dot(self.spread)

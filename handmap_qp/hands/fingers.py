@@ -126,8 +126,7 @@ class PalmKinematics:
 
 def joint_motion(hand: Hand) -> Array:
     """Return the motion of the model per unit of every joint that is set, shape (nv, n)."""
-    every = np.eye(hand.model.nv) if hand.expansion is None else hand.expansion.matrix
-    return every[:, hand.joint_columns]
+    return hand.spread[:, hand.joint_columns]
 
 
 def zero_posture(hand: Hand) -> Array:

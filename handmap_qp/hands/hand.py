@@ -61,7 +61,7 @@ LONGEST_STOP = 0.5
 _LINK = pin.FrameType.BODY
 _JOINT = pin.FrameType.JOINT
 # Made when first read, and again by a copy.
-_CACHED = ("urdf_text", "_placed_model", "_scratch")
+_CACHED = ("urdf_text", "_scratch")
 
 
 class Hand:
@@ -92,6 +92,7 @@ class Hand:
         matched: The spec's posture for the resting human hand [rad or m], shape (n,), or None.
         expansion: From the k active tangent coordinates (wrist and `joint_names`, in the model's
             order) to the model's: S, shape (nv, k), and offsets, (nv,). None without followers.
+        spread: S, also without followers, shape (nv, k).
         active_columns: Indices of the active coordinates in the model's tangent space, shape (k,).
         joint_columns: Indices of `joint_names` in the active coordinates, shape (n,).
         all_joint_names: All movable joints: `joint_names`, then followers, then locked joints.
@@ -226,9 +227,7 @@ class Hand:
     def moves_points(self) -> Array:
         """Which joints move each reference point, shape (m, n)."""
         moves = moved_by(self.model, [f.parentJoint for f in self.point_frames])
-        if self.expansion is not None:
-            moves = moves @ np.abs(self.expansion.matrix)
-        return moves[:, self.joint_columns] > 0.0
+        return (moves @ np.abs(self.spread))[:, self.joint_columns] > 0.0
 
     @property
     def finger_joints(self) -> Array:
@@ -313,15 +312,12 @@ class Hand:
 
     def configuration(self) -> Configuration:
         """Return a new workspace for this hand, for one user at a time."""
-        model = self._placed_model
-        first = model.nframes - len(self.point_frames)
-        # The frames of the other hands' wrists are before the points.
-        others = range(first - len(self.hands) + 1, first)
         return Configuration(
-            model,
-            (self.wrist_frame_id, *others),
+            self.model,
+            [hand.model.frames[hand.wrist_frame_id] for hand in self.hands],
+            self.point_frames,
             [len(hand.reference_points) for hand in self.hands],
-            None if self.expansion is None else self.expansion.matrix,
+            self.spread,
         )
 
     def configuration_vector(
@@ -481,20 +477,23 @@ class Hand:
             np.searchsorted(self.active_columns, self.v_indices)
         )
         self._moving = expansion_matrix(moving, names, rules)
+        spread = np.eye(model.nv)[:, self.active_columns]
+        spread[np.ix_(at_v, self.joint_columns)] = self._moving.matrix
+        self.spread = frozen(spread)
         self.expansion = None
         if rules:
-            to_all = np.eye(model.nv)[:, self.active_columns]
             shift = np.zeros(model.nv)
-            to_all[np.ix_(at_v, self.joint_columns)] = self._moving.matrix
             shift[at_v] = self._moving.offset
-            self.expansion = Expansion(frozen(to_all), frozen(shift))
+            self.expansion = Expansion(self.spread, frozen(shift))
 
     def _add_wrist_and_palm(self) -> None:
         """Add frames of wrist and palm to the model."""
         model, spec = self.model, self.spec
         # A slash before the name keeps them apart from links.
         palm = self._frame("/palm", spec.palm.link, "palm.link", palm_in_link(spec))
-        wrist = self._frame("/wrist", spec.wrist.link, "wrist.link", np.eye(4))
+        # A robot has the wrists of several hands.
+        name = f"/wrist/{spec.name}"
+        wrist = self._frame(name, spec.wrist.link, "wrist.link", np.eye(4))
         self.palm_frame_id = model.addFrame(palm)
         self.wrist_frame_id = model.addFrame(wrist)
         frames = self.wrist_frame_id, self.palm_frame_id
@@ -526,17 +525,6 @@ class Hand:
         vars(self).pop("point_frames", None)
         # A link that does not exist is reported here.
         len(self.point_frames)
-
-    @cached_property
-    def _placed_model(self) -> pin.Model:
-        """The model with the frames of other hands' wrists and of the points behind its own."""
-        model = pin.Model(self.model)
-        others = [hand.model.frames[hand.wrist_frame_id] for hand in self.hands[1:]]
-        for k, frame in enumerate(others):
-            frame.name = f"/wrist/{k}"
-        for frame in (*others, *self.point_frames):
-            model.addFrame(frame)
-        return model
 
     @cached_property
     def _scratch(self) -> Configuration:

@@ -395,13 +395,10 @@ class CollisionLimit:
             pairs = named_pairs(hand, spec.pairs)
         self.margin = spec.margin if spec else 0.0
         self.horizon = horizon
-        expansion = hand.expansion
-        self._expansion = (
-            np.eye(hand.model.nv) if expansion is None else expansion.matrix
-        )
+        self._spread = hand.spread
         self.shape_distances = ShapeDistances(hand.model, pairs.geometry)
         is_moving = (self.shape_distances.bounds.levers > 0.0).any(axis=0)
-        self.columns: Array = is_moving @ (self._expansion != 0.0)
+        self.columns: Array = is_moving @ (self._spread != 0.0)
 
     def distances(self, configuration: Configuration) -> Array:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
@@ -431,7 +428,7 @@ class CollisionLimit:
         if reach < np.inf:
             reach = max(min(_NEAR + _APPROACH * dt, reach), KEPT)
             if last is not None:
-                turns = np.abs(self._expansion.dot(last))
+                turns = np.abs(self._spread.dot(last))
                 travel = self.shape_distances.bounds.levers.dot(turns)
                 reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
         kept = self.margin if margins is None else margins
@@ -444,7 +441,7 @@ class CollisionLimit:
             q: Pinocchio configuration where it begins, shape (nq,).
             displacement: Displacement in the active coordinates [rad or m], shape (n,).
         """
-        return self.shape_distances.met_on(q, self._expansion.dot(displacement))
+        return self.shape_distances.met_on(q, self._spread.dot(displacement))
 
     def rows(
         self,

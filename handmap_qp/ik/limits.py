@@ -567,7 +567,6 @@ class Gate:
 
     def _move(self, displacement: Array, stop_times: Array, dt: float) -> None:
         q = self.motion.q
-        expansion = self.hand.expansion
-        step = displacement if expansion is None else expansion.matrix.dot(displacement)
+        step = self.hand.spread.dot(displacement)
         reached = self.limits.clipped(pin.integrate(self.hand.model, q, step), q)
         self.motion = Motion(reached, displacement, dt, stop_times)
