@@ -10,8 +10,8 @@
   `quat_wxyz` or `quat_xyzw`. Roll, pitch and yaw are those of URDF.
 
 Arrays may have leading axes, written `...`: one of time for a recording, none for a sample.
-`as_floats`, `check_pose` and the functions of quaternions check what enters the package; the others
-expect arrays of finite numbers that fit together.
+`as_floats`, `as_points`, `check_pose` and the functions of quaternions check what enters the
+package; the others expect arrays of finite numbers that fit together.
 """
 
 import math
@@ -333,6 +333,28 @@ def as_floats(
     sized = f"{noun}s of shape {shape}".replace("'", "")
     expected = {None: f"{noun}s", (): f"a {noun}"}.get(shape, sized)
     raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
+
+
+def as_points(value: Any, name: str, count: int | str = "n") -> Array:
+    """Take points as an array of floats, where a hand may be.
+
+    Args:
+        value: Points [m], shape (n, 3).
+        name: What to call them in an error.
+        count: Their number, n, if it is known.
+
+    Returns:
+        The array; `value` itself if it is one already.
+
+    Raises:
+        InvalidInputError: If these are other numbers, none, not finite or beyond `FARTHEST`.
+    """
+    points = as_floats(value, name, shape=(count, 3))
+    # NaN is not near either.
+    if not (len(points) and np.abs(points).max() <= FARTHEST):
+        expected = f"finite coordinates within {FARTHEST:g} m, of one point or more"
+        raise InvalidInputError(argument=name, expected=expected, value=points.tolist())
+    return points
 
 
 def _as_array(value: Any) -> Array | None:

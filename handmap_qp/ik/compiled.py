@@ -29,11 +29,8 @@ class CompiledIk:
         self._hand = hand
         self.core = core_ik
         self._gate = gate
-        self._result = self._result_of(hand)
-
-    def _result_of(self, hand: Hand) -> Any:
-        """Return what makes the result of a hand; without the gate, which refers to the steps."""
-        return partial(_result_of, hand, self._gate.links)
+        # Without the gate, which refers to the steps.
+        self._result = partial(_result_of, hand, gate.links)
 
     def solve(
         self, goal: Goal, dt: float, margins: Array | None, speed: float
@@ -80,7 +77,8 @@ class CompiledIk:
 
     def asker(self, target_map: Any, hand: Hand) -> Any:
         """Return the core's way from samples of one hand to what it asks of the robot."""
-        return core.Asker(target_map, hand, self._result_of(hand))
+        result = partial(_result_of, hand, self._gate.links)
+        return core.Asker(target_map, hand, result)
 
     def robot_mover(self, *arguments: Any) -> Any:
         """Return the core's way from samples of all hands to a step; see `RobotMapper`."""

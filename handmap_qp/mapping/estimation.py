@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import DegeneratePointsError, expect
 from handmap_qp.se3 import (
-    FARTHEST,
     Array,
     affine,
     as_floats,
+    as_points,
     frozen,
     lengths,
     nearest_rotation,
@@ -215,8 +215,8 @@ def estimate_motion(
         InvalidInputError: On wrong shapes or non-finite numbers.
         DegeneratePointsError: If the points cannot determine T; carries the singular values.
     """
-    before = _check_points(points_before, "points_before")
-    after = _check_points(points_after, "points_after")
+    before = as_points(points_before, "points_before")
+    after = as_points(points_after, "points_after")
     expected = f"{len(before)} points as in points_before"
     is_same = len(after) == len(before)
     expect(is_same, "points_after", expected, got=f"{len(after)}")
@@ -238,12 +238,3 @@ def estimate_motion(
     is_rotation = is_orthogonal and np.linalg.det(rotation) > 0.0
     expect(is_rotation, "prior", "a rotation", value=prior)
     return estimator.estimate(after, rotation)
-
-
-def _check_points(points: ArrayLike, name: str) -> Array:
-    array = as_floats(points, name, shape=("n", 3))
-    # NaN is not within it either; products of such coordinates are finite.
-    is_near = np.abs(array).max(initial=np.inf if len(array) == 0 else 0.0) <= FARTHEST
-    expected = f"finite coordinates within {FARTHEST:g} m, of one point or more"
-    expect(is_near, name, expected, value=array.tolist())
-    return array

@@ -30,11 +30,11 @@ from handmap_qp.human import (
 )
 from handmap_qp.ik import Compiled, IkOptions, IkResult, Motion, PointIk, Task
 from handmap_qp.se3 import (
-    FARTHEST,
     Array,
     PoseLike,
     QuatOrder,
     as_floats,
+    as_points,
     check_pose,
     inverse_pose,
     rigid_fit,
@@ -234,10 +234,7 @@ class HandMapper:
             raise InvalidInputError(
                 argument="wrist_pose", problem=f"needed for {needs}"
             )
-        measured = as_floats(
-            points, "points", shape=(len(self.human.reference_points), 3)
-        )
-        check_near(measured, "points")
+        measured = as_points(points, "points", len(self.human.reference_points))
         return self.map(HumanPose(measured.copy(), wrist), dt, started=started)
 
     def map_landmarks(
@@ -587,8 +584,7 @@ class LandmarkReader(Compiled):
             return pose, ()
         if wrist is not None:
             wrist = check_pose(wrist, "wrist_pose", self.quat_order)
-        points = as_floats(landmarks, "landmarks", shape=(LANDMARK_COUNT, 3))
-        check_near(points, "landmarks")
+        points = as_points(landmarks, "landmarks", LANDMARK_COUNT)
         if self.core and (pose := self.core.read(points, wrist)):
             return pose, ()
         if wrist is None:
@@ -753,11 +749,3 @@ def check_dt(dt: float) -> float:
     if not (isinstance(dt, int | float) and 0.0 < dt < np.inf):
         raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
     return dt
-
-
-def check_near(points: Array, name: str) -> None:
-    """Reject points with a coordinate that is not finite, or farther away than any hand."""
-    # NaN is not near either.
-    if not np.abs(points).max(initial=0.0) <= FARTHEST:
-        expected = f"finite coordinates within {FARTHEST:g} m"
-        raise InvalidInputError(argument=name, expected=expected, value=points.tolist())
