@@ -61,7 +61,7 @@ LONGEST_STOP = 0.5
 _LINK = pin.FrameType.BODY
 _JOINT = pin.FrameType.JOINT
 # Made when first read, and again by a copy.
-_CACHED = ("urdf_text", "_scratch")
+_CACHED = ("urdf_text", "moves_wrist", "_scratch")
 
 
 class Hand:
@@ -211,12 +211,11 @@ class Hand:
         """The same by their side."""
         return {hand.spec.side: hand for hand in self.hands}
 
-    @property
+    @cached_property
     def moves_wrist(self) -> Array:
         """Which joints move the wrist, those of an arm, or a wrist of a robot, shape (n,)."""
-        if self.parts:
-            return np.any([hand.moves_wrist for hand in self.parts], axis=0)
-        return self.carries(self.model.frames[self.wrist_frame_id])
+        wrists = [hand.model.frames[hand.wrist_frame_id] for hand in self.hands]
+        return frozen(np.any([*map(self.carries, wrists)], axis=0))
 
     def carries(self, frame: pin.Frame) -> Array:
         """Return which joints carry a frame of the model, shape (n,)."""

@@ -4,7 +4,6 @@
 act about the pivot. `T_rb` carries the pivot to its image under T, and `T_def` keeps it there.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +19,7 @@ from handmap_qp.se3 import (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Decomposition:
+class Decomposition(NamedTuple):
     """The parts of a motion: `deformation @ rigid == motion`.
 
     Attributes:
@@ -113,8 +111,7 @@ def about(linear: Array, point: Array, image: Array) -> Array:
     return affine(linear, image - linear.dot(point))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Primitives:
+class Primitives(NamedTuple):
     """A motion as a product of primitive transformations (Sec. II of the paper).
 
     `translation_motion @ rotation_motion @ shear_motion @ axis_scale_motion @

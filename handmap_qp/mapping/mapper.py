@@ -127,7 +127,7 @@ class HandMapper:
             method = default_preset(human, robot)
         chosen, weights = _method_of(method, options)
         bound = chosen.bind(human, robot)
-        solver = self._solver(bound, ik or weights)
+        solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self._plan = _Plan(chosen, bound, solver)
         self.tasks: tuple[Task, ...] = tuple(tasks)
         self._start: _Start | None = _Start(robot.rest, None)
@@ -389,12 +389,6 @@ class HandMapper:
         )
         return MapStep(stages, (), perf_counter() - started)
 
-    def _solver(
-        self, bound: BoundMethod, options: IkOptions, motion: Motion | None = None
-    ) -> PointIk:
-        """Return what moves the robot, from how it moves now; at rest if that is omitted."""
-        return PointIk(bound.robot, options, motion, contacts=bound.contacts)
-
     # -- between samples
 
     def reset(
@@ -425,12 +419,20 @@ class HandMapper:
                 problem="human_q and wrist_pose go together",
                 advice="give both or neither",
             )
-        start = _Start(
-            self.robot.rest
-            if robot_q is None
-            else check_joints(self.robot, robot_q, "robot_q")[0].copy(),
-            None if robot_wrist is None else self._check_robot_wrist(robot_wrist),
-        )
+        robot = self.robot
+        q = robot.rest
+        wrist = None
+        if robot_q is not None:
+            q = check_joints(robot, robot_q, "robot_q")[0].copy()
+        if robot_wrist is not None:
+            if not robot.is_floating:
+                raise InvalidInputError(
+                    argument="robot_wrist",
+                    problem=f"{robot.name} has a fixed wrist, which stays where it is",
+                    advice="leave it out",
+                )
+            wrist = check_pose(robot_wrist, "robot_wrist", self.quat_order)
+        start = _Start(q, wrist)
         reference = None
         if human_q is not None and wrist_pose is not None:
             reference = self._reference_at(
@@ -481,8 +483,13 @@ class HandMapper:
             chosen, weights = _method_of(method, {})
             ik = weights if ik is None and isinstance(method, str) else ik
             bound = chosen.bind(self.human, self._given_robot)
-            solver = self._solver(bound, plan.ik.options, plan.ik.gate.motion)
-            plan = plan._replace(method=chosen, bound=bound, ik=solver)
+            solver = PointIk(
+                bound.robot,
+                plan.ik.options,
+                plan.ik.gate.motion,
+                contacts=bound.contacts,
+            )
+            plan = _Plan(chosen, bound, solver)
             reference = None if reference is None else _bound_again(reference, bound)
         if ik is not None:
             plan = plan._replace(ik=plan.ik.with_options(ik))
@@ -529,17 +536,6 @@ class HandMapper:
             if start is not None and start.wrist is None and self.robot.is_floating:
                 needs = needs or _PLACING
         return bound.needs_wrist or needs
-
-    # -- checks of what comes in
-
-    def _check_robot_wrist(self, robot_wrist: PoseLike) -> Array:
-        if not self.robot.is_floating:
-            raise InvalidInputError(
-                argument="robot_wrist",
-                problem=f"{self.robot.name} has a fixed wrist, which stays where it is",
-                advice="leave it out",
-            )
-        return check_pose(robot_wrist, "robot_wrist", self.quat_order)
 
 
 class LandmarkReader(Compiled):

@@ -19,9 +19,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from importlib import import_module
-from operator import attrgetter
 from pkgutil import iter_modules
 from typing import (
     TYPE_CHECKING,
@@ -288,10 +287,6 @@ StepStatus = Status | Literal["held", "gliding"]
 _ARRIVED = IkOptions().point_tolerance
 
 
-# It takes longer than all the rest of what is said about a sample.
-_moves_wrist = lru_cache(maxsize=64)(attrgetter("moves_wrist"))
-
-
 def arm_held_by(hand: Hand, at_speed_limit: Array, at_limit: Array) -> Array:
     """Return what keeps the wrist of an arm off its target, if it is off; shape (T,).
 
@@ -302,7 +297,7 @@ def arm_held_by(hand: Hand, at_speed_limit: Array, at_limit: Array) -> Array:
         at_speed_limit: Whether each joint is at its speed limit only, shape (T, n).
         at_limit: Whether it is at a position limit, shape (T, n).
     """
-    arm = _moves_wrist(hand)
+    arm = hand.moves_wrist
     held = [of[..., arm].any(axis=-1) for of in (at_speed_limit, at_limit)]
     return np.select(held, ["speed", "limit"], "reach")
 
@@ -500,7 +495,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         """What keeps the arm's wrist off its target (`arm_held_by`); empty if nothing does."""
         hand = self.ik.hand
         is_led = self.stages.status not in ("released", "failed")
-        if not is_led or not _moves_wrist(hand).any():
+        if not is_led or not hand.moves_wrist.any():
             return ""
         if (self.wrist_error * WRIST_LEVERS).max() <= _ARRIVED:
             return ""
