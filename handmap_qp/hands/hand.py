@@ -495,8 +495,7 @@ class Hand:
         wrist = self._frame(name, spec.wrist.link, "wrist.link", np.eye(4))
         self.palm_frame_id = model.addFrame(palm)
         self.wrist_frame_id = model.addFrame(wrist)
-        frames = self.wrist_frame_id, self.palm_frame_id
-        spec.reject(wrist_problems(model, spec, self.mount, *frames))
+        spec.reject(wrist_problems(model, spec, self.mount, wrist, palm))
         self._wrist_to_root = wrist.placement.inverse()
         self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
 

@@ -167,13 +167,13 @@ def limit_problems(
 
 
 def wrist_problems(
-    model: pin.Model, spec: HandSpec, mount: Mount, wrist: int, palm: int
+    model: pin.Model, spec: HandSpec, mount: Mount, wrist: pin.Frame, palm: pin.Frame
 ) -> Problems:
     """Check that wrist and palm do not move with the fingers.
 
     Only the free-flyer or the joints of an arm may move them, and both together.
     """
-    joints = [model.frames[frame].parentJoint for frame in (wrist, palm)]
+    joints = [wrist.parentJoint, palm.parentJoint]
     links = {point.link for point in spec.points if model.existBodyName(point.link)}
     carriers = {model.frames[model.getBodyId(link)].parentJoint for link in links}
     named = (("wrist.link", spec.wrist.link), ("palm.link", spec.palm.link))

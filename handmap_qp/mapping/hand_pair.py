@@ -148,7 +148,7 @@ class HandPair:
         self.robot = measured.with_points
         names = point_indices(human)
         self.partners = np.array(
-            [names[p.partner or p.name] for p in self.robot.reference_points]
+            [names[point.name] for point in self.robot.reference_points]
         )
         self.finger_of = np.array(
             [self.fingers.index(str(p.finger)) for p in self.robot.reference_points]
@@ -157,9 +157,7 @@ class HandPair:
         self.shape_points = np.array([names[name] for name in shape if name in names])
         self.human_rest = frozen(points_in_palm(human, resting_posture(human)))
         self.human_reach = bone_lengths(human, self.fingers)
-        self.robot_reach = np.array(
-            [self.chains[finger].reach for finger in self.fingers]
-        )
+        self.robot_reach = np.array([chain.reach for chain in self.chains.values()])
         self.reach_ratios = self.robot_reach / self.human_reach
         # All fingers but the thumb; a thumb alone stands for them.
         fingers = enumerate(self.fingers)
@@ -210,7 +208,7 @@ class HandPair:
             task = gap_task(self.robot, pads, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
-        places = [self.chains[finger].knuckle for finger in self.fingers]
+        places = [chain.knuckle for chain in self.chains.values()]
         knuckles = points_in_palm(self.measured.hand, robot.rest, places)
         of = self.finger_of
         human = self.human_rest[self.partners]

@@ -374,9 +374,7 @@ class HandMapper:
         robot = self.robot
         start = self._start
         if seen is None:
-            seen = HumanPose(
-                np.full((len(self.human.reference_points), 3), np.nan), None
-            )
+            seen = self._unseen
         held = ik.hold(check_dt(dt))
         # Before the first sample, a floating robot has no place yet.
         vector = ik.configuration.q if start is None else start.vector(robot, np.eye(4))
@@ -388,6 +386,11 @@ class HandMapper:
             RobotCommand(robot.joint_names, posture.q, posture.wrist),
         )
         return MapStep(stages, (), perf_counter() - started)
+
+    @property
+    def _unseen(self) -> HumanPose:
+        """A human hand of which nothing is known."""
+        return HumanPose(np.full((len(self.human.reference_points), 3), np.nan), None)
 
     # -- between samples
 

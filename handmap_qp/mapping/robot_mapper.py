@@ -164,9 +164,8 @@ class Leader(HandMapper):
         """Ask that the robot's hand stays where it is now."""
         at = posture_of(self.robot, self.motion.q)
         margins = self.asked and self.asked.targets.margins
-        unseen = np.full((len(self.human.reference_points), 3), np.nan)
         targets = Targets(at.points, at.wrist, margins=margins)
-        asked = Asked(HumanPose(unseen, None), targets, at.q, self.dt)
+        asked = Asked(self._unseen, targets, at.q, self.dt)
         self.last = structs.replace(self.last, stages=asked)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
