@@ -57,11 +57,6 @@ def number(
     return Meta(description=about, **bounds)  # ty: ignore[no-matching-overload]
 
 
-def text(about: str, **bounds: int) -> Meta:
-    """Describe an option that is no real number; integers may have the bounds `ge` and `le`."""
-    return Meta(description=about, **bounds)  # ty: ignore[no-matching-overload]
-
-
 NotNegative = Annotated[float, number()]
 Positive = Annotated[float, number(above=True)]
 Share = Annotated[float, number(high=1.0)]

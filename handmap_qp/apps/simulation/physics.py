@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect, require
 from handmap_qp.hands import Vector
-from handmap_qp.options import Options, number, text
+from handmap_qp.options import Options, number
 from handmap_qp.se3 import Array, as_floats, lengths, unit
 
 KINDS = ("box", "sphere", "cylinder")
@@ -221,7 +222,9 @@ class Physics(Options, frozen=True):
     density: Annotated[
         float, number("Density of links whose URDF gives no mass [kg/m^3].", above=True)
     ] = 1000.0
-    gravity: Annotated[Vector, text("Acceleration [m/s^2], in world axes.")] = (
+    gravity: Annotated[
+        Vector, Meta(description="Acceleration [m/s^2], in world axes.")
+    ] = (
         0.0,
         0.0,
         -9.81,

@@ -33,7 +33,7 @@ from handmap_qp.mapping import (
 )
 from handmap_qp.mapping.hand_pair import finger_landmarks, hand_pair
 from handmap_qp.mapping.palm import palm_of, point_indices
-from handmap_qp.options import number, text
+from handmap_qp.options import Share, number
 from handmap_qp.se3 import (
     Array,
     inverse_pose,
@@ -52,68 +52,38 @@ _SQUEEZE = 0.003
 _CONTACT_MARGIN = 0.0005
 
 
-class Teleoperation(AlignedOptions, frozen=True):
-    """Follow a tracked hand, finger by finger."""
+_Weight = Annotated[float, number(high=1e3)]
 
-    residual_gain: Annotated[
-        float,
-        number(
-            "Part of each finger's residual to T that its partner takes over.", high=1.0
-        ),
-    ] = 1.0
-    extension_weight: Annotated[
-        float,
-        number(
-            "Weight of the fingers' extension, per 10 mm of knuckle-to-tip distance.",
-            high=1e3,
-        ),
-    ] = 1.0
-    thumb_extension_weight: Annotated[
-        float,
-        number(
-            "The same of the thumb, whose position says less: thumbs oppose from different sides.",
-            high=1e3,
-        ),
-    ] = 2.5
-    finger_direction: Annotated[
-        float,
-        number(
-            "How far the targets of fingers are turned to the directions of the person's, from the "
-            "knuckle; not where they pinch.",
-            high=1.0,
-        ),
-    ] = 0.75
-    thumb_direction: Annotated[
-        float, number("The same of a thumb that rests like the person's.", high=1.0)
-    ] = 1.0
-    pinch_weight: Annotated[
-        float,
-        number(
-            "Weight of a pinch row, per 10 mm of distance between pads; 0 for none.",
-            high=1e3,
-        ),
-    ] = 5.0
-    contact_gap: Annotated[
-        float,
-        number(
-            "Distance between the tracker's thumb and finger landmarks at skin contact [m]: 1 to 5 "
-            "mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.",
-            high=0.04,
-        ),
-    ] = CONTACT_GAP
-    ridge: Annotated[
-        float, number("Pull of T towards a rotation.", high=1e3, above=True)
-    ] = 0.1
-    scale: Annotated[
-        float,
-        number(
-            "Factor on the palm's translation, for arms that reach less far than a person's.",
-            high=1e3,
-        ),
-    ] = 1.0
-    avoids_contact: Annotated[
-        bool, text("Whether links of the robot are kept apart.")
-    ] = True
+
+class Teleoperation(AlignedOptions, frozen=True):
+    """Follow a tracked hand, finger by finger.
+
+    Attributes:
+        residual_gain: Part of each finger's residual to T that its partner takes over.
+        extension_weight: Weight of the fingers' extension, per 10 mm of knuckle-to-tip distance.
+        thumb_extension_weight: The same of the thumb, whose position says less: thumbs oppose from
+            different sides.
+        finger_direction: How far the targets of fingers are turned to the directions of the
+            person's, from the knuckle; not where they pinch.
+        thumb_direction: The same of a thumb that rests like the person's.
+        pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
+        contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
+            1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
+        ridge: Pull of T towards a rotation.
+        scale: Factor on the palm's translation, for arms that reach less far than a person's.
+        avoids_contact: Whether links of the robot are kept apart.
+    """
+
+    residual_gain: Share = 1.0
+    extension_weight: _Weight = 1.0
+    thumb_extension_weight: _Weight = 2.5
+    finger_direction: Share = 0.75
+    thumb_direction: Share = 1.0
+    pinch_weight: _Weight = 5.0
+    contact_gap: Annotated[float, number(high=0.04)] = CONTACT_GAP
+    ridge: Annotated[float, number(high=1e3, above=True)] = 0.1
+    scale: _Weight = 1.0
+    avoids_contact: bool = True
 
     def fitted_to(self, human: Hand) -> Self:
         """Return these options with the contact gap of a person's hand."""
