@@ -37,6 +37,7 @@ from .sample import PalmShape as PalmShape
 from .sample import Rule as Rule
 from .sample import Verdict as Verdict
 from .sample import check_side as check_side
+from .sample import finger_chains as finger_chains
 from .sample import human_name as human_name
 from .sample import landmarks_at_rest as landmarks_at_rest
 from .sample import palm_sizes as palm_sizes

@@ -6,7 +6,7 @@ from functools import cache, lru_cache
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands import FINGERS, LARGEST_ROLL, Hand, HumanLengths, load_hand
+from handmap_qp.hands import LARGEST_ROLL, Hand, HumanLengths, load_hand
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
@@ -18,10 +18,10 @@ from handmap_qp.se3 import (
 )
 from .recording import Recording
 from .sample import (
-    FIRST_JOINTS,
     LANDMARK_COUNT,
     PALM,
     expect_hand_length,
+    finger_chains,
     human_name,
 )
 
@@ -50,7 +50,7 @@ def check_length(landmarks: Array) -> Array:
     if core is not None:
         segments, palm = core.bone_lengths(landmarks)
     else:
-        bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
+        bones = lengths(np.diff(finger_chains(landmarks), axis=2))
         segments = np.median(bones, axis=0)
         palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
     expect_hand_length(float(palm + segments[2].sum()), "landmarks")
@@ -109,9 +109,9 @@ def measure_shape(landmarks: Array, palm: Array) -> tuple[Array, Array]:
     # The bones of a bent finger span a plane whose normal is its flexion axis. Abduction turns it
     # about the axis that rolls with it, so that the ratio of its x and z parts is that of the roll.
     # The thumb's bones bend about two axes.
-    joints = laid[:, 1:].reshape(-1, len(FINGERS), 4, 3)
-    proximal = joints[:, :, 1] - joints[:, :, 0]
-    beyond = joints[:, :, 3] - joints[:, :, 1]
+    bases, joints, _, tips = np.moveaxis(finger_chains(laid), 2, 0)
+    proximal = joints - bases
+    beyond = tips - joints
     normals = np.cross(proximal, beyond)
     angles = np.arctan2(normals[..., 2], -normals[..., 0])
     is_bent = lengths(normals) > _BENT * lengths(proximal) * lengths(beyond)
@@ -119,8 +119,7 @@ def measure_shape(landmarks: Array, palm: Array) -> tuple[Array, Array]:
     bent = np.ma.array(angles, mask=~is_bent)
     rolls = np.ma.median(bent, axis=0).filled(0.0)
     rolls[0] = 0.0
-    bases = np.median(laid[:, FIRST_JOINTS], axis=0)
-    return bases, np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
+    return np.median(bases, axis=0), np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
 
 
 def scaled_human(

@@ -172,6 +172,15 @@ class PalmShape:
         )
 
 
+def finger_chains(landmarks: Array) -> Array:
+    """Return the landmarks of each finger from its base to its tip [m], shape (..., 5, 4, 3).
+
+    Args:
+        landmarks: Landmarks [m], shape (..., 21, 3).
+    """
+    return landmarks[..., 1:, :].reshape(*landmarks.shape[:-2], len(FINGERS), 4, 3)
+
+
 @lru_cache(maxsize=16)
 def landmarks_at_rest(human: Hand) -> Array:
     """Return the landmarks of a hand at rest in the frame of its wrist [m], shape (21, 3).

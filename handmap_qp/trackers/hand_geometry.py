@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_qp.human import finger_chains
 from handmap_qp.se3 import Array, lengths, unit
 
 BONES = [(0 if k % 4 == 1 else k - 1, k) for k in range(1, 21)]
@@ -139,12 +140,12 @@ def stuck_fingers(landmarks: Array) -> Array:
     Returns:
         True or False for each finger, shape (5,).
     """
-    chains = landmarks[:, 1:].reshape(-1, 5, 4, 3)
+    chains = finger_chains(landmarks)
     bones = lengths(np.diff(chains[:, :, 1:], axis=2)) ** 2
     trembling = (np.ptp(bones, axis=0) / bones.mean(axis=0)).max(axis=1)
     usual = median(trembling)
     # Rounded landmarks of a hand at rest repeat in the tracker's world too.
-    is_carried = np.ptp(landmarks[:, 4::4], axis=0).max(axis=1) > 0.0
+    is_carried = np.ptp(chains[:, :, 3], axis=0).any(axis=1)
     return (trembling < _STUCK * usual) & is_carried & (usual > _LEAST_TREMBLING)
 
 
@@ -159,11 +160,10 @@ def carried_fingers(landmarks: Array) -> Array:
     Returns:
         True or False for each finger, shape (5,).
     """
-    chains = landmarks[:, 1:].reshape(-1, 5, 4, 3)
-    spans = chains[:, :, 1:, None] - landmarks[:, None, None, [0, 5, 17]]
-    away = lengths(spans).reshape(-1, 5, 9)
-    ranges = np.ptp(away, axis=0).max(axis=1)
-    changing = (np.abs(np.diff(away, axis=0)) > _STEP).any(axis=2).mean(axis=0)
+    chains = finger_chains(landmarks)
+    away = lengths(chains[:, :, 1:, None] - landmarks[:, None, None, [0, 5, 17]])
+    ranges = np.ptp(away, axis=0).max(axis=(1, 2))
+    changing = (np.abs(np.diff(away, axis=0)) > _STEP).any(axis=(2, 3)).mean(axis=0)
     bones = unit(np.diff(chains[-1], axis=1))
     bends = np.vecdot(bones[:, 1:], bones[:, :-1])
     is_inside = ((bends > _INSIDE[0]) & (bends < _INSIDE[1])).any(axis=1)
@@ -188,8 +188,8 @@ def palmar_evidence(landmarks: Array) -> PalmarEvidence:
     palmar = unit(np.cross(offsets[:, 5], offsets[:, 17]))[:, None]
     sizes = np.maximum(lengths(along), 1e-12)
     heights = np.vecdot(offsets, palmar) / sizes[:, None]
-    fingers = landmarks[:, 5:].reshape(-1, 4, 4, 3)
-    bones = unit(np.diff(fingers[:, :, :3], axis=2))
+    joints = finger_chains(landmarks)[:, 1:, :3]
+    bones = unit(np.diff(joints, axis=2))
     turns = np.cross(bones[:, :, 0], bones[:, :, 1])
     bends = np.vecdot(turns, np.cross(unit(along)[:, None], palmar))
     # Up to people's hyperextension, an MCP joint may be bent to either side.

@@ -29,7 +29,7 @@ from handmap_qp.errors import (
     reason_of,
 )
 from handmap_qp.hands import FINGERS, Hand, Values, load_whole
-from handmap_qp.human import Recording, tip_gaps
+from handmap_qp.human import Recording, finger_chains, tip_gaps
 from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.se3 import Arrays, lengths
@@ -178,7 +178,7 @@ def _measured(recording: Recording, trajectory: Trajectory) -> Values:
     """Measure all but surfaces; see `MEASURES`."""
     seen = trajectory.valid
     errors = 1e3 * trajectory.point_error[seen]
-    fingers = recording.landmarks[recording.valid, 1:].reshape(-1, 5, 4, 3)
+    fingers = finger_chains(recording.landmarks[recording.valid])
     bones = lengths(np.diff(fingers, axis=2))
     # The longest time between valid samples, beyond the usual step.
     whole = recording.time
