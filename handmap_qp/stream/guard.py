@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, Side
+from handmap_qp.hands import Hand
 from handmap_qp.human import (
     PALM,
     Finding,
@@ -384,7 +384,7 @@ class StreamGuard(Compiled):
 
     def __init__(self, human: Hand) -> None:
         self._state = self._former = GuardState(SampleClock())
-        self._side: Side = "left" if human.side == "left" else "right"
+        self._side = human.spec.side
         self._input = InputCheck(self._side)
         self._rate = RateCheck()
         self._palm = PalmShape(human)

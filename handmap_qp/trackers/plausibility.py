@@ -148,8 +148,8 @@ class InputCheck(Compiled):
         if self._calm < 0 or self._finding is not None:
             size = _ALERT
         else:
-            has_wrists = all(wrist is not None for _, _, wrist in self._batch)
-            is_calm = self._wrist.is_proven or not has_wrists
+            lacks_wrist = any(wrist is None for _, _, wrist in self._batch)
+            is_calm = self._wrist.is_proven or lacks_wrist
             size = _CALM if is_calm and self._calm >= _CALM_BATCHES else _NEW
         count = len(self._batch)
         duration = self._batch[-1][0] - self._batch[0][0]
@@ -385,12 +385,11 @@ def _known_orders() -> tuple[list[str], Array]:
         if order is not None and (order != own).any():
             known[f"that of the layout {name}"] = order
     known["one with the wrist last"] = np.roll(own, 1)
-    # The first one is our own.
-    for fingers in list(permutations(range(len(FINGERS))))[1:]:
-        # Finger `fingers[k]` was found at the place of finger k.
-        places = own[1:].reshape(-1, 4)[np.argsort(fingers)]
-        name = "one with the fingers " + ", ".join(FINGERS[i] for i in fingers)
-        known[name] = np.concatenate([[0], places.ravel()])
+    # The first one is our own again, which is never better.
+    for fingers in permutations(FINGERS):
+        chains = own[1:].reshape(-1, 4)[[*map(fingers.index, FINGERS)]]
+        name = f"one with the fingers {', '.join(fingers)}"
+        known[name] = np.array([0, *chains.ravel()])
     return list(known), np.array(list(known.values()))
 
 

@@ -106,7 +106,8 @@ class WristCheck:
         mean, steadiness = _mean_relative(palms, rotations)
         palm = nearest_rotation(palms.sum(axis=0))
         start = self._start or (palm, mean)
-        is_steady = min(steadiness, _cosine(mean, start[1])) > _STEADY
+        kept = _cosine(mean, start[1])
+        is_steady = min(steadiness, kept) > _STEADY
         does_not_follow = "the wrist's orientation does not follow the palm"
         is_known = _cosine(CONVENTIONS, mean) > _FARTHEST
         if not (is_steady and is_known.any()):
@@ -124,7 +125,7 @@ class WristCheck:
                 "check its quaternion's order, and that its world is that of the landmarks",
             )
         self._start = start
-        turn, change = np.arccos([_cosine(palm, start[0]), _cosine(mean, start[1])])
+        turn, change = np.arccos([_cosine(palm, start[0]), kept])
         has_turned = is_known[0] and turn > _TURNED and change < _KEPT * turn
         self.is_proven = was_proven or bool(has_turned)
         return None

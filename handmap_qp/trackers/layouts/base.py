@@ -400,8 +400,10 @@ class Layout(abc.ABC):
 
     def own_shape(self, shape: tuple[int, ...]) -> tuple[int, ...] | None:
         """Return which of `shapes` a sample has that may be flat; None if it has another one."""
-        flat = {(int(np.prod(own)),): own for own in self.shapes}
-        return shape if shape in self.shapes else flat.get(shape)
+        for own in self.shapes:
+            if shape in (own, (np.prod(own),)):
+                return own
+        return None
 
     def _checked(self, values: ArrayLike) -> Array:
         """Return samples as floats in one of the shapes of this layout."""

@@ -204,7 +204,7 @@ def _named_side(header: str) -> Side | None:
 def _time_units(layout: Layout) -> dict[str, float]:
     """Return the names that a time may have, the likeliest first, with their units [s]."""
     own = layout.table.time
-    return {name: own.get(name) or _TIMES[name] for name in (*own, *_TIMES)}
+    return own | _TIMES | own
 
 
 def _time(arrays: Arrays, layout: Layout) -> Array:

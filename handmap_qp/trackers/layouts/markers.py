@@ -60,9 +60,9 @@ class MarkerLayout(Layout):
         super().__init__(table)
         names = [entry.name for entry in table.markers]
         expect(len(set(names)) == len(names), "markers", "different names", value=names)
-        links = np.array([entry.link for entry in table.markers])
-        self._on_palm = np.flatnonzero(links == "palm")
-        count = len(self._on_palm)
+        on_palm = [i for i, each in enumerate(table.markers) if each.link == "palm"]
+        self._on_palm = on_palm
+        count = len(on_palm)
         expect(count >= 3, "markers", "three markers on the palm", value=count)
         self.shapes = ((len(names), 3),)
         self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")
