@@ -58,7 +58,7 @@ def smallest_gap(time: Array, landmarks: Array) -> float:
 
     gaps = tip_gaps(landmarks)
     period = np.median(np.diff(time)) if len(time) > 1 else _MEDIAN_TIME
-    width = max(1, 2 * round(0.5 * _MEDIAN_TIME / max(period, 1e-6)) + 1)
+    width = 2 * round(0.5 * _MEDIAN_TIME / max(period, 1e-6)) + 1
     size = (min(width, len(gaps)), 1)
     smooth = median_filter(gaps, size, mode="nearest")
     return float(np.percentile(smooth.min(axis=1), _PERCENTILE))

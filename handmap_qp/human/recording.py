@@ -101,8 +101,11 @@ class Recording:
         Raises:
             InvalidInputError: If no valid sample is left, or time does not increase.
         """
-        columns = {name: getattr(self, name) for name in _COLUMNS}
-        known = {name: v[samples] for name, v in columns.items() if v is not None}
+        known = {
+            name: column[samples]
+            for name in _COLUMNS
+            if (column := getattr(self, name)) is not None
+        }
         return replace(self, **known)
 
     @property

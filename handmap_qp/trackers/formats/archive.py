@@ -67,11 +67,7 @@ class NpzFormat(RecordingFormat):
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand; samples with numbers that are not finite are not valid."""
         prefix = f"{entry.name}_" if entry.name else ""
-        needed, known = (
-            [prefix + n for n in names] for names in (("time", "landmarks"), _KNOWN)
-        )
-        arrays = _read(path, needed, known)
-        own: Values = {n.removeprefix(prefix): arrays[n] for n in arrays}
+        own: Values = _read(path, ("time", "landmarks"), _KNOWN, prefix)
         own |= {name: str(own.get(name, "")) for name in WORDS}
         return build_recording(path, entry, **own, prefix=prefix)
 
@@ -100,14 +96,15 @@ def _read(
     path: Path,
     needed: Iterable[str],
     names: Iterable[str] = (),
+    prefix: str = "",
 ) -> Arrays:
-    """Read those arrays that are needed, and those of others that the file has."""
-    arrays = read_archive(path, {*needed, *names})
+    """Read arrays that are needed, and others if the file has them, without a prefix of names."""
+    found = read_archive(path, {prefix + name for name in (*needed, *names)})
     for name in needed:
-        if name not in arrays:
-            found = ", ".join(sorted(member_names(path))) or "none"
-            raise InvalidInputError(f"has no array {name!r}; it has {found}")
-    return arrays
+        if prefix + name not in found:
+            known = ", ".join(sorted(member_names(path))) or "none"
+            raise InvalidInputError(f"has no array {prefix + name!r}; it has {known}")
+    return {name.removeprefix(prefix): array for name, array in found.items()}
 
 
 def member_names(file: Path) -> set[str]:

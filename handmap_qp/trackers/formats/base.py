@@ -260,10 +260,9 @@ def build_recording(
         points = as_floats(landmarks, "landmarks")
         if points.shape[1:] == (3 * LANDMARK_COUNT,):
             points = points.reshape(-1, LANDMARK_COUNT, 3)
-        points = as_floats(points, "landmarks", shape=("T", LANDMARK_COUNT, 3))
         seen = finite_samples(points)
         if valid is not None:
-            seen &= as_flags(valid, "valid", len(points))
+            seen &= as_flags(valid, "valid", seen.size)
         poses = _if_known(wrist, "wrist")
         if poses is not None and poses.shape[1:] == (12,):
             rows = poses.reshape(-1, 3, 4)

@@ -199,7 +199,7 @@ class RobomimicFormat(_Hdf5Format):
         with opened(path) as file:
             found: set[str] = set()
             for demo in file["data"].values():
-                found |= {name for name in demo if name != "obs"}
+                found |= set(demo) - {"obs"}
                 found |= {f"obs/{name}" for name in set(demo["obs"]) - set(COLUMNS)}
             return tuple(sorted(found))
 
