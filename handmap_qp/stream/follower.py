@@ -63,11 +63,10 @@ class _Place(NamedTuple):
     @classmethod
     def of(cls, pose: HumanPose) -> _Place:
         """Return where a sample is."""
-        has_wrist = pose.wrist is not None
-        wrist = pose.wrist if has_wrist else np.eye(4)
+        wrist = np.eye(4) if pose.wrist is None else pose.wrist
         rotation, position = wrist[:3, :3], wrist[:3, 3]
         points = np.vstack([(pose.points - position) @ rotation, position])
-        return cls(points, rotation, has_wrist)
+        return cls(points, rotation, pose.wrist is not None)
 
     def pose(self) -> HumanPose:
         """Return a sample there."""
@@ -130,7 +129,7 @@ class Rejoin(NamedTuple):
     def advance(self, pose: HumanPose, dt: float) -> tuple[HumanPose, Rejoin]:
         """Return the pose to map for that of the tracker, dt [s] later, and the state after it."""
         if self.offset is None:
-            return pose, self._replace(seen=pose)
+            return pose, self
         left = 1.0 - _minimum_jerk(self.elapsed / self.duration)
         offset = left * self.offset
         stays = self.kind == "clutch"
@@ -138,7 +137,6 @@ class Rejoin(NamedTuple):
             offset[-2:] = self.offset[-2:]
         moved = _Place.of(pose).moved(offset).pose()
         return moved, self._replace(
-            seen=moved,
             offset=self.offset if left > 0.0 or stays else None,
             elapsed=self.elapsed + dt,
         )

@@ -57,6 +57,8 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
     if len(recordings) == 1:
         return recordings[0]
     right = [each if each.side == "right" else mirrored(each) for each in recordings]
-    columns = zip(*((r.steps, r.landmarks, r.valid) for r in right), strict=True)
-    steps, landmarks, valid = map(np.concatenate, columns)
+    steps, landmarks, valid = (
+        np.concatenate([getattr(each, name) for each in right])
+        for name in ("steps", "landmarks", "valid")
+    )
     return Recording(right[0].name, np.cumsum(steps), landmarks, valid, "right")

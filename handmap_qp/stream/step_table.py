@@ -31,7 +31,8 @@ class StepTable:
         n = len(robot.joint_names)
         m = len(robot.reference_points)
         pose = (4, 4)
-        self._parts = Parts(n, pose, pose, (m, 3), (m, 3), n, (), (), (), (), (), ())
+        points = (m, 3)
+        self._parts = Parts(n, pose, pose, points, points, n, *[()] * 6)
         self.rows = np.full((count, self._parts.size), np.nan)
         held, missing = STATUS_NAMES.index("held"), RULE_NAMES.index("missing")
         self.rows[:, -6:] = held, missing, 1, np.nan, 1, 0
