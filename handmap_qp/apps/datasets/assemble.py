@@ -164,9 +164,9 @@ def _episodes(
     )
     for _, group in groupby(known, key=lambda line: line.place[0]):
         pairs = [(line, read_episode(folder, line)) for line in group]
-        sides = {line.side for line, _ in pairs}
-        first, last = pairs[0][1]["time"], pairs[-1][1]["time"]
-        is_both = len(pairs) == len(sides) == 2 and np.array_equal(first, last)
+        (one, first), (other, last) = pairs[0], pairs[-1]
+        is_both = len(pairs) == 2 and one.side != other.side
+        is_both = is_both and np.array_equal(first["time"], last["time"])
         for episode in [pairs] if is_both else [[pair] for pair in pairs]:
             yield _episode(episode, fps, hands)
 

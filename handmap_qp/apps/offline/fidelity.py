@@ -342,14 +342,13 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
     other = _palm_points(robot)
     both = np.array([_laid_on(_palm_points(human), other), other])
     # The palm's origin comes first, then the tips; the first of them is the thumb's, if any.
-    tips = [*range(1, 1 + len(human.names))]
-    pairs = [(0, tip) for tip in tips]
+    tips = both[:, :, 1 : 1 + len(human.names)]
+    vectors = [tips - both[:, :, :1]]
     if THUMB in human.names:
-        pairs += [(1, tip) for tip in tips[1:]]
-    starts, ends = np.transpose(pairs)
-    a, b = both[:, :, ends] - both[:, :, starts]
+        vectors.append(tips[:, :, 1:] - tips[:, :, :1])
+    a, b = np.concatenate(vectors, axis=2)
     cosine = _cosines(a, b)
-    steps = np.diff(both[:, :, tips], axis=1)
+    steps = np.diff(tips, axis=1)
     bends = np.diff(steps[1], axis=0)
     return {
         "key_cosine": cosine.mean(),
@@ -401,7 +400,7 @@ def _object_motion(hand: HandTrace) -> tuple[Array, Array, Array]:
 def _palm_points(hand: HandTrace) -> Array:
     """Palm origin, tips and knuckles in the palm frame [m], shape (T, 1 + 2 k, 3)."""
     local = hand.local[:, :, [TIP, KNUCKLE]].swapaxes(1, 2)
-    return np.pad(local.reshape(len(local), -1, 3), ((0, 0), (1, 0), (0, 0)))
+    return np.insert(local.reshape(len(local), -1, 3), 0, 0.0, axis=1)
 
 
 def _laid_on(points: Array, onto: Array) -> Array:
