@@ -24,6 +24,7 @@ from handmap_qp.human import (
     Finding,
     Recording,
     check_side,
+    recording_samples,
 )
 from handmap_qp.ik import Compiled, in_core
 from handmap_qp.se3 import Array, lengths
@@ -167,18 +168,17 @@ class InputCheck(Compiled):
     @in_core
     def examine(self, recording: Recording) -> Finding | None:
         """Take a whole recording; see `examine_recording`."""
-        indices = np.flatnonzero(recording.valid)
-        times = recording.time.tolist()
-        wrists = [None] * len(times) if recording.wrist is None else recording.wrist
+        samples = recording_samples(recording, recording.wrist)
+        seen = [sample for sample in samples if sample.valid]
         found = 0
-        for i in indices.tolist():
-            finding = self.update(times[i], recording.landmarks[i], wrists[i])
+        for sample in seen:
+            finding = self.update(sample.time, sample.landmarks, sample.wrist)
             if finding is not None:
                 found += 1
-                if finding.kind == "time" or found >= _REFUSED_SHARE * len(indices):
+                if finding.kind == "time" or found >= _REFUSED_SHARE * len(seen):
                     return finding
         last = self.finish()
-        return last if times[indices[-1]] - times[indices[0]] <= _SHORT else None
+        return last if seen[-1].time - seen[0].time <= _SHORT else None
 
     def _judge(self) -> None:
         """Examine the collected samples, and change the finding if two batches agree."""

@@ -462,7 +462,7 @@ BROKEN: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "hdf5 shape": (
         "robomimic",
         lambda p: edit_h5(p, "data/demo_0/obs/time", np.zeros(3)),
-        "data/demo_0/obs/time: expected numbers of shape (6), got float64 of shape (3,)",
+        "data/demo_0/obs/time: expected numbers of shape (6,), got float64 of shape (3,)",
     ),
     "hdf5 words": (
         "robomimic",

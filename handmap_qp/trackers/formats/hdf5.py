@@ -94,9 +94,8 @@ def numbers(
     if item is None:
         problem = f"is missing; there are {first_of(sorted(group), 6) or 'none'}"
     elif size[: len(shape)] != shape or item.dtype.kind not in "biuf":
-        sizes = ", ".join(map(str, shape))
         got = f"{item.dtype} of shape {size}"
-        problem = f"expected numbers of shape ({sizes}), got {got}"
+        problem = f"expected numbers of shape {shape}, got {got}"
     elif item.dtype.itemsize * math.prod(size) > LARGEST_ARCHIVE:
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
     if problem:

@@ -88,17 +88,19 @@ class LeRobotFormat(RecordingFormat):
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as an episode."""
         expect(recordings, "recordings", "at least one", got="none")
-        fields = {f"observation.{name}": name for name in known_columns(*recordings)}
+        fields = known_columns(*recordings)
         features = {
-            feature: Feature("bool" if field == "valid" else "float64", COLUMNS[field])
-            for feature, field in fields.items()
+            f"observation.{field}": Feature(
+                "bool" if field == "valid" else "float64", COLUMNS[field]
+            )
+            for field in fields
         }
         steps = np.concatenate([recording.steps for recording in recordings])
         fps = max(1, round(1.0 / np.median(steps)))
         kind = "human_hand"
         with writing_set(path, fps=fps, features=features, robot_type=kind) as writer:
             for own in recordings:
-                columns = {name: column(own, field) for name, field in fields.items()}
+                columns = {f"observation.{name}": column(own, name) for name in fields}
                 about = {key: getattr(own, key) for key in ("name", "side", *WORDS)}
                 writer.add(columns, f"{own.side} human hand", about)
 

@@ -75,7 +75,7 @@ class AngleLayout(Layout):
             )
             expect(entry.scale != 0.0, f"{entry.joint}.scale", "not 0", value=0.0)
         expect(table.unit in ("deg", "rad"), "unit", "deg or rad", value=table.unit)
-        self._joints = np.array([HUMAN_JOINTS.index(joint) for joint in joints])
+        self._joints = [*map(HUMAN_JOINTS.index, joints)]
         self._scales = np.array([entry.scale for entry in table.angles])
         self._offsets = np.array([entry.offset for entry in table.angles])
         self.shapes = ((len(joints),),)

@@ -152,9 +152,9 @@ def _values_name(
         chosen = list(filter(is_better, chosen)) or chosen
     if len(chosen) == 1:
         return chosen[0]
-    shapes = [", ".join(map(str, (count, *shape))) for shape in layout.shapes]
+    shapes = " or ".join(str((count, *shape)) for shape in layout.shapes)
     how = "more than one" if chosen else "no"
-    problem = f"has {how} array of shape ({') or ('.join(shapes)})"
+    problem = f"has {how} array of shape {shapes}"
     have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
     listing = f"it has {', '.join(have)}"
     hint = "" if chosen else _shaped_like(arrays)
