@@ -144,8 +144,7 @@ class RateCheck:
         None if no two half seconds in a row differ from 1 by more than 30 %.
         """
         elapsed = arrival - self._start
-        # NaN: at the first sample, a half second begins; before there is a former one, no drift is
-        # known.
+        # NaN: at the first sample, a half second begins; without a former one, drift is not known.
         if not elapsed < _RATE_WINDOW:
             drift = (self._lead - self._former) / elapsed
             both = self._drift, drift

@@ -250,8 +250,8 @@ class Tally:
     @property
     def is_complete(self) -> bool:
         """Whether all jobs have ended; False if the run was interrupted."""
-        ended = [line for line in self.lines if line.status != "killed"]
-        return len(ended) == len(self.plan.jobs)
+        ended = sum(line.status != "killed" for line in self.lines)
+        return ended == len(self.plan.jobs)
 
     @property
     def useful_cpu(self) -> float:
@@ -397,11 +397,7 @@ def _warn(names: Sequence[object], what: str, problem: str) -> None:
 
 
 def _shard(text: str | None) -> Shard:
-    """Read `I/N`.
-
-    Raises:
-        InvalidInputError: If it is not of this form, with 1 <= I <= N.
-    """
+    """Read `I/N`, and reject what is not of this form, with 1 <= I <= N."""
     if text is None:
         return WHOLE
     found = re.fullmatch(r"(\d{1,7})/(\d{1,7})", text)

@@ -155,10 +155,7 @@ def rank_poses(recording: Recording) -> Ranked:
 
 
 def _held(scores: Array, time: Array) -> Array:
-    """Lower each score to the least of the `HOLD` before it; 0 where the sample has none.
-
-    A pose that was not held throughout counts half.
-    """
+    """Lower scores > 0 to the least one of the `HOLD` before them; a pose not held counts half."""
     held = scores.copy()
     first = np.searchsorted(time, time - HOLD)
     for i in np.flatnonzero(scores):

@@ -104,10 +104,7 @@ class GapMeter:
         starts: list[int],
         most: float,
     ) -> Array:
-        """Measure the smallest distance, at most `most`, in each of g groups of pairs [m], (T, g).
-
-        A group begins at its pair in `starts`, and ends before the next one.
-        """
+        """Measure the least distances, at most `most`, of g groups from `starts` on [m], (T, g)."""
         hand = self._hand
         if (tree := core_tree(hand)) is not None:
             pairs = pair_bounds(hand.model, geometry)

@@ -166,11 +166,7 @@ def save_npz(path: Path, arrays: Arrays) -> None:
 def _opened(
     file: Path,
 ) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
-    """Open an archive, and turn every error inside the block into `RecordingError`.
-
-    Yields:
-        The archive, and its members by the names of their arrays.
-    """
+    """Yield an archive, and its members by the names of arrays; errors become `RecordingError`."""
     # Opened here, because zipfile leaves a damaged file open.
     with (
         reading(file, "is not an .npz file of plain arrays"),
