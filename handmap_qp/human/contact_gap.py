@@ -133,7 +133,7 @@ class ContactGapMeter:
         if not self._is_due or smallest < OPEN_GAP or len(self._touches) < _TOUCHES[0]:
             return False
         self._is_due = False
-        wanted = clipped_gap(float(np.percentile(self._touches, _LOW)))
+        wanted = clipped_gap(np.percentile(self._touches, _LOW))
         change = min(max(wanted - self.gap, -_STEP), _STEP)
         self.gap += change
         return change != 0.0

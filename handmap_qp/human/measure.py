@@ -53,7 +53,7 @@ def check_length(landmarks: Array) -> Array:
         bones = lengths(np.diff(finger_chains(landmarks), axis=2))
         segments = np.median(bones, axis=0)
         palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
-    expect_hand_length(float(palm + segments[2].sum()), "landmarks")
+    expect_hand_length(palm + segments[2].sum(), "landmarks")
     return segments
 
 

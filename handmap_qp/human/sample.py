@@ -95,7 +95,7 @@ class HumanSample:
             self.landmarks,
             "landmarks",
             shape=(LANDMARK_COUNT, 3),
-            is_finite=bool(self.valid),
+            is_finite=self.valid,
         )
         object.__setattr__(self, "landmarks", frozen(landmarks.copy()))
         if self.wrist is not None:
@@ -152,7 +152,7 @@ class PalmShape:
             True or False for every sample, shape (...); False for NaN.
         """
         ratios = self.ratios(landmarks)
-        return np.asarray((ratios >= _PALM_RATIOS[0]) & (ratios <= _PALM_RATIOS[1]))
+        return (ratios >= _PALM_RATIOS[0]) & (ratios <= _PALM_RATIOS[1])
 
     def check(self, landmarks: Array) -> None:
         """Reject landmarks of a hand that is much larger or smaller.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from copy import deepcopy
-from time import perf_counter, thread_time_ns
+from time import perf_counter, thread_time
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -371,11 +371,11 @@ class Follower:
             # The verdict about a sample that the core has judged, and leaves to the return here.
             i, verdict = self._run(samples, i, table)
             if i < count:
-                started = thread_time_ns()
+                started = thread_time()
                 sample = samples.sample(i)
                 verdict = verdict or self._guard.check(sample)
                 step = self._judged(sample, verdict, None)
-                table.write(i, step, 1e-9 * (thread_time_ns() - started))
+                table.write(i, step, thread_time() - started)
                 i += 1
             if progress is not None:
                 progress(i)

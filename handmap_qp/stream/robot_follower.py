@@ -92,7 +92,7 @@ def paired(recordings: Mapping[Side, Recording]) -> Iterator[dict[Side, HumanSam
     before = dict.fromkeys(columns, -1)
     for time in leading.time:
         newest = {
-            side: int(np.searchsorted(each.time, time, "right")) - 1
+            side: np.searchsorted(each.time, time, "right") - 1
             for side, each in columns.items()
         }
         yield {s: columns[s].sample(k) for s, k in newest.items() if k > before[s]}

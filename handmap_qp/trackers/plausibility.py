@@ -218,7 +218,8 @@ class InputCheck(Compiled):
         )
         if finding is not None:
             return finding
-        self._misfit = self._misfit if is_known else own
+        if not is_known:
+            self._misfit = own
         self._has_curled |= fingers >= -_BACKWARDS
         finding = self._stuck(landmarks) or self._resized(log_size(distances))
         if finding is not None or wrists is None:

@@ -178,7 +178,7 @@ def _episode(
     by_side = {line.side: columns for line, columns in pairs}
     (line, columns), *_ = pairs
     time = columns["time"]
-    count = int(np.floor((time[-1] - time[0]) * fps + 1e-6)) + 1
+    count = int((time[-1] - time[0]) * fps + 1e-6) + 1
     instants = np.minimum(time[0] + np.arange(count) / fps, time[-1])
     states = []
     valid = []

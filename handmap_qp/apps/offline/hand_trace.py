@@ -115,7 +115,7 @@ def trace_human(
     points = landmarks[:, np.column_stack([FIRST_JOINTS, MIDDLES, TIPS])]
     reach = lengths.segments.sum(axis=1)
     size = norms(lengths.bases[1:].mean(axis=0)) + reach[1:].mean()
-    return HandTrace(tuple(FINGERS), points, reach, palm, size)
+    return HandTrace(FINGERS, points, reach, palm, size)
 
 
 def trace_robot(

@@ -80,10 +80,10 @@ def find_holds(trajectory: Trajectory) -> list[Values]:
     time = trajectory.time - trajectory.time[0]
     return [
         {
-            "rule": str(trajectory.rule[hold.start]),
+            "rule": trajectory.rule[hold.start],
             "start": time[hold.start],
             "duration": time[min(hold.stop, len(time) - 1)] - time[hold.start],
-            "samples": int(hold.stop - hold.start),
+            "samples": hold.stop - hold.start,
         }
         for hold in stretches(~trajectory.valid)
     ]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
-from time import thread_time_ns
+from time import thread_time
 
 import numpy as np
 
@@ -173,9 +173,9 @@ def trajectory_of(
     """
     table = StepTable(robot, len(time))
     for i in range(len(time)):
-        started = thread_time_ns()
+        started = thread_time()
         if (step := next(mapped)) is not None:
-            table.write(i, step, 1e-9 * (thread_time_ns() - started))
+            table.write(i, step, thread_time() - started)
         if progress is not None:
             progress(i + 1)
     return _trajectory(robot, time, table)

@@ -342,13 +342,14 @@ def joined_stats(one: Stats | None, other: Stats) -> Stats:
         return one
     count = one["count"] + other["count"]
     share = other["count"] / count
-    mixed = {name: (1.0 - share) * one[name] + share * other[name] for name in one}
+    rest = 1.0 - share
+    mixed = {name: rest * one[name] + share * other[name] for name in one}
     shift = other["mean"] - one["mean"]
-    square = (1.0 - share) * one["std"] ** 2 + share * other["std"] ** 2
+    square = rest * one["std"] ** 2 + share * other["std"] ** 2
     return {
         **mixed,
         "min": np.minimum(one["min"], other["min"]),
         "max": np.maximum(one["max"], other["max"]),
-        "std": np.sqrt(square + share * (1.0 - share) * shift**2),
+        "std": np.sqrt(square + share * rest * shift**2),
         "count": count,
     }

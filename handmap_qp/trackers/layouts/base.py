@@ -158,16 +158,17 @@ class Layout(abc.ABC):
         world: Takes points of the tracker's world to ours [m], shape (4, 4).
     """
 
+    shapes: tuple[tuple[int, ...], ...] = ()
+    columns: Names = ()
+    has_wrist = False
+
     def __init__(self, table: LayoutTable) -> None:
         self.table = table
         self.name = table.name
         self.title = table.title
         self.wrist_table: WristTable | None = getattr(table, "wrist", None)
-        self.shapes: tuple[tuple[int, ...], ...] = ()
-        self.columns: Names = ()
         self.aliases: dict[str, Names] = {}
         self.defaults: dict[str, float] = {}
-        self.has_wrist = False
         length = 1.0 if table.unit in ("deg", "rad") else UNITS[table.unit]
         scales = [-length if axis == table.mirror else length for axis in "xyz"]
         self.world = np.diag([*scales, 1.0])
