@@ -187,8 +187,7 @@ class InputCheck(Compiled):
         self._batches += 1
         has_wrists = all(pose is not None for pose in poses)
         landmarks = np.array(points)
-        # Trackers send the same point 21 times where they lost the hand: that is no mistake of
-        # units or order, and has rules of its own.
+        # Where trackers lost the hand, they send one point 21 times: that has rules of its own.
         is_hand = lengths(landmarks[:, 9] - landmarks[:, 0]) > 1e-9
         guess = _find_time_unit(np.array(self._last_time + times))
         self._last_time = times[-1:]

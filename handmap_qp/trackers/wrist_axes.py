@@ -132,12 +132,9 @@ class WristCheck:
 
 
 def _mean_relative(palms: Array, rotations: Array) -> tuple[Array, Array]:
-    """Return the mean rotation from wrist to palm, and how steady it is.
-
-    Steady means that the means of both halves of the samples agree: the cosine of the angle between
-    them. Noise of the landmarks cancels in the means.
-    """
+    """Return the mean rotation from wrist to palm, and the cosine between those of both halves."""
     relative = palms.mT @ rotations
+    # Noise of the landmarks cancels in the means.
     half = len(palms) // 2
     # Both halves of a single sample are that sample.
     parts = relative, relative[: half or 1], relative[half:]

@@ -266,14 +266,7 @@ class LeRobotWriter:
         return file
 
     def finish(self, robot_type: str) -> None:
-        """Write what describes all episodes.
-
-        Args:
-            robot_type: Name of the robot or hand.
-
-        Raises:
-            OSError: If the disk is full.
-        """
+        """Write what describes all episodes of a robot or hand; `OSError` if the disk is full."""
         self._write_episodes()
         # With the index that pandas, and so LeRobot, reads the tasks by.
         about = json.loads(_TASKS.read_bytes())

@@ -212,9 +212,7 @@ def _posed_joints(
 def _load_model(side: str, given: Path | None) -> Arrays:
     """Load the arrays of `_MODEL` of the user's file, or folder; by `HANDMAP_MANO` if omitted.
 
-    Raises:
-        RecordingError: If there is none, it cannot be read, or an array has another shape. A pickle
-            is read without running code in it: it may hold arrays only.
+    A pickle is read without running code in it: it may hold arrays only.
     """
     name = f"MANO_{side.upper()}.pkl"
     found = given or os.environ.get(ENVIRONMENT)
