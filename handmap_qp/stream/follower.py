@@ -213,8 +213,9 @@ class Smoother(Compiled):
         is_first = former is None or former.has_wrist != seen.has_wrist
         if is_first or dt > _LONGEST_GAP:
             still = np.zeros((len(seen.points) + 1, 3))
-            moves = still[2:], still, still[:, 0], (seen,) * 3
-            self._state = SmoothState(before.noise, 0.0, seen, 0.0, *moves)
+            self._state = SmoothState(
+                before.noise, 0.0, seen, 0.0, still[2:], still, still[:, 0], (seen,) * 3
+            )
         elif all(map(np.array_equal, seen, former)):
             self._state = before._replace(waited=dt)
         else:

@@ -283,7 +283,7 @@ class LeRobotWriter:
             "chunks_size": CHUNK_FILES,
             "data_files_size_in_mb": DATA_FILE_SIZE // 2**20,
             "video_files_size_in_mb": 500,
-            "fps": int(self._fps) if float(self._fps).is_integer() else self._fps,
+            "fps": self._fps if self._fps % 1.0 else int(self._fps),
             "splits": {"train": f"0:{self._episode_count}"},
             "data_path": _DATA_PATH,
             "video_path": None,
