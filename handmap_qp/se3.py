@@ -79,6 +79,11 @@ def lengths(vectors: Array) -> Array:
     return np.linalg.norm(vectors, axis=-1)
 
 
+def box_of(points: Array) -> Array:
+    """Return the lowest and the highest corner of the box around points (n, d), shape (2, d)."""
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
 def unit(vectors: Array) -> Array:
     """Return vectors of length 1 along others of shape (..., 3); those below 1 nm go to zero."""
     return vectors / np.maximum(lengths(vectors)[..., None], 1e-9)

@@ -31,7 +31,6 @@ from handmap_qp.se3 import (
     Array,
     as_floats,
     inverse_pose,
-    lengths,
     rigid_fit,
     transform_points,
 )
@@ -314,11 +313,7 @@ def _human_triangles(landmarks: Array) -> Triangles:
         bones += [((i, i + 1), _BONE, colour) for i in range(tip - 3, tip)]
         parts.append(spheres(points[tip - 2 : tip], _JOINT, colour))
         parts.append(spheres(points[tip], _TIP, colour))
-    for pair, radius, colour in bones:
-        ends = points[[*pair]]
-        # Landmarks that coincide have no bone between them.
-        if lengths(np.subtract(*ends)) > 1e-5:
-            parts.append(tube(ends, radius, colour))
+    parts += [tube(points[[*pair]], radius, colour) for pair, radius, colour in bones]
     return merged(parts)
 
 

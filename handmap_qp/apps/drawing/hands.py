@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, require
 from handmap_qp.hands import Hand, carrier_of
-from handmap_qp.se3 import Array, affine, unit
+from handmap_qp.se3 import Array, affine, lengths, unit
 from .raster import Camera, Colour, Triangles, merged, render
 from .shapes import read_shapes
 
@@ -42,6 +42,8 @@ AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 # Height of a title above panels [pixel].
 _TITLE = 48
 _TUBE_SIDES = 10
+# Ends of a tube that are nearer coincide [m].
+_SHORTEST = 1e-5
 # Most triangles kept per mesh file.
 _MAX_MESH_TRIANGLES = 4000
 # Most cells of a grid in which they are merged, along the longest side of a mesh.
@@ -145,22 +147,24 @@ def spheres(centres: ArrayLike, radius: float, colour: Colour) -> Triangles:
     """
     ball = require("trimesh", "plot").creation.icosphere()
     corners = np.asarray(ball.vertices)[ball.faces]
-    places = np.asarray(centres, dtype=float).reshape(-1, 1, 1, 3)
+    places = np.reshape(centres, (-1, 1, 1, 3))
     vertices = (places + radius * corners).reshape(-1, 3, 3)
     return Triangles.painted(vertices, np.tile(corners, (len(places), 1, 1)), colour)
 
 
 def tube(ends: ArrayLike, radius: float, colour: Colour) -> Triangles:
-    """Return a thin straight tube.
+    """Return a thin straight tube; nothing if its ends coincide.
 
     Args:
-        ends: Both ends, which must not coincide [m], shape (2, 3).
+        ends: Both ends [m], shape (2, 3).
         radius: Radius [m].
         colour: Red, green and blue in 0..1.
 
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
+    if lengths(np.ptp(ends, axis=0)) < _SHORTEST:
+        return merged([])
     cylinder = require("trimesh", "plot").creation.cylinder
     return solid(cylinder(radius, segment=ends, sections=_TUBE_SIDES), colour)
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.se3 import Array, affine, lengths, transform_points, unit
+from handmap_qp.se3 import Array, affine, box_of, lengths, transform_points, unit
 
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
@@ -108,7 +108,7 @@ class Camera(NamedTuple):
         Returns:
             The camera.
         """
-        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        middle = box_of(points).mean(axis=0)
         radius = max(lengths(points - middle).max(), 1e-6)
         turn = Rotation.from_euler("ZY", (azimuth, -elevation), degrees=True)
         backward, right, up = turn.as_matrix().T
@@ -117,8 +117,7 @@ class Camera(NamedTuple):
         world_to_camera = affine(rotation, -rotation @ place)
         seen = transform_points(world_to_camera, points)
         tangents = seen[:, :2] / seen[:, 2:]
-        low = tangents.min(axis=0)
-        high = tangents.max(axis=0)
+        low, high = box_of(tangents)
         room = np.array(size) - 2.0 * margin * min(size)
         focal_length = (room / np.maximum(high - low, 1e-9)).min()
         x, y = (0.5 * (size - focal_length * (low + high))).tolist()
@@ -164,7 +163,8 @@ class _Surface(NamedTuple):
     depth: Array
 
 
-_NOTHING = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+_NO_CORNERS = np.zeros((0, 3, 3))
+_NOTHING = Triangles.painted(_NO_CORNERS, _NO_CORNERS, (0.0, 0.0, 0.0))
 
 
 def merged(parts: list[Triangles]) -> Triangles:

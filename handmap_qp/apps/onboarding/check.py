@@ -28,7 +28,7 @@ from handmap_qp.hands import (
     urdf_path,
     zero_posture,
 )
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import box_of, lengths
 from handmap_qp.trackers import first_of
 from .anatomy import FINGERS, Clue, angle_between
 from .collision_pairs import colliding_links
@@ -228,7 +228,7 @@ def _check_places(hand: Hand) -> Found:
         body, place = place_of(robot, point)
         if not len(cloud := robot.surface(body)):
             continue
-        distance = lengths(place - place.clip(cloud.min(axis=0), cloud.max(axis=0)))
+        distance = lengths(place - place.clip(*box_of(cloud)))
         if distance > _OFF_THE_LINK:
             what = f"lies {1e3 * distance:.0f} mm outside the shape of {point.link}"
             change = "check its xyz, in metres in that link's frame"
@@ -266,7 +266,7 @@ def _check_order(hand: Hand) -> Found:
     """Compare the row of the knuckles with the side: thumb and index are at the radial edge."""
     chains = find_fingers(hand)
     row = [chains[finger].knuckle for finger in FINGERS if finger in chains]
-    places = PalmKinematics(hand).points(zero_posture(hand), row).reshape(-1, 3)
+    places = PalmKinematics(hand).points(zero_posture(hand), row)
     is_back = np.diff(places[:, 0]) * (-1.0 if hand.side == "right" else 1.0) > _NARROW
     if len(is_back) and is_back.all():
         what = (
@@ -304,8 +304,8 @@ def _compare_axes(hand: Hand, found: HandSpec, clues: dict[str, Clue]) -> Found:
     for name in ("distal", "dorsal"):
         clue = clues[name]
         # The detected direction in the frame of the described palm link.
-        other = own.T @ theirs @ np.array(getattr(found.palm, name))
-        angle = angle_between(np.array(getattr(hand.spec.palm, name)), other)
+        other = own.T @ theirs @ getattr(found.palm, name)
+        angle = angle_between(getattr(hand.spec.palm, name), other)
         if clue.confidence > _WORTH and angle > _ANGLES[clue.certainty]:
             what = f"is {angle:.0f} degrees from the detected one: {clue.how}"
             better = ", ".join(f"{value:.3f}" for value in other)

@@ -240,5 +240,4 @@ class _Scene:
         sticks += [((tip[0], origin), tip) for tip in tips]
         places = [*chain.from_iterable(sticks)]
         ends = PalmKinematics(hand).points(hand.rest, places).reshape(-1, 2, 3)
-        ends = ends[lengths(ends[:, 1] - ends[:, 0]) > 1e-4]
         return merged([tube(pair, 0.015 * self.size, GREY) for pair in ends])

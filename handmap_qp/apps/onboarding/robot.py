@@ -242,11 +242,11 @@ class Robot(Hand):
             if what:
                 self._remark(name, what)
             speed = None
-            if math.isnan(one.speed):
+            if not one.speed:
                 usual = [
                     other.speed
                     for other in given.values()
-                    if other.kind == one.kind and other.speed > 0.0
+                    if other.kind == one.kind and other.speed
                 ]
                 speed = np.median(usual or _ASSUMED_SPEED[one.kind])
                 self._remark(
@@ -258,7 +258,7 @@ class Robot(Hand):
 
 
 class _Limits(NamedTuple):
-    """The type of a joint, its limits and its speed; NaN where it has none."""
+    """The type of a joint, its limits, NaN without any, and its speed, 0 without one."""
 
     kind: str
     lower: float
@@ -275,7 +275,7 @@ def _limits(joint: Element) -> _Limits:
     )
     if kind == "continuous" or not {"lower", "upper"} & given.keys():
         lower = upper = math.nan
-    return _Limits(kind, lower, upper, speed if 0.0 < speed < math.inf else math.nan)
+    return _Limits(kind, lower, upper, speed if 0.0 < speed < math.inf else 0.0)
 
 
 def _assumed_range(

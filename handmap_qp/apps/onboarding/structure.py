@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands import Finger, ends_of, origin_of
-from handmap_qp.se3 import Array, lengths, transform_points, unit
+from handmap_qp.se3 import Array, box_of, lengths, transform_points, unit
 from .anatomy import Clue
 from .robot import Robot
 
@@ -48,7 +48,7 @@ class RobotFinger(Finger):
         joint_names: Movable joints from the palm outwards.
         drivers: The active joints that move them, each itself or its mimic leader.
         links: First link of the body on each joint.
-        carriers: Links from the root to the one that carries the finger.
+        carriers: Links from the one that carries the finger to the root.
         length: Length from its first joint to its tip at zero [m].
     """
 
@@ -65,10 +65,9 @@ class RobotFinger(Finger):
         link = robot.parents[self.links[0]]
         self.carriers = [link]
         while link := robot.parents.get(link):
-            self.carriers.insert(0, link)
-        origins = robot.link_poses(self.links, robot.rest)[:, :3, 3]
-        steps = np.vstack([np.diff(origins, axis=0), self.tip[1]])
-        self.length = lengths(steps).sum()
+            self.carriers.append(link)
+        steps = [robot.model.jointPlacements[joint].translation for joint in joints[1:]]
+        self.length = lengths(np.vstack([*steps, self.tip[1]])).sum()
 
 
 class Structure(NamedTuple):
@@ -204,10 +203,8 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
 
 def _palm_link(fingers: list[RobotFinger]) -> str:
     """Return the outermost link of a body from which all its fingers branch."""
-    ways = [finger.carriers for finger in fingers]
-    # All begin with the root, and part once.
-    shared = set.intersection(*map(set, ways))
-    return ways[0][len(shared) - 1]
+    first, *others = [finger.carriers for finger in fingers]
+    return next(link for link in first if all(link in way for way in others))
 
 
 def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
@@ -240,7 +237,7 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
         for _ in range(2):
             along = cloud @ middle
             outermost = cloud[along > 0.85 * along.max()]
-            middle = 0.5 * (outermost.min(axis=0) + outermost.max(axis=0))
+            middle = box_of(outermost).mean(axis=0)
         middle *= (cloud @ middle).max() / (middle @ middle)
         how = f"the far end of the surface of {link}, {1e3 * size:.0f} mm from the last joint"
         return Clue("tip", link, how, 0.8), middle
@@ -330,10 +327,12 @@ def _is_hinged(bar: RobotFinger, poses: Array) -> bool:
     turned = np.linalg.norm(rotations - rotations[0], axis=(1, 2))
     if turned.max() < _LEAST_PIVOT:
         return _travel(bar, poses) < _LINKAGE_SLACK
-    turns, shifts = np.split(poses[:, :3] - poses[:, :3].mean(axis=0), [3], axis=2)
+    changes = poses - poses.mean(axis=0)
+    turns = changes[:, :3, :3]
+    shifts = changes[:, :3, 3]
     # All points on the pivot's axis fit: the shortest solution is the one nearest to the origin.
     pivot = np.linalg.lstsq(turns.reshape(-1, 3), -shifts.ravel(), rcond=1e-6)[0]
-    residuals = lengths(turns @ pivot + shifts[..., 0])
+    residuals = lengths(turns @ pivot + shifts)
     axis = pin.log3(rotations[0].T @ rotations[-1])
     off_axis = lengths(np.cross(unit(axis), pivot))
     length = lengths(bar.tip[1])

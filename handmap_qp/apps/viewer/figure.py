@@ -24,6 +24,7 @@ from handmap_qp.mapping import polar
 from handmap_qp.se3 import (
     Array,
     Arrays,
+    box_of,
     inverse_pose,
     mirror_sign,
     quat_wxyz_from_rotation,
@@ -171,10 +172,11 @@ class Figure:
         parts = (sample.parts[self.part] for sample in samples)
         found = [room for part in parts if (room := self._room(part)) is not None]
         if found:
-            (travel, _), (low, high) = np.moveaxis(np.array(found), 0, 2)
-            self.room[0] = _box_of(travel)
-            low = np.percentile(low, _RARE, axis=0)
-            self.room[1] = low, np.percentile(high, 100.0 - _RARE, axis=0)
+            rooms = np.array(found)
+            self.room[0] = box_of(rooms[:, 0, 0])
+            low, high = rooms[:, 1].swapaxes(0, 1)
+            self.room[1, 0] = np.percentile(low, _RARE, axis=0)
+            self.room[1, 1] = np.percentile(high, 100.0 - _RARE, axis=0)
 
     def include(self, sample: ViewSample) -> None:
         """Make room for one more instant, with a margin where the room has to grow."""
@@ -189,7 +191,7 @@ class Figure:
         centre, corners = place
         middle = self.axes @ centre
         about = (corners - centre) @ self.axes.T
-        return np.array([[middle, middle], _box_of(about)])
+        return np.array([[middle, middle], box_of(about)])
 
     def place(self, middle: Array, low: float) -> None:
         """Move the figure's world so that a point of it is at the anchor.
@@ -296,12 +298,12 @@ class HandFigure(Figure):
             for i, mesh in enumerate(meshes):
                 server.scene.add_mesh_trimesh(f"{path}/{i}", mesh)
             if self._is_in_view(link):
-                box = _box_of(np.vstack([mesh.bounds for mesh in meshes]))
+                box = box_of(np.vstack([mesh.bounds for mesh in meshes]))
                 padded = box + _OUTWARDS * _PADDING
                 self._corners[link] = padded[_UNIT_BOX, range(3)]
         wrist = np.eye(4) if hand.parts else hand.frame_pose("wrist", hand.rest)
         corners = transform_points(inverse_pose(wrist), self._boxes(hand.rest, wrist))
-        box = _box_of(corners)
+        box = box_of(corners)
         self._focus = box.mean(axis=0)
         if hand.parts:
             box = hand.hands[0].points(hand.rest)
@@ -534,11 +536,6 @@ def _place(node: Any, pose: Array) -> None:
     """Move a node of the scene to a pose (4, 4)."""
     node.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
     node.position = pose[:3, 3]
-
-
-def _box_of(points: Array) -> Array:
-    """Return the lowest and the highest corner of the box around points, shape (2, 3)."""
-    return np.array([points.min(axis=0), points.max(axis=0)])
 
 
 def known(points: Array | None) -> Array | None:
