@@ -94,6 +94,7 @@ def _plain(value: Any) -> Any:
 _ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
 _OPTIONS = ("options", *messages.former_names(messages.Open), "ik")
+_KEPT = (*PROTECTING, *SETUP)
 _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
 
@@ -391,9 +392,9 @@ def _note_changes(wanted: Request, request: Request) -> None:
     """Note changes of options in the request that opens the session again."""
     if "preset" in request:
         # A preset replaces all options but those that protect the robot, and of the setup.
-        kept = {name: wanted.pop(name, {}) for name in _OPTIONS}
-        for of, names in (("ik", PROTECTING), ("options", SETUP)):
-            wanted[of] = {name: kept[of][name] for name in names if name in kept[of]}
+        for of in wanted.keys() & _OPTIONS:
+            given = wanted[of]
+            wanted[of] = {name: given[name] for name in _KEPT if name in given}
     for name in messages.Configure.__annotations__.keys() & request.keys():
         value = request[name]
         wanted[name] = wanted.get(name, {}) | value if name in _OPTIONS else value

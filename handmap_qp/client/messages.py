@@ -94,10 +94,8 @@ class Pose(Struct, frozen=True, forbid_unknown_fields=True):
             (h - f, c - g, d - b, 1.0 + a + e + i),
         )
         row = max(rows, key=lambda row: math.hypot(*row))
-        norm = math.hypot(*row)
-        return cls(
-            (x, y, z), (row[0] / norm, row[1] / norm, row[2] / norm, row[3] / norm)
-        )
+        quat = np.array(row) / math.hypot(*row)
+        return cls((x, y, z), tuple(quat.tolist()))
 
     @classmethod
     def of(cls, pose: "Pose | npt.ArrayLike", name: str = "pose") -> "Pose":

@@ -57,10 +57,10 @@ def position_in_camera(
         The hand's origin in camera axes [m], shape (3,).
     """
     u = (places - centre) / focal_length
-    unity = np.tile(np.eye(2), (len(u), 1, 1))
-    rows = np.concatenate([unity, -u[..., None]], axis=2)
+    unity = np.tile(np.eye(2), (len(u), 1))
+    rows = np.column_stack([unity, -u.ravel()])
     sides = u * shape[:, 2:] - shape[:, :2]
-    return np.linalg.lstsq(rows.reshape(-1, 3), sides.ravel(), rcond=None)[0]
+    return np.linalg.lstsq(rows, sides.ravel(), rcond=None)[0]
 
 
 class HandTracker:

@@ -120,7 +120,8 @@ class Server:
         self._is_draining = False
         self._parts: list[zmq.Frame] = []
         self._cost = 0
-        self._lags, self._loads = (deque([0.0], _TICKS) for _ in range(2))
+        self._lags = deque([0.0], _TICKS)
+        self._loads = deque([0.0], _TICKS)
         self.metrics.gauges["lag_seconds"] = lambda: max(self._lags)
         self.metrics.gauges["busy_seconds"] = lambda: max(self._loads)
 

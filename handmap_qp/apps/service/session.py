@@ -507,7 +507,7 @@ class Session:
             wrist = to_matrix(sample.wrist)
             if sample.points is not None:
                 return mapper.map_points(sample.points, wrist, dt=self._dt)
-            return mapper.map_step(np.array(sample.q), wrist, dt=self._dt)
+            return mapper.map_step(sample.q, wrist, dt=self._dt)
         arrival = now if self.request.time_from == "server" else None
         follower: Any = self._hands.follower
         if self.robot.parts:
@@ -608,11 +608,7 @@ class Session:
         return ["slewing"]
 
     def _reset_mapper(self, q: Array | None = None) -> None:
-        """Reset the mapper to the robot's posture; the next sample is the reference.
-
-        Args:
-            q: Joint angles [rad], shape (n,); those of the robot if omitted.
-        """
+        """Reset the mapper to the robot, or to q (n,); the next sample is the reference."""
         mapper = self._hands.mapper
         robot = self.robot
         if q is None and self._commanded.is_placed:

@@ -351,7 +351,9 @@ class Gauges:
     ) -> None:
         gui = server.gui
         gui.add_html(SCENE_LEGEND)
-        self.table, self.error, self.joints = (gui.add_html("") for _ in range(3))
+        self.table = gui.add_html("")
+        self.error = gui.add_html("")
+        self.joints = gui.add_html("")
         with gui.add_folder("time per step", expand_by_default=False):
             self.timing = gui.add_html("")
         self.timing_note = gui.add_html("")
