@@ -235,12 +235,7 @@ def parse(arguments: Sequence[str]) -> Command:
 
 
 def _answer_without_command(words: list[str]) -> NoReturn:
-    """Print the page that was asked for, or name the mistake.
-
-    Raises:
-        SystemExit: After printing.
-        InvalidInputError: If the words ask for nothing that there is.
-    """
+    """Print the page that was asked for and exit, or name the mistake."""
     match words:
         case ["--version"]:
             print(f"handmap {handmap_qp.__version__}")

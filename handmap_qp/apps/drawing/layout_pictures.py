@@ -95,10 +95,7 @@ def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
 
 
 def _draw_axes(axes: Any, pixels: Array, directions: Array) -> None:
-    """Draw the wrist's axes as arrows with their names; an axis at right angles says its side.
-
-    Pixels are those of the wrist and of the ends of its axes, shape (4, 2).
-    """
+    """Draw the wrist's axes as arrows, by the pixels of the wrist and of their ends, (4, 2)."""
     origin, *ends = pixels
     for (x, y), direction, name, colour in zip(
         ends, directions, "xyz", AXIS_COLOURS, strict=True

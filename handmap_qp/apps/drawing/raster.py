@@ -150,11 +150,7 @@ class Camera(NamedTuple):
 
 
 class _Surface(NamedTuple):
-    """Result of the z-buffer: the k covered pixels, and the triangle in front at each.
-
-    `centres` (k, 3) are the pixels' centres as x, y and 1, and `shares` (k, 3) their barycentric
-    coordinates in the triangles.
-    """
+    """The k covered pixels, and the triangle in front at each; `shares` are barycentric, (k, 3)."""
 
     pixels: Array
     centres: Array
@@ -289,8 +285,7 @@ def _shaded(triangles: Triangles, camera: Camera) -> tuple[Array, Array]:
 def _creases(depth: Array, camera: Camera) -> Array:
     """Estimate ambient occlusion at each pixel, 0..1, shape (height, width).
 
-    A pixel is in a hollow if it is behind the mean depth of two opposite neighbours. On a plane of
-    any tilt it is not.
+    A pixel is in a hollow if it is behind the mean depth of two opposite neighbours.
     """
     is_solid = np.isfinite(depth)
     solid = depth[is_solid]

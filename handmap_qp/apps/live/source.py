@@ -170,11 +170,7 @@ class Recorder(Sink):
         self._lost: Names = ()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write the file.
-
-        Raises:
-            InvalidInputError: If the hand was never seen, or the file cannot be written.
-        """
+        """Write the file; an error if the hand was never seen, or it cannot be written."""
         samples = self._samples
         if not any(sample.valid for sample in samples):
             if kind is not None:

@@ -225,10 +225,7 @@ class Anatomy:
         return Clue("dorsal", dorsal, how, min(best, sign, distal.confidence), sign)
 
     def _tilt(self, distal: Array, dorsal: Array) -> float:
-        """Return the angle of the row of the knuckles to the palm's plane [deg].
-
-        Without such a row it is one that tells nothing.
-        """
+        """Return the angle of the row of the knuckles to the palm [deg], a neutral one without."""
         across = _beside(_widest(self._flexion.bases[self._rest]), distal)
         if len(self._rest) < 3 or lengths(across) < 0.5:
             return 1.5 * _AGREEING
@@ -244,10 +241,7 @@ class Anatomy:
         return float(before @ dorsal / flexion.reach[self._rest].mean())
 
     def _find_radial(self, across: Array) -> Clue:
-        """Return the direction across the palm to the thumb, or by the other fingers' names.
-
-        Its confidence is 0 if the thumb is central.
-        """
+        """Return the direction across the palm to the thumb; confidence 0 if that is central."""
         flexion = self._flexion
         rest = self._rest
         bases = {self._labels[i]: flexion.bases[i] @ across for i in rest}
@@ -349,8 +343,7 @@ def _find_side(
 ) -> tuple[Clue, Clue]:
     """Find the side: a right hand seen from the back, fingers up, has its thumb on the left.
 
-    It is returned behind the dorsal direction, whose sign a given or a named side sets if the thumb
-    is clearly on one side of the palm.
+    It comes after the dorsal direction, whose sign a given or named side may set.
     """
     source = "as given" if given else "from the names"
     declared = given or named
@@ -423,8 +416,7 @@ def _snapped(
 ) -> Array:
     """Return the link's axis next to a unit vector, or else the vector.
 
-    The mean direction of spread fingers is a few degrees off the link's axis. Fingers that cannot
-    stretch fully are farther off it. The link's axis is then taken if the axis of flexion is
+    Fingers that cannot stretch fully are farther off it: it is then taken if the axis of flexion is
     another of the link's axes, and the knuckles lie in its direction from the link's origin.
     """
     nearest = np.abs(direction).argmax()

@@ -98,10 +98,7 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
 
 
 def _owners(hand: Hand, fingers: dict[str, Finger]) -> dict[int, str]:
-    """Return the finger of each joint; the palm's is `palm`, as is one that several fingers share.
-
-    A bar of a linkage is on none of them.
-    """
+    """Return the finger of each joint; `palm` for the palm's and those that fingers share."""
     owners = {hand.model.frames[hand.palm_frame_id].parentJoint: "palm"}
     for name, finger in fingers.items():
         for joint in finger.joints:
@@ -138,10 +135,7 @@ def colliding_links(
 
 
 def _neighbours(model: pin.Model, joint: int, with_shape: list[int]) -> set[int]:
-    """Return a joint and those above it up to the next one with a body that is not short.
-
-    Bodies on these joints may overlap where they meet.
-    """
+    """Return a joint and those above it, whose bodies may overlap up to one that is not short."""
     found = {joint}
     while joint > 0:
         length = lengths(model.jointPlacements[joint].translation)

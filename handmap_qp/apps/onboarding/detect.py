@@ -164,13 +164,7 @@ def detect_text(
 
 
 class _FoundHand:
-    """A hand that is found in a robot, to be described; side and thumb are found if None.
-
-    Attributes:
-        palm: Link of the palm.
-        fingers: The fingers, the thumb first, additional ones last.
-        clues: Evidence for each part of the description; complete after `describe`.
-    """
+    """A hand that is found in a robot; `clues` are complete after `describe`."""
 
     def __init__(
         self,
@@ -375,11 +369,7 @@ def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
 
 
 def _arm(robot: Robot, hand: str) -> Names:
-    """Return the active joints between the root of a robot and the link of a hand.
-
-    Raises:
-        HandError: If the link does not hang from the root, or no joint is between them.
-    """
+    """Return the active joints between the root of a robot and the link of a hand."""
     problem = f"the hand {hand!r} does not hang from the base {robot.root!r}"
     if hand in robot.frames:
         if arm := tuple(compress(robot.joint_names, robot.carries(robot.frames[hand]))):

@@ -123,8 +123,7 @@ class HandFlexion:
     def _settle_even(self, palmar: Array) -> None:
         """Choose the direction of fingers that curl equally far both ways.
 
-        Follow the palm if it is known, else the other fingers, else towards the other tips, else
-        the positive sense.
+        Follow the palm, else the other fingers, else towards the other tips, else the positive one.
         """
         known = self._ways()[self.certainty > 0.0].sum(axis=0)
         slopes = np.einsum("fkn,fn->fk", self._motions, self._curls)

@@ -256,10 +256,7 @@ def _mapper(hand: Hand, points: str | None = None, **options: Any) -> HandMapper
 def _follow(
     mapper: HandMapper, *postures: Array, place: Array | float = 0.0
 ) -> list[MapStep]:
-    """Lead from rest to posture after posture, each in 0.75 s and 0.25 s to settle.
-
-    The wrist moves from the origin to a place with each [m].
-    """
+    """Lead to each posture in 0.75 s, with the wrist to a place [m], and 0.25 s to settle."""
     shares = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0))
     mapper.reset()
     return [
@@ -422,10 +419,7 @@ def check_pinches(hand: Hand) -> Found:
 
 
 def _gap(hand: Hand, finger: Finger, thumb: Finger, pads: dict[str, Pad]) -> float:
-    """Return the least distance between the pads of finger and thumb, negative if they overlap [m].
-
-    The search is over once they do.
-    """
+    """Return the least distance between two pads [m]; some negative one if they can overlap."""
     from scipy.optimize import least_squares
 
     view = PalmKinematics(hand)

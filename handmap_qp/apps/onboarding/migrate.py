@@ -28,8 +28,6 @@ _ELSEWHERE = {
     "ignore_mimic_joint": "mimic joints always follow",
     "has_joint_limits": "joint limits always hold",
 }
-
-
 # Settings that name the links, by the type of a configuration.
 _LINKS = {
     "dexpilot": "finger_tip_link_names",
@@ -153,11 +151,7 @@ def migrate(
 
 
 def _carrier(robot: Robot, link: str) -> str:
-    """Return the joint that moves a link: the last one on the way to it.
-
-    Raises:
-        HandError: If there is no such link, or no joint moves it.
-    """
+    """Return the joint that moves a link: the last one on the way to it."""
     problem = f"has no link {link!r} of the configuration"
     if link in robot.frames:
         if body := robot.frames[link].parentJoint:

@@ -227,10 +227,7 @@ class _Scene:
                 )
 
     def _sticks(self) -> Triangles:
-        """Return sticks between the joints beyond the wrist, and from joints to points.
-
-        They stand for the surface of a hand without shapes, in palm axes.
-        """
+        """Return sticks between joints and to points, for a hand without shapes, in palm axes."""
         hand = self.hand
         model = hand.model
         _, *beyond = model.subtrees[model.frames[hand.wrist_frame_id].parentJoint]

@@ -167,11 +167,7 @@ def _one_finger(robot: Robot) -> Structure:
 
 
 def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
-    """Reject two hands on one base: two groups of fingers, far apart.
-
-    Raises:
-        HandError: If there are two; the message names their links for `root`.
-    """
+    """Reject two hands on one base: two groups of fingers, far apart."""
     links = [finger.links[0] for finger in fingers]
     roots = robot.link_poses(links, robot.rest)[:, :3, 3]
     near = lengths(roots[:, None] - roots) < _APART
@@ -251,10 +247,7 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
 
 
 def _is_at_end(robot: Robot, body: int, place: Array) -> bool:
-    """Return whether an end frame is at the end of its body's surface, or there is none.
-
-    The centre of a ball is the end of a round fingertip.
-    """
+    """Return whether an end frame is at the end of its body's surface, or the centre of a ball."""
     cloud = robot.surface(body)
     if not len(cloud):
         return True
@@ -273,10 +266,7 @@ def _is_at_end(robot: Robot, body: int, place: Array) -> bool:
 
 
 def _poses(finger: RobotFinger, other: int) -> Array:
-    """Return poses of a finger's last body on another body, shape (5, 4, 4).
-
-    The finger's joints cross their ranges together.
-    """
+    """Return poses of a finger's last body on another, over all its joints' ranges, (5, 4, 4)."""
     robot = finger.robot
     base = robot.links[other][0]
     postures = np.linspace(*ends_of(robot, robot.rest, finger.columns), 5)
@@ -320,8 +310,7 @@ def _linkage(bar: RobotFinger, fingers: list[RobotFinger]) -> str:
 def _is_hinged(bar: RobotFinger, poses: Array) -> bool:
     """Return whether the last body of a bar stays at rest on a body, or turns about a point of it.
 
-    The pivot p in the bar and c in the body solve `R p + t = c` for the bar's poses (R, t), so that
-    c is the mean of `R p + t`.
+    The pivot p in the bar and c in the body solve `R p + t = c` for the bar's poses (R, t).
     """
     rotations = poses[:, :3, :3]
     turned = np.linalg.norm(rotations - rotations[0], axis=(1, 2))

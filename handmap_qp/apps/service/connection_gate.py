@@ -184,12 +184,9 @@ class SmallReads(asyncio.BufferedProtocol):
 
 
 class _Client(SmallReads):
-    """The connection of one client.
+    """The connection of one client, last heard at a time [s].
 
-    Attributes:
-        heard: Time of its last message, at first that of the connection [s].
-        name: Name of the gate's end of the connection to the socket.
-        identity: Name that a ROUTER socket gave to it; empty before its first message.
+    Its name is that of the gate's end at the socket, its identity that which a ROUTER gave to it.
     """
 
     transport: asyncio.Transport

@@ -119,9 +119,8 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
 def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
     """Return what msgspec complains of, in words that help a client, and the path of the value.
 
-    msgspec has no attributes for them. It appends a JSON path to its message, as in "Expected
-    `float`, got `str` - at `$.q[1]`". For a missing or unknown field of the message itself, it
-    quotes the field instead, as in "Object missing required field `time`".
+    msgspec only has a text, such as "Expected `float`, got `str` - at `$.q[1]`", or for a field of
+    the message itself "Object missing required field `time`".
     """
     message, separator, path = str(error).rpartition(" - at `$")
     if separator:
@@ -331,8 +330,7 @@ class Dispatcher:
     def _by_name(self, request: Named, now: float) -> AnyReply | None:
         """Answer a request by a session's public name.
 
-        Everyone may ask for the status, and stop robots; other requests need `is_shared`. The
-        owner's key and supervisor may clear a stop too.
+        Everyone may ask and stop, owner and supervisor may clear; all else needs `is_shared`.
         """
         session = self.sessions.named(request.name or "")
         by = self._by

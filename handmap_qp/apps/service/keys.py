@@ -192,10 +192,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def _read_public(file: Path) -> bytes | None:
-    """Return a client's public key; log a warning and return None if the file has none.
-
-    The other clients must still be admitted.
-    """
+    """Return a client's public key; log a warning and return None if the file has none."""
     try:
         return load_certificate(file)[0]
     except (OSError, ValueError, IndexError) as error:

@@ -234,10 +234,7 @@ class Server:
         return socket
 
     def _drain(self) -> None:
-        """Read waiting messages, up to a batch of parts.
-
-        Then the waiting samples are mapped, and other tasks get their turn.
-        """
+        """Read up to a batch of waiting parts; then samples are mapped, and other tasks run."""
         if self._router.closed:
             return
         self._is_draining = True
@@ -318,10 +315,7 @@ class Server:
 async def _report_handshakes(
     context: zmq.asyncio.Context, socket: zmq.Socket, metrics: Metrics
 ) -> None:
-    """Count and log the handshakes that fail on a socket, until cancelled.
-
-    libzmq reports them only through a socket monitor, neither to the server nor to the client.
-    """
+    """Count and log failed handshakes until cancelled; libzmq reports them to a monitor only."""
     address = f"inproc://handshakes-{socket.FD}"
     failed = Throttle()
     with context.socket(zmq.PAIR) as events:

@@ -558,10 +558,7 @@ class Session:
             self._choose(self._hands, self.request)
 
     def _choose(self, hands: Hands, wanted: Open) -> None:
-        """Make these the hands of the session, with the options of a request.
-
-        If an option is at fault, nothing has changed.
-        """
+        """Make these the hands, with the options of a request; all or nothing."""
         mapper = hands.mapper
         human = mapper.human
         if self._gap_meter is not None and hands is self._hands:

@@ -103,10 +103,7 @@ class WebSocketTransport:
             await asyncio.wait_for(self._server.wait_closed(), _CLOSE_TIMEOUT)
 
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Return None to accept a handshake, or the response that rejects it.
-
-        A request that is no handshake gets the page for headsets.
-        """
+        """Return None to accept a handshake, else what rejects it, or the page for headsets."""
         if (page := page_response(request)) is not None:
             return page
         asked = request.headers
@@ -212,13 +209,7 @@ class _Connection(ServerConnection, SmallReads):
 
 
 class _Outbox:
-    """Messages to one connection: answers at once, and the newest of each stream in its turn.
-
-    Attributes:
-        connection: The connection.
-        heard: Time of its last message, at first that of its handshake [s].
-        streams: Form of each stream that it has subscribed to, by name.
-    """
+    """Messages to one connection: answers at once, and the newest of each stream in its turn."""
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
         self.connection = connection
@@ -226,6 +217,7 @@ class _Outbox:
         self.streams: dict[str, _Form] = {}
         self._newest: dict[str, bytes] = {}
         self._has_work = asyncio.Event()
+        # Time of its last message, at first that of its handshake [s].
         self.heard = self._opened = monotonic()
 
     def use(self) -> tuple[bool, bool, float]:

@@ -82,11 +82,7 @@ def say(handle: Any, said: str | HandmapError | None) -> None:
 class _Control:
     """A viser control, whose changes by the user are taken once.
 
-    Attributes:
-        handle: The viser control.
-        taken: Its value at the last `take` or `show`.
-        to_shown: Converts a value to the handle's, which may be rounded or clipped.
-        to_value: Converts the handle's value back.
+    The functions convert a value to the handle's, which may be rounded or clipped, and back.
     """
 
     handle: Any

@@ -345,10 +345,7 @@ class HandFigure(Figure):
                 _place(node, pose)
 
     def _is_in_view(self, link: str) -> bool:
-        """Return whether the view is fitted to a link.
-
-        Parts of an arm may lie outside, and what does not move of a robot with several hands.
-        """
+        """Return whether the view is fitted to a link: no arm, nor what a robot does not move."""
         hand = self.hand
         if hand.parts:
             return carrier_of(hand, link) > 0

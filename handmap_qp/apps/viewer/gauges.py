@@ -175,10 +175,7 @@ class InstantGauges:
 
 
 def _joint_bar(name: str, q: float, shares: Array, colour: str) -> str:
-    """Return a joint's name, its bar with a mark at the rest angle, and its angle [rad], as HTML.
-
-    Long names are cut at their start, because names differ at their ends.
-    """
+    """Return name, bar with a mark at rest, and angle [rad] as HTML; names differ at their ends."""
     share, rest, *compared = shares
     second = "".join(
         f'<span style="{_BAR}:3px;top:5px;width:{width:.1f}%;background:{SECOND}"></span>'

@@ -125,9 +125,7 @@ class ServiceSession:
         self._client.timeout = _TIMEOUT
 
     def __iter__(self) -> Iterator[ViewSample]:
-        """Yield a sample per command until `close`, or until the session changes to other hands.
-
-        Carries out requests in between.
+        """Yield a sample per command until `close` or until the hands change; carry out requests.
 
         Raises:
             InvalidInputError: If the session's robot is not `robot`.

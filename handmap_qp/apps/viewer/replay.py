@@ -281,10 +281,7 @@ class ReplayViewer(Window):
         self.steering.show_released(self.replay.is_released(self.index))
 
     def _take_requests(self) -> None:
-        """Note what the user has requested; a preset or Reset overrides changed options.
-
-        A slider moved during the mapping takes effect with its value after the mapping.
-        """
+        """Note what the user has requested; a preset or Reset overrides changed options."""
         steering = self.steering
         replay = self.replay
         chosen = steering.take_lists()

@@ -65,9 +65,8 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[ViserServer]:
 def _own_pages_only(host: str) -> Iterator[None]:
     """Make a viser server that starts in this block accept its own page only.
 
-    Any web page open in the user's browser can reach loopback, so it could press the view's
-    buttons. viser accepts every connection and has no setting for it, so wrap the `serve` function
-    of websockets that it calls.
+    Any page in the user's browser could press the view's buttons, and viser accepts all: wrap the
+    `serve` function of websockets that it calls.
     """
     from websockets.asyncio import server as websocket_server
 
