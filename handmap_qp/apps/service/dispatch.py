@@ -183,9 +183,7 @@ class Dispatcher:
         self._refusals = Throttle()
         self._bugs = Throttle()
         self._metrics.gauges["sessions"] = lambda: len(self.sessions.by_secret)
-        self._metrics.gauges["uptime_seconds"] = lambda: (
-            self.sessions.clock() - self._started
-        )
+        self._metrics.gauges["uptime_seconds"] = self._uptime
 
     def receive(
         self,
@@ -215,7 +213,6 @@ class Dispatcher:
             answer(encode_reply(reply))
 
         samples, errors = self._rates(peer)
-        now = self.sessions.clock()
         self._by = by
         self._metrics.counts["requests"] += 1
         if not samples.take():
@@ -238,7 +235,7 @@ class Dispatcher:
             case Subscribe():
                 send(self._attempt(self._subscribe, request, subscribe))
             case _:
-                send(self._attempt(self._answer, request, payload, now))
+                send(self._attempt(self._answer, request, payload))
         return True
 
     def flush(self) -> None:
@@ -282,6 +279,9 @@ class Dispatcher:
         errors = Bucket(_ERRORS_PER_SECOND, 1.0, clock)
         return Bucket(self._settings.rate, clock=clock), errors
 
+    def _uptime(self) -> float:
+        return self.sessions.clock() - self._started
+
     def _tick(self, session: Session, now: float) -> None:
         trips = session.counts["watchdog"]
         command = session.tick(now)
@@ -297,7 +297,7 @@ class Dispatcher:
         else:
             session.seq = sample.seq
             session.payload = b""
-            reply = self._attempt(self._act, sample, session, self.sessions.clock())
+            reply = self._attempt(self._act, sample, session)
             if isinstance(reply, Error):
                 self.sessions.send(session.name, encode_reply(reply))
 
@@ -309,14 +309,12 @@ class Dispatcher:
             raise RefusedError("invalid", message, field="type")
         subscribe(request.name)
 
-    def _answer(
-        self, request: AnyRequest, payload: bytes, now: float
-    ) -> AnyReply | None:
+    def _answer(self, request: AnyRequest, payload: bytes) -> AnyReply | None:
         """Answer a request at once; repeat the last answer if a session's client repeats itself."""
         if isinstance(request, Named) and request.name is not None:
-            return self._by_name(request, now)
+            return self._by_name(request)
         if isinstance(request, Status | Stop) and not request.session:
-            return self._for_all(request, now)
+            return self._for_all(request)
         session = self.sessions.find(request.session)
         if request.seq == session.seq and payload == session.payload:
             return session.answer
@@ -324,10 +322,10 @@ class Dispatcher:
         refuse_if(request.seq <= session.seq, message, "seq", "stale")
         session.seq = request.seq
         session.payload = payload
-        session.answer = self._attempt(self._act, request, session, now)
+        session.answer = self._attempt(self._act, request, session)
         return session.answer
 
-    def _by_name(self, request: Named, now: float) -> AnyReply | None:
+    def _by_name(self, request: Named) -> AnyReply | None:
         """Answer a request by a session's public name.
 
         Everyone may ask and stop, owner and supervisor may clear; all else needs `is_shared`.
@@ -340,15 +338,15 @@ class Dispatcher:
         is_alien = not (session.request.is_shared or isinstance(request, free))
         message = f"session {request.name!r} was not opened with is_shared: only its owner may"
         refuse_if(is_alien, message, "name", "denied")
-        return self._act(request, session, now)
+        return self._act(request, session)
 
-    def _for_all(self, request: Status | Stop, now: float) -> AnyReply | None:
+    def _for_all(self, request: Status | Stop) -> AnyReply | None:
         """Answer a request about the server, or stop the robots of all sessions."""
         if isinstance(request, Status):
             return State(
                 seq=request.seq,
                 version=self._version,
-                uptime=now - self._started,
+                uptime=self._uptime(),
                 names=self.sessions.names,
                 counts=dict(self._metrics.counts),
                 robots=self.sessions.cache.robots,
@@ -358,7 +356,7 @@ class Dispatcher:
             )
         self.sessions.audit.note("stop", self._by, **_changes(request))
         for session in list(self.sessions.by_secret.values()):
-            self._attempt(self._act, request, session, now)
+            self._attempt(self._act, request, session)
         return None
 
     def _attempt(
@@ -370,11 +368,16 @@ class Dispatcher:
         except Exception as error:
             return self._failure(request.seq, error)
 
-    def _act(self, request: Request, session: Session, now: float) -> AnyReply | None:
+    def _act(self, request: Request, session: Session) -> AnyReply | None:
         """Carry out a request for a session."""
+        now = self.sessions.clock()
         match request:
             case Step():
-                return self._step(request, session, now)
+                command = session.step(request, now)
+                self._metrics.counts["steps"] += 1
+                self._metrics.steps.observe(self.sessions.clock() - now)
+                self._send(session, command)
+                return command
             case Status():
                 return session.state(request.seq, self._version, self.stream_port, now)
             case Close():
@@ -404,14 +407,6 @@ class Dispatcher:
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
         return None
-
-    def _step(self, sample: Step, session: Session, now: float) -> Command:
-        """Map a sample, and publish its command."""
-        command = session.step(sample, now)
-        self._metrics.counts["steps"] += 1
-        self._metrics.steps.observe(self.sessions.clock() - now)
-        self._send(session, command)
-        return command
 
     def _receive_open(self, request: Open, payload: bytes, send: Send) -> None:
         """Open a session in a task; a repeated request gets the same answer."""

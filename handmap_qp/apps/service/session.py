@@ -70,6 +70,16 @@ from .store import Posture, Record
 Humans = dict[Side, Any]
 """What each hand of a sample is, by side: its `HumanSample`; None if it has no landmarks."""
 _FIELDS = ("hands", "q", "landmarks", "points", "values")
+_STAGES = (
+    "motion",
+    "motion_rigid",
+    "motion_deformation",
+    "stretches",
+    "human_points",
+    "targets",
+    "points",
+)
+"""What a detail has of a step under the same names."""
 _BARE = {"q": None, "points": None} | structs.asdict(HandSample())
 """Fields of a hand in a sample that has `hands`."""
 
@@ -638,16 +648,14 @@ class Session:
         is_wanted = self.request.has_detail and not step.is_held
         if not is_wanted or "motion" not in step.diagnostics:
             return None
-        names = "motion", "motion_rigid", "motion_deformation", "stretches"
-        names += "human_points", "targets", "points"
-        arrays = {name: getattr(step, name) for name in names}
-        arrays["pivot"] = step.diagnostics["pivot_image"]
+        arrays = {name: getattr(step, name).tolist() for name in _STAGES}
         return Detail(
             held_by=step.held_by,
             human_q=q,
             human_wrist=to_pose(step.human_wrist),
             landmarks=human and human.landmarks.tolist(),
-            **{name: array.tolist() for name, array in arrays.items()},
+            pivot=step.diagnostics["pivot_image"].tolist(),
+            **arrays,
         )
 
     def _trust(self, step: MapStep, humans: Humans) -> Values:
