@@ -240,7 +240,7 @@ class _Core:
         self, request: Request, kind: type[R], deadline: float | None = None
     ) -> R:
         """Send a request; if the server has lost the session, reopen it and send it again."""
-        until = monotonic() + self.timeout if deadline is None else deadline
+        until = deadline or monotonic() + self.timeout
         reply = await self._ask(request, until)
         if self._speaks_older(reply):
             reply = await self._ask(request, until)

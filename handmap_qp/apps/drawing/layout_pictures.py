@@ -133,7 +133,7 @@ def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     side = human.spec.side
     written = layout.write_posture(human, q, np.eye(4))
     # Rows are points, poses, or a position and a quaternion.
-    read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
+    read = written[:, :3, 3] if written.ndim == 3 else written[:, :3]
     places = transform_points(layout.world, read)
     index = np.arange(len(places))
     if isinstance(layout, MarkerLayout):
@@ -160,6 +160,6 @@ def _angle_entries(layout: AngleLayout, landmarks: Array) -> _Entries:
 def _wrist_axes(layout: Layout, side: Side) -> Array:
     """Return the wrist's x, y and z axes in our wrist frame, shape (3, 3); zeros if unknown."""
     if layout.wrist_table is None:
-        return np.eye(3) if isinstance(layout, MarkerLayout) else np.zeros((3, 3))
+        return np.eye(3) * isinstance(layout, MarkerLayout)
     # Axes of left-handed data point where the data says, mirrored into the right-handed world.
     return unit(layout.wrist_axes(side)[:3, :3].T).T

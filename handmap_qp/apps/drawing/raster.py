@@ -32,8 +32,9 @@ _KEY_DIRECTION = unit(np.array([-0.45, -0.75, -0.5]))
 _FILL_DIRECTION = unit(np.array([0.8, -0.05, -0.45]))
 _KEY = 0.72
 _FILL = 0.16
-_SKY = 0.30
-_GROUND = 0.12
+# Ambient light from the sides, and how much more comes from above and less from below.
+_AMBIENT = 0.21
+_SKY = 0.09
 _HIGHLIGHT = 0.10
 # Minimum albedo, so that black parts still show their shape.
 _DARKEST = 0.03
@@ -270,7 +271,7 @@ def _shaded(triangles: Triangles, camera: Camera) -> tuple[Array, Array]:
     corners = triangles.normals[triangle] @ rotation.T
     normals = unit(np.einsum("kc,kcj->kj", shares, corners))
     rays = centres - (*camera.centre, 1.0 - camera.focal_length)
-    light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normals @ rotation[:, 2])
+    light = _AMBIENT + _SKY * (normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
     light += _KEY * np.maximum((normals @ _KEY_DIRECTION + 0.2) / 1.2, 0.0)
     light += _FILL * np.maximum(normals @ _FILL_DIRECTION, 0.0)

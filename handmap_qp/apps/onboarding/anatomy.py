@@ -110,7 +110,7 @@ class Anatomy:
         turned, found = _find_side(
             across, dorsal, radial, self._thumb_clue, side, named
         )
-        self.side: Side = "right" if found.answer == "right" else "left"
+        self.side: Side = found.answer
         # The thumb's side orders the fingers; only without it the side does.
         if radial.confidence == 0.0:
             outwards = -across if self.side == "right" else across
@@ -255,8 +255,8 @@ class Anatomy:
         if len(rest) > 1:
             row = flexion.bases[rest] @ across
             width = max(0.5 * np.ptp(row), 0.25 * flexion.reach[rest].mean())
-            points = flexion.roots[self._thumb], flexion.tips_open[self._thumb]
-            ends = (np.array(points) @ across - row.mean()) / width
+            points = np.array([flexion.roots, flexion.tips_open])[:, self._thumb]
+            ends = (points @ across - row.mean()) / width
         place = ends.mean()
         is_outside = abs(place) > 2.0 * _CLEAR and (ends * place > 0.0).all()
         place *= abs(place) > _VISIBLE

@@ -129,7 +129,7 @@ def measure_arm(hand: Hand) -> Array | None:
         return None
     postures = [hand.rest, *random_postures(hand, _ARM_SAMPLES)]
     start, *ends = (hand.frame_pose("wrist", q)[:3, 3] for q in postures)
-    moved = np.array(ends) - start
+    moved = ends - start
     # In each direction, the farthest wrist within a cone.
     near = _DIRECTIONS @ unit(moved).T > _CONE
     return (near * lengths(moved)).max(axis=1)

@@ -108,7 +108,7 @@ def open_source(
     """
     given = str(robot).replace("package:/", "package://", 1).replace(":///", "://")
     source = source_path(given)
-    path = robot if source is None else source
+    path = source or robot
     if not is_mjcf(path):
         return RobotSource(path, str(path) if source is None else given)
     if source is not None:

@@ -330,7 +330,7 @@ class CommandedRobot(Gate):
         braking = self.limits.change(dt)
         reach = np.minimum(limit, braking) if stops else limit
         is_near = (np.abs(change) <= reach + slack) & (change <= upper + slack)
-        is_there = bool((is_near & (change >= lower - slack)).all())
+        is_there = (is_near & (change >= lower - slack)).all()
         # The part of the way that the robot takes if it must stop at its end.
         allowed = braking_displacement(np.abs(change), braking)
         # Scale all six coordinates of a free wrist alike, so that it stays on its path.
@@ -343,10 +343,10 @@ class CommandedRobot(Gate):
         if self.collisions is not None:
             nearest = self._along_links(wanted, lower, upper, dt)
         taken = self.admit(wanted, nearest, dt)
-        is_there = is_there and bool((np.abs(taken - change) <= slack).all())
-        if is_there:
-            self.motion = self.motion._replace(q=self.limits.clipped(goal, motion.q))
-        return is_there
+        if not is_there or (np.abs(taken - change) > slack).any():
+            return False
+        self.motion = self.motion._replace(q=self.limits.clipped(goal, motion.q))
+        return True
 
     def _along_links(
         self,
@@ -362,8 +362,13 @@ class CommandedRobot(Gate):
         G, h = feasible(rows, lower, upper, stopping=self.stopping(dt))
         if not (G.dot(wanted) > h).any():
             return wanted
-        scaled = [each / _SCALE for each in (-wanted, lower, upper, h)]
-        found = solve_by_daqp(np.eye(len(wanted)), *scaled[:3], (G, scaled[3]))
+        found = solve_by_daqp(
+            np.eye(len(wanted)),
+            -wanted / _SCALE,
+            lower / _SCALE,
+            upper / _SCALE,
+            (G, h / _SCALE),
+        )
         # Without a solution, only the brake is left.
         return np.clip(0.0 if found is None else found * _SCALE, lower, upper)
 

@@ -158,7 +158,7 @@ class InstantGauges:
         high = robot.upper_limits
         q = sample.robot_q
         postures = [q, robot.rest, *(other.robot_q for other in others)]
-        shares = 100.0 * np.clip((np.array(postures) - low) / (high - low), 0.0, 1.0)
+        shares = 100.0 * np.clip((postures - low) / (high - low), 0.0, 1.0)
         held = np.where(sample.is_limited, ORANGE, FIRST)
         colours = np.where(robot.at_position_limit(q), RED, held)
         bars = list(map(_joint_bar, robot.joint_names, q, shares.T, colours))

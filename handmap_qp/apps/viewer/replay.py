@@ -91,7 +91,7 @@ class Replay:
     @property
     def variants(self) -> tuple[Variant, ...]:
         """The robots to show: `variant`, and `other` if there is one."""
-        return (self.variant,) if self.other is None else (self.variant, self.other)
+        return (self.variant, self.other) if self.other else (self.variant,)
 
     @property
     def presets(self) -> Names:

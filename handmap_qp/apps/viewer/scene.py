@@ -100,12 +100,13 @@ class HandScene:
             variants: The robots, all of the hand of the first.
         """
         upright = None
-        wrist = variants[0].samples[0].human_wrist
+        first = variants[0]
+        wrist = first.samples[0].human_wrist
         if self._people and wrist is not None:
             palm = wrist @ self._people[0][1].hand.wrist_to_palm
             upright = palm[:3, :3].T
-            if variants[0].robot.parts:
-                upright = _FRONT @ rotation_of(_alignment(variants[0]))
+            if first.robot.parts:
+                upright = _FRONT @ rotation_of(_alignment(first))
             for figure in chain(*self._people):
                 figure.turn(upright)
         for i, variant in enumerate(variants):
