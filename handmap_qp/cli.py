@@ -180,13 +180,12 @@ def _missing_library(error: ImportError) -> str:
     """Say which system library a compiled package did not find; empty for other errors."""
     # The dynamic linker gives its name in the message only.
     library, found, _ = str(error).partition(": cannot open shared object file")
-    advice = [
+    advice = "".join(
         f": apt-get install {package}"
         for name, package in _SYSTEM_PACKAGES.items()
         if library.startswith(name)
-    ]
-    parts = ["the system library ", library, " is missing", *advice]
-    return "".join(parts) if found else ""
+    )
+    return f"the system library {library} is missing{advice}" if found else ""
 
 
 def parse(arguments: Sequence[str]) -> Command:

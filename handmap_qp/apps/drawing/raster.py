@@ -290,8 +290,9 @@ def _creases(depth: Array, camera: Camera) -> Array:
     """
     is_solid = np.isfinite(depth)
     solid = depth[is_solid]
+    hollow = np.zeros_like(depth)
     if not len(solid):
-        return np.zeros_like(depth)
+        return hollow
     scale = camera.focal_length / np.median(solid)
     reach = max(2.0, _CREASE_RADIUS * scale)
     # Repeat the border of the picture, and look at solid pixels only.
@@ -308,6 +309,5 @@ def _creases(depth: Array, camera: Camera) -> Array:
         bump /= radius * _CREASE_RADIUS
         # Ignore large steps: they are outlines of parts in front, not hollows.
         total += bump.clip(0.0, 1.0) * (3.0 - bump / 2.0).clip(0.0, 1.0)
-    hollow = np.zeros_like(depth)
     hollow[is_solid] = np.clip(0.15 * total, 0.0, 1.0)
     return gaussian_filter(hollow, 0.15 * reach)

@@ -163,7 +163,7 @@ class Anatomy:
         knuckles = flexion.bases[chosen]
         agreement = lengths(mean)
         if agreement < 0.2:
-            mean = flexion.tips_closed.mean(axis=0) - flexion.bases.mean(axis=0)
+            mean = (flexion.tips_closed - flexion.bases).mean(axis=0)
         beside = _beside(mean, axis)
         middle = knuckles.mean(axis=0)
         mean = _snapped(unit(beside if lengths(beside) > 0.2 else mean), middle, axis)

@@ -101,8 +101,7 @@ class HandFlexion:
         self._sign_base_joints()
         start, self.q_closed = self._ends(self.sign)
         # A jaw is open at one end of its range, which need not be zero.
-        jaws = (self.sign != 0.0) & self.slides
-        self.q_open = np.where(jaws, start, self.q_open)
+        self.q_open = np.where(self.slides, start, self.q_open)
         self.tips_open = self.tips(self.q_open)
         self.tips_closed = self.tips(self.q_closed)
         lines = self.tips_open - self.bases
@@ -136,7 +135,7 @@ class HandFlexion:
             first = next((k for k in groups if is_parallel[i, k]), i)
             groups.setdefault(first, []).append(i)
         for alike in sorted(groups.values(), key=len, reverse=True):
-            senses = np.where(slopes[alike] @ slopes[alike[0]] < 0.0, -1.0, 1.0)
+            senses = np.copysign(1.0, slopes[alike] @ slopes[alike[0]])
             signs = senses[:, None] * self._curls[alike]
             slope = senses @ slopes[alike]
             votes = (
@@ -192,10 +191,8 @@ class HandFlexion:
         if len(mine) < 2 or len(mine) == len(self.roots):
             return 0.0
         tips = self.tips(self.q_open)
-        places = 0.5 * (self.roots + tips)
-        others = np.delete(places, mine, axis=0).mean(axis=0)
-        own = places[mine].mean(axis=0)
-        height = (others - own) @ unit(slope)
+        heights = 0.5 * (self.roots + tips) @ unit(slope)
+        height = np.delete(heights, mine).mean() - heights[mine].mean()
         least = _LEAST_HEIGHT * lengths(tips[mine] - self.roots[mine]).mean()
         return 0.0 if abs(height) < least else np.sign(height)
 

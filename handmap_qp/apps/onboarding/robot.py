@@ -110,10 +110,10 @@ class Robot(Hand):
         self.parents = {child: parent for _, parent, child in edges(robot)}
         movable = joints_by_name(robot, MOVABLE)
         self.joints = [*map(self.model.getJointId, movable)]
-        bodies = [f for f in self.model.frames if f.type == pin.FrameType.BODY]
-        self.frames = {frame.name: frame for frame in bodies}
+        frames = self.model.frames
+        self.frames = {f.name: f for f in frames if f.type == pin.FrameType.BODY}
         self.links = [
-            [frame.name for frame in bodies if frame.parentJoint == body]
+            [link for link, frame in self.frames.items() if frame.parentJoint == body]
             for body in range(self.model.njoints)
         ]
 

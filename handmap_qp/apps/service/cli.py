@@ -67,10 +67,8 @@ class Keys:
             is_back = (
                 file.parent.name == "clients" and self.folder / file.name not in written
             )
-            print(
-                f"wrote {file}"
-                + (f", which admits {file.stem} again" if is_back else "")
-            )
+            back = f", which admits {file.stem} again" * is_back
+            print(f"wrote {file}{back}")
         if not written:
             print("wrote nothing: all keys exist")
 

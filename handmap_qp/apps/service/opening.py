@@ -119,7 +119,7 @@ def _field_of(named: str) -> str:
     name, bracket, index = named.partition("[")
     if name in known_options():
         return f"{'ik' if name in IK_NAMES else 'options'}.{name}"
-    return _FIELDS[name] + bracket + index if name in _FIELDS else ""
+    return f"{_FIELDS[name]}{bracket}{index}" if name in _FIELDS else ""
 
 
 @contextmanager

@@ -222,7 +222,7 @@ class Session:
         self.answer: AnyReply = Done()
         self._form = SampleForm(request, self.robot)
         self._adopt(hands)
-        start = self._start(self.robot.rest.copy(), None, request)
+        start = self._start(self.robot.rest, None, request)
         self._place(*(start if former is None else former.posture), motion)
         self._clock = StepClock(request.max_dt, request.time_from, now)
         self._watchdog = Watchdog(

@@ -109,7 +109,7 @@ class Settings:
 
     def _check_web(self, host: str) -> None:
         given = [
-            "--" + item.name.replace("_", "-")
+            f"--{item.name.replace('_', '-')}"
             for item in fields(self)
             if item.name.startswith("web_") and getattr(self, item.name) != item.default
         ]

@@ -113,15 +113,13 @@ class ServiceSession:
                 )
             self._about = {name: about[name] for name in _HANDS}
             self.choice = _choice(about)
-            measured = about["lengths"]
-            lengths = measured and HumanLengths(**measured)
             robot = str(robot or about["robot"])
             if robot == about["robot"] and robot not in hand_files() | robot_files():
                 raise self._error(
                     f"the session's hand {robot!r} is not known on this machine",
                     "give its hand.yaml or robot.yaml with --robot",
                 )
-            self._load_hands(robot, about, lengths)
+            self._load_hands(robot, about)
         self._client.timeout = _TIMEOUT
 
     def __iter__(self) -> Iterator[ViewSample]:
@@ -231,11 +229,13 @@ class ServiceSession:
                 raise self._error(problem, advice)
             sleep(0.1)
 
-    def _load_hands(self, robot: str, about: Values, lengths: Any) -> None:
+    def _load_hands(self, robot: str, about: Values) -> None:
         """Load the hands of the session."""
         points = about["robot_points"]
         self._given_robot = load_whole(robot, points, mount=about["mount"])
         sides = [hand.side for hand in self._given_robot.parts] or [about["side"]]
+        measured = about["lengths"]
+        lengths = measured and HumanLengths(**measured)
         # Landmarks are mapped as they are; joint angles are fitted for drawing only.
         self._fitters = [LandmarkFitter(side, lengths) for side in sides]
         points = about["human_points"]

@@ -187,7 +187,8 @@ class BrowserCameras:
 
     def __init__(self, server: ViserServer) -> None:
         self._server = server
-        self._size = np.zeros(3)
+        # Width, height and depth of what must be in view [m].
+        self._size = (0.0, 0.0, 0.0)
         self._views = {}
         self._folded = set[int]()
         server.initial_camera.fov = _FIELD_OF_VIEW
@@ -195,8 +196,8 @@ class BrowserCameras:
     def fit(self, width: float, height: float, depth: float) -> None:
         """Fit the view to a box of this size around the scene's origin [m]."""
         # Looking down, the box's depth adds to its height.
-        size = np.array([width, height + depth * abs(_DIRECTION[1]), depth])
-        if (size != self._size).any():
+        size = width, height + depth * abs(_DIRECTION[1]), depth
+        if size != self._size:
             self._size = size
             distance, low = self._view(*_DEFAULT_WINDOW)
             middle = (0.0, low, 0.0)
@@ -206,7 +207,7 @@ class BrowserCameras:
     @property
     def view(self) -> Values:
         """What a page needs to fit the view to its window, as `_view` does."""
-        width, height, depth = self._size.tolist()
+        width, height, depth = self._size
         return {
             "width": width,
             "height": height,
@@ -245,8 +246,10 @@ class BrowserCameras:
     def _view(self, columns: int, rows: int) -> tuple[float, float]:
         """Return how far the camera has to be from where it looks, and the height of that [m]."""
         width, height, depth = self._size
-        free = max(columns - 2 * _MARGIN, 50), max(rows - _NAMES - 2 * _MARGIN, 50)
-        pixel = max(width / free[0], height / free[1])
+        pixel = max(
+            width / max(columns - 2 * _MARGIN, 50),
+            height / max(rows - _NAMES - 2 * _MARGIN, 50),
+        )
         distance = 0.5 * pixel * rows / np.tan(0.5 * _FIELD_OF_VIEW) + 0.25 * depth
         return float(distance), float(-0.5 * _NAMES * pixel)
 
