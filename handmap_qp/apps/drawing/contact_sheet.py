@@ -308,12 +308,12 @@ def _human_triangles(landmarks: Array) -> Triangles:
         Triangles.painted(palm.triangles, normals, _PALM_COLOUR),
         spheres(points[PALM], _JOINT, _PALM_COLOUR),
     ]
-    bones = [(pair, _PALM_BONE, _PALM_COLOUR) for pair in _PALM_BONES]
+    parts += [tube(points[[*pair]], _PALM_BONE, _PALM_COLOUR) for pair in _PALM_BONES]
     for tip, colour in zip(TIPS, FINGER_COLOURS.values(), strict=True):
-        bones += [((i, i + 1), _BONE, colour) for i in range(tip - 3, tip)]
-        parts.append(spheres(points[tip - 2 : tip], _JOINT, colour))
-        parts.append(spheres(points[tip], _TIP, colour))
-    parts += [tube(points[[*pair]], radius, colour) for pair, radius, colour in bones]
+        finger = points[tip - 3 : tip + 1]
+        parts += [tube(bone, _BONE, colour) for bone in pairwise(finger)]
+        parts.append(spheres(finger[1:3], _JOINT, colour))
+        parts.append(spheres(finger[3], _TIP, colour))
     return merged(parts)
 
 

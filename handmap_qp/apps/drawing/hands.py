@@ -126,9 +126,8 @@ def solid(mesh: Any, colour: Colour) -> Triangles:
     """
     shade = require("trimesh", "plot").graph.smooth_shade
     smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
-    corners = smooth.vertices[smooth.faces]
     normals = unit(smooth.vertex_normals[smooth.faces])
-    return Triangles.painted(corners, normals, colour)
+    return Triangles.painted(smooth.triangles, normals, colour)
 
 
 def spheres(centres: ArrayLike, radius: float, colour: Colour) -> Triangles:
@@ -145,8 +144,7 @@ def spheres(centres: ArrayLike, radius: float, colour: Colour) -> Triangles:
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    ball = require("trimesh", "plot").creation.icosphere()
-    corners = np.asarray(ball.vertices)[ball.faces]
+    corners = require("trimesh", "plot").creation.icosphere().triangles
     places = np.reshape(centres, (-1, 1, 1, 3))
     vertices = (places + radius * corners).reshape(-1, 3, 3)
     return Triangles.painted(vertices, np.tile(corners, (len(places), 1, 1)), colour)

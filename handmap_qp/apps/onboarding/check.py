@@ -241,7 +241,7 @@ def _check_meshes(hand: Hand) -> Found:
         ("collision", "self-collision and pinches"),
         ("visual", "pictures"),
     ):
-        meshes = (mesh for shape in robot.iter(tag) for mesh in shape.iter("mesh"))
+        meshes = robot.iterfind(f".//{tag}//mesh")
         files = {Path(mesh.get("filename", "")): None for mesh in meshes}
         if missing := [file for file in files if not file.is_file()]:
             shown = first_of([file.name for file in missing], MOST_NAMES)

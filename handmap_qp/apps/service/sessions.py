@@ -46,9 +46,9 @@ class Caller(NamedTuple):
 
     def owner(self, secret: str) -> str:
         """Return who owns a session of this client: a digest of its key, or else of the secret."""
-        kind, proof = ("key", self.key) if self.key else ("secret", secret)
+        proof = self.key or secret
         digest = hashlib.sha256(proof.encode(errors="surrogatepass")).hexdigest()
-        return f"{kind}:{digest}"
+        return f"{'key' if self.key else 'secret'}:{digest}"
 
 
 UNKNOWN = Caller()
