@@ -29,6 +29,7 @@ Array = np.ndarray
 Arrays = dict[str, Array]
 """Arrays by name."""
 QuatOrder = Literal["wxyz", "xyzw"]
+PoseLike = ArrayLike | pin.SE3
 
 # A rotation that came through float32 is orthogonal to about 1e-6; beyond 1e-3 a matrix is not
 # meant as a rotation.
@@ -40,9 +41,6 @@ FARTHEST = 1e9
 
 No hand is there, and squares and differences of larger ones lose the digits that matter.
 """
-
-
-PoseLike = ArrayLike | pin.SE3
 
 
 def frozen(array: Array) -> Array:
@@ -282,11 +280,7 @@ def check_poses(values: Any, name: str, is_used: Array) -> Array:
 
 
 def _measure(poses: Array) -> tuple[Array, ...]:
-    """Return whether matrices (..., 4, 4) are poses, and why; shape (...) each.
-
-    That is whether they have usable coordinates and a last row of 0, 0, 0, 1, how far their 3x3
-    parts are from orthogonal, and their determinants.
-    """
+    """Return of matrices: is it a pose, but for its 3x3 part, that part's defect, determinant."""
     # `<= FARTHEST` is also false for NaN.
     is_placed = (np.abs(poses[..., :3, :]) <= FARTHEST).all(axis=(-2, -1))
     is_placed &= (poses[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all(axis=-1)
