@@ -280,7 +280,7 @@ def check_poses(values: Any, name: str, is_used: Array) -> Array:
 
 
 def _measure(poses: Array) -> tuple[Array, ...]:
-    """Return of matrices: is it a pose, but for its 3x3 part, that part's defect, determinant."""
+    """Return whether matrices are poses, whether but for rotation, its defect and determinant."""
     # `<= FARTHEST` is also false for NaN.
     is_placed = (np.abs(poses[..., :3, :]) <= FARTHEST).all(axis=(-2, -1))
     is_placed &= (poses[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all(axis=-1)

@@ -217,7 +217,7 @@ def _rasterise(vertices: Array, camera: Camera) -> _Surface:
     is_seen = np.linalg.det(flat) < 0.0
     seen = np.flatnonzero(is_seen & (depths > _NEAR).all(axis=1))
     planes = np.linalg.inv(flat[seen]).mT
-    nearness = np.einsum("nc,ncj->nj", 1.0 / depths[seen], planes)
+    nearness = np.vecmat(1.0 / depths[seen], planes)
     nearest = np.zeros(width * height)
     front = np.zeros(width * height, dtype=int)
     low, _, high = np.sort(corners[seen, :, 1]).T
@@ -233,7 +233,7 @@ def _rasterise(vertices: Array, camera: Camera) -> _Surface:
         line, column = _between(left, right, width)
         owner = owner[line]
         pixel = row[line] * width + column
-        near = (nearness[owner] * _centres(pixel, width)).sum(axis=1)
+        near = np.vecdot(nearness[owner], _centres(pixel, width))
         np.maximum.at(nearest, pixel, near)
         # Of surfaces that lie in one plane, the last one is in front everywhere.
         is_front = near > nearest[pixel] * (1.0 - _ROUNDING)
@@ -241,7 +241,7 @@ def _rasterise(vertices: Array, camera: Camera) -> _Surface:
     pixels = np.flatnonzero(nearest)
     owner = front[pixels]
     centres = _centres(pixels, width)
-    shares = np.einsum("kcj,kj->kc", planes[owner], centres)
+    shares = np.matvec(planes[owner], centres)
     depth = np.full((height, width), np.inf)
     depth.flat[pixels] = 1.0 / nearest[pixels]
     return _Surface(pixels, centres, seen[owner], shares, depth)
@@ -269,14 +269,14 @@ def _shaded(triangles: Triangles, camera: Camera) -> tuple[Array, Array]:
     pixels, centres, triangle, shares, depth = _rasterise(triangles.vertices, camera)
     rotation = camera.world_to_camera[:3, :3]
     corners = triangles.normals[triangle] @ rotation.T
-    normals = unit(np.einsum("kc,kcj->kj", shares, corners))
+    normals = unit(np.vecmat(shares, corners))
     rays = centres - (*camera.centre, 1.0 - camera.focal_length)
     light = _AMBIENT + _SKY * (normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
     light += _KEY * np.maximum((normals @ _KEY_DIRECTION + 0.2) / 1.2, 0.0)
     light += _FILL * np.maximum(normals @ _FILL_DIRECTION, 0.0)
     halfway = unit(_KEY_DIRECTION - unit(rays))
-    shine = (normals * halfway).sum(axis=1).clip(0.0)
+    shine = np.vecdot(normals, halfway).clip(0.0)
     albedo = _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
     picture[pixels, :3] = albedo * light[:, None] + _HIGHLIGHT * shine[:, None] ** 40
     picture[pixels, 3] = 1.0

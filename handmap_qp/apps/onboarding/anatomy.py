@@ -318,7 +318,7 @@ def _differences(flexion: HandFlexion) -> tuple[Array, Array, Array]:
     directions = unit(lines)
     along = unit(directions[:, None] + directions)
     between = flexion.roots[:, None] - flexion.roots
-    apart = np.abs((between * along).sum(axis=2))
+    apart = np.abs(np.vecdot(between, along))
     longer = np.maximum.outer(sizes, sizes).clip(1e-9)
     ahead = np.minimum(1.0, 2.0 * apart / longer)
     return ahead, 1.0 - directions @ directions.T, 1.0 - flexion.ways @ flexion.ways.T

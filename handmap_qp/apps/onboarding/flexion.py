@@ -117,7 +117,7 @@ class HandFlexion:
     def _ways(self) -> Array:
         """Return the directions in which the curling joints move the tips, shape (F, 3)."""
         signs = np.abs(self._curls) * self.sign
-        return unit(np.einsum("fkn,fn->fk", self._motions, signs))
+        return unit(np.matvec(self._motions, signs))
 
     def _settle_even(self, palmar: Array) -> None:
         """Choose the direction of fingers that curl equally far both ways.
@@ -125,7 +125,7 @@ class HandFlexion:
         Follow the palm, else the other fingers, else towards the other tips, else the positive one.
         """
         known = self._ways()[self.certainty > 0.0].sum(axis=0)
-        slopes = np.einsum("fkn,fn->fk", self._motions, self._curls)
+        slopes = np.matvec(self._motions, self._curls)
         even = self._curls.any(axis=1) & (self.certainty == 0.0)
         # Fingers that move in parallel close to the same side.
         units = unit(slopes)
@@ -165,7 +165,7 @@ class HandFlexion:
     def _sign_base_joints(self) -> None:
         """Set the direction of base joints that move the tip as flexion does."""
         speeds = np.linalg.norm(self._motions, axis=1)
-        along = np.einsum("fkn,fk->fn", self._motions, self.ways)
+        along = np.vecmat(self.ways, self._motions)
         mine = (speeds > 1e-4) & (self.certainty[:, None] > 0.0)
         ratios = np.ma.array(along, mask=~mine) / speeds
         cosines = ratios.mean(axis=0).filled(0.0)

@@ -260,7 +260,7 @@ class Sessions:
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
         name = request.name
-        last = self._find_named(request.name)
+        last = self._find_named(name)
         held = self.by_secret.get(request.session)
         most = self.settings.sessions
         is_another = held is not None and not (

@@ -355,7 +355,7 @@ class HandFigure(Figure):
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
         pose = self._pose(wrist)
         if not self._corners:
-            points = np.vstack([self.hand.points(q, pose), wrist[None, :3, 3]])
+            points = np.vstack([self.hand.points(q, pose), wrist[:3, 3]])
             padded = points + 2.0 * _PADDING * _OUTWARDS[:, None]
             return padded.reshape(-1, 3)
         poses = self.hand.link_poses(list(self._corners), q, pose)

@@ -168,8 +168,9 @@ class HandScene:
 
     def _lay_out(self, row: Sequence[Figure]) -> float:
         """Place the figures side by side, fit the cameras, and return the height of the names."""
-        boxes = slice(0 if self.display.follow == "world" else 1, 2)
-        sizes = [np.ptp(figure.room[boxes], axis=1).sum(axis=0) for figure in row]
+        # Without the centres' travel if the hands stay in place.
+        first = 0 if self.display.follow == "world" else 1
+        sizes = [np.ptp(figure.room[first:], axis=1).sum(axis=0) for figure in row]
         _, height, depth = np.max(sizes, axis=0)
         width = sum(size[0] for size in sizes) + _GAP * (len(row) - 1)
         # Seen from the palm side, +x points left.
