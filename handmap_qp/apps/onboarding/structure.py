@@ -247,7 +247,7 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
 
 
 def _is_at_end(robot: Robot, body: int, place: Array) -> bool:
-    """Return whether an end frame is at the end of its body's surface, or the centre of a ball."""
+    """Return whether an end frame ends its body's surface, if any, or is the centre of a ball."""
     cloud = robot.surface(body)
     if not len(cloud):
         return True

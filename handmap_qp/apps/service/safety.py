@@ -343,7 +343,7 @@ class CommandedRobot(Gate):
         if self.collisions is not None:
             nearest = self._along_links(wanted, lower, upper, dt)
         taken = self.admit(wanted, nearest, dt)
-        if not is_there or (np.abs(taken - change) > slack).any():
+        if not (is_there and (np.abs(taken - change) <= slack).all()):
             return False
         self.motion = self.motion._replace(q=self.limits.clipped(goal, motion.q))
         return True

@@ -175,7 +175,7 @@ class InstantGauges:
 
 
 def _joint_bar(name: str, q: float, shares: Array, colour: str) -> str:
-    """Return name, bar with a mark at rest, and angle [rad] as HTML; names differ at their ends."""
+    """Return name, bar with a mark at rest, and angle [rad] as HTML; names lose their starts."""
     share, rest, *compared = shares
     second = "".join(
         f'<span style="{_BAR}:3px;top:5px;width:{width:.1f}%;background:{SECOND}"></span>'
