@@ -97,6 +97,7 @@ def _type(kind: Any) -> str:
     names = {
         "tuple[float, float, float]": "3 numbers",
         "dict[str, float]": "numbers by joint",
+        "dict[str, tuple[float, float, float]]": "3 numbers by shape",
         "tuple[tuple[str, str], ...]": "list of pairs",
         "dict[str, tuple[str, ...]]": "lists of names",
         "tuple[str, ...]": "list of names",

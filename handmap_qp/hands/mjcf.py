@@ -39,7 +39,7 @@ _LAST_SHOWN_GROUP = 2
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
-_CONVERSION = 3
+_CONVERSION = 4
 # A range of this size in radians is one of pi in degrees [rad].
 _SMALL_RANGE = 0.06
 
@@ -371,7 +371,7 @@ class ConvertedMjcf:
         for tag, chosen in (("visual", shown), ("collision", geoms[collides])):
             for geom in chosen:
                 for pose, geometry in self._geometries(geom):
-                    element = SubElement(link, tag)
+                    element = SubElement(link, tag, name=model.geom(geom).name)
                     set_origin(element, pose)
                     SubElement(element, "geometry").append(geometry)
 

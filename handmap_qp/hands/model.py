@@ -36,6 +36,7 @@ from .urdf import (
     mimics_of,
     mirror,
     mount_on_arm,
+    move_shapes,
     parse_urdf,
     prepare_urdf,
     remove_subtrees,
@@ -72,8 +73,8 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
 def compose_urdf(spec: HandSpec, text: str | bytes) -> tuple[str, Positions, Rules]:
     """Compose the URDF that a hand's model is built from.
 
-    Keep the part from `root` outwards; write `mimic`, `locked` and `limits` into it; mount it on
-    the arm, if there is one; mirror all of it.
+    Keep the part from `root` outwards; write `mimic`, `locked`, `limits` and `shapes` into it;
+    mount it on the arm, if there is one; mirror all of it.
 
     Returns:
         The URDF, positions of locked joints and those that mimic them [rad or m], and other rules.
@@ -86,6 +87,7 @@ def compose_urdf(spec: HandSpec, text: str | bytes) -> tuple[str, Positions, Rul
         robot = parse_urdf(text)
         check_tree(robot)
         locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
+        move_shapes(robot, spec.shapes)
         if (arm := spec.arm) is not None:
             hand = robot
             robot = parse_urdf(read_urdf(arm))

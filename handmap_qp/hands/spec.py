@@ -220,6 +220,7 @@ class _HandFields(Document, frozen=True):
     locked: Positions = {}
     limits: dict[str, LimitSpec] = {}
     mimic: dict[str, MimicSpec | None] = {}
+    shapes: dict[str, Vector] = {}
     arm: ArmSpec | None = None
     matched: Positions | None = None
     upright: Upright = "+z up, +x forward"
@@ -254,6 +255,8 @@ class HandSpec(_HandFields, frozen=True):
         limits: Limits by joint, in place of the URDF's.
         mimic: Rules by follower, in place of the URDF's; None makes a joint independent that mimics
             another in the URDF.
+        shapes: Displacement in its link of each shape that the URDF or MJCF has in a wrong place,
+            by its name there [m].
         arm: The arm that the hand is mounted on; None without one.
         matched: Position of every joint in the posture that corresponds to the resting human hand
             [rad or m], inside its limits. Teleoperation starts there. If omitted, it is solved for

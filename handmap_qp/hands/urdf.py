@@ -460,6 +460,25 @@ def set_mesh_paths(robot: Element, folder: Path) -> None:
             mesh.set("filename", str(find_mesh(name, folder).resolve()))
 
 
+def move_shapes(robot: Element, moves: Mapping[str, ArrayLike]) -> None:
+    """Displace shapes in their links [m], by the names of their elements.
+
+    Raises:
+        HandError: If no shape has a name.
+    """
+    for name, way in moves.items():
+        named = [
+            shape for shape in robot.iterfind("link/*") if shape.get("name") == name
+        ]
+        for shape in named:
+            pose = origin_of(shape)
+            pose[:3, 3] += way
+            set_origin(shape, pose)
+        if not named:
+            message = f"no shape of the URDF is named {name!r}"
+            raise HandError(message, key="shapes", value=name)
+
+
 # -- a hand on an arm, a mirrored hand
 
 

@@ -354,3 +354,30 @@ def test_files_that_extend_each_other_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "b.yaml").write_text("extends: a.yaml\n")
     with pytest.raises(HandError, match="circle"):
         read_hand_spec(tmp_path / "a.yaml")
+
+
+def test_shapes_that_a_file_has_in_wrong_places_are_moved() -> None:
+    spec = load_hand("three_finger").spec
+    robot = ET.fromstring(read_urdf(spec))
+    link = next(link for link in robot.iter("link") if link.find("collision"))
+    for tag in ("visual", "collision"):
+        shape = link.find(tag)
+        assert shape is not None
+        shape.set("name", "stray")
+    text = ET.tostring(robot, encoding="unicode")
+    way = (0.01, 0.02, -0.03)
+    moved = Hand(msgspec.structs.replace(spec, shapes={"stray": way}), urdf_text=text)
+    for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL):
+        own, plain = (
+            pin.buildGeomFromUrdfString(moved.model, urdf, kind).geometryObjects
+            for urdf in (moved.urdf_text, Hand(spec, urdf_text=text).urdf_text)
+        )
+        for shape, other in zip(own, plain, strict=True):
+            frame = moved.model.frames[shape.parentFrame].placement
+            ends = [frame.actInv(s.placement).translation for s in (shape, other)]
+            is_stray = shape.name == f"{link.get('name')}_0"
+            wanted = way if is_stray else (0.0, 0.0, 0.0)
+            np.testing.assert_allclose(ends[0] - ends[1], wanted, atol=1e-12)
+    spec = msgspec.structs.replace(spec, shapes={"nobody": way})
+    with pytest.raises(HandError, match="no shape of the URDF is named 'nobody'"):
+        Hand(spec, urdf_text=text)
