@@ -18,12 +18,13 @@ from scipy.spatial.transform import Rotation
 from section_four.contacts import Grasp
 from section_four.experiment import HandMotion, Run, Scene
 
-from handmap_qp.apps.simulation.physics import Body, Physics, Shape
+from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
+from handmap_qp.mapping.objects import Shape
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Time to close, to rest, and to take the weight [s].

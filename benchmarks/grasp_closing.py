@@ -18,7 +18,6 @@ from checks import finite_array, positive_number
 from section_four.contacts import Contact, Grasp
 from section_four.cube import REFERENCE_HANDS, read_cube_figures
 
-from handmap_qp.apps.simulation.physics import Box, Cylinder, Shape, Sphere
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import (
@@ -29,6 +28,7 @@ from handmap_qp.hands.fingers import (
     place_of,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.se3 import PoseLike, check_pose, inverse_pose, transform_points
 
 STEP = 0.02

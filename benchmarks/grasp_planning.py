@@ -24,9 +24,9 @@ from grasp_measures import (
 from scipy.spatial.transform import Rotation
 from section_four.contacts import Grasp
 
-from handmap_qp.apps.simulation.physics import Box, Cylinder, Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.se3 import PoseLike, affine, check_pose, inverse_pose
 
 # Step by which a hand that would start inside the object is moved back [m].
@@ -54,7 +54,9 @@ def circumradius(shape: Shape) -> float:
             return float(np.linalg.norm(shape.size)) / 2.0
         case Cylinder():
             return float(np.hypot(shape.radius, shape.length / 2.0))
-    return shape.radius
+        case Sphere():
+            return shape.radius
+    return float(np.linalg.norm(shape.points, axis=1).max())
 
 
 def plan_grasps(

@@ -33,13 +33,14 @@ import numpy as np
 from passing import CLOSING, FINGERS, HANGS, HELD_AT, RATE, SIDES, Person
 
 from handmap_qp import Hand
-from handmap_qp.apps.simulation.physics import Body, Box, Physics
+from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.pinch import Pads, success_rate
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.spec import Side
+from handmap_qp.mapping.objects import Box
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.se3 import affine, inverse_pose, transform_points, unit
 
@@ -246,7 +247,7 @@ def draw(scene: Scene, outcome: Outcome, bar: Bar) -> Any:
 
     from handmap_qp.apps.drawing.hands import load_shape, solid
     from handmap_qp.apps.drawing.raster import Camera, merged, render
-    from handmap_qp.apps.simulation.physics import surface
+    from handmap_qp.mapping.objects import surface
 
     shape = load_shape(next(iter(scene.robot.by_side.values())))
     body = solid(surface(Box((bar.width, bar.width, LENGTH))), (0.85, 0.45, 0.1))

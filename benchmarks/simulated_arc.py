@@ -29,9 +29,10 @@ from section_four.experiment import HandMotion, Scene, Setting
 from section_four.statics import Stiffness, quasistatic
 
 from handmap_qp.apps.simulation.commands import chosen_methods
-from handmap_qp.apps.simulation.physics import Box, Physics
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.hands.library import load_hand
+from handmap_qp.mapping.objects import Box
 
 CUBE, MASS = Box((0.05, 0.05, 0.05)), 0.1
 FINGERS: tuple[FingerMode, ...] = get_args(FingerMode)

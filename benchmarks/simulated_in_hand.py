@@ -28,9 +28,10 @@ from section_four.experiment import HandMotion, Scene
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions
 from handmap_qp.apps.simulation.commands import chosen_methods
-from handmap_qp.apps.simulation.physics import Box, Physics
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.hands.library import load_hand
+from handmap_qp.mapping.objects import Box
 from handmap_qp.se3 import affine, transform_points
 
 OWN = ("T", "human")

@@ -20,12 +20,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.apps.simulation.physics import Body, Physics, parse_object
+from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Instant, Simulator
 from handmap_qp.client import Client, Command
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
+from handmap_qp.mapping.objects import parse_object
 from handmap_qp.se3 import affine
 
 # Longest wait for a command before the robot is simulated further with the last one [s].

@@ -8,7 +8,7 @@ from grasp_planning import plan_grasps
 from section_four.contacts import Grasp
 
 from handmap_qp import load_hand
-from handmap_qp.apps.simulation.physics import Box
+from handmap_qp.mapping.objects import Box
 
 CUBE = Box((0.05, 0.05, 0.05))
 

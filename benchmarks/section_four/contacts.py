@@ -12,10 +12,10 @@ from functools import cached_property
 import numpy as np
 from checks import finite_array
 
-from handmap_qp.apps.simulation.physics import Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec, Vector
+from handmap_qp.mapping.objects import Shape
 from handmap_qp.se3 import check_pose
 from section_four.statics import grasp_matrix
 

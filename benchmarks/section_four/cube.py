@@ -15,11 +15,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from checks import one_of
 
-from handmap_qp.apps.simulation.physics import Box
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import read_hand_spec
 from handmap_qp.hands.urdf import get_numbers, parse_urdf, set_numbers
+from handmap_qp.mapping.objects import Box
 from section_four.contacts import Contact, Grasp
 
 REFERENCE_HANDS = ("human", "three_finger")

@@ -24,7 +24,7 @@ from handmap_qp.apps.drawing.hands import (
     tube,
 )
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
-from handmap_qp.apps.simulation.physics import Box
+from handmap_qp.mapping.objects import Box
 from handmap_qp.se3 import transform_points
 from section_four.contacts import Grasp
 from section_four.experiment import (

@@ -1,7 +1,9 @@
 from . import (
     mjcf as mjcf,
 )
+from .collision_shapes import convex_hull as convex_hull
 from .collision_shapes import parse_with_meshes as parse_with_meshes
+from .collision_shapes import prism_around as prism_around
 from .collision_shapes import read_collision_shapes as read_collision_shapes
 from .configuration import Configuration as Configuration
 from .configuration import moved_by as moved_by

@@ -70,7 +70,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
                     raise ValueError(f"{part.name!r} is flat, without a convex hull")
                 part.geometry = hull
             elif isinstance(part.geometry, coal.Cylinder):
-                part.geometry = _prism_around(part.geometry)
+                part.geometry = prism_around(part.geometry)
     except (RuntimeError, ValueError) as error:
         raise hand.spec.error(
             f"the collision shapes cannot be read: {reason_of(error)}",
@@ -122,7 +122,7 @@ def _hull_of(
     corners = _stl_vertices(file)
     if corners is None:
         corners = np.array(coal.MeshLoader().load(file, np.ones(3)).vertices())
-    return _convex_hull(corners * scale)
+    return convex_hull(corners * scale)
 
 
 _HEADER = 84
@@ -154,7 +154,7 @@ _SIDES = 48
 _THINNEST = 1e-5
 
 
-def _prism_around(cylinder: coal.Cylinder) -> coal.Convex | None:
+def prism_around(cylinder: coal.Cylinder) -> coal.Convex | None:
     """Return a prism around a cylinder, 20 um thick at least; its edges stand out by 0.2 %.
 
     On curved surfaces coal's normals are exact to 1e-5 only, and searches for them take long. On a
@@ -164,10 +164,10 @@ def _prism_around(cylinder: coal.Cylinder) -> coal.Convex | None:
     across = max(cylinder.radius, _THINNEST) / np.cos(np.pi / _SIDES)
     half = np.full(_SIDES, max(cylinder.halfLength, _THINNEST))
     rim = np.column_stack([across * np.cos(angles), across * np.sin(angles), half])
-    return _convex_hull(np.vstack([rim, -rim]))
+    return convex_hull(np.vstack([rim, -rim]))
 
 
-def _convex_hull(points: Array) -> coal.Convex | None:
+def convex_hull(points: Array) -> coal.Convex | None:
     """Return the convex hull of a mesh's vertices; None if they lie in a plane.
 
     coal's own `buildConvexRepresentation` keeps the vertices inside the hull. They disturb the

@@ -33,6 +33,17 @@ from .method import Stages as Stages
 from .method import Targets as Targets
 from .method import arm_held_by as arm_held_by
 from .method import get_preset as get_preset
+from .objects import KINDS as KINDS
+from .objects import Box as Box
+from .objects import Cylinder as Cylinder
+from .objects import MeshShape as MeshShape
+from .objects import Shape as Shape
+from .objects import Sphere as Sphere
+from .objects import distance as distance
+from .objects import geometry_of as geometry_of
+from .objects import nearest as nearest
+from .objects import parse_object as parse_object
+from .objects import surface as surface
 from .options_file import options_text as options_text
 from .options_file import read_options as read_options
 from .palm import PalmMap as PalmMap

@@ -19,9 +19,9 @@ from section_four.contacts import Contact, Grasp
 from section_four.cube import reference_grasp
 from section_four.statics import grasp_matrix, quasistatic
 
-from handmap_qp.apps.simulation.physics import Box, Cylinder, Sphere
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.library import load_hand
+from handmap_qp.mapping.objects import Box, Cylinder, Sphere
 
 HAND = load_hand("three_finger")
 FIXED = load_hand("three_finger", mount="fixed")

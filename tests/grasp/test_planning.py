@@ -32,10 +32,10 @@ from section_four.contacts import Grasp
 from section_four.cube import reference_grasp
 from strategies import generators, motion_of, poses, rotations
 
-from handmap_qp.apps.simulation.physics import Box, Cylinder, Shape, Sphere
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
+from handmap_qp.mapping.objects import Box, Cylinder, MeshShape, Shape, Sphere
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -74,6 +74,8 @@ def distance_from(shape: Shape, point: np.ndarray) -> tuple[float, np.ndarray]:
         case Cylinder(radius, length):
             aside = point[:2] * min(1.0, radius / max(np.linalg.norm(point[:2]), 1e-12))
             nearest = np.append(aside, np.clip(point[2], -0.5 * length, 0.5 * length))
+        case MeshShape():
+            raise NotImplementedError
     return float(np.linalg.norm(point - nearest)), nearest
 
 

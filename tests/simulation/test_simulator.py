@@ -17,16 +17,10 @@ from section_four.statics import quasistatic
 from simulation_cases import CUBE, cube_grasp
 
 from handmap_qp import InvalidInputError, InvalidOptionsError, load_hand
-from handmap_qp.apps.simulation.physics import (
-    Body,
-    Box,
-    Cylinder,
-    MeshShape,
-    Physics,
-    Sphere,
-)
+from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.objects import Box, Cylinder, MeshShape, Sphere
 from handmap_qp.se3 import affine
 
 MASS = 0.1

@@ -14,9 +14,10 @@ from patience import PATIENCE, wait_until
 from service_tools import address_of, client_of, serving
 
 from handmap_qp import InvalidInputError, load_hand
-from handmap_qp.apps.simulation.physics import Body, Sphere
+from handmap_qp.apps.simulation.physics import Body
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.client import Client
+from handmap_qp.mapping.objects import Sphere
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "simulated_robot.py"
 StandIn = runpy.run_path(str(EXAMPLE), run_name="simulated_robot")["StandIn"]

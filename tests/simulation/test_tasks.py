@@ -17,15 +17,7 @@ from simulation_cases import CUBE
 
 from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow, find_pinch
-from handmap_qp.apps.simulation.physics import (
-    Body,
-    Box,
-    Cylinder,
-    MeshShape,
-    Physics,
-    Sphere,
-    parse_object,
-)
+from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import (
     Pads,
@@ -42,6 +34,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.spec import PadSpec
 from handmap_qp.human.recording import Recording
+from handmap_qp.mapping.objects import Box, Cylinder, MeshShape, Sphere, parse_object
 from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.archive import read_archive
 

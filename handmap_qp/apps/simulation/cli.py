@@ -12,10 +12,11 @@ from handmap_qp.apps.arguments import HandName, Recordings, hinted
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import is_robot, load_whole
+from handmap_qp.mapping import parse_object
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers import save_npz
 from .commands import chosen_methods, map_pinch
-from .physics import Physics, parse_object
+from .physics import Physics
 from .pictures import film, picture, write_page
 from .pinch import (
     Objects,

@@ -12,15 +12,9 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands import Hand, read_collision_shapes
+from handmap_qp.mapping import Box, Cylinder, MeshShape, Sphere
 from handmap_qp.se3 import Array, mirror_sign, quat_wxyz_from_rotation
-from .physics import (
-    Body,
-    Box,
-    Cylinder,
-    MeshShape,
-    Physics,
-    Sphere,
-)
+from .physics import Body, Physics
 
 OBJECT = "/object"
 WRIST = "/wrist"

@@ -15,9 +15,10 @@ from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import Display
 from handmap_qp.errors import require
+from handmap_qp.mapping import surface
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array, affine
-from .physics import surface, turn_up
+from .physics import turn_up
 from .simulator import Episode, Instant
 
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)

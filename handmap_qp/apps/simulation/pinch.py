@@ -19,6 +19,7 @@ from scipy.stats import binomtest
 from handmap_qp.apps.tables import Row
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import THUMB, Hand, find_fingers, find_pads
+from handmap_qp.mapping import KINDS, Box, Shape, Sphere, parse_object
 from handmap_qp.se3 import (
     Array,
     affine,
@@ -29,17 +30,7 @@ from handmap_qp.se3 import (
     unit,
 )
 from .commands import Commands, PinchWindow
-from .physics import (
-    KINDS,
-    Body,
-    Box,
-    MeshShape,
-    Physics,
-    Shape,
-    Sphere,
-    parse_object,
-    turn_up,
-)
+from .physics import Body, Physics, turn_up
 from .simulator import Episode, Instant, Simulator
 
 CUBE = Box((0.03, 0.03, 0.03))
@@ -135,7 +126,7 @@ class PinchTrial(NamedTuple):
         yaw: Rotation about the vertical [rad].
     """
 
-    shape: Shape | MeshShape = CUBE
+    shape: Shape = CUBE
     mass: float = 0.05
     friction: float = 0.8
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
