@@ -9,7 +9,8 @@ random place. All mappings and robots get the same objects and displacements. To
 the makers' numbers (`TORQUES`). Shares of the objects that are held have intervals (95 %, Wilson).
 
 `teleoperation+grip` is the mapping with `GripFollower`: the robot's measured joints go back to it,
-and what thumb and finger have met is held with 5 N. It knows nothing else of the object.
+and what thumb and finger have met is held with 5 N. It knows nothing else of the object;
+`teleoperation+grip+place` knows where the object's middle is.
 
 A trial that cannot start, because the open hand overlaps the object or its pads are less than 15 mm
 clear of it, is refused: it counts in no share, but beside it. A mapping that holds few and has many
@@ -53,7 +54,7 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 PEERS = Path(__file__).resolve().parent / "peers"
 ROBOTS = ("allegro_right", "leap_right", "shadow_right")
 OWN = ("teleoperation", "fingertip-vectors")
-GRIP = "teleoperation+grip"
+GRIPS = ("teleoperation+grip", "teleoperation+grip+place")
 OTHERS = ("dex-dexpilot", "dexi-dexpilot", "dex-vector", "dexi-vector", "dex-position")
 TORQUES = {"allegro_right": 0.7, "leap_right": 0.95, "shadow_right": 2.0}
 """Largest torque of a finger's joint by the maker [N m].
@@ -176,9 +177,11 @@ def scenes(
     hand = load_hand(robot)
     take = prepare_take(recording, hand.side)
     physics = Physics(gravity=_GRAVITY, torque=TORQUES.get(robot, 1e3))
-    if GRIP in methods:
-        yield GRIP, GripScene(take, hand, window, physics)
-    plain = tuple(name for name in methods if name != GRIP)
+    for grip in GRIPS:
+        if grip in methods:
+            sees = grip.endswith("place")
+            yield grip, GripScene(take, hand, window, physics, sees=sees)
+    plain = tuple(name for name in methods if name not in GRIPS)
     if not plain:
         return
     for method in chosen_methods(plain, PEERS if {*plain} - {*OWN} else None, robot):
@@ -202,7 +205,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = common.parse_arguments(parser, words)
     is_built = not build.missing_peers()
-    methods = arguments.methods or [*OWN, GRIP, *(OTHERS if is_built else ())]
+    methods = arguments.methods or [*OWN, *GRIPS, *(OTHERS if is_built else ())]
     if arguments.quick:
         arguments.robots, arguments.trials, arguments.picks = ["allegro_right"], 1, 1
         methods = ["teleoperation"]

@@ -27,15 +27,23 @@ class GripScene(PinchScene):
         hand: The robot hand.
         window: When the human pinches.
         physics: Actuators, gravity and time steps.
+        sees: Whether the object's place is known too, until it is gripped.
     """
 
     def __init__(
-        self, take: Take, hand: Hand, window: PinchWindow, physics: Physics
+        self,
+        take: Take,
+        hand: Hand,
+        window: PinchWindow,
+        physics: Physics,
+        *,
+        sees: bool = False,
     ) -> None:
         human = take.human.with_points("landmarks")
         follower = Follower(HandMapper(human, hand, "teleoperation"), smoothing=None)
         self._samples = sample_columns(take.recording)
         self._options = GripOptions(stiffness=physics.joint_stiffness)
+        self._sees = sees
         # Where the hand is at the earliest start.
         made = []
         for i in range(window.end + 1):
@@ -60,7 +68,9 @@ class GripScene(PinchScene):
         grip = GripFollower(follower, self._options)
         time = self.commands.time
         for i in range(start + 1, self.window.end + 1):
-            command = grip.map_sample(self._samples.sample(i), simulator.q).command
+            place = simulator.object_pose[:3, 3] if self._sees else None
+            sample = self._samples.sample(i)
+            command = grip.map_sample(sample, simulator.q, place).command
             wrist = command.wrist if self.commands.hand.is_floating else None
             simulator.follow(command.q, wrist, time[i] - time[i - 1])
             yield float(time[i])

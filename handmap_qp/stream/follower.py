@@ -19,7 +19,7 @@ from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError
 from handmap_qp.human import HumanSample, SampleColumns, Verdict
-from handmap_qp.ik import SHORTEST_DT, Compiled, in_core
+from handmap_qp.ik import SHORTEST_DT, Compiled, Task, in_core
 from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
 from handmap_qp.options import NotNegative, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
@@ -463,3 +463,10 @@ class Follower:
     @property
     def _has_new_reference(self) -> bool:
         return self.mapper.reference is not self._reference
+
+
+def ask(mapper: HandMapper, kind: Any, *terms: Task) -> None:
+    """Add terms to the QP's cost from the next sample on, in place of those of a kind."""
+    kept = [task for task in mapper.tasks if not isinstance(task, kind)]
+    if terms or len(kept) < len(mapper.tasks):
+        mapper.configure(tasks=(*kept, *terms))

@@ -4,10 +4,14 @@ A pinch that closes around an object asks for pads that touch, as it does withou
 pushed along, and slips. So where the measured gap of the pads stays behind the commanded one, the
 measured joints of both fingers are kept, and closing on becomes torques that press along the line
 between the pads. The QP pulls to joint positions that press so: its limits hold.
+
+Where it is known at which place the object is, both pads close around it, so that none of them
+pushes it away before the other one is there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any, NamedTuple
 
@@ -18,16 +22,20 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Configuration, Hand
 from handmap_qp.human import HumanSample
-from handmap_qp.ik import LENGTH_UNIT, TaskRows
+from handmap_qp.ik import LENGTH_UNIT, AttachedPoints, TaskRows
 from handmap_qp.mapping import MapStep, Stages, gap_task, robot_fingers
 from handmap_qp.options import Options, Positive
-from handmap_qp.se3 import Array, as_floats, lengths
-from .follower import Follower
+from handmap_qp.se3 import Array, as_floats, lengths, unit
+from .follower import Follower, ask
 
-# Weight of a held joint, which leaves other terms little [1/rad].
+# Weights that leave other terms little: of a held joint [1/rad], and of the pads' middle [1/m].
 _HELD = 3000.0
-# Share of a pinch from which on a person grips.
+_CENTRED = 1000.0
+# Share of a pinch from which on a person grips, and at which pads close around an object.
 _PINCHING = 0.5
+_CLOSING = 0.1
+# Pads so near an object close around it, and do so least at twice the distance [m].
+_NEAR = 0.05
 # Pads that move no faster than this for so long have met something [m/s, s].
 _STILL = 0.03
 _TOUCHED = 0.1
@@ -68,6 +76,41 @@ class _HeldJoints(NamedTuple):
         off = hand.q[self.hand.q_indices] - self.positions
         rows = np.eye(hand.nv)[self.hand.joint_columns[self.columns]]
         return TaskRows(self.weight * off[self.columns], self.weight * rows)
+
+
+class _CentredPads(NamedTuple):
+    """Keeps the middle between the pads of thumb and finger at a place, by their own joints.
+
+    Attributes:
+        points: The middles of both pads.
+        radii: Their radii [m], shape (2,).
+        centre: The place [m], shape (3,).
+        columns: Columns of the velocity that move both fingers, shape (c,).
+        weight: Weight [1/m].
+    """
+
+    points: AttachedPoints
+    radii: Array
+    centre: Array
+    columns: Array
+    weight: float
+
+    def off(self, places: Array) -> Array:
+        """Return how far the middle of pads at such places, (2, 3), is off [m], shape (3,)."""
+        farther = 0.5 * (self.radii[0] - self.radii[1])
+        between = unit(places[1] - places[0])
+        return places.mean(axis=0) + farther * between - self.centre
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        """Return three rows; see `Task.linearise`."""
+        places = self.points.positions(hand)
+        jacobian = np.zeros((3, hand.nv))
+        own = self.points.jacobians(hand, places).mean(axis=0)
+        jacobian[:, self.columns] = own[:, self.columns]
+        return TaskRows(self.weight * self.off(places), self.weight * jacobian)
+
+
+_TERMS = _HeldJoints, _CentredPads
 
 
 class _Grip(NamedTuple):
@@ -127,7 +170,7 @@ class GripFollower:
         )
         wanted = "a hand that `teleoperation` moves, whose thumb turns to a finger"
         expect(has_pinch, "follower", wanted, value=hand.name)
-        pads = [fingers.pads[name] for name in names]
+        self._pads = pads = [fingers.pads[name] for name in names]
         self._task = gap_task(hand, pads)
         self._columns = [fingers.used[name].columns for name in names]
         self._placed = hand.configuration()
@@ -137,7 +180,11 @@ class GripFollower:
     __copy__ = deepcopy
 
     def map_sample(
-        self, sample: HumanSample, measured_q: ArrayLike, **times: Any
+        self,
+        sample: HumanSample,
+        measured_q: ArrayLike,
+        object_centre: ArrayLike | None = None,
+        **times: Any,
     ) -> MapStep:
         """Map one sample of a tracker; see `Follower.map_sample`.
 
@@ -145,6 +192,8 @@ class GripFollower:
             sample: The sample.
             measured_q: Joint positions that the robot has now [rad or m], shape (n,): read anew
                 for each sample.
+            object_centre: Middle of the object in the robot's world [m], shape (3,), if it is
+                known: pads that close near it meet around it. The wrist does not go there.
             **times: `dt` and `arrival` [s].
 
         Returns:
@@ -156,11 +205,15 @@ class GripFollower:
         """
         shape = self._hand.rest.shape
         q = as_floats(measured_q, "measured_q", shape=shape, is_finite=True)
+        if object_centre is not None:
+            object_centre = as_floats(
+                object_centre, "object_centre", shape=(3,), is_finite=True
+            )
         if self._mapper.reference is not self._reference:
             self._let_go()
         step = self.follower.map_sample(sample, **times)
         if step.status not in ("held", "released"):
-            self._advance(step, q)
+            self._advance(step, q, object_centre)
         if self._grip is None:
             return step
         effort = self._torques(self._grip)
@@ -176,14 +229,9 @@ class GripFollower:
         # Whether the person's fingers have been apart since: only then they grip.
         self._is_apart = False
         self._reference = self._mapper.reference
-        self._ask()
+        ask(self._mapper, _TERMS)
 
-    def _ask(self, *held: _HeldJoints) -> None:
-        """Hold joints from the next sample on; terms of the user stay."""
-        kept = [t for t in self._mapper.tasks if not isinstance(t, _HeldJoints)]
-        self._mapper.configure(tasks=(*kept, *held))
-
-    def _advance(self, step: MapStep, q: Array) -> None:
+    def _advance(self, step: MapStep, q: Array, centre: Array | None) -> None:
         """Go on with a grip, or see whether there is one."""
         dt = self._mapper.motion.dt
         gaps = step.named("gaps")
@@ -191,6 +239,7 @@ class GripFollower:
         grip = self._held(grip, gaps, dt) if grip else self._touched(step, q, gaps, dt)
         self._grip = grip
         if grip is None:
+            ask(self._mapper, _TERMS, *self._closing(step, gaps, centre))
             return
         if grip.opening >= 1.0:
             self._let_go()
@@ -198,7 +247,33 @@ class GripFollower:
         positions = grip.posture + self._torques(grip) / self.options.stiffness
         weight = _HELD * (1.0 - grip.opening) ** 2
         held = _HeldJoints(self._hand, grip.columns, positions, weight)
-        self._ask(held)
+        ask(self._mapper, _TERMS, held)
+
+    def _closing(
+        self, step: MapStep, gaps: Array, centre: Array | None
+    ) -> Iterator[_CentredPads]:
+        """Yield the term by which pads that close meet around a place, if they are near it."""
+        finger = int(gaps.argmin())
+        share = min(step.named("pinching")[finger] / _CLOSING, 1.0)
+        if centre is None or share <= 0.0:
+            return
+        ends = [self._pads[0], self._pads[1 + finger]]
+        term = _CentredPads(
+            AttachedPoints(self._hand, [(pad.joint, pad.offset) for pad in ends]),
+            np.array([pad.radius for pad in ends]),
+            centre,
+            self._hand.joint_columns[self._moving(finger)],
+            share * _CENTRED,
+        )
+        self._placed.place(step.ik.q)
+        off = lengths(term.off(term.points.positions(self._placed)))
+        near = np.clip(2.0 - off / _NEAR, 0.0, 1.0)
+        if near > 0.0:
+            yield term._replace(weight=near * term.weight)
+
+    def _moving(self, finger: int) -> Array:
+        """Return the columns of q that move the thumb and a finger, shape (c,)."""
+        return np.union1d(self._columns[0], self._columns[1 + finger])
 
     def _held(self, grip: _Grip, gaps: Array, dt: float) -> _Grip:
         """Return a grip after a sample of the person's gaps."""
@@ -221,14 +296,15 @@ class GripFollower:
     ) -> _Grip | None:
         """Return the grip of pads that have met something; None if they have not."""
         finger = int(human.argmin())
+        is_pinching = step.named("pinching")[finger] > _PINCHING
+        self._is_apart |= not is_pinching
+        if not (is_pinching and self._is_apart):
+            self._near = -1, 0.0, 0.0
+            return None
         gap = self._gaps(q)[finger]
         before, last, time = self._near
-        pinching = step.named("pinching")[finger]
-        self._is_apart |= pinching < _PINCHING
         is_met = (
-            self._is_apart
-            and finger == before
-            and pinching > _PINCHING
+            finger == before
             and abs(gap - last) < _STILL * dt
             and gap - self._gaps(step.command.q)[finger] > self.options.behind
         )
@@ -240,7 +316,7 @@ class GripFollower:
         slopes = self._task.linearise(self._placed).jacobian[finger]
         unit = LENGTH_UNIT / self._task.weights[finger]
         levers = -unit * slopes[self._hand.joint_columns]
-        columns = np.union1d(self._columns[0], self._columns[1 + finger])
+        columns = self._moving(finger)
         pressed = self.options.stiffness * levers @ (step.command.q - q)
         force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
         return _Grip(finger, columns, q, levers, force, human[finger])

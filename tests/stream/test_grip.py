@@ -6,8 +6,10 @@ import copy
 import dataclasses
 from collections.abc import Iterator
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from picks import made_pick
 
@@ -313,3 +315,86 @@ def test_one_error_for_what_cannot_be_used(allegro: Hand) -> None:
             GripFollower(other)
     with pytest.raises(InvalidOptionsError, match="stiffness"):
         GripOptions(stiffness=0.0)
+
+
+def pads_middle(hand: Hand, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
+    """Middle between the surfaces of the pads of thumb and index [m], from their links."""
+    placed = hand.configuration()
+    placed.place(hand.configuration_vector(q, wrist))
+    thumb, index = (robot_fingers(hand).pads[name] for name in ("thumb", "index"))
+    ends = [
+        transform_points(placed.data.oMi[pad.joint].homogeneous, pad.offset)
+        for pad in (thumb, index)
+    ]
+    way = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    return (ends[0] + thumb.radius * way + ends[1] - index.radius * way) / 2.0
+
+
+def closings(allegro: Hand, away: np.ndarray) -> tuple[list[MapStep], np.ndarray]:
+    """Close without anything between the pads, around a place beside where they would meet."""
+    plain = [step for step, _ in run(grip_follower(allegro), width=-1.0)]
+    closed = plain[75].command
+    centre = pads_middle(allegro, closed.q, closed.wrist) + away
+    grip = grip_follower(allegro)
+    q = allegro.rest
+    steps = []
+    for sample in samples():
+        steps.append(grip.map_sample(sample, q, centre))
+        q = steps[-1].command.q
+    return steps, centre
+
+
+def test_pads_close_around_a_known_place(allegro: Hand) -> None:
+    away = np.array([0.005, 0.006, -0.005])
+    steps, centre = closings(allegro, away)
+    plain = [step for step, _ in run(grip_follower(allegro), width=-1.0)]
+    command = steps[75].command
+    off = np.linalg.norm(pads_middle(allegro, command.q, command.wrist) - centre)
+    assert off < 0.2 * np.linalg.norm(away)
+    # The wrist and the other fingers stay with the person.
+    np.testing.assert_allclose(command.wrist, plain[75].command.wrist, atol=1e-3)
+    others = [j for j, n in enumerate(allegro.joint_names) if "ring" in n]
+    np.testing.assert_allclose(
+        command.q[others], plain[75].command.q[others], atol=1e-2
+    )
+    q = np.array([step.command.q for step in steps])
+    assert (np.abs(np.diff(q, axis=0)) * 60.0 <= allegro.velocity_limits + 1e-9).all()
+
+
+def test_a_place_far_away_changes_nothing(allegro: Hand) -> None:
+    steps, _ = closings(allegro, np.array([0.15, 0.0, 0.0]))
+    for step, (plain, _) in zip(
+        steps, run(grip_follower(allegro), width=-1.0), strict=True
+    ):
+        np.testing.assert_array_equal(step.command.q, plain.command.q)
+
+
+def test_the_term_of_a_place_has_the_slopes_of_its_error(allegro: Hand) -> None:
+    grip = grip_follower(allegro)
+    step = [step for step, _ in run(grip, width=-1.0)][75]
+    centre = pads_middle(allegro, step.command.q, step.command.wrist) + 0.01
+    (term,) = grip._closing(step, step.named("gaps"), centre)
+    placed = allegro.configuration()
+    own = [allegro.joint_columns[grip._moving(0)].tolist()]
+    base = step.ik.q
+
+    def error(way: np.ndarray) -> np.ndarray:
+        placed.place(pin.integrate(allegro.model, base, way))
+        return term.linearise(placed).residual
+
+    placed.place(base)
+    jacobian = term.linearise(placed).jacobian
+    for column in range(allegro.model.nv):
+        way = np.zeros(allegro.model.nv)
+        way[column] = 1e-6
+        slope = (error(way) - error(-way)) / 2e-6
+        wanted = slope if column in own[0] else np.zeros(3)
+        # The middle turns with the line of the pads where their radii differ.
+        np.testing.assert_allclose(jacobian[:, column], wanted, atol=2e-1)
+
+
+@pytest.mark.parametrize("centre", [(1.0, 2.0), (0.0, 0.0, np.nan), "here"])
+def test_a_place_that_is_none_is_refused(allegro: Hand, centre: Any) -> None:
+    grip = grip_follower(allegro)
+    with pytest.raises(InvalidInputError, match="object_centre"):
+        grip.map_sample(next(samples()), allegro.rest, centre)
