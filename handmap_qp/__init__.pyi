@@ -100,6 +100,7 @@ from .mapping.methods.virtual_object import (
 from .mapping.methods.virtual_object import (
     VirtualSphere as VirtualSphere,
 )
+from .mapping.objects import parse_object as parse_object
 from .stream.follower import Follower as Follower
 from .stream.follower import Smoothing as Smoothing
 from .stream.grip import (
@@ -108,6 +109,8 @@ from .stream.grip import (
 from .stream.grip import (
     GripOptions as GripOptions,
 )
+from .stream.held_object import ObjectFollower as ObjectFollower
+from .stream.held_object import ObjectOptions as ObjectOptions
 from .trackers.formats import read_recording as read_recording
 from .trackers.layouts.base import Layout as Layout
 from .trackers.layouts.tables import load_layout as load_layout

@@ -17,13 +17,7 @@ from handmap_qp.se3 import (
     transform_points,
 )
 from .recording import Recording
-from .sample import (
-    LANDMARK_COUNT,
-    PALM,
-    expect_hand_length,
-    finger_chains,
-    human_name,
-)
+from .sample import LANDMARK_COUNT, PALM, expect_hand_length, finger_chains, human_name
 
 _BENT = math.sin(math.radians(15.0))
 """Sine of the angle between proximal bone and the line from PIP to tip, above which a finger spans

@@ -18,7 +18,7 @@ from handmap_qp.se3 import Array, affine, as_floats, check_poses, frozen
 from .sample import LANDMARK_COUNT, HumanSample, check_side
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
-_COLUMNS = ("time", "landmarks", "valid", "wrist", "confidence")
+_COLUMNS = ("time", "landmarks", "valid", "wrist", "confidence", "object_pose")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +39,9 @@ class Recording:
             Arbitrary where a sample is not valid.
         upright: Axes of the tracker's world that are up and forward, such as `+y up, -z forward`;
             empty if not known.
+        object_pose: Poses of an object that the hand holds, in the tracker's world, shape
+            (T, 4, 4); None if there is none. Arbitrary where a sample is not valid.
+        object_shape: The object's shape, as of `parse_object`; empty if it is not known.
 
     Raises:
         InvalidInputError: If an array has another shape or type than expected, time does not
@@ -54,6 +57,8 @@ class Recording:
     wrist: Array | None = None
     confidence: Array | None = None
     upright: str = ""
+    object_pose: Array | None = None
+    object_shape: str = ""
 
     def __post_init__(self) -> None:
         """Check the arrays, and replace them by read-only copies."""
@@ -74,8 +79,9 @@ class Recording:
         is_right = ~valid | finite_samples(landmarks)
         finite = "finite numbers in every valid sample"
         _expect_each(is_right, "landmarks", finite, landmarks, "others in sample {1}")
-        if self.wrist is not None:
-            columns["wrist"] = check_poses(self.wrist, "wrist", valid)
+        for name in ("wrist", "object_pose"):
+            if (poses := getattr(self, name)) is not None:
+                columns[name] = check_poses(poses, name, valid)
         if self.confidence is not None:
             shares = as_floats(self.confidence, "confidence", shape=(count,))
             columns["confidence"] = shares
@@ -168,26 +174,31 @@ def turned(recording: Recording, turn: Array, own: Array, **changes: Any) -> Rec
     Args:
         recording: The recording.
         turn: Takes the tracker's world to the other one, shape (3, 3).
-        own: Takes other axes of the wrist to the tracker's own, shape (4, 4).
+        own: Takes other axes of wrist and object to their own, shape (4, 4).
         changes: Further fields that change.
     """
-    wrist = recording.wrist
+    poses = {
+        name: affine(turn) @ pose @ own
+        for name in ("wrist", "object_pose")
+        if (pose := getattr(recording, name)) is not None
+    }
     # Samples that are not valid may hold anything.
     with np.errstate(invalid="ignore"):
         landmarks = recording.landmarks @ turn.T
-    return replace(
-        recording,
-        landmarks=landmarks,
-        wrist=None if wrist is None else affine(turn) @ wrist @ own,
-        **changes,
-    )
+    return replace(recording, landmarks=landmarks, **poses, **changes)
 
 
 def mirrored(recording: Recording) -> Recording:
     """Return the recording of the other hand, mirrored from side to side.
 
     The axis that is neither up nor forward is negated, and x where they are not known.
+
+    Raises:
+        InvalidInputError: If it has an object that is no box, ball or cylinder.
     """
+    shape = recording.object_shape
+    is_plain = shape == "" or ":" in shape
+    expect(is_plain, "object_shape", "a shape that its mirror image is", value=shape)
     kept = recording.upright or "yz"
     mirror = np.diag([1.0 if axis in kept else -1.0 for axis in "xyz"])
     side = "left" if recording.side == "right" else "right"

@@ -92,10 +92,7 @@ class HumanSample:
         expect(is_finite, "time", "a finite instant", value=self.time)
         check_side(self.side)
         landmarks = as_floats(
-            self.landmarks,
-            "landmarks",
-            shape=(LANDMARK_COUNT, 3),
-            is_finite=self.valid,
+            self.landmarks, "landmarks", shape=(LANDMARK_COUNT, 3), is_finite=self.valid
         )
         object.__setattr__(self, "landmarks", frozen(landmarks.copy()))
         if self.wrist is not None:

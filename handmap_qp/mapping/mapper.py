@@ -22,12 +22,7 @@ from numpy.typing import ArrayLike
 from handmap_qp import ik
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands import Hand, Names, Values
-from handmap_qp.human import (
-    LANDMARK_COUNT,
-    LANDMARK_NAMES,
-    PALM,
-    landmarks_at_rest,
-)
+from handmap_qp.human import LANDMARK_COUNT, LANDMARK_NAMES, PALM, landmarks_at_rest
 from handmap_qp.ik import Compiled, IkOptions, IkResult, Motion, PointIk, Task
 from handmap_qp.se3 import (
     Array,
@@ -172,6 +167,11 @@ class HandMapper:
     def reference(self) -> HumanPose | None:
         """The human hand that motion is counted from; None if the next sample becomes it."""
         return None if self._reference is None else self._reference.sample
+
+    @property
+    def target_map(self) -> TargetMap | None:
+        """What makes targets of samples from the reference on; None if the next becomes it."""
+        return None if self._reference is None else self._reference.map
 
     @cached_property
     def landmarks(self) -> LandmarkReader:
@@ -322,12 +322,7 @@ class HandMapper:
         return self.map(sample, dt, out_of_range=out_of_range, started=started)
 
     def _moved(
-        self,
-        sample: HumanPose,
-        asked: Targets,
-        rest: Array,
-        dt: float,
-        speed: float,
+        self, sample: HumanPose, asked: Targets, rest: Array, dt: float, speed: float
     ) -> Stages:
         """Move the robot towards its targets in Python, or in the core by its QP alone."""
         plan = self._plan

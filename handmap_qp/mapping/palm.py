@@ -126,6 +126,14 @@ class PalmMap:
         palm = affine(Q @ human[:3, :3] @ self.rotation, Q @ origin)
         return human, palm, points
 
+    @property
+    def world(self) -> Array:
+        """The human's world in the robot's, where both anchors are one place, shape (4, 4).
+
+        For palms that follow without a scale.
+        """
+        return affine(self.alignment, self.alignment @ self.offset)
+
     def person_at(self, sample: HumanPose) -> Array:
         """Return a sample's palm in the robot's world, about its anchor, shape (4, 4).
 

@@ -3,6 +3,9 @@ from .follower import Follower as Follower
 from .grip import GripFollower as GripFollower
 from .grip import GripOptions as GripOptions
 from .guard import StreamGuard as StreamGuard
+from .held_object import ObjectFollower as ObjectFollower
+from .held_object import ObjectOptions as ObjectOptions
+from .held_object import follow_recording as follow_recording
 from .measurement import measure_person as measure_person
 from .robot_follower import RobotFollower as RobotFollower
 from .robot_follower import paired as paired

@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from time import thread_time
@@ -15,7 +15,13 @@ from handmap_qp.hands import Hand, Names
 from handmap_qp.human import RULES, Recording, Rule, recording_samples, sample_columns
 from handmap_qp.mapping import HandMapper, MapStep
 from handmap_qp.se3 import Array, Arrays, lengths
-from handmap_qp.stream import RULE_NAMES, STATUS_NAMES, Follower, StepTable
+from handmap_qp.stream import (
+    RULE_NAMES,
+    STATUS_NAMES,
+    Follower,
+    StepTable,
+    follow_recording,
+)
 
 Told = Callable[[int], None] | None
 """Called after each sample with the number of samples done."""
@@ -46,6 +52,7 @@ class Trajectory:
         consistency: RMS difference of bones and palm from the person's [m], shape (T,); NaN where
             it was not measured.
         confidence: The tracker's own confidence, from 0 to 1, shape (T,).
+        object_pose: Poses of the robot's object in its world, shape (T, 4, 4); None without one.
     """
 
     robot: Hand
@@ -64,6 +71,7 @@ class Trajectory:
     rule: Array
     consistency: Array
     confidence: Array
+    object_pose: Array | None = None
 
     @property
     def limit_violation(self) -> float:
@@ -78,6 +86,8 @@ class Trajectory:
         robot = self.robot
         arrays = vars(self).copy()
         del arrays["step_cpu"]
+        if self.object_pose is None:
+            del arrays["object_pose"]
         return arrays | {
             "joint_names": np.array(robot.joint_names),
             "point_names": np.array([point.name for point in robot.reference_points]),
@@ -119,7 +129,8 @@ def map_recording(
 ) -> Trajectory:
     """Map the landmarks of a recording as a live stream: by a `Follower`.
 
-    The robot holds its last posture in samples that are not valid or make no sense.
+    Where the recording has an object, and the method can touch it, `ObjectFollower` does. The robot
+    holds its last posture in samples that are not valid or make no sense.
 
     Args:
         mapper: The mapper; its human hand must be scaled to the person.
@@ -136,6 +147,9 @@ def map_recording(
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
     follower = Follower(mapper)
+    if is_guarded and recording.object_pose is not None:
+        followed = follow_recording(follower, recording, wrist_poses)
+        return _with_object(mapper.robot, recording.time, followed, progress)
     if is_guarded:
         table = follower.map_samples(sample_columns(recording, wrist_poses), progress)
         return _trajectory(mapper.robot, recording.time, table)
@@ -149,6 +163,25 @@ def map_recording(
         for sample, dt in zip(samples, recording.steps, strict=True)
     )
     return trajectory_of(mapper.robot, recording.time, steps, progress)
+
+
+def _with_object(
+    robot: Hand, time: Array, steps: Iterator[MapStep], progress: Told
+) -> Trajectory:
+    """Collect steps, and where they have the robot's object."""
+    poses: list[Array | None] = []
+
+    def noted(step: MapStep) -> MapStep:
+        last = poses[-1] if poses else None
+        poses.append(step.diagnostics.get("object_pose", last))
+        return step
+
+    made = trajectory_of(robot, time, map(noted, steps), progress)
+    first = next((pose for pose in poses if pose is not None), None)
+    if first is None:
+        return made
+    placed = [first if pose is None else pose for pose in poses]
+    return replace(made, object_pose=np.array(placed))
 
 
 def trajectory_of(

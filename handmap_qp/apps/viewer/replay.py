@@ -8,7 +8,7 @@ import numpy as np
 
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import Hand, Names, Side, Values
-from handmap_qp.human import HumanMotion, Recording, recording_samples
+from handmap_qp.human import HumanMotion, Recording
 from handmap_qp.mapping import (
     Choice,
     HandMapper,
@@ -16,10 +16,12 @@ from handmap_qp.mapping import (
     RobotMapper,
     found_alignment,
     options_text,
+    parse_object,
     possible_presets,
     preset_choice,
+    surface,
 )
-from handmap_qp.stream import Follower, RobotFollower, paired
+from handmap_qp.stream import Follower, RobotFollower, follow_recording, paired
 from .controls import KEPT, NOTHING, PlayBar, SteeringControls, Window, say
 from .page import make_page
 from .sample import Variant, ViewSample
@@ -171,17 +173,16 @@ class Replay:
         if robot.parts:
             humans = self.human.by_side
             mapper: Any = RobotMapper(robot, humans, choice.method, ik=choice.ik)
-            follow: Any = RobotFollower(mapper).map_samples
-            samples: Any = paired({each.side: each for each, _ in self._seen})
+            samples = paired({each.side: each for each, _ in self._seen})
+            mapped: Any = map(RobotFollower(mapper).map_samples, samples)
         else:
             mapper = HandMapper(self.human, robot, choice.method, ik=choice.ik)
-            follow = Follower(mapper).map_sample
-            samples = recording_samples(self._recording)
+            mapped = follow_recording(Follower(mapper), self._recording)
         steps: list[MapStep] = []
-        for i, sample in enumerate(samples):
+        for i in range(len(self.time)):
             if i in self.switches:
                 (mapper.release if self.switches[i] else mapper.clutch)()
-            steps.append(follow(sample))
+            steps.append(next(mapped))
         # Until the hand is first seen, show the reference.
         followed = [not step.is_held for step in steps]
         first = int(np.argmax(followed))
@@ -189,7 +190,11 @@ class Replay:
         shown = tuple(
             self._sample(i, step, followed[i]) for i, step in enumerate(steps)
         )
-        return Variant(label, mapper.robot, choice, shown)
+        shape = self._recording.object_shape
+        solid = (
+            surface(parse_object(shape)) if shown[-1].object_pose is not None else None
+        )
+        return Variant(label, mapper.robot, choice, shown, solid)
 
     def _sample(
         self, i: int, step: MapStep, is_seen: bool, hand: int = 0
@@ -215,6 +220,7 @@ class Replay:
             landmarks=recording.landmarks[k] if recording.valid[k] else None,
             deformation=None if motion is None else motion[:3, :3],
             pivot=results.get("pivot_image"),
+            object_pose=results.get("object_pose"),
             is_limited=step.at_bound,
             status=step.status,
             held_by=step.held_by,

@@ -39,8 +39,9 @@ class NpzFormat(RecordingFormat):
 
     Arrays: `time (T,)` [s], `landmarks (T, 21, 3)` [m] and `handedness`; and where they are known
     `valid (T,)`, `confidence (T,)`, `wrist (T, 4, 4)` or `wrist_pose (T, 7)` (position [m], then a
-    quaternion in the order w, x, y, z), and the words `source` and `upright`. A file with
-    both hands has the same names with `left_` and `right_` before them, without `handedness`.
+    quaternion in the order w, x, y, z), `object_pose (T, 4, 4)` of an object, and the words
+    `object_shape`, `source` and `upright`. A file with both hands has the same names with `left_`
+    and `right_` before them, without `handedness`.
     """
 
     name = "npz"

@@ -32,14 +32,15 @@ COLUMNS: dict[str, Names] = {
     "valid": ("valid",),
     "confidence": ("confidence",),
     "wrist": tuple(f"wrist_pose_{i}{j}" for i in range(3) for j in range(4)),
+    "object_pose": tuple(f"object_pose_{i}{j}" for i in range(3) for j in range(4)),
 }
 """Names of the numbers of a sample by the fields of `Recording`, for formats that have columns.
 
-Of the wrist's pose they are the upper three rows, row by row.
+Of poses they are the upper three rows, row by row.
 """
 
 
-WORDS = ("source", "upright")
+WORDS = ("source", "upright", "object_shape")
 """Fields of `Recording` that are words, and empty where they are not known."""
 
 
@@ -56,6 +57,8 @@ LOSSES: dict[str, tuple[str, Callable[[Recording], bool]]] = {
     "confidence": ("the confidence", lambda r: r.confidence is not None),
     "source": ("the words about the source", lambda r: r.source != ""),
     "upright": ("which axes are up and forward", lambda r: r.upright != ""),
+    "object_pose": ("the object", lambda r: r.object_pose is not None),
+    "object_shape": ("the object's shape", lambda r: r.object_shape != ""),
     "no wrist": (
         "that the wrist's orientation is unknown",
         lambda r: r.wrist is None,
@@ -232,6 +235,7 @@ def build_recording(
     valid: Any = None,
     wrist: Any = None,
     wrist_pose: Any = None,
+    object_pose: Any = None,
     confidence: Any = None,
     name: str = "",
     **words: str,
@@ -249,6 +253,7 @@ def build_recording(
             NaN counts as none.
         wrist_pose: Without `wrist`, position [m] and quaternion in the order w, x, y, z, shape
             (T, 7); it counts as none if one is not finite in a valid sample.
+        object_pose: As `wrist`, of an object.
         confidence: As of `Recording`; an array of NaN counts as none.
         name: As of `Recording`; `entry_stem` if empty.
         words: Those of `WORDS`.
@@ -263,10 +268,7 @@ def build_recording(
         seen = finite_samples(points)
         if valid is not None:
             seen &= as_flags(valid, "valid", seen.size)
-        poses = _if_known(wrist, "wrist")
-        if poses is not None and poses.shape[1:] == (12,):
-            rows = poses.reshape(-1, 3, 4)
-            poses = affine(rows[..., :3], rows[..., 3])
+        poses = _poses(wrist, "wrist")
         if wrist is None and wrist_pose is not None:
             sevens = as_floats(wrist_pose, "wrist_pose", shape=(len(seen), 7))[seen]
             if np.isfinite(sevens).all():
@@ -279,6 +281,7 @@ def build_recording(
             seen,
             entry.side,
             wrist=poses,
+            object_pose=_poses(object_pose, "object_pose"),
             confidence=_if_known(confidence, "confidence"),
             **words,
         )
@@ -300,10 +303,19 @@ def column(recording: Recording, name: str) -> Array:
     shape = (len(recording), count) if count > 1 else (len(recording),)
     if values is None:
         return np.full(shape, np.nan)
-    return (values[:, :3] if name == "wrist" else values).reshape(shape)
+    return (values[:, :3] if count == 12 else values).reshape(shape)
 
 
 def _if_known(values: Any, name: str) -> Array | None:
     """Return an array; None if there is none, or all of it is NaN."""
     numbers = np.nan if values is None else as_floats(values, name)
     return None if np.isnan(numbers).all() else np.asarray(numbers)
+
+
+def _poses(values: Any, name: str) -> Array | None:
+    """Return poses, (T, 4, 4), of their upper three rows, (T, 12), too; None as `_if_known`."""
+    poses = _if_known(values, name)
+    if poses is None or poses.shape[1:] != (12,):
+        return poses
+    rows = poses.reshape(-1, 3, 4)
+    return affine(rows[..., :3], rows[..., 3])

@@ -35,12 +35,13 @@ class CsvFormat(RecordingFormat):
 
     Needed: `side` (right or left), `time` [s] and `wrist_x`, `wrist_y`, `wrist_z`, `thumb_cmc_x`
     and so on [m]. Optional: `valid` (1 or 0), `confidence`, and `wrist_pose_00` to `wrist_pose_23`,
-    the upper three rows of the wrist's pose. An empty field is NaN.
+    the upper three rows of the wrist's pose; as `object_pose_00` those of an object's. An empty
+    field is NaN.
     """
 
     name = "csv"
     suffixes = (".csv",)
-    lacks = ("source", "upright")
+    lacks = ("source", "upright", "object_shape")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the hands by their rows."""
@@ -94,8 +95,9 @@ def _by_side(
 ) -> Iterator[tuple[Side, Row]]:
     """Yield the rows with their hands, of a table that has all columns of a recording."""
     needed = ["side", "time", *COLUMNS["landmarks"]]
-    if not set(COLUMNS["wrist"]).isdisjoint(header):
-        needed += COLUMNS["wrist"]
+    for name in ("wrist", "object_pose"):
+        if not set(COLUMNS[name]).isdisjoint(header):
+            needed += COLUMNS[name]
     for name in needed:
         if name not in header:
             raise InvalidInputError(f"has no column {name!r}")

@@ -238,7 +238,14 @@ class EgoDexFormat(_Hdf5Format):
 
     name = "egodex"
     group = "transforms"
-    lacks = ("source", "upright", "no wrist", "wrist position", "no confidence")
+    lacks = (
+        "source",
+        "upright",
+        "object_pose",
+        "no wrist",
+        "wrist position",
+        "no confidence",
+    )
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the hands whose wrist the file has."""

@@ -58,7 +58,7 @@ class ManoFormat(RecordingFormat):
 
     name = "mano"
     suffixes = (".npz",)
-    lacks = ("wrist", "confidence", "source", "upright")
+    lacks = ("wrist", "confidence", "source", "upright", "object_pose")
 
     def __init__(self, model: Path | None = None) -> None:
         self._model = model

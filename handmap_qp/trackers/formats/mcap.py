@@ -60,7 +60,14 @@ class McapFormat(RecordingFormat):
 
     name = "mcap"
     suffixes = (".mcap",)
-    lacks = ("digits of time", "source", "upright", "unseen", "digits of wrist")
+    lacks = (
+        "digits of time",
+        "source",
+        "upright",
+        "object_pose",
+        "unseen",
+        "digits of wrist",
+    )
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a file, or the folder of a bag."""

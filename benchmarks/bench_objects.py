@@ -1,0 +1,179 @@
+"""Whether robots touch an object where the person does, and move it in the hand as the person does.
+
+    python benchmarks/bench_objects.py --json objects.json --picture objects.png
+    python benchmarks/bench_objects.py --robots allegro_right --objects cube --motions "turn +1x"
+
+A person made of the human model holds an object between thumb, index and middle finger, and moves
+or turns it in the hand (`holding.py`): where the fingers touch is known exactly. Every robot maps
+it with the object (`ObjectFollower`) and without. From where the fingers touch:
+
+- place: distance of the pads of the robot's fingers from the same places of the surface [mm]
+- inside: how deep the deepest link is in the object [mm], < 0 for none
+- carried: share of the object's motion in the hand that the pads make, by a rigid fit to them
+
+It is kinematics: no friction, no forces. Numbers are medians and 95th percentiles over samples;
+`carried` is the median and the least over motions.
+"""
+
+from __future__ import annotations
+
+import common  # first: it sets the number of threads before numpy is loaded
+
+# isort: split
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+from holding import FINGERS, MOTIONS, OBJECTS, Hold, hold
+
+from handmap_qp import HandMapper, load_hand
+from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
+from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.hand_pair import robot_fingers
+from handmap_qp.mapping.objects import geometry_of, parse_object
+from handmap_qp.se3 import inverse_pose, rigid_fit, transform_points
+
+ROBOTS = ("allegro_right", "leap_right", "shadow_right")
+HUMAN = load_hand("human", points="landmarks")
+
+
+def pads_of(hand: Hand, q: np.ndarray, wrist: np.ndarray) -> tuple[Any, np.ndarray]:
+    """Return a hand as it is placed, and the middles of its pads [m], shape (f, 3)."""
+    placed = hand.configuration()
+    placed.place(hand.configuration_vector(q, wrist))
+    pads = robot_fingers(hand).pads
+    ends = [placed.data.oMi[pads[f].joint].act(pads[f].offset) for f in FINGERS]
+    return placed, np.array(ends)
+
+
+def depth(hand: Hand, placed: Any, shape: Any, pose: np.ndarray) -> float:
+    """Return how deep the deepest link of a hand is in an object [m], < 0 outside."""
+    there = coal.Transform3s(pose[:3, :3], pose[:3, 3])
+    gaps = []
+    for link in read_collision_shapes(hand).geometryObjects:
+        own = placed.data.oMi[link.parentJoint] * link.placement
+        here = coal.Transform3s(own.rotation, own.translation)
+        request, result = coal.DistanceRequest(True, True), coal.DistanceResult()
+        gaps.append(coal.distance(link.geometry, here, shape, there, request, result))
+    return -min(gaps)
+
+
+def measured(
+    made: Hold, motion: str, trajectory: Trajectory, poses: np.ndarray
+) -> dict[str, float]:
+    """Measure what a robot does with an object at poses in its world, shape (T, 4, 4)."""
+    robot = trajectory.robot
+    pads = robot_fingers(robot).pads
+    radii = np.array([pads[finger].radius for finger in FINGERS])
+    aims = made.places + radii[:, None] * made.normals
+    shape = geometry_of(parse_object(made.recording.object_shape))
+    off, deep, ends = [], [], []
+    for i in range(made.closed, len(poses)):
+        placed, now = pads_of(robot, trajectory.q[i], trajectory.wrist[i])
+        off.append(np.linalg.norm(now - transform_points(poses[i], aims), axis=1))
+        deep.append(depth(robot, placed, shape, poses[i]))
+        palm = trajectory.wrist[i] @ robot.wrist_to_palm
+        ends.append(transform_points(inverse_pose(palm), now))
+    first, last = poses[made.closed], poses[-1]
+    palms = [
+        trajectory.wrist[i] @ robot.wrist_to_palm for i in (made.closed, len(poses) - 1)
+    ]
+    # The object's motion in the robot's palm, and the pads'.
+    before, after = (
+        inverse_pose(p) @ o for p, o in zip(palms, (first, last), strict=True)
+    )
+    wanted = pin.log6(pin.SE3(after @ inverse_pose(before))).vector
+    fitted = rigid_fit(ends[0], ends[-1])
+    own = pin.log6(pin.SE3(fitted)).vector
+    part = slice(3, 6) if motion.startswith("turn") else slice(0, 3)
+    # A motion of the pads about the object, not about the palm.
+    if part.start == 0:
+        middle = before[:3, 3]
+        own = np.append(transform_points(fitted, middle) - middle, own[3:])
+        wanted = np.append(after[:3, 3] - middle, wanted[3:])
+    carried = own[part] @ wanted[part] / (wanted[part] @ wanted[part])
+    found = 1e3 * np.array(off)
+    return {
+        "place mm": float(np.median(found)),
+        "place p95 mm": float(np.percentile(found, 95.0)),
+        "inside mm": float(1e3 * np.median(deep)),
+        "inside max mm": float(1e3 * np.max(deep)),
+        "carried %": float(100.0 * carried),
+    }
+
+
+def both(robot: str, made: Hold, motion: str) -> dict[str, dict[str, float]]:
+    """Measure a robot that knows of the object, and one that does not."""
+    hand = load_hand(robot)
+    aware = map_recording(HandMapper(HUMAN, hand, "teleoperation"), made.recording)
+    poses = aware.object_pose
+    assert poses is not None
+    plain = map_recording(
+        HandMapper(HUMAN, hand, "teleoperation"), without_object(made)
+    )
+    return {
+        "with the object": measured(made, motion, aware, poses),
+        "without": measured(made, motion, plain, poses),
+    }
+
+
+def without_object(made: Hold) -> Any:
+    """Return the recording of a hand alone."""
+    return replace(made.recording, object_pose=None, object_shape="")
+
+
+def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Summarise motions in a row of a table."""
+    shown: dict[str, Any] = {"": name, "motions": len(found)}
+    for key in ("place mm", "place p95 mm", "inside mm"):
+        shown[key] = round(float(np.median([each[key] for each in found])), 1)
+    shown["inside max mm"] = round(max(each["inside max mm"] for each in found), 1)
+    carried = [each["carried %"] for each in found]
+    shown["carried %"] = round(float(np.median(carried)))
+    shown["least"] = round(min(carried))
+    return shown
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Map all motions by all robots, print the tables, and write them."""
+    parser = common.make_parser((__doc__ or "").splitlines()[0], draws=False)
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--objects", nargs="+", default=list(OBJECTS))
+    parser.add_argument("--motions", nargs="+", default=list(MOTIONS))
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = common.parse_arguments(parser, words)
+    if arguments.quick:
+        arguments.robots, arguments.objects = ["allegro_right"], ["cube"]
+        arguments.motions = ["turn +1x"]
+    found: list[dict[str, Any]] = []
+    total = len(arguments.objects) * len(arguments.motions)
+    with common.progress("holding", total) as done:
+        for what in arguments.objects:
+            for motion in arguments.motions:
+                made = hold(what, motion, arguments.seed)
+                for robot in arguments.robots:
+                    for mapping, values in both(robot, made, motion).items():
+                        where = {"robot": robot, "mapping": mapping, "object": what}
+                        found.append(where | {"motion": motion} | values)
+                done()
+    to_stderr = arguments.json == "-"
+    for keys in (("robot", "mapping"), ("object", "mapping"), ("motion", "mapping")):
+        groups = dict.fromkeys(tuple(each[key] for key in keys) for each in found)
+        rows = [
+            row(
+                ", ".join(group),
+                [e for e in found if tuple(e[key] for key in keys) == group],
+            )
+            for group in groups
+        ]
+        common.print_table(f"By {' and '.join(keys)}", rows, to_stderr=to_stderr)
+    results = {"seed": arguments.seed, "motions": found}
+    common.write_json(arguments.json, "bench_objects", results)
+
+
+if __name__ == "__main__":
+    main()

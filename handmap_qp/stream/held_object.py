@@ -1,0 +1,276 @@
+"""`ObjectFollower`: the robot's fingers touch an object where the person's do.
+
+The person's hand and an object are tracked in one world. The robot's object moves as the person's:
+in the robot's world, as its palm's target moves as the person's palm (T, imposed exactly). Where a
+fingertip of the person is on the surface, the pad of the robot's finger goes to the same place of
+it, along the normal there; away from the surface, the finger follows as without an object. Links
+that come into the object are pushed out of it.
+"""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from collections.abc import Iterator
+from copy import deepcopy
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from msgspec import structs
+from numpy.typing import ArrayLike
+
+from handmap_qp.errors import InvalidOptionsError, expect
+from handmap_qp.hands import (
+    FINGERS,
+    Configuration,
+    Hand,
+    moved_by,
+    read_collision_shapes,
+)
+from handmap_qp.human import TIPS, HumanSample, Recording, recording_samples
+from handmap_qp.ik import AttachedPoints, TaskRows
+from handmap_qp.mapping import (
+    HandMapper,
+    MapStep,
+    Shape,
+    Stages,
+    distance,
+    geometry_of,
+    nearest,
+    parse_object,
+    robot_fingers,
+)
+from handmap_qp.options import Options, Positive
+from handmap_qp.se3 import (
+    Array,
+    check_pose,
+    inverse_pose,
+    lengths,
+    smoothstep,
+    transform_points,
+)
+from .follower import Follower, ask
+
+# Weights of a pad's place, and of a link that is nearer to the object than its clearance [1/m, m].
+# Links that are this near feel the row, so that they stay where it ends; and what moves pads and
+# links is damped by a share of its slopes, without which fingers tremble.
+_PLACED, _PUSHED = 3000.0, 1e4
+_CLEAR, _AROUND = 5e-4, 5e-3
+_DAMPED = 0.5
+# A pad that is farther from its place is said to be off [m].
+_OFF = 0.01
+
+
+class ObjectOptions(Options, frozen=True):
+    """How fingers go to an object.
+
+    Attributes:
+        touching: Distance of a person's fingertip from the surface where its skin touches [m]: 5 to
+            10 mm, as landmarks lie inside the fingers.
+        near: Distance from which on fingers go to places of the surface [m].
+    """
+
+    touching: Positive = 0.01
+    near: Positive = 0.02
+
+    def check(self) -> None:
+        """Reject fingers that touch before they are near."""
+        if self.near <= self.touching:
+            expected = f"more than touching, {self.touching:g} m"
+            raise InvalidOptionsError(option="near", expected=expected, value=self.near)
+
+
+class _Touch(NamedTuple):
+    """Takes pads to places of an object, and pushes links out of it.
+
+    Attributes:
+        hand: The hand.
+        shape: The object's shape.
+        pose: Its pose in the robot's world, shape (4, 4).
+        points: The middles of f pads.
+        places: Where they belong in the robot's world [m], shape (f, 3).
+        shares: Shares of the weight of each, shape (f,).
+    """
+
+    hand: Hand
+    shape: Shape
+    pose: Array
+    points: AttachedPoints
+    places: Array
+    shares: Array
+
+    def links(self, placed: Configuration) -> tuple[Array, Array]:
+        """Return the distance of each shape [m], (s,), and its slopes, shape (s, nv)."""
+        here = geometry_of(self.shape), pin.SE3(self.pose)
+        shapes, moved = _links(self.hand)
+        found = []
+        for shape in shapes:
+            there = placed.data.oMi[shape.parentJoint] * shape.placement
+            gap, near = distance(*here, shape.geometry, there)
+            found.append((gap, near.normal, near.getNearestPoint2()))
+        gaps, normals, points = map(np.array, zip(*found, strict=True))
+        linear, angular = placed.joint_jacobian().reshape(2, 3, -1)
+        slopes = normals @ linear + np.cross(points, normals) @ angular
+        return gaps, placed.contracted(slopes * moved)
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        """Return three rows a pad, and one a link; see `Task.linearise`."""
+        now = self.points.positions(hand)
+        weights = _PLACED * self.shares[:, None]
+        pads = weights[..., None] * self.points.jacobians(hand, now)
+        gaps, slopes = self.links(hand)
+        weight = _PUSHED * np.clip((_AROUND - gaps) / _AROUND, 0.0, 1.0)[:, None]
+        inside = weight * np.minimum(gaps - _CLEAR, 0.0)[:, None]
+        off = np.append(weights * (now - self.places), inside)
+        rows = np.vstack([*pads, weight * slopes])
+        return TaskRows(off, rows, _DAMPED * (rows**2).sum(axis=0))
+
+
+@lru_cache(maxsize=8)
+def _links(hand: Hand) -> tuple[list[pin.GeometryObject], Array]:
+    """Return a hand's s shapes, and which velocities of the model move each, shape (s, nv)."""
+    shapes = list(read_collision_shapes(hand).geometryObjects)
+    return shapes, moved_by(hand.model, [shape.parentJoint for shape in shapes])
+
+
+def can_touch(mapper: HandMapper) -> bool:
+    """Return whether an `ObjectFollower` can let a mapper touch objects."""
+    method: Any = mapper.method
+    is_led = hasattr(method, "pinch_weight") and method.scale == 1.0
+    return is_led and mapper.robot.has_moving_wrist
+
+
+class ObjectFollower:
+    """Lets a follower touch an object where the person does.
+
+    It is for one hand and the preset `teleoperation`, whose palm follows the person's.
+
+    Args:
+        follower: Follows the samples.
+        shape: The object's shape.
+        options: How fingers go to it.
+
+    Attributes:
+        follower: As given.
+        shape: As given.
+        options: As given.
+        object_pose: Pose of the robot's object in its world at the last sample, shape (4, 4); None
+            before one is followed.
+
+    Raises:
+        InvalidInputError: If it is for another preset, the wrist stays where it is, or there
+            is a scale.
+    """
+
+    def __init__(
+        self, follower: Follower, shape: Shape, options: ObjectOptions | None = None
+    ) -> None:
+        self.follower = follower
+        self.shape = shape
+        self.options = options or ObjectOptions()
+        self._mapper = mapper = follower.mapper
+        self._hand = hand = mapper.robot
+        wanted = "a hand that `teleoperation` moves, whose wrist follows at scale 1"
+        expect(can_touch(mapper), "follower", wanted, value=hand.name)
+        fingers = robot_fingers(hand)
+        self._tips = TIPS[[FINGERS.index(name) for name in fingers.names]]
+        pads = [fingers.pads[name] for name in fingers.names]
+        self._points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
+        self._radii = np.array([pad.radius for pad in pads])
+        self._placed = hand.configuration()
+        self.object_pose: Array | None = None
+
+    # A shallow copy would move the same robot.
+    __copy__ = deepcopy
+
+    def map_sample(
+        self, sample: HumanSample, object_pose: ArrayLike, **times: Any
+    ) -> MapStep:
+        """Map one sample of a tracker; see `Follower.map_sample`.
+
+        The first sample after a new reference is mapped as without an object.
+
+        Args:
+            sample: The sample.
+            object_pose: Pose of the object in the tracker's world, shape (4, 4); arbitrary where
+                the sample is not valid.
+            **times: `dt` and `arrival` [s].
+
+        Returns:
+            The step. Its diagnostics have `object_pose`, as of the attribute, and of each finger
+            with joints, the thumb first: `touching`, the share to which the person's touches, and
+            `touch_error`, how far the robot's pad is from its place on the surface [m], shape (f,)
+            both; `clearance` is the distance of the nearest link [m]. Where a finger that touches
+            is off by more than 10 mm, `off_object` is among the flags.
+
+        Raises:
+            InvalidInputError: As there, or if the pose is none.
+            InvalidOptionsError: As there.
+        """
+        pose = check_pose(object_pose, "object_pose") if sample.valid else np.eye(4)
+        is_placed = sample.valid and self._world is not None
+        terms = [self._touch(sample, pose)] if is_placed else []
+        ask(self._mapper, _Touch, *terms)
+        step = self.follower.map_sample(sample, **times)
+        if step.status in ("held", "released"):
+            return step
+        self.object_pose = self._world @ pose
+        found = {"object_pose": self.object_pose}
+        flags = step.asked.flags
+        for touch in terms:
+            placed = self._placed
+            placed.place(step.ik.q)
+            off = lengths(touch.points.positions(placed) - touch.places)
+            gaps, _ = touch.links(placed)
+            found |= {
+                "touching": touch.shares,
+                "touch_error": off,
+                "clearance": gaps.min(),
+            }
+            if (touch.shares * off).max() > _OFF:
+                flags = (*flags, "off_object")
+        told = ChainMap(found, dict(step.asked.diagnostics))
+        asked = structs.replace(step.asked, diagnostics=told, flags=flags)
+        stages = Stages(step.stages.pose, asked, step.ik, step.command)
+        return structs.replace(step, stages=stages)
+
+    @property
+    def _world(self) -> Any:
+        """The tracker's world in the robot's, (4, 4); None until there is a reference."""
+        found: Any = self._mapper.target_map
+        return found and found.world
+
+    def _touch(self, sample: HumanSample, pose: Array) -> _Touch:
+        """Return the term by which the robot touches an object as the person does."""
+        options = self.options
+        tips = transform_points(inverse_pose(pose), sample.landmarks[self._tips])
+        found = nearest(self.shape, tips)
+        away = np.maximum(found.distances - options.touching, 0.0)
+        shares = smoothstep(1.0 - away / (options.near - options.touching))
+        aims = found.places + (self._radii + away)[:, None] * found.normals
+        there = self._world @ pose
+        places = transform_points(there, aims)
+        return _Touch(self._hand, self.shape, there, self._points, places, shares)
+
+
+def follow_recording(
+    follower: Follower, recording: Recording, wrists: Array | None = None
+) -> Iterator[MapStep]:
+    """Map a recording sample by sample, with its object where the method can touch one.
+
+    Args:
+        follower: Follows the samples.
+        recording: The recording.
+        wrists: Poses of the wrist, as of `recording_samples`.
+
+    Raises:
+        InvalidInputError: As `Follower.map_sample`, or if the object's shape is not known.
+    """
+    samples = recording_samples(recording, wrists)
+    if recording.object_pose is None or not can_touch(follower.mapper):
+        yield from map(follower.map_sample, samples)
+        return
+    shape = parse_object(recording.object_shape, "object_shape")
+    holding = ObjectFollower(follower, shape)
+    yield from map(holding.map_sample, samples, recording.object_pose)

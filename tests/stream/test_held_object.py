@@ -1,0 +1,378 @@
+"""Robots touch an object where the person does: places of the surface, rows, limits, and files."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from bench_objects import depth, pads_of
+from holding import FINGERS, Hold, hold
+from scipy.optimize import minimize
+
+from handmap_qp import HandMapper, cli, load_hand
+from handmap_qp.apps.offline.trajectory import map_recording
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.human.recording import mirrored, sample_columns
+from handmap_qp.mapping.hand_pair import robot_fingers
+from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
+from handmap_qp.mapping.objects import (
+    Box,
+    Cylinder,
+    MeshShape,
+    Shape,
+    Sphere,
+    geometry_of,
+    nearest,
+    parse_object,
+)
+from handmap_qp.se3 import affine, transform_points
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.held_object import ObjectFollower, ObjectOptions, _Touch
+from handmap_qp.trackers.formats import read_recording, write_recordings
+
+HUMAN = load_hand("human", points="landmarks")
+ROBOTS = ("allegro_right", "shadow_right")
+CUBE = parse_object("box:0.04")
+
+
+@lru_cache
+def held(motion: str = "turn +1z") -> Hold:
+    return hold("cube", motion)
+
+
+def follower(robot: str = "allegro_right") -> ObjectFollower:
+    mapper = HandMapper(HUMAN, load_hand(robot), "teleoperation")
+    return ObjectFollower(Follower(mapper, smoothing=None), CUBE)
+
+
+@lru_cache
+def steps(robot: str) -> tuple[ObjectFollower, list[MapStep]]:
+    recording = held().recording
+    columns = sample_columns(recording)
+    poses = recording.object_pose
+    assert poses is not None
+    holding = follower(robot)
+    return holding, [
+        holding.map_sample(columns.sample(i), pose) for i, pose in enumerate(poses)
+    ]
+
+
+def inside(shape: Shape, points: np.ndarray) -> np.ndarray:
+    """How far points are outside a shape along its worst direction, exact inside it [m]."""
+    match shape:
+        case Box():
+            return (np.abs(points) - 0.5 * np.array(shape.size)).max(axis=1)
+        case Sphere():
+            return np.linalg.norm(points, axis=1) - shape.radius
+        case Cylinder():
+            across = np.hypot(points[:, 0], points[:, 1]) - shape.radius
+            return np.maximum(across, np.abs(points[:, 2]) - shape.length / 2.0)
+    raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    "shape", [Box((0.03, 0.05, 0.08)), Sphere(0.02), Cylinder(0.02, 0.08)]
+)
+def test_the_nearest_place_is_on_the_surface_and_nearest(shape: Shape) -> None:
+    random = np.random.default_rng(0)
+    points = random.uniform(-0.07, 0.07, (60, 3))
+    found = nearest(shape, points)
+    # The prism in the place of a cylinder stands out by .2 %.
+    tolerance = 1e-4 if isinstance(shape, Cylinder) else 1e-9
+    np.testing.assert_allclose(inside(shape, found.places), 0.0, atol=tolerance)
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1.0, atol=1e-9)
+    ahead = found.places + found.distances[:, None] * found.normals
+    np.testing.assert_allclose(ahead, points, atol=1e-9)
+    within = inside(shape, points) < 0.0
+    np.testing.assert_array_equal(found.distances < 0.0, within)
+    # Inside, the signed distance is known; outside, no point of the surface is nearer.
+    exact = inside(shape, points[within])
+    np.testing.assert_allclose(found.distances[within], exact, atol=tolerance)
+    for point, gap in zip(points[~within][:8], found.distances[~within], strict=False):
+        limit = {"type": "ineq", "fun": lambda x: -inside(shape, x[None])}
+        best = minimize(
+            lambda x, point=point: np.sum((x - point) ** 2),
+            np.zeros(3),
+            constraints=[limit],
+            method="SLSQP",
+            options={"ftol": 1e-16},
+        )
+        assert np.sqrt(best.fun) == pytest.approx(gap, abs=2e-4)
+
+
+def test_a_mesh_counts_as_its_hull() -> None:
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    points = np.random.default_rng(1).uniform(-0.06, 0.06, (30, 3))
+    box, mesh = Box((0.04, 0.04, 0.04)), MeshShape(0.02 * corners.astype(float))
+    for own, other in zip(nearest(box, points), nearest(mesh, points), strict=True):
+        np.testing.assert_allclose(own, other, atol=1e-7)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_pads_touch_where_the_person_does(robot: str) -> None:
+    made = held()
+    holding, found = steps(robot)
+    recording = made.recording
+    plain = map_recording(
+        HandMapper(HUMAN, load_hand(robot), "teleoperation"),
+        dataclasses.replace(recording, object_pose=None, object_shape=""),
+    )
+    hand = holding.follower.mapper.robot
+    off, without, deep = [], [], []
+    for i in range(made.closed, len(found), 7):
+        pose = found[i].diagnostics["object_pose"]
+        command = found[i].command
+        placed, pads = pads_of(hand, command.q, command.wrist)
+        radii = holding._radii[:3, None]
+        aims = transform_points(pose, made.places + radii * made.normals)
+        off.append(np.linalg.norm(pads - aims, axis=1))
+        _, others = pads_of(hand, plain.q[i], plain.wrist[i])
+        without.append(np.linalg.norm(others - aims, axis=1))
+        deep.append(depth(hand, placed, geometry_of(CUBE), pose))
+    assert np.median(off) < 0.006 < 0.012 < np.median(without)
+    assert np.max(off) < 0.012
+    assert np.median(deep) < 0.0005
+    assert np.max(deep) < 0.002
+    # Fingers that touch do not tremble between their places and the surface.
+    q = np.array([step.command.q for step in found])
+    used = robot_fingers(hand).used
+    columns = np.concatenate([used[finger].columns for finger in FINGERS])
+    own, other = (
+        np.diff(each[made.closed :, columns], n=2, axis=0) for each in (q, plain.q)
+    )
+    assert np.sqrt((own**2).mean()) < 1.5 * np.sqrt((other**2).mean())
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_limits_hold(robot: str) -> None:
+    holding, found = steps(robot)
+    hand = holding.follower.mapper.robot
+    q = np.array([step.command.q for step in found])
+    assert (q >= hand.lower_limits).all()
+    assert (q <= hand.upper_limits).all()
+    speed = np.abs(np.diff(q, axis=0)) * 60.0
+    assert (speed <= hand.velocity_limits + 1e-9).all()
+
+
+def test_the_robots_object_moves_as_the_persons() -> None:
+    _, found = steps("allegro_right")
+    poses = held().recording.object_pose
+    assert poses is not None
+    own = [step.diagnostics["object_pose"] for step in found]
+    turns = [a @ np.linalg.inv(b) for a, b in zip(own, poses, strict=True)]
+    np.testing.assert_allclose(
+        turns, np.broadcast_to(turns[0], (len(turns), 4, 4)), atol=1e-12
+    )
+
+
+def test_the_rows_have_the_slopes_of_their_errors() -> None:
+    holding, found = steps("allegro_right")
+    hand = holding.follower.mapper.robot
+    columns = sample_columns(held().recording)
+    poses = held().recording.object_pose
+    assert poses is not None
+    touch = holding._touch(columns.sample(90), poses[90])
+    base = found[90].ik.q
+    placed = hand.configuration()
+    pads = 3 * len(touch.shares)
+
+    def residual(way: np.ndarray) -> np.ndarray:
+        placed.place(pin.integrate(hand.model, base, way))
+        gaps, _ = touch.links(placed)
+        return np.append(touch.linearise(placed).residual[:pads], gaps)
+
+    placed.place(base)
+    rows = touch.linearise(placed)
+    _, slopes = touch.links(placed)
+    jacobian = np.vstack([rows.jacobian[:pads], slopes])
+    size = np.abs(jacobian).max(axis=1) + 1e-9
+    for column in range(hand.model.nv):
+        way = np.zeros(hand.model.nv)
+        way[column] = 1e-6
+        slope = (residual(way) - residual(-way)) / 2e-6
+        off = np.abs(jacobian[:, column] - slope) / size
+        # The nearest point of a face to a face may be any.
+        assert np.median(off) < 1e-6
+        assert np.mean(off > 1e-3) < 0.1
+
+
+def test_a_link_in_the_object_is_pushed_out() -> None:
+    holding, found = steps("allegro_right")
+    hand = holding.follower.mapper.robot
+    columns = sample_columns(held().recording)
+    poses = held().recording.object_pose
+    assert poses is not None
+    touch = holding._touch(columns.sample(90), poses[90])
+    touch = touch._replace(
+        pose=touch.pose @ affine(np.eye(3), (0.004, 0.003, 0.002)),
+        shares=np.zeros_like(touch.shares),
+    )
+    placed = hand.configuration()
+    q = found[90].ik.q
+    placed.place(q)
+    before = touch.links(placed)[0].min()
+    for _ in range(20):
+        rows = touch.linearise(placed)
+        normal = rows.jacobian.T @ rows.jacobian + np.diag(rows.damping + 1e-3)
+        q = pin.integrate(
+            hand.model, q, np.linalg.solve(normal, -rows.jacobian.T @ rows.residual)
+        )
+        placed.place(q)
+    assert before < -0.001 < 0.0 < touch.links(placed)[0].min()
+
+
+def test_an_object_far_away_changes_nothing() -> None:
+    holding = follower()
+    plain = Follower(
+        HandMapper(HUMAN, load_hand("allegro_right"), "teleoperation"), smoothing=None
+    )
+    columns = sample_columns(held().recording)
+    far = affine(np.eye(3), (2.0, 0.0, 0.0))
+    for i in range(60):
+        step = holding.map_sample(columns.sample(i), far)
+        other = plain.map_sample(columns.sample(i))
+        np.testing.assert_allclose(step.command.q, other.command.q, atol=1e-6)
+        assert not step.diagnostics.get("touching", np.zeros(1)).any()
+
+
+def test_what_cannot_be_touched_is_said() -> None:
+    """Joints that hardly move cannot go to where the person's fingers are."""
+    made, holding = held(), follower()
+    columns = sample_columns(made.recording)
+    poses = made.recording.object_pose
+    assert poses is not None
+    for i in range(100):
+        step = holding.map_sample(columns.sample(i), poses[i], dt=1e-4)
+    assert "off_object" in step.asked.flags
+    _, found = steps("allegro_right")
+    assert "off_object" not in found[-1].asked.flags
+
+
+@pytest.mark.parametrize(
+    ("name", "small", "large"), [("touching", 0.002, 0.015), ("near", 0.012, 0.06)]
+)
+def test_options_have_their_effect(name: str, small: float, large: float) -> None:
+    columns = sample_columns(held().recording)
+    poses = held().recording.object_pose
+    assert poses is not None
+
+    def touch(value: float) -> _Touch:
+        holding = follower()
+        holding.options = ObjectOptions().replaced(**{name: value})
+        holding.map_sample(columns.sample(80), poses[80])
+        return holding._touch(columns.sample(80), poses[80])
+
+    one, other = touch(small), touch(large)
+    if name == "near":
+        assert other.shares.sum() > one.shares.sum()
+    else:
+        assert not np.allclose(one.places, other.places, atol=1e-3)
+
+
+def test_a_sample_that_is_not_valid_may_have_any_pose() -> None:
+    made, holding = held(), follower()
+    columns = sample_columns(made.recording)
+    poses = made.recording.object_pose
+    assert poses is not None
+    holding.map_sample(columns.sample(0), poses[0])
+    lost = dataclasses.replace(columns.sample(1), valid=False)
+    step = holding.map_sample(lost, np.full((4, 4), np.nan))
+    assert step.status == "held"
+    assert holding.map_sample(columns.sample(2), poses[2]).status != "held"
+
+
+def test_wrong_input_is_refused() -> None:
+    holding = follower()
+    sample = sample_columns(held().recording).sample(0)
+    with pytest.raises(InvalidInputError, match="object_pose"):
+        holding.map_sample(sample, np.zeros((4, 4)))
+    robot = load_hand("allegro_right")
+    still = load_hand("allegro_right", mount="fixed")
+    for mapper in (
+        HandMapper(HUMAN, robot, "object"),
+        HandMapper(HUMAN, still, "teleoperation"),
+        HandMapper(HUMAN, robot, Teleoperation(scale=0.5)),
+    ):
+        with pytest.raises(InvalidInputError, match="`teleoperation` moves"):
+            ObjectFollower(Follower(mapper), CUBE)
+
+
+def test_fingers_are_near_before_they_touch() -> None:
+    with pytest.raises(InvalidOptionsError, match="near: expected more than touching"):
+        ObjectOptions(touching=0.02)
+
+
+# Files
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".hdf5", ".csv"])
+def test_files_keep_an_object(tmp_path: Path, suffix: str) -> None:
+    recording = held().recording
+    file = tmp_path / f"held{suffix}"
+    write_recordings([recording], file)
+    read = read_recording(file)
+    assert read.object_pose is not None
+    np.testing.assert_array_equal(read.object_pose, recording.object_pose)
+    assert read.object_shape == ("" if suffix == ".csv" else "box:0.04")
+
+
+def test_a_mirrored_recording_has_the_mirrored_object() -> None:
+    recording = held().recording
+    other = mirrored(recording)
+    assert recording.object_pose is not None
+    assert other.object_pose is not None
+    # Fingertips are as far from the surface as before.
+    for i in (0, 60, 120):
+        gaps = [
+            nearest(
+                CUBE,
+                transform_points(np.linalg.inv(poses[i]), hands[i]),
+            ).distances
+            for poses, hands in (
+                (recording.object_pose, recording.landmarks),
+                (other.object_pose, other.landmarks),
+            )
+        ]
+        np.testing.assert_allclose(gaps[0], gaps[1], atol=1e-9)
+    mesh = dataclasses.replace(recording, object_shape="mug.stl")
+    with pytest.raises(InvalidInputError, match="object_shape"):
+        mirrored(mesh)
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((170, 4, 4)), np.eye(4), "there"])
+def test_poses_that_are_none_are_refused(wrong: Any) -> None:
+    with pytest.raises(InvalidInputError, match="object_pose"):
+        dataclasses.replace(held().recording, object_pose=wrong)
+
+
+def test_the_command_writes_the_robots_object(tmp_path: Path) -> None:
+    file, out = tmp_path / "held.npz", tmp_path / "mapped.npz"
+    write_recordings([held().recording], file)
+    cli.main(["map", str(file), "--robot", "allegro_right", "--out", str(out)])
+    with np.load(out) as arrays:
+        assert arrays["object_pose"].shape == (len(held().recording), 4, 4)
+
+
+def test_a_shape_that_is_not_known_is_refused() -> None:
+    nameless = dataclasses.replace(held().recording, object_shape="")
+    mapper = HandMapper(HUMAN, load_hand("allegro_right"), "teleoperation")
+    with pytest.raises(InvalidInputError, match="object_shape"):
+        map_recording(mapper, nameless)
+
+
+def test_other_presets_map_the_hand_alone() -> None:
+    recording = held().recording
+    plain = dataclasses.replace(recording, object_pose=None, object_shape="")
+    robot = load_hand("allegro_right")
+    one, other = (
+        map_recording(HandMapper(HUMAN, robot, "object"), each)
+        for each in (recording, plain)
+    )
+    np.testing.assert_array_equal(one.q, other.q)
+    assert one.object_pose is None
