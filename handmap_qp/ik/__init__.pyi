@@ -1,15 +1,7 @@
-from . import (
-    collision as collision,
-)
-from . import (
-    compiled as compiled,
-)
-from . import (
-    mink_problem as mink_problem,
-)
-from . import (
-    solvers as solvers,
-)
+from . import collision as collision
+from . import compiled as compiled
+from . import mink_problem as mink_problem
+from . import solvers as solvers
 from .collision import pair_bounds as pair_bounds
 from .compiled import core_tree as core_tree
 from .core import Compiled as Compiled

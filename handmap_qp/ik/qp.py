@@ -211,11 +211,7 @@ def direct_cost(
 
 
 def solve_by_daqp(
-    H: Array,
-    c: Array,
-    lower: Array,
-    upper: Array,
-    rows: Rows | None = None,
+    H: Array, c: Array, lower: Array, upper: Array, rows: Rows | None = None
 ) -> Array | None:
     """Solve by DAQP, a dual active-set method: exact, and a warm start gains nothing."""
     G = np.zeros((0, len(c)))

@@ -233,11 +233,7 @@ class PointOffset:
     """
 
     def __init__(
-        self,
-        hand: Hand,
-        places: Sequence[tuple[int, Array]],
-        aim: Array,
-        weight: float,
+        self, hand: Hand, places: Sequence[tuple[int, Array]], aim: Array, weight: float
     ) -> None:
         self.places = places
         self.aim = aim

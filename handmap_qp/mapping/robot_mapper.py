@@ -38,14 +38,7 @@ from handmap_qp.hands import (
     load_hand,
 )
 from handmap_qp.human import Verdict, human_name
-from handmap_qp.ik import (
-    IkOptions,
-    IkResult,
-    Motion,
-    PointIk,
-    PointOffset,
-    Task,
-)
+from handmap_qp.ik import IkOptions, IkResult, Motion, PointIk, PointOffset, Task
 from handmap_qp.se3 import (
     Array,
     PoseLike,
@@ -58,14 +51,7 @@ from handmap_qp.se3 import (
     transform_points,
 )
 from .mapper import HandMapper, check_dt, check_joints, posture_of, stages_of
-from .method import (
-    HumanPose,
-    MapStep,
-    Method,
-    Stages,
-    TargetMap,
-    Targets,
-)
+from .method import HumanPose, MapStep, Method, Stages, TargetMap, Targets
 from .palm import PalmMap
 
 # Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
@@ -144,12 +130,7 @@ class Leader(HandMapper):
         return core.asker(target_map, self.robot)
 
     def _moved(
-        self,
-        sample: HumanPose,
-        asked: Targets,
-        rest: Array,
-        dt: float,
-        speed: float,
+        self, sample: HumanPose, asked: Targets, rest: Array, dt: float, speed: float
     ) -> Any:
         """Ask for targets."""
         leading = self._reference and self._reference.map

@@ -270,10 +270,7 @@ class Tally:
 
 
 def plan_batch(
-    inputs: Sequence[Path],
-    folder: Path,
-    options: JobOptions,
-    shard: Shard = WHOLE,
+    inputs: Sequence[Path], folder: Path, options: JobOptions, shard: Shard = WHOLE
 ) -> Plan:
     """List the recordings, and compare them with the manifest.
 
