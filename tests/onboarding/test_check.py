@@ -15,6 +15,7 @@ import yaml
 
 from handmap_qp import HandError, load_hand
 from handmap_qp.apps.onboarding.check import (
+    _check_tips,
     _check_wrist,
     _compare_detection,
     check_hand,
@@ -25,7 +26,7 @@ from handmap_qp.apps.onboarding.collision_pairs import (
     with_collision_pairs,
 )
 from handmap_qp.apps.onboarding.detect import detect, detect_text
-from handmap_qp.apps.onboarding.findings import Found, Report
+from handmap_qp.apps.onboarding.findings import Finding, Found, Report
 from handmap_qp.apps.onboarding.measure import (
     check_arm,
     check_contacts,
@@ -410,3 +411,13 @@ def test_the_reach_of_an_arm_is_a_line_with_a_scale() -> None:
     (line,) = found_by(check_arm(load_hand("g1_arm_left"))).findings
     assert line.level == "advice"
     assert "directions from rest" in line.found
+
+
+def test_a_fingertip_outside_its_shapes_is_found() -> None:
+    spec = load_hand("leap_right").spec
+    (found,) = _check_tips(load_hand(msgspec.structs.replace(spec, shapes={})))
+    assert isinstance(found, Finding)
+    assert found.key == "points.index"
+    assert found.found == "the fingertip is 9 mm outside the shapes of its link"
+    assert "`shapes`" in found.change
+    assert list(_check_tips(load_hand(spec))) == []

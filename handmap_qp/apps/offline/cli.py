@@ -66,22 +66,14 @@ class Map:
     """
 
     recordings: Positional[
-        Annotated[
-            tuple[Path, ...],
-            hinted("RECORDING [RECORDING]", "(required)"),
-        ]
+        Annotated[tuple[Path, ...], hinted("RECORDING [RECORDING]", "(required)")]
     ]
-    robot: Annotated[
-        str | None,
-        hinted("HAND", "(or give --robots)"),
-    ] = None
+    robot: Annotated[str | None, hinted("HAND", "(or give --robots)")] = None
     robots: Annotated[
-        tuple[str, str] | None,
-        hinted("LEFT RIGHT", "(or give --robot)"),
+        tuple[str, str] | None, hinted("LEFT RIGHT", "(or give --robot)")
     ] = None
     out: Annotated[
-        Path | None,
-        hinted("FILE.npz", "(default: RECORDING_ROBOT.npz)"),
+        Path | None, hinted("FILE.npz", "(default: RECORDING_ROBOT.npz)")
     ] = None
     mirror: bool = False
     person: PersonFile = None
@@ -138,12 +130,7 @@ class Map:
             make_folder(out.parent, "--out")
         return check_output("--out", out, (".npz",))
 
-    def _map(
-        self,
-        robot: Hand,
-        used: list[Recording],
-        out: Path,
-    ) -> Values:
+    def _map(self, robot: Hand, used: list[Recording], out: Path) -> Values:
         """Map the recordings of a robot's hands, write its trajectory, and return the summary."""
         person = person_of(used, self.person)
         with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:

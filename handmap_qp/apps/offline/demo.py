@@ -62,11 +62,7 @@ class Demo:
             print(f"wrote {self.out / name}")
 
 
-def run_demo(
-    name: str,
-    directory: Path,
-    progress: Told = None,
-) -> Trajectory:
+def run_demo(name: str, directory: Path, progress: Told = None) -> Trajectory:
     """Map the recording that comes with the package, and write all of `FILES`, or none.
 
     Args:

@@ -37,19 +37,10 @@ class Layouts:
     """
 
     layout: Positional[
-        Annotated[
-            str | None,
-            hinted("[LAYOUT]", "(default: list all)"),
-        ]
+        Annotated[str | None, hinted("[LAYOUT]", "(default: list all)")]
     ] = None
-    template: Annotated[
-        Path | None,
-        hinted("FILE.yaml"),
-    ] = None
-    picture: Annotated[
-        Path | None,
-        hinted("FILE.png"),
-    ] = None
+    template: Annotated[Path | None, hinted("FILE.yaml")] = None
+    picture: Annotated[Path | None, hinted("FILE.png")] = None
     json: bool = False
 
     def run(self) -> None:

@@ -7,6 +7,7 @@ limits, files, shapes and a detection; those of `measure` move the hand.
 import warnings
 from pathlib import Path
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -24,10 +25,12 @@ from handmap_qp.hands import (
     parse_with_meshes,
     partner_names,
     place_of,
+    read_collision_shapes,
     read_urdf,
     urdf_path,
     zero_posture,
 )
+from handmap_qp.mapping import distance
 from handmap_qp.se3 import box_of, lengths
 from handmap_qp.trackers import first_of
 from .anatomy import FINGERS, Clue, angle_between
@@ -55,6 +58,8 @@ _LARGEST_TURN = 2.0 * np.pi + 0.01
 _LARGEST_SLIDE = 2.0
 # Allowed distance of a reference point from its link's shape, for example a sensor's frame [m].
 _OFF_THE_LINK = 0.02
+# The same of a fingertip from the shapes that collide [m].
+_OFF_THE_TIP = 0.003
 # Least confidence of the detection for a finding: of fingers and side, and of a direction, whose
 # largest angle depends on its certainty [deg].
 _SURE = 0.65
@@ -235,6 +240,22 @@ def _check_places(hand: Hand) -> Found:
             yield warning(f"points.{point.name}", what, change)
 
 
+def _check_tips(hand: Hand) -> Found:
+    """Find fingertips outside the shapes of their links, where a shape may be misplaced."""
+    try:
+        shapes = read_collision_shapes(hand).geometryObjects
+    except HandError:
+        return
+    for finger, (joint, tip) in ((f, c.tip) for f, c in find_fingers(hand).items()):
+        own = [shape for shape in shapes if shape.parentJoint == joint]
+        there = coal.Sphere(1e-6), pin.SE3(np.eye(3), tip)
+        gaps = [distance(s.geometry, s.placement, *there)[0] for s in own]
+        if (gap := min(gaps, default=0.0)) > _OFF_THE_TIP:
+            what = f"the fingertip is {1e3 * gap:.0f} mm outside the shapes of its link"
+            change = "is one of them in a wrong place? `shapes` moves it"
+            yield warning(f"points.{finger}", what, change)
+
+
 def _check_meshes(hand: Hand) -> Found:
     robot = parse_with_meshes(hand)
     for tag, use in (
@@ -349,6 +370,7 @@ _CHECKS = (
     _check_followers,
     _check_points,
     _check_places,
+    _check_tips,
     _check_meshes,
     _check_wrist,
     _check_order,
