@@ -31,7 +31,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gripping import GripScene
 from peers import build
 from picks import HOUSEHOLD, picks
 
@@ -42,6 +41,7 @@ from handmap_qp.apps.simulation.commands import (
     find_pinch,
     map_commands,
 )
+from handmap_qp.apps.simulation.gripping import GripScene
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch import (
     PinchScene,
@@ -180,7 +180,7 @@ def scenes(
     for grip in GRIPS:
         if grip in methods:
             sees = grip.endswith("place")
-            yield grip, GripScene(take, hand, window, physics, sees=sees)
+            yield grip, GripScene(take, hand, window, physics, sees)
     plain = tuple(name for name in methods if name not in GRIPS)
     if not plain:
         return

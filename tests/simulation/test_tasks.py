@@ -463,6 +463,28 @@ def test_the_command_counts_every_trial_and_writes_a_simulation(
     assert columns["q"].shape == (len(columns["time"]), len(columns["joint_names"]))
 
 
+@pytest.mark.slow
+def test_the_command_holds_what_it_meets(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "made.npz"
+    write_recordings([made_pick()], file)
+    words = ["simulate", str(file), "--robot", "allegro_right", "--json"]
+    slips = {}
+    for grip in ("grip", "grip+place"):
+        assert cli.main([*words, "--grip", grip]) == 0
+        plain, own = json.loads(capsys.readouterr().out)["rows"]
+        assert own["mapping"] == f"{plain['mapping']}+{grip}"
+        slips[grip] = own
+    # Where the object is known, it is not pushed away before it is held.
+    assert slips["grip+place"]["held"] == "yes"
+    assert slips["grip+place"]["slip mm"] < 5.0
+    assert slips["grip"] != slips["grip+place"]
+    both = ["simulate", str(file), str(file), "--grip", "grip"]
+    assert cli.main([*both, "--robot", "allegro_right"]) == 2
+    assert "expected one recording of a hand" in capsys.readouterr().err
+
+
 def test_the_json_says_which_mapping_held_which_object(
     lifted: PinchOutcome,
     monkeypatch: pytest.MonkeyPatch,

@@ -9,13 +9,15 @@ import numpy as np
 from tyro.conf import arg
 
 from handmap_qp.apps.arguments import HandName, Recordings, hinted
+from handmap_qp.apps.offline.comparison import own_methods
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import is_robot, load_whole
 from handmap_qp.mapping import parse_object
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers import save_npz
-from .commands import chosen_methods, map_pinch
+from .commands import chosen_methods, map_pinch, read_pick
+from .gripping import GripScene
 from .physics import Physics
 from .pictures import film, picture, write_page
 from .pinch import (
@@ -57,6 +59,7 @@ class Simulate:
         handmap simulate left.npz right.npz --robot g1 --film pinch.gif
         handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
         handmap simulate pinch.npz --robot allegro_right --stiffness 6 --html pinch.html
+        handmap simulate pinch.npz --robot allegro_right --trials 50 --grip grip+place
 
     Attributes:
         recordings: Recording with a pinch of thumb and index finger; for a robot with both hands,
@@ -65,6 +68,8 @@ class Simulate:
             name of `handmap robots list`, or the path of its robot.yaml.
         methods: Mappings, as of `handmap compare`.
         peers: Folder of the program that runs outside methods, such as benchmarks/peers.
+        grip: One mapping more: the first preset, and what thumb and finger meet is held with 5 N by
+            the measured joints alone (grip), or with the object's place known too (grip+place).
         object: box:SIDE, box:XxYxZ, sphere:DIAMETER, cylinder:DIAMETERxLENGTH [m], or a mesh file.
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
@@ -87,6 +92,7 @@ class Simulate:
         tuple[str, ...], hinted("METHOD...", "(default: the first preset)")
     ] = ()
     peers: Annotated[Path | None, hinted("FOLDER")] = None
+    grip: Literal["grip", "grip+place"] | None = None
     object: Annotated[str, arg(metavar="OBJECT")] = "box:0.03"
     mass: Annotated[float, arg(metavar="KG")] = 0.05
     friction: float = 0.8
@@ -167,8 +173,15 @@ class Simulate:
         methods = chosen_methods(self.methods, self.peers, self.robot)
         robot = load_whole(self.robot)
         outcomes: dict[str, dict[int, PinchOutcome]] = {}
-        for name, mapped in map_pinch(methods, robot, self.recordings).items():
-            scene = PinchScene(*mapped, self._physics())
+        physics = self._physics()
+        mapped = map_pinch(methods, robot, self.recordings)
+        scenes = {name: PinchScene(*each, physics) for name, each in mapped.items()}
+        if self.grip:
+            take, window = read_pick(robot, self.recordings)
+            name = f"{own_methods()[0]}+{self.grip}"
+            sees = "place" in name
+            scenes[name] = GripScene(take, robot, window, physics, sees)
+        for name, scene in scenes.items():
             made = outcomes[name] = {}
             with progress(name, len(trials)) as advance:
                 for i, trial in enumerate(trials):

@@ -125,13 +125,22 @@ def map_pinch(
             method.name: (_map_hands(method.name, whole, used), window)
             for method in methods
         }
-    expect(len(files) == 1, "RECORDING", "one recording of a hand", value=len(files))
-    recording = read_recording(files[0])
-    window = find_pinch(recording)
-    take = prepare_take(recording, robot.side)
+    take, window = read_pick(robot, files)
     return {
         method.name: (map_commands(method, take, robot), window) for method in methods
     }
+
+
+def read_pick(robot: Hand, files: Sequence[Path]) -> tuple[Take, PinchWindow]:
+    """Read a recording for a hand, prepared, and find when the human pinches.
+
+    Raises:
+        HandmapError: If it cannot be read, shows no pick, or the robot has several hands.
+    """
+    is_one = len(files) == len(robot.hands) == 1
+    expect(is_one, "RECORDING", "one recording of a hand", value=len(files))
+    recording = read_recording(files[0])
+    return prepare_take(recording, robot.side), find_pinch(recording)
 
 
 def _map_hands(name: str, robot: Hand, recordings: Sequence[Recording]) -> Commands:

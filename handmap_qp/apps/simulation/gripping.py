@@ -1,22 +1,20 @@
 """A pick by a robot whose measured joints go back into the mapping: `GripScene`."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
 
-from handmap_qp import Hand, HandMapper
 from handmap_qp.apps.offline.comparison import Take
-from handmap_qp.apps.simulation.commands import Commands, PinchWindow
-from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pinch import Meeting, PinchScene
-from handmap_qp.apps.simulation.simulator import Simulator
-from handmap_qp.human.recording import sample_columns
-from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.grip import GripFollower, GripOptions
+from handmap_qp.hands import Hand
+from handmap_qp.human import sample_columns
+from handmap_qp.mapping import HandMapper
+from handmap_qp.stream import Follower, GripFollower, GripOptions
+from .commands import Commands, PinchWindow
+from .physics import Physics
+from .pinch import Meeting, PinchScene
+from .simulator import Simulator
 
 
 class GripScene(PinchScene):
@@ -28,19 +26,16 @@ class GripScene(PinchScene):
         window: When the human pinches.
         physics: Actuators, gravity and time steps.
         sees: Whether the object's place is known too, until it is gripped.
+
+    Raises:
+        InvalidInputError: If the hand's default preset cannot grip.
     """
 
     def __init__(
-        self,
-        take: Take,
-        hand: Hand,
-        window: PinchWindow,
-        physics: Physics,
-        *,
-        sees: bool = False,
+        self, take: Take, hand: Hand, window: PinchWindow, physics: Physics, sees: bool
     ) -> None:
         human = take.human.with_points("landmarks")
-        follower = Follower(HandMapper(human, hand, "teleoperation"), smoothing=None)
+        follower = Follower(HandMapper(human, hand), smoothing=None)
         self._samples = sample_columns(take.recording)
         self._options = GripOptions(stiffness=physics.joint_stiffness)
         self._sees = sees
