@@ -138,9 +138,37 @@ def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return shown
 
 
+def draw_places(found: Sequence[dict[str, Any]]) -> Any:
+    """Draw how far pads are from their places, over the motions of each robot."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 3.5), layout="constrained")
+    axes = figure.subplots()
+    robots = list(dict.fromkeys(each["robot"] for each in found))
+    names = list(dict.fromkeys(each["mapping"] for each in found))
+    for k, name in enumerate(names):
+        boxes = [
+            [e["place mm"] for e in found if (e["robot"], e["mapping"]) == (r, name)]
+            for r in robots
+        ]
+        axes.boxplot(
+            boxes,
+            positions=[place + 0.3 * (k - 0.5) for place in range(len(robots))],
+            widths=0.25,
+            patch_artist=True,
+            boxprops={"facecolor": common.PALETTE[k]},
+            medianprops={"color": "black"},
+        )
+        axes.plot([], [], color=common.PALETTE[k], linewidth=6, label=name)
+    axes.set_xticks(range(len(robots)), robots)
+    axes.set(ylabel="pads from their places [mm]", ylim=(0.0, None))
+    axes.legend()
+    return figure
+
+
 def main(words: Sequence[str] | None = None) -> None:
     """Map all motions by all robots, print the tables, and write them."""
-    parser = common.make_parser((__doc__ or "").splitlines()[0], draws=False)
+    parser = common.make_parser((__doc__ or "").splitlines()[0])
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--objects", nargs="+", default=list(OBJECTS))
     parser.add_argument("--motions", nargs="+", default=list(MOTIONS))
@@ -171,6 +199,7 @@ def main(words: Sequence[str] | None = None) -> None:
             for group in groups
         ]
         common.print_table(f"By {' and '.join(keys)}", rows, to_stderr=to_stderr)
+    common.save_picture(arguments.picture, lambda: draw_places(found))
     results = {"seed": arguments.seed, "motions": found}
     common.write_json(arguments.json, "bench_objects", results)
 

@@ -6,6 +6,7 @@ import re
 import sys
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import msgspec
 import numpy as np
@@ -13,7 +14,7 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from handmap_qp import HandError, load_hand
+from handmap_qp import Hand, HandError, load_hand
 from handmap_qp.apps.onboarding.check import (
     _check_tips,
     _check_wrist,
@@ -40,6 +41,7 @@ from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.sources import urdf_directory
+from handmap_qp.hands.urdf import origin_of, parse_urdf, set_origin
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.se3 import inverse_pose, transform_points
 
@@ -414,10 +416,19 @@ def test_the_reach_of_an_arm_is_a_line_with_a_scale() -> None:
 
 
 def test_a_fingertip_outside_its_shapes_is_found() -> None:
-    spec = load_hand("leap_right").spec
-    (found,) = _check_tips(load_hand(msgspec.structs.replace(spec, shapes={})))
+    hand = load_hand("allegro_right")
+    robot = parse_urdf(hand.urdf_text)
+    # The index finger's tip is a link of its own, on the last joint.
+    links = {link.get("name"): link for link in robot.iterfind("link")}
+    for name in ("link_3.0", "link_3.0_tip"):
+        for shape in links[name].iterfind("collision"):
+            pose = origin_of(shape)
+            pose[1, 3] += 0.018
+            set_origin(shape, pose)
+    text = ElementTree.tostring(robot, encoding="unicode")
+    (found,) = _check_tips(Hand(hand.spec, urdf_text=text))
     assert isinstance(found, Finding)
     assert found.key == "points.index"
-    assert found.found == "the fingertip is 9 mm outside the shapes of its link"
+    assert re.match(r"the fingertip is \d+ mm outside the shapes", found.found)
     assert "`shapes`" in found.change
-    assert list(_check_tips(load_hand(spec))) == []
+    assert list(_check_tips(hand)) == []

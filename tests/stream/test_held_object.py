@@ -14,7 +14,7 @@ from bench_objects import depth, pads_of
 from holding import FINGERS, Hold, hold
 from scipy.optimize import minimize
 
-from handmap_qp import HandMapper, cli, load_hand
+from handmap_qp import HandMapper, cli, hand_names, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.human.recording import mirrored, sample_columns
@@ -37,7 +37,7 @@ from handmap_qp.stream.held_object import ObjectFollower, ObjectOptions, _Touch
 from handmap_qp.trackers.formats import read_recording, write_recordings
 
 HUMAN = load_hand("human", points="landmarks")
-ROBOTS = ("allegro_right", "shadow_right")
+ROBOTS = [name for name in ("allegro_right", "shadow_right") if name in hand_names()]
 CUBE = parse_object("box:0.04")
 
 
