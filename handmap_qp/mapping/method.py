@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
 from pkgutil import iter_modules
@@ -100,20 +100,22 @@ class Diagnostics(Mapping[str, Array]):
         residual_norms      distance of human points from where T takes them [m], shape (n,)
 
     Attributes:
-        compute: Returns all results by name.
+        compute: Returns all results by name but those that are known.
         parts: Its arguments.
+        known: Results that take no time.
     """
 
     compute: Callable[..., Arrays]
     parts: Sequence[Any]
+    known: Arrays = field(default_factory=dict)
 
     @cached_property
     def _results(self) -> Arrays:
-        return self.compute(*self.parts)
+        return self.compute(*self.parts) | self.known
 
     def __getitem__(self, name: str) -> Array:
         """Return one result."""
-        return self._results[name]
+        return self.known[name] if name in self.known else self._results[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._results)

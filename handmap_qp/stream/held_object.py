@@ -13,7 +13,7 @@ from collections import ChainMap
 from collections.abc import Iterator
 from copy import deepcopy
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pinocchio as pin
@@ -44,6 +44,7 @@ from handmap_qp.mapping import (
 from handmap_qp.options import Options, Positive
 from handmap_qp.se3 import (
     Array,
+    Arrays,
     check_pose,
     inverse_pose,
     lengths,
@@ -216,7 +217,7 @@ class ObjectFollower:
         if step.status in ("held", "released"):
             return step
         self.object_pose = self._world @ pose
-        found = {"object_pose": self.object_pose}
+        found: Arrays = {"object_pose": self.object_pose}
         flags = step.asked.flags
         for touch in terms:
             placed = self._placed
@@ -230,7 +231,7 @@ class ObjectFollower:
             }
             if (touch.shares * off).max() > _OFF:
                 flags = (*flags, "off_object")
-        told = ChainMap(found, dict(step.asked.diagnostics))
+        told = ChainMap(found, cast("Arrays", step.asked.diagnostics))
         asked = structs.replace(step.asked, diagnostics=told, flags=flags)
         stages = Stages(step.stages.pose, asked, step.ik, step.command)
         return structs.replace(step, stages=stages)

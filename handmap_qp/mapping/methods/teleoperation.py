@@ -114,21 +114,18 @@ PRESETS = {
 }
 
 
+_KNOWN = "palm", "gaps", "pinching", "extensions"
+"""Results that targets are made with: the human's palm, (4, 4); gaps from the thumb's tip to each
+finger's [m], and the share of each pinch row's weight, (p,) both; and shares of reach, (f,)."""
+
+
 def _results(
-    estimate: MotionEstimate,
-    palm_before: Array,
-    palm: Array,
-    gaps: Array,
-    pinching: Array,
-    extensions: Array,
+    estimate: MotionEstimate, palm_before: Array, palm: Array
 ) -> dict[str, Array]:
-    """Return the results of one sample; see `Diagnostics`.
+    """Return the results of one sample but `_KNOWN`; see `Diagnostics`.
 
     T is estimated in palm axes, from the human's rest posture. In the world, that posture lies at
     the palm of the reference, T_rb is the motion of the palm, and T_def all the rest.
-
-    Palms are the human's, (4, 4), gaps those from the thumb's tip to each finger's [m], `pinching`
-    the share of each pinch row's weight, (p,) both, and extensions shares of reach, (f,).
     """
     rigid = palm @ inverse_pose(palm_before)
     deformation = palm @ estimate.motion @ inverse_pose(palm)
@@ -142,10 +139,6 @@ def _results(
         "stretches": stretches,
         "pivot_image": transform_points(palm, estimate.centroid_after),
         "residual_norms": estimate.residual_norms,
-        "palm": palm,
-        "gaps": gaps,
-        "pinching": pinching,
-        "extensions": extensions,
     }
 
 
@@ -350,10 +343,11 @@ class TeleoperationMap(Compiled, PalmMap):
     def _made(self, parts: list[Array]) -> Targets:
         points, wrist, aims, weights, margins, *rest = parts
         estimate = self.estimator.estimate_of(*rest[:3])
+        known = dict(zip(_KNOWN, rest[3:], strict=True))
         return Targets(
             points,
             wrist,
-            Diagnostics(_results, (estimate, self.palm_before, *rest[3:])),
+            Diagnostics(_results, (estimate, self.palm_before, known["palm"]), known),
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
         )
