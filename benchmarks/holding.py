@@ -3,11 +3,18 @@
 No person was recorded: the fingertips of the human model go to places of the surface that are known
 exactly, stay there while the object moves in the hand, and the hand is lifted meanwhile. So it is
 known where a robot's fingers belong, and how much of the object's motion they carry.
+
+The recording `held` of the package is one of these:
+
+    python benchmarks/holding.py handmap_qp/trackers/held.npz
 """
 
 from __future__ import annotations
 
+import argparse
 import math
+from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +24,7 @@ from scipy.optimize import least_squares
 from handmap_qp import Recording, load_hand
 from handmap_qp.mapping.objects import nearest, parse_object
 from handmap_qp.se3 import affine, rotation_from_rpy, smoothstep, transform_points, unit
+from handmap_qp.trackers.formats import write_recordings
 
 OBJECTS = {
     "cube": "box:0.04",
@@ -151,3 +159,21 @@ def hold(what: str, motion: str, seed: int = 0) -> Hold:
         object_shape=OBJECTS[what],
     )
     return Hold(recording, places, normals, closed, worst)
+
+
+def write_held(out: Path) -> None:
+    """Write the package's recording of a hand with an object."""
+    made = hold("box", "turn +1z", seed=1).recording
+    kept = replace(
+        made,
+        name="held",
+        upright="+y up, -z forward",
+        landmarks=made.landmarks.round(5),
+    )
+    write_recordings([kept], out)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("out", type=Path, help="file to write, .npz")
+    write_held(parser.parse_args().out)

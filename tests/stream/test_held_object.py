@@ -376,3 +376,17 @@ def test_other_presets_map_the_hand_alone() -> None:
     )
     np.testing.assert_array_equal(one.q, other.q)
     assert one.object_pose is None
+
+
+def test_a_recording_with_an_object_comes_with_the_package() -> None:
+    recording = read_recording("held")
+    assert recording.object_pose is not None
+    assert recording.object_shape == "box:0.03x0.06x0.05"
+    tips = recording.landmarks[60:, [4, 8, 12]].reshape(-1, 3)
+    poses = recording.object_pose[60:].repeat(3, axis=0)
+    shape = parse_object(recording.object_shape)
+    gaps = [
+        nearest(shape, transform_points(np.linalg.inv(pose), tip[None])).distances[0]
+        for pose, tip in zip(poses, tips, strict=True)
+    ]
+    np.testing.assert_allclose(gaps, 0.008, atol=0.002)

@@ -49,6 +49,8 @@ SEPARATOR = "::"
 DEMO = "demo"
 """Name of the recording that comes with the package."""
 DEMO_FILE = Path(__file__).parents[1] / "demo.npz"
+_OURS = {file.stem: file for file in DEMO_FILE.parent.glob("*.npz")}
+"""Recordings that come with the package: `DEMO`, and `held`, of a hand with an object."""
 
 
 class Source(NamedTuple):
@@ -102,8 +104,8 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     if not file.exists() and SEPARATOR in str(path):
         before, _, name = str(path).rpartition(SEPARATOR)
         file = Path(before)
-    if str(file) == DEMO and not file.is_file():
-        file = DEMO_FILE
+    if not file.is_file():
+        file = _OURS.get(str(file), file)
     with reading(file):
         form = format_of(file)
         entries = form.entries(file)
