@@ -131,7 +131,7 @@ def joint_motion(hand: Hand) -> Array:
 
 def zero_posture(hand: Hand) -> Array:
     """Return zero, or the limit next to it, of every joint [rad or m], shape (n,)."""
-    return np.clip(0.0, hand.lower_limits, hand.upper_limits)
+    return np.clip(0.0, *hand.limits)
 
 
 class Flexion(NamedTuple):
@@ -282,8 +282,7 @@ class Finger:
             return math.nan, best_q
         view = PalmKinematics(self.hand)
         moving = np.sort(self.columns)
-        low = self.hand.lower_limits[moving]
-        high = self.hand.upper_limits[moving]
+        low, high = self.hand.limits[:, moving]
 
         def distance(positions: Array) -> float:
             best_q[moving] = positions
@@ -378,9 +377,7 @@ class Finger:
         # Coordinate descent: the best value of a joint depends on the others; three rounds suffice.
         for _ in range(3):
             for j in columns:
-                grid = np.append(
-                    np.linspace(hand.lower_limits[j], hand.upper_limits[j], _GRID), q[j]
-                )
+                grid = np.append(np.linspace(*hand.limits[:, j], _GRID), q[j])
                 postures = np.tile(q, (len(grid), 1))
                 postures[:, j] = grid
                 found = lengths_at(postures)
@@ -398,8 +395,7 @@ class Finger:
         straight. If the joints beyond it are flexed at zero, the knuckle is too: it is put at the
         same share of its range as they are at when straight.
         """
-        lower = self.hand.lower_limits[columns]
-        upper = self.hand.upper_limits[columns]
+        lower, upper = self.hand.limits[:, columns]
         flexed = sense * (self._zero[columns] - straight)
         if sense[0] == 0.0 or len(columns) < 2 or flexed[1:].mean() < _FLEXED_ZERO:
             return straight
@@ -412,9 +408,8 @@ class Finger:
 def _sense(shares: Array, travels: Array) -> tuple[float, float]:
     """Return the sense of the closed end, 0 if unknown, and the confidence in it.
 
-    Args:
-        shares: Relative shortening of the finger towards either sense, shape (2,).
-        travels: Sum of the ranges towards either sense [rad], shape (2,).
+    `shares` is the finger's relative shortening towards either sense, `travels` the sum of the
+    ranges [rad], shape (2,) each.
     """
     by_share = shares[0] - shares[1]
     by_range = (travels[0] - travels[1]) / max(travels.sum(), 1e-9)
@@ -447,7 +442,7 @@ def ends_of(
 ) -> Array:
     """Return two postures: some joints at one end of their ranges, then at the other, (2, n)."""
     ends = np.tile(q, (2, 1))
-    limits = np.array([hand.lower_limits[columns], hand.upper_limits[columns]])
+    limits = hand.limits[:, columns]
     ends[:, columns] = np.where(np.asarray(signs) > 0.0, limits, limits[::-1])
     return ends
 

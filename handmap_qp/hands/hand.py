@@ -85,8 +85,9 @@ class Hand:
         joint_names: The n joints of every `q` in its order, an arm's first, without followers.
         q_indices: Indices of the joints in a Pinocchio configuration, shape (n,).
         v_indices: Indices of the joints in the model's tangent space, shape (n,).
-        lower_limits: Lower position limits [rad or m], such that followers keep theirs, shape (n,).
-        upper_limits: Upper position limits [rad or m], shape (n,).
+        limits: Position limits [rad or m], such that followers keep theirs, shape (2, n).
+        lower_limits: The lower ones, shape (n,).
+        upper_limits: The upper ones, shape (n,).
         velocity_limits: Speed limits [rad/s or m/s], shape (n,).
         rest: Rest posture [rad or m], shape (n,).
         matched: The spec's posture for the resting human hand [rad or m], shape (n,), or None.
@@ -144,8 +145,9 @@ class Hand:
         self.model = model = build_model(spec, text, self.mount, rules)
         self.notes = tighten_model(model, rules)
         self._index_joints(rules, locked)
-        self.lower_limits = _frozen(model.lowerPositionLimit[self.q_indices])
-        self.upper_limits = _frozen(model.upperPositionLimit[self.q_indices])
+        ends = np.array([model.lowerPositionLimit, model.upperPositionLimit])
+        self.limits = frozen(ends.take(self.q_indices, axis=1))
+        self.lower_limits, self.upper_limits = self.limits
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
         self._take_postures()
         self._add_wrist_and_palm()
@@ -157,14 +159,14 @@ class Hand:
         for note in self.notes:
             warnings.warn(f"{self.name}: {note}", stacklevel=3)
         # An arm is at rest in every posture of the description.
-        arm = {} if spec.arm is None else spec.arm.rest
+        arm = spec.arm.rest if spec.arm else {}
 
         def posture(own: Positions) -> Array:
             return _frozen([(arm | own)[name] for name in self.joint_names])
 
         self.rest = posture(spec.rest)
         self.matched = None if spec.matched is None else posture(spec.matched)
-        limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
+        limits = (*self.limits, self.velocity_limits)
         postures = {"rest": self.rest, "matched": self.matched}
         spec.reject(limit_problems(spec, limits, postures))
 
@@ -500,11 +502,7 @@ class Hand:
         self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
 
     def _frame(self, name: str, link: str, key: str, pose: Array) -> pin.Frame:
-        """Return a frame of a new name at a pose (4, 4) on a link, which a key of the spec names.
-
-        Raises:
-            HandError: If there is no such link.
-        """
+        """Return a frame of a new name at a pose (4, 4) on a link, which a key of a spec names."""
         model = self.model
         # By kind as well as by name: in many URDFs a joint has the name of its link.
         if not model.existBodyName(link):

@@ -99,9 +99,9 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     """Pair all shapes that may collide.
 
     Pairs on one joint, on neighbouring joints, on one finger, that overlap at rest or with the hand
-    stretched, or that never part are left out. Shapes of one finger overlap
-    at its joints as it bends, and its joint limits keep it from touching itself. A pair that never
-    parts from its margin would hold its joints for good.
+    stretched, or that never part are left out. Shapes of one finger overlap at its joints as it
+    bends, and its limits keep it from touching itself. A pair that never parts would hold its
+    joints for good.
 
     Args:
         hand: The hand.
@@ -195,7 +195,7 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
 def random_postures(hand: Hand, count: int) -> Array:
     """Return postures within the joint limits, always the same ones, shape (count, n)."""
     shape = count, len(hand.rest)
-    return np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits, shape)
+    return np.random.default_rng(0).uniform(*hand.limits, shape)
 
 
 def pair_distances(hand: Hand, geometry: pin.GeometryModel, postures: Array) -> Array:

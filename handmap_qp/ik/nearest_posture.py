@@ -48,12 +48,11 @@ def nearest_posture(
     Returns:
         Joint positions inside their limits [rad or m], shape (n,).
     """
-    if (tree := core_tree(hand)) is not None:
+    if tree := core_tree(hand):
         return tree.nearest_posture(hand, targets, costs, rest_cost, start)
     distance = _Distance(hand, targets, costs, rest_cost)
     free = distance.free
-    lower = hand.lower_limits[free]
-    upper = hand.upper_limits[free]
+    lower, upper = hand.limits[:, free]
     x = np.clip(start[free], lower, upper)
     here = distance.at(x)
     for _ in range(_MOST_STEPS):
@@ -88,11 +87,7 @@ class _Terms(NamedTuple):
 
 
 class _Distance:
-    """f of one hand; arguments as of `nearest_posture`.
-
-    Attributes:
-        free: Indices of the joints that do not move the wrist, shape (k,).
-    """
+    """f of one hand by its joints that move no wrist; arguments as of `nearest_posture`."""
 
     def __init__(
         self, hand: Hand, targets: Array, costs: Array, rest_cost: float

@@ -147,8 +147,7 @@ class _FingerFrames:
         self._frames = [
             np.column_stack([bone, np.cross(axis, bone), axis]) for axis in axes
         ]
-        self._lower = human.lower_limits[columns]
-        self._upper = human.upper_limits[columns]
+        self._lower, self._upper = human.limits[:, columns]
         # Bones that stay in one plane however the finger bends.
         parallel = np.abs(axes[1:] @ axes[1]) > _PARALLEL
         self._in_plane = 3 if parallel.all() else parallel.argmin()
@@ -284,7 +283,7 @@ class BoundJointToJoint(PalmMethod):
             for place, column in enumerate(flexes)
         ]
         rest = self.human.rest[leading]
-        limits = np.array([self.human.lower_limits, self.human.upper_limits])
+        limits = self.human.limits[:, leading]
         # Every flexion of the resting hand is one: its sign is the sense.
         sense = np.where(rest < 0.0, -1.0, 1.0)
         sense[0] = 1.0
@@ -296,9 +295,8 @@ class BoundJointToJoint(PalmMethod):
                 finger, column, leading[leaders[0]], sense[leaders[0]]
             )
             zero = senses @ rest * counts_from_rest
-            least, most = np.sort(senses * limits[:, leading], axis=0).sum(axis=1)
-            low = self.robot.lower_limits[column]
-            high = self.robot.upper_limits[column]
+            least, most = np.sort(senses * limits, axis=0).sum(axis=1)
+            low, high = self.robot.limits[:, column]
             links.append(
                 JointLink(
                     finger.name,
