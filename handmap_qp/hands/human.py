@@ -161,18 +161,14 @@ class HumanLengths:
         Raises:
             HandError: If the text is not the URDF of a human hand with this package's names.
         """
-        joints = _joints(parse_urdf(text))
-        places = {name: origin_of(joint)[:3, 3] for name, joint in joints.items()}
-        chains = [_chain(finger) for finger in FINGERS]
+        named = _joints(parse_urdf(text))
+        joints = [[named[name] for name in _chain(finger)] for finger in FINGERS]
+        poses = np.array([[*map(origin_of, chain)] for chain in joints])
         rolls = [
-            get_numbers(child_of(joints[c[0]], "origin"), "rpy", 3, "0 0 0")[0]
-            for c in chains
+            get_numbers(child_of(first, "origin"), "rpy", 3, "0 0 0")[0]
+            for first, *_ in joints
         ]
-        return cls(
-            np.array([places[chain[0]] for chain in chains]),
-            np.array([[places[name][0] for name in chain[2:]] for chain in chains]),
-            np.array(rolls),
-        )
+        return cls(poses[:, 0, :3, 3], poses[:, 2:, 0, 3], np.array(rolls))
 
 
 JointMove = tuple[Array, float]
