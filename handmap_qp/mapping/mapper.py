@@ -166,12 +166,12 @@ class HandMapper:
     @property
     def reference(self) -> HumanPose | None:
         """The human hand that motion is counted from; None if the next sample becomes it."""
-        return None if self._reference is None else self._reference.sample
+        return self._reference and self._reference.sample
 
     @property
     def target_map(self) -> TargetMap | None:
         """What makes targets of samples from the reference on; None if the next becomes it."""
-        return None if self._reference is None else self._reference.map
+        return self._reference and self._reference.map
 
     @cached_property
     def landmarks(self) -> LandmarkReader:
@@ -281,7 +281,7 @@ class HandMapper:
             out_of_range: Names of human joints outside their limits.
             started: When the step began (`time.perf_counter`); now if omitted.
         """
-        started = perf_counter() if started is None else started
+        started = started or perf_counter()
         dt = self.dt if dt is None else check_dt(dt)
         bound = self._plan.bound
         reference = self._reference or self._reference_at(sample)
@@ -293,10 +293,10 @@ class HandMapper:
             bound.start(sample, reference.posture)
         if reference is not self._reference:
             self._begin(reference)
-        if asked is None:
-            stages = core.follow(sample, dt, speed)
-        else:
+        if asked:
             stages = self._moved(sample, asked, target_map.rest, dt, speed)
+        else:
+            stages = core.follow(sample, dt, speed)
         self.core = core
         if bound.renews_reference:
             self.core = None
@@ -372,7 +372,7 @@ class HandMapper:
             seen = self._unseen
         held = ik.hold(check_dt(dt))
         # Before the first sample, a floating robot has no place yet.
-        vector = ik.configuration.q if start is None else start.vector(robot, np.eye(4))
+        vector = start.vector(robot, np.eye(4)) if start else ik.configuration.q
         posture = posture_of(robot, vector)
         stages = Stages(
             seen,
@@ -438,7 +438,7 @@ class HandMapper:
             )
         self._start = start
         self.clutch()
-        if reference is not None:
+        if reference:
             self._begin(reference)
 
     def release(self) -> None:
@@ -488,8 +488,8 @@ class HandMapper:
                 contacts=bound.contacts,
             )
             plan = _Plan(chosen, bound, solver)
-            reference = None if reference is None else _bound_again(reference, bound)
-        if ik is not None:
+            reference = reference and _bound_again(reference, bound)
+        if ik:
             plan = plan._replace(ik=plan.ik.with_options(ik))
         if tasks is not None:
             self.tasks = tuple(tasks)
@@ -514,13 +514,13 @@ class HandMapper:
             to_wrist = inverse_pose(bound.robot.wrist_to_palm)
             vector = start.vector(bound.robot, palm @ to_wrist)
         # The caller has the sample's arrays too, and may write into them.
-        reference = _count_from(bound, deepcopy(sample), vector)
-        return reference._replace(begins_at=None if start is None else vector.copy())
+        reference = _count_from(bound, deepcopy(sample), vector.copy())
+        return reference._replace(is_start=start is not None)
 
     def _begin(self, reference: _Reference) -> None:
         """Take a reference, and put the robot where it begins unless it is on its way."""
-        if reference.begins_at is not None:
-            self._plan.ik.place(reference.begins_at)
+        if reference.is_start:
+            self._plan.ik.place(reference.vector)
         self._start = None
         self._reference = reference
 
@@ -531,7 +531,7 @@ class HandMapper:
         if self._reference is None or bound.renews_reference:
             start = self._start
             needs = bound.reference_needs_wrist
-            if start is not None and start.wrist is None and self.robot.is_floating:
+            if start and start.wrist is None and self.robot.is_floating:
                 needs = needs or _PLACING
         return bound.needs_wrist or needs
 
@@ -648,27 +648,27 @@ class _Start(NamedTuple):
 
 
 class _Reference(NamedTuple):
-    """Both hands at the reference, what the method made of them, and where the robot is put."""
+    """Both hands at the reference, the robot as a configuration (nq,) that it may begin at, too."""
 
     sample: HumanPose
     posture: RobotPosture
     map: TargetMap
-    begins_at: Array | None = None
+    vector: Array
+    is_start: bool = False
 
 
 def _count_from(bound: BoundMethod, sample: HumanPose, vector: Array) -> _Reference:
     """Count from a sample and a configuration (nq,) of the robot."""
     posture = posture_of(bound.robot, vector)
-    return _Reference(sample, posture, bound.start(sample, posture))
+    return _Reference(sample, posture, bound.start(sample, posture), vector)
 
 
 def _bound_again(reference: _Reference, bound: BoundMethod) -> _Reference | None:
     """Count from the same reference by another method; None if it lacks what that needs."""
-    sample, posture, *_ = reference
+    sample = reference.sample
     if (bound.needs_wrist or bound.reference_needs_wrist) and sample.wrist is None:
         return None
-    vector = _Start(posture.q, posture.wrist).vector(bound.robot, posture.wrist)
-    return _count_from(bound, sample, vector)
+    return _count_from(bound, sample, reference.vector)
 
 
 def _method_of(
@@ -700,7 +700,7 @@ def _targets(target_map: Any, sample: HumanPose) -> Targets:
 def posture_of(robot: Hand, vector: Array) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
     q = vector[robot.q_indices]
-    if (tree := ik.compiled.core_tree(robot)) is not None:
+    if tree := ik.compiled.core_tree(robot):
         return RobotPosture(q, *tree.posture(vector, robot.reference_points))
     placed = robot.configuration()
     placed.place(vector)
@@ -718,8 +718,7 @@ def check_joints(
     hand: Hand, q: ArrayLike, name: str, tolerance: float = 0.0
 ) -> tuple[Array, Array]:
     """Return joint positions, and how far each is outside its limits, at most a tolerance."""
-    lower = hand.lower_limits
-    upper = hand.upper_limits
+    lower, upper = hand.limits
     angles = as_floats(q, name, shape=lower.shape)
     excess = np.maximum(lower - angles, angles - upper)
     # `<=` is also false for NaN.
