@@ -167,7 +167,7 @@ class HandPair:
         self.human_knuckles = frozen(knuckles.mean(axis=0))
         # With the package's own person, near whose matched posture all others' are.
         usual = human.unscaled
-        self._usual = None if usual is None else hand_pair(usual, robot)
+        self._usual = hand_pair(usual, robot) if usual else None
         given = robot.matched
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
@@ -184,7 +184,7 @@ class HandPair:
         self.robot_knuckles = frozen(points[self._others, 0].mean(axis=0))
         self.robot_bases = frozen(points[:, 0])
         self.thumb_likeness = 0.0
-        if self._usual is not None:
+        if self._usual:
             # It is the robot's, not a person's.
             self.thumb_likeness = self._usual.thumb_likeness
         elif THUMB in self.fingers and not self.has_jaws:
@@ -219,7 +219,7 @@ class HandPair:
         palm = self.measured.hand.frame_pose("palm", robot.rest)
         targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
-        start = robot.rest if self._usual is None else self._usual.matched
+        start = self._usual.matched if self._usual else robot.rest
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, start)
 
     def _thumb_targets(self, knuckles: Array, human: Array) -> Array:
@@ -373,7 +373,7 @@ def points_in_palm(
         q: Its joint positions [rad or m], shape (n,).
         places: Points on joints; the hand's reference points if omitted.
     """
-    if (tree := core_tree(hand)) is not None:
+    if tree := core_tree(hand):
         return tree.points(q, hand.reference_points if places is None else places)
     if places is None:
         places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
@@ -397,7 +397,7 @@ def _human_fingers(human: Hand) -> dict[str, Finger]:
     """Find a human's fingers; those of a scaled hand have their tips elsewhere."""
     standard = human.unscaled
     tree = core_tree(human)
-    if standard is None or tree is None:
+    if not (standard and tree):
         return find_fingers(human)
     chains = robot_fingers(standard).chains
     named = {point.name: point for point in standard.spec.points}
@@ -415,12 +415,10 @@ def _pinching_thumb(
     # The thumb is the first finger.
     used = [*pads.values()]
     tip = [chains[THUMB].tip]
-    if (tree := core_tree(hand)) is not None:
+    if tree := core_tree(hand):
         places = [(pad.joint, pad.offset) for pad in used]
-        touching = np.array([used[0].radius + pad.radius for pad in used[1:]])
-        return tree.pinching_thumb(
-            _pinching_ik(hand.unscaled or hand), places, touching, tip
-        )
+        ik = _pinching_ik(hand.unscaled or hand)
+        return tree.pinching_thumb(ik, places, touching_distances(used), tip)
     ik = PointIk(hand, _PINCHING)
     task = gap_task(hand, used)
     tips = []
@@ -439,8 +437,12 @@ def gap_task(
     """Return the task of giving the first pad, the thumb's, gaps to p others [m], shape (p,)."""
     points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
     pairs = [(0, k) for k in range(1, len(points))]
-    touching = np.array([pads[0].radius + pad.radius for pad in pads[1:]])
-    return PointDistances(points, pairs, touching + gaps, _GAP_WEIGHT)
+    return PointDistances(points, pairs, touching_distances(pads) + gaps, _GAP_WEIGHT)
+
+
+def touching_distances(pads: Sequence[Pad]) -> Array:
+    """Return the distances at which p pads touch the first one, the thumb's [m], shape (p,)."""
+    return np.array([pads[0].radius + pad.radius for pad in pads[1:]])
 
 
 def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> Array:

@@ -31,7 +31,11 @@ from handmap_qp.mapping import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.hand_pair import finger_landmarks, hand_pair
+from handmap_qp.mapping.hand_pair import (
+    finger_landmarks,
+    hand_pair,
+    touching_distances,
+)
 from handmap_qp.mapping.palm import palm_of, point_indices
 from handmap_qp.options import Share, number
 from handmap_qp.se3 import (
@@ -202,9 +206,7 @@ class BoundTeleoperation(PalmMethod):
         at_rest = lengths(human[pair.tips] - human[pair.knuckles])
         posture = pair.robot_extension - at_rest / pair.human_reach
         # The robot's pads press on each other here.
-        touching = np.array(
-            [self.pads[0].radius + pad.radius - _SQUEEZE for pad in self.pads[1:]]
-        )
+        touching = touching_distances(self.pads) - _SQUEEZE
         # Between jaws, an object is as large as between the human's fingers.
         ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
         count = len(touching)
@@ -242,7 +244,7 @@ class BoundTeleoperation(PalmMethod):
 
     def _prepare_margins(self) -> None:
         """Say which contact pair belongs to which pinch."""
-        fingers = () if self.contacts is None else self.contacts.fingers
+        fingers = self.contacts.fingers if self.contacts else ()
         self.base_margins = np.full(len(fingers), LINK_MARGIN)
         closing = [
             (k, self.pinched.index(f))
