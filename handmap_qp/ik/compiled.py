@@ -38,7 +38,7 @@ class CompiledIk:
         """Move the hand for one sample; arguments as of `PointIk.solve`."""
         distances, offsets, tasks = [], [], []
         for task in goal.tasks:
-            if isinstance(task, PointDistances) and task.core is not None:
+            if isinstance(task, PointDistances) and task.core:
                 distances.append(task)
             elif isinstance(task, PointOffset):
                 offsets.append(task)
@@ -90,15 +90,10 @@ class CompiledIk:
         """Return the rows of tasks that are written in Python, at a configuration."""
         placed = self._placed
         placed.place(q)
-        rows = [task.linearise(placed) for task in tasks]
-        damping = np.zeros(placed.nv)
-        for each in rows:
-            damping += each.damping
-        return (
-            np.concatenate([each.residual for each in rows]),
-            np.concatenate([each.jacobian for each in rows]),
-            damping,
-        )
+        rows = (task.linearise(placed) for task in tasks)
+        residuals, jacobians, dampings = zip(*rows, strict=True)
+        residual, jacobian = map(np.concatenate, (residuals, jacobians))
+        return residual, jacobian, sum(dampings, np.zeros(placed.nv))
 
     @cached_property
     def _placed(self) -> Configuration:
@@ -125,7 +120,7 @@ def _result_of(hand: Hand, links: Any, step: Any) -> IkResult:
 @lru_cache(maxsize=16)
 def core_tree(hand: Hand) -> Any | None:
     """Return the core's kinematics of a hand; None without a core, or if it lacks a joint."""
-    if hand.unscaled is not None:
+    if hand.unscaled:
         standard = core_tree(hand.unscaled)
         return standard and standard.moved(hand.moves)
     try:
@@ -144,7 +139,7 @@ def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> CompiledIk | None:
     """
     is_asked = options.formulation == "compiled" and options.solver == "daqp"
     tree = core_tree(hand)
-    if core is None or tree is None or not is_asked:
+    if not (core and tree and is_asked):
         return None
     try:
         return CompiledIk(hand, core.Ik(tree, hand, options, gate), gate)

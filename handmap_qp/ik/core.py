@@ -44,12 +44,12 @@ def in_core(reference: T) -> T:
     method: Any = reference
 
     def call(self: Any, *values: Any, **named: Any) -> Any:
-        if self.core is None:
-            return method(self, *values, **named)
-        return getattr(self.core, method.__name__)(*values, **named)
+        if self.core:
+            return getattr(self.core, method.__name__)(*values, **named)
+        return method(self, *values, **named)
 
     wrapped: Any = wraps(method)(call)
-    return method if core is None else wrapped
+    return wrapped if core else method
 
 
 class Compiled:
@@ -62,13 +62,13 @@ class Compiled:
     def core(self) -> Any | None:
         """The core's own, made of this object's attributes; None without a core."""
         kind = getattr(core, type(self).__name__, None)
-        return None if kind is None else kind(self)
+        return kind and kind(self)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all but the core's own, which a copy makes anew, and what that remembers."""
         state = vars(self).copy()
         save = getattr(state.pop("core", None), "save", None)
-        return state if save is None else {**state, "_saved": save()}
+        return {**state, "_saved": save()} if save else state
 
 
 class Parts:

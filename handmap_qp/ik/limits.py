@@ -383,18 +383,15 @@ class Gate:
             hand,
             has_velocity_limits=has_velocity_limits,
             max_acceleration=max_acceleration,
-            together=False if collisions is None else collisions.columns,
+            together=collisions.columns if collisions else False,
         )
-        self._together = self.limits.together
-        self.links = (
-            [()] if collisions is None else collisions.shape_distances.bounds.links
-        )
+        self.links = collisions.shape_distances.bounds.links if collisions else [()]
         self.held_by = -1
 
     @property
     def motion(self) -> Motion:
         """How the robot moves."""
-        if self._read is not None:
+        if self._read:
             self._motion = self._read()
             self._read = None
         return self._motion
@@ -441,7 +438,7 @@ class Gate:
             margins: Distance that each pair keeps [m], shape (k,); the hand's own if omitted.
         """
         collisions = self.collisions
-        if collisions is None:
+        if not collisions:
             return None
         q, last, *_ = self.motion
         near = collisions.measure(q, dt, margins, last)
@@ -450,7 +447,7 @@ class Gate:
 
     def joined(self, rows: Rows, placed: Configuration, met: NearPairs) -> Rows:
         """Return rows, and those of points that met; arguments as of `rows` and `admit`."""
-        assert self.collisions is not None
+        assert self.collisions
         further = self.collisions.rows(placed, met, _CLEARED)
         self._row_pairs = np.append(self._row_pairs, met.pairs)
         return np.vstack([rows[0], further[0]]), np.append(rows[1], further[1])
@@ -497,12 +494,12 @@ class Gate:
         times = self.limits.stop_times(taken, dt)
         is_inside = ((taken >= box.least) & (taken <= box.most)).all()
         met = self._met_on(taken, times, dt) if is_inside else None
-        if met is not None and len(met.pairs):
-            if around is not None and tries:
+        if met and len(met.pairs):
+            if around and tries:
                 other = around(met)
                 return self.admit(other, other, dt, around, tries - 1)
             self.held_by = int(met.pairs[met.found[:, 0].argmin()])
-        if not is_inside or met is not None:
+        if not is_inside or met:
             first = np.fmin(np.fmax(first, box.lower), box.upper)
             taken, times = self._shortened(None if is_inside else taken, first, dt)
         self._move(taken, times, dt)
@@ -533,7 +530,7 @@ class Gate:
         left = np.maximum(self.motion.stop_times - dt, 0.0)
         middle = self.motion.velocity * dt
         change = self.limits.change(dt)
-        together = self._together
+        together = self.limits.together
         # From a higher limit, the stop in force may brake harder than the limit allows.
         least = np.minimum(middle - change, brake)
         most = np.maximum(middle + change, brake)
@@ -552,7 +549,7 @@ class Gate:
             taken = np.where(brakes, brake, tried)
             times = np.where(brakes, left, times)
             is_admitted = tried is not base and can_stop[together].all()
-            if is_admitted and self._met_on(taken, times, dt) is None:
+            if is_admitted and not self._met_on(taken, times, dt):
                 return taken, times
         # The line of the stop in force was found clear before.
         return taken, np.where(together, left, times)
@@ -562,7 +559,7 @@ class Gate:
         if self.collisions is None:
             return None
         whole = (1.0 + 0.5 * times / dt) * displacement
-        whole = np.where(self._together, whole, 0.0)
+        whole = np.where(self.limits.together, whole, 0.0)
         return self.collisions.met_on(self.motion.q, whole)
 
     def _move(self, displacement: Array, stop_times: Array, dt: float) -> None:

@@ -49,7 +49,7 @@ class Term(mink.Task):
 
 def damping_term(
     nv: int,
-    cost: float,
+    cost: float | Array,
     error_damping: float = 0.0,
     of: Sequence[Term] = (),
     free_translations: int = 0,
@@ -58,7 +58,7 @@ def damping_term(
 
     Args:
         nv: Number of velocity coordinates.
-        cost: Weight of every coordinate's displacement.
+        cost: Weight of every coordinate's displacement, shape (nv,), or one for all.
         error_damping: Further squared cost of every coordinate, per weighted error and per weighted
             norm of its Jacobian column, of the terms in `of`.
         of: Terms whose errors and Jacobians count.
@@ -83,7 +83,7 @@ class RowsLimit(mink.Limit):
 
     def __init__(self, lower: Array, upper: Array, rows: Rows | None = None) -> None:
         eye = np.eye(len(upper))
-        further, least = (np.zeros((0, len(upper))), ()) if rows is None else rows
+        further, least = rows or (np.zeros((0, len(upper))), ())
         G = np.vstack([eye, -eye, further])
         h = np.concatenate([upper, -lower, least])
         finite = np.isfinite(h)
@@ -124,8 +124,7 @@ def make_terms(
     for task in goal.tasks:
         residual, jacobian, damping = task.linearise(configuration)
         terms.append(Term(np.ones(1), residual, jacobian))
-        roots = np.sqrt(np.full(nv, damping))
-        terms.append(Term(roots, np.zeros(nv), np.eye(nv)))
+        terms.append(damping_term(nv, np.sqrt(damping)))
     return [*followed, *terms]
 
 

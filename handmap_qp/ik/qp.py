@@ -123,7 +123,7 @@ def point_rows(
     own = configuration.parts[part]
     targets = targets[own]
     jacobian = configuration.point_jacobian()[3 * own.start : 3 * own.stop]
-    if wrist is not None:
+    if wrist:
         targets = moved_along(configuration.wrists[part], targets, wrist)
         carrying = configuration.wrist_jacobian(np.eye(6), part).any(axis=0)
         jacobian[:, carrying] = 0.0
@@ -215,21 +215,20 @@ def solve_by_daqp(
 ) -> Array | None:
     """Solve by DAQP, a dual active-set method: exact, and a warm start gains nothing."""
     G = np.zeros((0, len(c)))
-    if rows is not None:
+    if rows:
         # DAQP takes the box first and the rows behind it.
         G, h = rows
         upper = np.append(upper, h)
         lower = np.append(lower, np.full(len(h), -np.inf))
     sense = np.zeros(len(upper), dtype=np.int32)
-    x, _, flag, _ = daqp.solve(H, c, G, upper, lower, sense, **_DAQP)
-    if flag <= 0:
-        # With a Hessian of 1e11 (targets 1000 km away) it reports feasible problems as
-        # infeasible. The solution does not depend on the cost's scale.
-        scale = 1.0 / H.diagonal().max()
-        x, _, flag, _ = daqp.solve(
-            scale * H, scale * c, G, upper, lower, sense, **_DAQP
-        )
-    return x if flag > 0 else None
+    # With a Hessian of 1e11 (targets 1000 km away) it reports feasible problems as infeasible. The
+    # solution does not depend on the cost's scale.
+    for scale in (1.0, 1.0 / H.diagonal().max()):
+        cost = scale * H, scale * c
+        x, _, flag, _ = daqp.solve(*cost, G, upper, lower, sense, **_DAQP)
+        if flag > 0:
+            return x
+    return None
 
 
 class PointIk:
@@ -277,7 +276,7 @@ class PointIk:
             collisions = ik.collision.CollisionLimit(
                 hand, pairs=contacts, horizon=_HORIZON
             )
-        self._contacts = None if contacts is None else collisions
+        self._contacts = contacts and collisions
         self._tasks = tasks_named(options.tasks, hand)
         self._solver = solve_by_daqp
         if options.solver != "daqp":
@@ -386,7 +385,7 @@ class PointIk:
         def around(met: NearPairs) -> Array:
             """Solve from the start again, and keep apart the points that met."""
             nonlocal linear, iterations
-            assert linear is not None
+            assert linear
             configuration.place(start)
             linear = gate.joined(linear, configuration, met)
             rows = feasible(linear, lower, upper, stopping=gate.stopping(dt))
@@ -401,7 +400,7 @@ class PointIk:
             # Leave later iterations the rest of the bounds, which hold for the whole sample.
             least = lower - total
             most = upper - total
-            if linear is not None:
+            if linear:
                 stopping = gate.stopping(dt)
                 rows = feasible(linear, least, most, stopping=stopping, so_far=total)
             step = self._step(goal, least, most, rows)
@@ -474,7 +473,7 @@ class PointIk:
         # Catch NaN too, which solvers return where extreme weights or targets overflow.
         if step is None or not math.isfinite(step.dot(step)):
             return None
-        if rows is not None:
+        if rows:
             is_free = np.minimum(step - lower, upper - step) > TIGHT
             self.gate.press(is_free * (H.dot(step) + c), step, rows)
         return step
