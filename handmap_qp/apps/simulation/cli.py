@@ -145,7 +145,7 @@ class Simulate:
             problem = "draws object, mass and friction"
             advice = "add --objects nominal to draw places alone"
         for name, endings in _FILES.items():
-            if (path := getattr(self, name)) is not None:
+            if path := getattr(self, name):
                 check_output(f"--{name}", path, endings)
                 problem, advice = "writes no file", ""
         if self.trials and problem:
@@ -165,11 +165,7 @@ class Simulate:
         )
 
     def _simulate(self, trials: list[PinchTrial]) -> dict[str, dict[int, PinchOutcome]]:
-        """Pinch every object by every mapping; objects that overlap its hand are left out.
-
-        Raises:
-            HandmapError: If a mapping has no object left, or cannot be used.
-        """
+        """Pinch every object by every mapping; objects that overlap its hand are left out."""
         methods = chosen_methods(self.methods, self.peers, self.robot)
         robot = load_whole(self.robot)
         outcomes: dict[str, dict[int, PinchOutcome]] = {}
@@ -197,13 +193,13 @@ class Simulate:
         """Write the files: of the first mapping; the page shows all."""
         up = -np.array(self._physics().gravity)
         episode = next(iter(episodes.values()))
-        if self.out is not None:
+        if self.out:
             save_npz(self.out, episode.columns)
-        if self.picture is not None:
+        if self.picture:
             picture(episode, up, self.picture)
-        if self.film is not None:
+        if self.film:
             film(episode, up, self.film)
-        if self.html is not None:
+        if self.html:
             write_page(self.html, episodes, up, f"{self.robot}, simulated")
 
 

@@ -122,7 +122,7 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
             body = bodies[model.parents[index]].add_body(
                 name=name, gravcomp=1.0, **_placed(model.jointPlacements[index])
             )
-            linear, angular = np.split(np.array(joint.createData().S).ravel(), 2)
+            linear, angular = np.split(np.ravel(joint.createData().S), 2)
             kinds = mujoco.mjtJoint
             made = body.add_joint(
                 name=name,
@@ -184,7 +184,7 @@ def _shape(spec: Any, shape: Any) -> dict[str, Any]:
 def _couple_followers(spec: Any, hand: Hand) -> None:
     """Hold every mimic joint at the position that the hand's rules give it."""
     for name, role in zip(hand.all_joint_names, hand.all_joint_roles, strict=True):
-        if role == "follower" and hand.expansion is not None:
+        if role == "follower" and hand.expansion:
             coordinate = hand.model.idx_vs[hand.model.getJointId(name)]
             factors = hand.expansion.matrix[coordinate, hand.joint_columns]
             leader = np.argmax(np.abs(factors))

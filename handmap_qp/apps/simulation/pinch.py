@@ -82,15 +82,16 @@ class Pads:
             f"a hand with {THUMB} and {_INDEX}",
             got=f"{hand.name} with {', '.join(chains)}",
         )
-        self._pads = find_pads(hand, {name: chains[name] for name in (THUMB, _INDEX)})
+        used = {name: chains[name] for name in (THUMB, _INDEX)}
+        self._pads = [*find_pads(hand, used).values()]
         bodies = ["world", *hand.model.names[1:]]
-        self.bodies = [bodies[pad.joint] for pad in self._pads.values()]
-        self._radii = np.array([pad.radius for pad in self._pads.values()])
+        self.bodies = [bodies[pad.joint] for pad in self._pads]
+        self._radii = np.array([pad.radius for pad in self._pads])
         self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
 
     def places(self, simulator: Simulator) -> Array:
         """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
-        pads = zip(self.bodies, self._pads.values(), strict=True)
+        pads = zip(self.bodies, self._pads, strict=True)
         return np.array(
             [
                 transform_points(simulator.body_pose(body), pad.offset)
@@ -267,11 +268,7 @@ class PinchScene:
         return Meeting(*map(np.array, zip(*places, strict=True)))
 
     def _put_clear(self, simulator: Simulator, pose: Array) -> int:
-        """Put the object on its stand, and the open hand where it is last clear of the object.
-
-        Returns:
-            Index of the sample.
-        """
+        """Put the object on its stand, and the hand where it is last clear; return that sample."""
         pads = others = 0.0
         for start in range(self.window.start, self.window.opened - 1, -1):
             simulator.reset(*self.commands.at(start), pose)

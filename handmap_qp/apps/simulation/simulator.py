@@ -64,7 +64,7 @@ class Episode(NamedTuple):
     @classmethod
     def of(cls, simulator: Simulator, instants: Sequence[Instant]) -> Episode:
         """Return what happened in a simulation, instant after instant."""
-        columns = (np.array(column) for column in zip(*instants, strict=True))
+        columns = map(np.array, zip(*instants, strict=True))
         return cls(simulator.hand, simulator.body, Instant(*columns))
 
     @property
@@ -170,10 +170,9 @@ class Simulator:
         self.set_stand(holds=False)
         quat = quat_wxyz_from_rotation(pose[:3, :3])
         data.joint(OBJECT).qpos = np.concatenate([pose[:3, 3], quat])
-        for name, joint in zip(
-            hand.model.names[1:], hand.model.joints[1:], strict=True
-        ):
+        for joint in hand.model.joints[1:]:
             own = positions[joint.idx_q :][: joint.nq]
+            name = hand.model.names[joint.id]
             data.joint(name).qpos = own[_SEVEN] if joint.nq == 7 else own
         self.target = (np.array(q, dtype=float), wrist)
         self._due = 0.0
