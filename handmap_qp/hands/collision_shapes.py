@@ -115,9 +115,6 @@ def _hull_of(
 
     A mesh is a surface without an inside: an object within it would not be noticed, and an overlap
     would have no depth.
-
-    Raises:
-        RuntimeError: If the file cannot be read.
     """
     corners = _stl_vertices(file)
     if corners is None:

@@ -54,8 +54,11 @@ def robot_files() -> dict[str, Path]:
 
 def missing_hands() -> dict[str, str]:
     """Return why each hand that is not installed cannot be loaded here, by name."""
-    reasons = {n: why_missing(read_hand_spec(file)) for n, file in hand_files().items()}
-    return {name: reason for name, reason in reasons.items() if reason}
+    return {
+        name: reason
+        for name, file in hand_files().items()
+        if (reason := why_missing(read_hand_spec(file)))
+    }
 
 
 def why_missing(spec: HandSpec) -> str:
@@ -133,11 +136,7 @@ def _spec_of(hand: str | Path | HandSpec) -> HandSpec:
 def _load_human(
     hand: str | Path | HandSpec, mount: Mount | None, points: Points | None
 ) -> tuple[Hand, HumanLengths]:
-    """Load a human hand with its own lengths.
-
-    Raises:
-        InvalidInputError: If it is a robot.
-    """
+    """Load a human hand with its own lengths; reject a robot."""
     spec = _spec_of(hand)
     if spec.name not in HUMAN_HANDS:
         raise InvalidInputError(

@@ -393,7 +393,7 @@ class ConvertedMjcf:
                 yield pose, set_numbers(cylinder, radius=size[0], length=2.0 * size[1])
                 # URDF has no capsules.
                 for sign in (-1.0, 1.0) if kind == "capsule" else ():
-                    end = affine(np.eye(3), np.array([0.0, 0.0, sign * size[1]]))
+                    end = affine(np.eye(3), (0.0, 0.0, sign * size[1]))
                     yield pose @ end, set_numbers(Element("sphere"), radius=size[0])
             case "ellipsoid":
                 file = f"{self._folder}/unit_sphere.stl"

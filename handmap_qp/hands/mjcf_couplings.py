@@ -119,12 +119,7 @@ def _tendon_notes(
 
 
 class _Constraints:
-    """The active equality constraints of a model, as MuJoCo computes them.
-
-    Args:
-        model: The model.
-        names: Names of the joints that can be coupled, by their indices.
-    """
+    """The active equality constraints of a model, as MuJoCo computes them; see `read_couplings`."""
 
     def __init__(self, model: mujoco.MjModel, names: Mapping[int, str]) -> None:
         self._names = names
@@ -141,10 +136,7 @@ class _Constraints:
         self._kinds = [kind.removeprefix("mjEQ_").lower() for kind in kinds]
 
     def groups(self) -> list[tuple[set[int], list[int]]]:
-        """Return the joints that constraints couple to each other, and these constraints.
-
-        They are an argument of `solve` each.
-        """
+        """Return the joints that constraints couple to each other, and these, for `solve`."""
         model = self._model
         data = self._data
         data.qpos[:] = model.qpos0
@@ -240,10 +232,7 @@ class _Constraints:
     def _residual(
         self, joints: list[int], constraints: list[int], q: Array
     ) -> tuple[Array, Array]:
-        """Return the residuals of constraints and their derivatives by joints.
-
-        Each constraint is scaled so that metres and radians count alike.
-        """
+        """Return residuals of constraints, m and rad alike, and their derivatives by joints."""
         model = self._model
         data = self._data
         data.qpos[:] = model.qpos0
@@ -260,10 +249,7 @@ class _Constraints:
 
 
 def _closed(residual: _Residual, q: Array, first: int) -> Array | None:
-    """Find a posture near another that satisfies constraints, moving the joints from `first`.
-
-    Returns None if there is none.
-    """
+    """Find a posture near another that satisfies constraints by the joints from `first`."""
     q = q.copy()
     for _ in range(_ITERATIONS):
         gap, slopes = residual(q)

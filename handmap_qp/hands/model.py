@@ -88,7 +88,7 @@ def compose_urdf(spec: HandSpec, text: str | bytes) -> tuple[str, Positions, Rul
         check_tree(robot)
         locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
         move_shapes(robot, spec.shapes)
-        if (arm := spec.arm) is not None:
+        if arm := spec.arm:
             hand = robot
             robot = parse_urdf(read_urdf(arm))
             check_tree(robot)

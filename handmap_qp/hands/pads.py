@@ -60,7 +60,7 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
     Raises:
         HandError: If a shape cannot be read.
     """
-    given = {point.finger: point for point in hand.spec.points if point.pad is not None}
+    given = {point.finger: point for point in hand.spec.points if point.pad}
     return {finger: _pad(hand, c, given.get(finger)) for finger, c in chains.items()}
 
 
@@ -99,12 +99,7 @@ def _supports(points: Array, radius: float) -> Array:
 
 
 def _depths(supports: list[Array], points: Array) -> Array:
-    """Return how deep points (..., 3) are under convex surfaces [m], shape (...); negative outside.
-
-    Args:
-        supports: The largest `n p` of each surface for every direction n.
-        points: The points [m].
-    """
+    """Return how deep points (..., 3) are under surfaces of these `_supports` [m], < 0 outside."""
     ahead = points @ _DIRECTIONS.T
     return np.max([(support - ahead).min(axis=-1) for support in supports], axis=0)
 

@@ -149,7 +149,7 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
     for side, spec in specs.items():
         place = robot.hands[side].xyz, robot.hands[side].rpy
         # Hands on arms of their own share nothing.
-        tree = (source_file(spec), spec.root) if spec.arm is None else side
+        tree = side if spec.arm else (source_file(spec), spec.root)
         trees.setdefault((tree, place), []).append(side)
     whole = Element("robot", name=robot.name)
     SubElement(whole, "link", name=BASE)
@@ -159,7 +159,7 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
         prefix = "" if len(trees) == 1 else f"{sides[0]}_"
         spec = _merged([specs[side] for side in sides])
         _stand(whole, spec, prefix, *place)
-        arm = {} if spec.arm is None else spec.arm.rest
+        arm = spec.arm.rest if spec.arm else {}
         rest |= {f"{prefix}{joint}": at for joint, at in (arm | spec.rest).items()}
         prefixes |= dict.fromkeys(sides, prefix)
     text = tostring(whole, encoding="unicode")
@@ -238,7 +238,7 @@ def _on_robot(spec: HandSpec, name: str, prefix: str, rest: Positions) -> HandSp
     if matched is not None:
         matched = rest | {f"{prefix}{joint}": at for joint, at in matched.items()}
     collision = spec.collision
-    if collision is not None:
+    if collision:
         pairs = tuple((f"{prefix}{a}", f"{prefix}{b}") for a, b in collision.pairs)
         collision = replace(collision, pairs=pairs)
     return replace(

@@ -271,7 +271,7 @@ class HandSpec(_HandFields, frozen=True):
     @property
     def all_joints(self) -> Names:
         """Joints of arm and hand: the order of every `q`."""
-        return self.joints if self.arm is None else (*self.arm.joints, *self.joints)
+        return (*self.arm.joints, *self.joints) if self.arm else self.joints
 
     def __post_init__(self) -> None:
         """Check everything that does not need the URDF, and copy what the caller may change.
@@ -468,14 +468,14 @@ def twice(names: Sequence[str], key: str) -> Problems:
 def _pad_problems(points: Sequence[PointSpec]) -> Problems:
     """Find pads of points that are on no finger."""
     for i, point in enumerate(points):
-        if point.pad is not None and point.finger is None:
+        if point.pad and point.finger is None:
             yield "expected a point with `finger`, got None", f"points[{i}].pad", None
 
 
 def _joint_problems(spec: HandSpec) -> Problems:
     """Check names of joints: unique, each with a rest position, none of them locked."""
     yield from twice(spec.all_joints, "joints")
-    arm = () if spec.arm is None else (("arm.", spec.arm),)
+    arm = (("arm.", spec.arm),) if spec.arm else ()
     for prefix, part in (("", spec), *arm):
         for joint in sorted({*part.joints} & part.locked.keys()):
             message = f"{joint!r} is one of `joints`, and cannot be locked"

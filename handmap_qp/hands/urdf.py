@@ -344,7 +344,7 @@ def prepare_urdf(
         joint = _movable_joint(robot, name, "mimic")
         for old in joint.findall("mimic"):
             joint.remove(old)
-        if rule is not None:
+        if rule:
             element = SubElement(joint, "mimic", joint=rule.joint)
             set_numbers(element, multiplier=rule.multiplier, offset=rule.offset)
     positions = lock_joints(robot, locked)

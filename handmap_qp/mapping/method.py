@@ -427,17 +427,17 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     @property
     def rule(self) -> Rule:
         """Name of what is wrong with the sample (`human.sample.RULES`); empty if nothing."""
-        return "" if self.verdict is None else self.verdict.rule
+        return self.verdict.rule if self.verdict else ""
 
     @property
     def finding(self) -> Finding | None:
         """What the input is instead of what it says, with advice; None if it is plausible."""
-        return None if self.verdict is None else self.verdict.finding
+        return self.verdict and self.verdict.finding
 
     @property
     def consistency(self) -> float:
         """RMS difference of bones and palm from the person's [m]; NaN if it was not measured."""
-        return math.nan if self.verdict is None else self.verdict.consistency
+        return self.verdict.consistency if self.verdict else math.nan
 
     @property
     def diagnostics(self) -> Mapping[str, Array]:

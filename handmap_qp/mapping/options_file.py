@@ -58,6 +58,6 @@ def options_text(choice: Choice, start: Choice | None = None) -> str:
         choice: Preset and options.
         start: The preset with the values that need not be written; its own if omitted.
     """
-    start = preset_choice(choice.preset) if start is None else start
+    start = start or preset_choice(choice.preset)
     changes = {"preset": choice.preset} | start.changes_to(choice)
     return yaml.safe_dump(msgspec.to_builtins(changes), sort_keys=False)

@@ -108,5 +108,5 @@ def preset_choice(name: str, human: Hand | None = None) -> Choice:
         InvalidOptionsError: If there is no such preset.
     """
     preset = get_preset(name)
-    method = preset.method if human is None else preset.method.fitted_to(human)
+    method = preset.method.fitted_to(human) if human else preset.method
     return Choice(name, method, preset.ik)

@@ -22,12 +22,7 @@ import pinocchio as pin
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import (
-    HandmapError,
-    InvalidInputError,
-    InvalidOptionsError,
-    expect,
-)
+from handmap_qp.errors import HandmapError, InvalidOptionsError, expect
 from handmap_qp.hands import (
     LINK_MARGIN,
     Hand,
@@ -154,7 +149,7 @@ class Leader(HandMapper):
         if not self.is_staying:
             self.stay()
         asked = self.asked._replace(dt=check_dt(dt))
-        return MapStep(asked if seen is None else asked._replace(pose=seen), (), 0.0)
+        return MapStep(asked._replace(pose=seen) if seen else asked, (), 0.0)
 
 
 def _aimed(asked: Asked, world: Array, turning: float) -> tuple[Targets, Array | None]:
@@ -246,8 +241,10 @@ class RobotMapper:
         expect(turns_in > 0.0, "turns_in", "a time > 0 s", value=turns_in)
         expect("tasks" not in options, "tasks", "none: name them in `ik`")
         if humans is None:
-            names = {side: human_name(side) for side in robot.by_side}
-            humans = {s: load_hand(n, points="landmarks") for s, n in names.items()}
+            humans = {
+                side: load_hand(human_name(side), points="landmarks")
+                for side in robot.by_side
+            }
         _expect_sides(robot.by_side, humans, "humans")
         self._name = robot.name
         self.leaders = {
@@ -431,7 +428,7 @@ class RobotMapper:
         times = [leader.since for leader in leaders]
         core = self._ik.core
         is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
-        if core is None or is_python:
+        if is_python or not core:
             turning = np.array(times) / self._turns_in
             worlds = worlds or [_HOME] * len(asked)
             targets, persons = map(
@@ -638,7 +635,6 @@ def palm_place(hand: Hand, anchor: Array) -> tuple[int, Array]:
 
 def _expect_sides(sides: Iterable[Side], known: Mapping[Side, Any], name: str) -> None:
     """Reject sides that are not among the known ones."""
+    expected = " and ".join(known) or "at least one"
     for side in sides:
-        if side not in known:
-            expected = " and ".join(known) or "at least one"
-            raise InvalidInputError(argument=name, expected=expected, value=side)
+        expect(side in known, name, expected, value=side)
