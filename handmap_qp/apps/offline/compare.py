@@ -206,7 +206,7 @@ def results_of(comparison: Comparison) -> Values:
             "fingers": run.fingers,
             "problem": run.problem,
         }
-    return {
+    found = {
         "robot": comparison.robot.name,
         "versions": dict(map(str.split, package_versions())),
         "metrics": [{key: getattr(m, key) for key in _SHOWN} for m in METRICS],
@@ -214,7 +214,7 @@ def results_of(comparison: Comparison) -> Values:
             {
                 "name": take.name,
                 "samples": len(take.recording),
-                "valid": int(take.recording.valid.sum()),
+                "valid": take.recording.valid.sum(),
                 "is_mirrored": take.is_mirrored,
                 "palm": _palm(take),
                 "contact_gap_mm": 1e3 * take.human.contact_gap,
@@ -227,6 +227,7 @@ def results_of(comparison: Comparison) -> Values:
         "runs": runs,
         "notes": notes_of(comparison),
     }
+    return msgspec.to_builtins(found, enc_hook=np.generic.item)
 
 
 def _methods(request: Compare) -> list[ComparedMethod]:

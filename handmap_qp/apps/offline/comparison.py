@@ -128,7 +128,7 @@ class RobotMotion(NamedTuple):
         """Return the wrist's poses; if it is not moved, those that put the palm on the human's."""
         if self.wrist is not None:
             return self.wrist
-        return take.trace.palm @ np.linalg.inv(robot.wrist_to_palm)
+        return take.trace.palm @ inverse_pose(robot.wrist_to_palm)
 
 
 class ComparedMethod(NamedTuple):
@@ -226,9 +226,6 @@ def prepare_take(
         side: Side of the robot; a recording of the other hand is mirrored.
         person: The person; measured in the recording if omitted.
 
-    Returns:
-        The take.
-
     Raises:
         InvalidInputError: If the landmarks are not those of a hand in metres, or no sample is valid
             after the first half second.
@@ -283,9 +280,6 @@ def compare_methods(
         methods: The methods.
         progress: Called before each run, and after the last, with the number of runs done, and the
             name of the run.
-
-    Returns:
-        All runs.
 
     Raises:
         InvalidInputError: If there is nothing to compare, two takes or methods have one name, a

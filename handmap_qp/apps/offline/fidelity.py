@@ -21,7 +21,14 @@ from scipy.stats import spearmanr
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Hand, Values
 from handmap_qp.mapping import MotionEstimator, polar
-from handmap_qp.se3 import Array, inverse_pose, lengths, rigid_fit, transform_points
+from handmap_qp.se3 import (
+    Array,
+    inverse_pose,
+    lengths,
+    rigid_fit,
+    transform_points,
+    unit,
+)
 from .hand_trace import (
     KNUCKLE,
     MIDDLE,
@@ -102,9 +109,6 @@ def assess_fidelity(
         workspace: Points that each fingertip can reach (`sample_workspace`).
         step_time: Time that the mapping took for every sample [s], shape (T,).
 
-    Returns:
-        The metrics.
-
     Raises:
         InvalidInputError: If the numbers of samples differ, no sample counts, or the hands have no
             finger in common.
@@ -137,12 +141,10 @@ def assess_fidelity(
     if step_time is not None:
         values["step_time_ms"] = 1e3 * step_time[counts].mean()
     by_finger = {
-        name: {key: float(column[i]) for key, column in fingers.items()}
+        name: {key: column[i] for key, column in fingers.items()}
         for i, name in enumerate(shared)
     }
-    return Fidelity(
-        {key: float(value) for key, value in values.items()}, by_finger, pinch_samples
-    )
+    return Fidelity(values, by_finger, pinch_samples)
 
 
 def _over_fingers(names: list[str], fingers: ByFinger) -> Values:
@@ -311,11 +313,11 @@ def latency(
         return np.nan
     step = np.median(np.diff(time))
     grid = np.arange(time[0], time[-1], step)
-    tips = np.stack([hand.local[:, :, TIP] for hand in (human, robot)], axis=1)
-    tips = make_interp_spline(time, tips, k=1)(grid)
-    if np.ptp(tips, axis=0).max(axis=(1, 2)).min() < _STILL:
+    tips = np.array([human.local, robot.local])[:, :, :, TIP]
+    tips = make_interp_spline(time, tips, k=1, axis=1)(grid)
+    if np.ptp(tips, axis=1).max(axis=(1, 2)).min() < _STILL:
         return np.nan
-    a, b = (tips - tips.mean(axis=0)).swapaxes(0, 1)
+    a, b = tips - tips.mean(axis=1, keepdims=True)
     most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
     # For every lag, a(t) and b(t + lag): ends that have no partner are cut off.
     values = [
@@ -415,9 +417,7 @@ def _laid_on(points: Array, onto: Array) -> Array:
 
 def _cosines(a: Array, b: Array) -> Array:
     """Cosines between vectors along the last axis; 0 where either is zero."""
-    norms = lengths(a) * lengths(b)
-    norms = np.where(norms > 0.0, norms, np.inf)
-    return np.clip(np.vecdot(a, b) / norms, -1.0, 1.0)
+    return np.clip(np.vecdot(unit(a), unit(b)), -1.0, 1.0)
 
 
 def _turns(rotations: Array) -> Array:

@@ -37,12 +37,8 @@ MIDDLES = np.array([3, 6, 10, 14, 18])
 """Landmarks of the middle joints: the thumb's IP and the other fingers' PIP."""
 KNUCKLE, MIDDLE, TIP = range(3)
 """Indices of a finger's points: the thumb's CMC or MCP, its IP or PIP, and its tip."""
-
-
 fingers_of = lru_cache(maxsize=32)(find_fingers)
 """The fingers of a hand, which are found once: a reach takes a search."""
-
-
 ByFinger = dict[str, Array]
 """Arrays by the anatomical names of fingers."""
 
@@ -73,7 +69,8 @@ class HandTrace(NamedTuple):
     @property
     def extension(self) -> Array:
         """Distance from knuckle to tip as a share of the reach, shape (T, k)."""
-        return norms(self.points[:, :, TIP] - self.points[:, :, KNUCKLE]) / self.reach
+        knuckles, _, tips = np.moveaxis(self.points, 2, 0)
+        return norms(tips - knuckles) / self.reach
 
     def part(self, samples: Array, names: Sequence[str]) -> "HandTrace":
         """Return some of the samples, by index or mask, and some of the fingers."""
@@ -103,9 +100,6 @@ def trace_human(
         wrist_poses: Wrist poses of the tracker, shape (T, 4, 4). The palm then moves with them; its
             mean pose on the wrist comes from the landmarks. If omitted, the palm is the rigid fit
             (Kabsch 1976) of landmarks 0, 5, 9, 13 and 17 in every sample.
-
-    Returns:
-        The trace.
     """
     palm = rigid_fit(lengths.palm(side), landmarks[:, PALM])
     if wrist_poses is not None:
@@ -129,9 +123,6 @@ def trace_robot(
         hand: The robot hand.
         q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
         wrist: Wrist poses in the world, shape (T, 4, 4); omitted for a fixed hand.
-
-    Returns:
-        The trace.
     """
     chains = fingers_of(hand)
     wrists = repeat(None) if wrist is None else wrist

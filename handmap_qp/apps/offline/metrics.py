@@ -57,11 +57,10 @@ class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def best(self, values: list[float]) -> set[int]:
         """Return the indices of the best values as printed; none if fewer than two are finite."""
-        worth = {i: self._cost(v) for i, v in enumerate(values) if np.isfinite(v)}
-        if len(worth) < 2:
+        costs = np.array([*map(self._cost, values)])
+        if np.isfinite(costs).sum() < 2:
             return set()
-        least = min(worth.values())
-        return {i for i, cost in worth.items() if cost == least}
+        return {*np.flatnonzero(costs == np.nanmin(costs))}
 
     def _cost(self, value: float) -> float:
         """Smaller is better; values that print alike are alike."""
@@ -88,5 +87,5 @@ def mean_values(rows: Sequence[Values]) -> Values:
     means = {}
     for metric in METRICS:
         finite = [row[metric.key] for row in rows if np.isfinite(row[metric.key])]
-        means[metric.key] = float(np.mean(finite)) if finite else np.nan
+        means[metric.key] = np.mean(finite) if finite else np.nan
     return means

@@ -30,8 +30,6 @@ SETTLING = 0.5
 """Samples this soon after the first valid one are not used, for mappings may still start up [s]."""
 HOLD = 0.2
 """A pose counts as clear as it was at its least clear moment of this time before the sample [s]."""
-
-
 Ranked = dict[str, tuple[int, float] | None]
 """Index of a sample and how clear its pose is, by the names of the poses; None for no sample."""
 
@@ -150,7 +148,7 @@ def rank_poses(recording: Recording) -> Ranked:
     for name, scores in _scores(posture).items():
         held = _held(np.where(is_usable, scores, 0.0), recording.time)
         best = int(np.argmax(held))
-        found[name] = (best, float(held[best])) if held[best] > 0.0 else None
+        found[name] = (best, held[best]) if held[best] > 0.0 else None
     return found
 
 

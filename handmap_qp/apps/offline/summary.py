@@ -157,8 +157,7 @@ def table_rows(summary: Values) -> dict[str, str]:
 def _arm(trajectory: Trajectory) -> Values | None:
     """Measure how far a motion leaves the reach of an arm; None if the arm follows.
 
-    The scale is the largest one at which no target is farther from the first sample than the wrist
-    got.
+    The scale is the largest one at which every target is as near to the start as the wrist got.
     """
     robot = trajectory.robot
     places = trajectory.wrist[trajectory.valid, :3, 3]

@@ -78,7 +78,7 @@ class Trajectory:
         """Largest excess over a position limit [rad or m]; 0 if all limits hold."""
         robot = self.robot
         outside = np.maximum(robot.lower_limits - self.q, self.q - robot.upper_limits)
-        return float(outside.max(initial=0.0))
+        return outside.max(initial=0.0)
 
     @property
     def columns(self) -> Arrays:
@@ -155,9 +155,7 @@ def map_recording(
         return _trajectory(mapper.robot, recording.time, table)
     samples = recording_samples(recording, wrist_poses)
     steps = (
-        follower.map(
-            mapper.landmarks.read(sample.landmarks, sample.wrist)[0], float(dt)
-        )
+        follower.map(mapper.landmarks.read(sample.landmarks, sample.wrist)[0], dt)
         if sample.valid
         else None
         for sample, dt in zip(samples, recording.steps, strict=True)
@@ -169,18 +167,17 @@ def _with_object(
     robot: Hand, time: Array, steps: Iterator[MapStep], progress: Told
 ) -> Trajectory:
     """Collect steps, and where they have the robot's object."""
-    poses: list[Array | None] = []
+    poses = []
 
     def noted(step: MapStep) -> MapStep:
-        last = poses[-1] if poses else None
-        poses.append(step.diagnostics.get("object_pose", last))
+        poses.append(step.diagnostics.get("object_pose"))
         return step
 
     made = trajectory_of(robot, time, map(noted, steps), progress)
-    first = next((pose for pose in poses if pose is not None), None)
-    if first is None:
+    is_known = np.array([pose is not None for pose in poses])
+    if not is_known.any():
         return made
-    placed = [first if pose is None else pose for pose in poses]
+    placed = [poses[i] for i in held_samples(is_known)]
     return replace(made, object_pose=np.array(placed))
 
 
