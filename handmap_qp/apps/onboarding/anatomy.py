@@ -19,8 +19,7 @@ FINGERS = human.FINGERS[1:]
 _CERTAIN = 0.95
 _LIKELY = 0.75
 _DISPUTED = 0.5
-# Score margins above which an answer is clear, or better than none; fingers agree if the mean of
-# their unit vectors is this long.
+# Score margins of a clear answer, and of one; length of the mean unit vector of fingers that agree.
 _CLEAR = 0.3
 _VISIBLE = 0.1
 _AGREED = 0.85
@@ -130,8 +129,7 @@ class Anatomy:
         if count < 2:
             return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
         peaks = [_stands_out(part) for part in _differences(self._flexion)]
-        # A different number of joints counts, but less than any of the others; a name counts as
-        # much as a clear margin.
+        # The number of joints counts less than the others, a name as much as a clear margin.
         sizes = np.array([*map(len, names)])
         is_named = np.array(self._labels) == "thumb"
         scores = 0.5 * sum(peaks) + 0.15 * _stands_out(sizes[:, None] != sizes)
@@ -279,8 +277,7 @@ class Anatomy:
         flexion = self._flexion
         labels = self._labels
         sure = self._thumb_clue.confidence
-        # Order fingers by base and tip: fingers spread towards their tips, and bases may lie one
-        # behind the other.
+        # By base and tip: fingers spread towards their tips, and bases may lie in line.
         places = (0.7 * flexion.bases + 0.3 * flexion.tips_open) @ radial.answer
         order = sorted(self._rest, key=lambda i: -places[i])
         apart = -np.diff(places[order]).max(initial=-np.inf)
@@ -343,7 +340,7 @@ def _find_side(
 ) -> tuple[Clue, Clue]:
     """Find the side: a right hand seen from the back, fingers up, has its thumb on the left.
 
-    It comes after the dorsal direction, whose sign a given or named side may set.
+    A given or named side may turn the dorsal direction over.
     """
     source = "as given" if given else "from the names"
     declared = given or named

@@ -60,8 +60,7 @@ _LARGEST_SLIDE = 2.0
 _OFF_THE_LINK = 0.02
 # The same of a fingertip from the shapes that collide [m].
 _OFF_THE_TIP = 0.003
-# Least confidence of the detection for a finding: of fingers and side, and of a direction, whose
-# largest angle depends on its certainty [deg].
+# Least confidence of fingers and side, and of a direction, and largest angles by certainty [deg].
 _SURE = 0.65
 _WORTH = 0.45
 _ANGLES = {"certain": 20.0, "likely": 40.0, "a guess: check it": 60.0}
@@ -246,10 +245,14 @@ def _check_tips(hand: Hand) -> Found:
         shapes = read_collision_shapes(hand).geometryObjects
     except HandError:
         return
-    for finger, (joint, tip) in ((f, c.tip) for f, c in find_fingers(hand).items()):
-        own = [shape for shape in shapes if shape.parentJoint == joint]
+    for finger, chain in find_fingers(hand).items():
+        joint, tip = chain.tip
         there = coal.Sphere(1e-6), pin.SE3(np.eye(3), tip)
-        gaps = [distance(s.geometry, s.placement, *there)[0] for s in own]
+        gaps = [
+            distance(shape.geometry, shape.placement, *there)[0]
+            for shape in shapes
+            if shape.parentJoint == joint
+        ]
         if (gap := min(gaps, default=0.0)) > _OFF_THE_TIP:
             what = f"the fingertip is {1e3 * gap:.0f} mm outside the shapes of its link"
             change = "is one of them in a wrong place? `shapes` moves it"
@@ -329,8 +332,8 @@ def _compare_axes(hand: Hand, found: HandSpec, clues: dict[str, Clue]) -> Found:
         angle = angle_between(getattr(hand.spec.palm, name), other)
         if clue.confidence > _WORTH and angle > _ANGLES[clue.certainty]:
             what = f"is {angle:.0f} degrees from the detected one: {clue.how}"
-            better = ", ".join(f"{value:.3f}" for value in other)
-            yield warning(f"palm.{name}", what, f"try [{better}]")
+            change = f"try [{', '.join(f'{value:.3f}' for value in other)}]"
+            yield warning(f"palm.{name}", what, change)
 
 
 def _compare_fingers(hand: Hand, chains: dict[str, Names]) -> Found:

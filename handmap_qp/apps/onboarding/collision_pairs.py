@@ -27,14 +27,12 @@ from .detect import Detection
 
 MARGIN = 0.0005
 """Least distance between links [m]: pinches close, and the linearised rows hold."""
-# Random postures, and the distance below which a pair may collide if it comes that near in one of
-# them [m].
+# Random postures; a pair that comes nearer than this in one of them may collide [m].
 _SAMPLES = 60
 _NEAR = 0.01
 # Pairs that overlap in more postures than this overlap by design.
 _BY_DESIGN = 0.5
-# The same of a few postures; links of a compact joint are shorter than this and overlap when it
-# bends [m].
+# The same of a few postures; shorter links of a compact joint overlap when it bends [m].
 _FEW = 8
 _IN_FEW = 0.8
 _SHORT = 0.025

@@ -41,8 +41,7 @@ _REST_MOST = 0.75
 _OFF_AXIS = 0.0015
 # A joint this near to the palm is one of its wrist [m].
 _WRIST_REACH = 0.25
-# A joint that spreads fingers and has its zero within this share of its range from a limit rests
-# this share away from it.
+# A joint that spreads fingers, with its zero this near to a limit, rests this far off it [ranges].
 _AT_LIMIT = 0.05
 _SPREAD = 0.3
 # Range of a person's wrist-to-knuckle distance, in lengths of the longest finger.
@@ -198,11 +197,7 @@ class _FoundHand:
         self.clues = [self.structure.palm, *self.anatomy.clues]
 
     def describe(self, name: str | None, part: Robot) -> HandSpec:
-        """Return the description, by the name of the robot if there is none.
-
-        `part` is the robot from the base of the arm that moves the wrist; the hand's own if the
-        wrist floats.
-        """
+        """Return the description; `part` is the robot from the arm's base, if there is one."""
         robot = self.robot
         anatomy = self.anatomy
         drivers = chain.from_iterable(finger.drivers for finger in self.fingers)

@@ -15,8 +15,7 @@ _WORDS = re.compile(
     | (?P<little> (?i:little | pinky | pinkie | small_?finger))""",
     re.VERBOSE,
 )
-# Abbreviations of the Shadow hand, as in `rh_FFJ4` and `ffmiddle`. What stands behind them is a
-# phalanx or the number of a joint.
+# Abbreviations of the Shadow hand, as in `rh_FFJ4`, before a phalanx or the number of a joint.
 _SHORT = re.compile(
     r"""(?: ^ | [^a-zA-Z])
     (?: (?P<thumb> th | TH)
@@ -39,8 +38,7 @@ _LETTERS = re.compile(
     (?! [a-zA-Z])""",
     re.VERBOSE,
 )
-# A single letter counts only at the start or end of a name: `l3` is usually the third link, not a
-# left one.
+# A single letter counts only at the start or end of a name: `l3` is usually the third link.
 _RIGHT = re.compile(
     r"[Rr]ight|RIGHT|(?:^|_)(?:rh|RH)(?:_|$)|^[rR]_|_[rR]$|^R(?=[A-Z][a-z])"
 )

@@ -22,8 +22,7 @@ from handmap_qp.se3 import Array, lengths, unit
 
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
 _FLEXING = 0.6
-# A finger shorter than this share of its phalanges is bent; its first phalanx has a direction if it
-# is longer than this share of them.
+# Shares of its phalanges: a shorter finger is bent, a longer first phalanx has a direction.
 _STRETCHED = 0.985
 _PHALANX = 0.2
 # A thumb is this share of the fingers' reach in front of the palm.
@@ -159,7 +158,7 @@ class HandFlexion:
             j = max(nearer, key=lambda column: abs(nearer[column]))
             if abs(nearer[j]) >= 1e-4:
                 self.sign[j] = np.sign(nearer[j])
-                self.ways[i] = unit(self.sign[j] * self._motions[i][:, j])
+                self.ways[i] = unit(self.sign[j] * self._motions[i, :, j])
                 self.certainty[i] = 0.7
 
     def _sign_base_joints(self) -> None:

@@ -41,8 +41,7 @@ _SAMPLES = 200
 _ARM_SAMPLES = 1500
 _DIRECTIONS = unit(np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 _CONE = np.cos(np.radians(25.0))
-# A person's hand moves this far to all sides in front of the body [m]; an arm follows if it reaches
-# that far in this share of the directions.
+# A person's hand moves this far [m]; an arm follows that does so in this share of directions.
 _ARM_MOTION = 0.25
 _MOST_DIRECTIONS = 0.8
 _DT = 1.0 / 60.0
@@ -93,13 +92,12 @@ def check_reach(hand: Hand) -> Found:
     gaps = places[:, None] - places[::4]
     spans = 1e3 * lengths(gaps).max(axis=(0, 1))
     jacobians = hand.point_jacobian(hand.rest)[:, own].reshape(len(spans), 3, -1)
-    best: dict[str, int] = {}
-    for i, point in enumerate(hand.reference_points):
-        if point.finger and spans[i] > spans[best.setdefault(point.finger, i)]:
-            best[point.finger] = i
+    points = hand.reference_points
+    # Of the points of a finger, the one with the largest span comes last.
+    best = {points[i].finger: i for i in np.argsort(spans) if points[i].finger}
     rows = []
-    for i in best.values():
-        point = hand.reference_points[i].name
+    for i in sorted(best.values()):
+        point = points[i].name
         motions = np.linalg.svd(jacobians[i], compute_uv=False)
         motions = motions[motions > _LEAST_MOTION]
         slowest = 1e3 * min(motions, default=0.0)
@@ -224,11 +222,12 @@ def check_directions(hand: Hand, upright: str = "+y up, -z forward") -> Found:
     if turn is None:
         return
     mapper = _mapper(hand, alignment=turn)
+    start = hand.frame_pose("palm", hand.rest)[:3, 3]
     rows = []
     for name, way in zip(_WAYS, [*np.eye(3), *-np.eye(3)], strict=True):
         place = 0.05 * way @ upright_axes(upright)
         q = _follow(mapper, mapper.human.rest, place=place)[-1].command.q
-        start, end = (hand.frame_pose("palm", each)[:3, 3] for each in (hand.rest, q))
+        end = hand.frame_pose("palm", q)[:3, 3]
         moved = 1e3 * (end - start)
         seen = upright_axes(hand.spec.upright) @ moved
         nearest = _WAYS[np.argmax([*seen, *-seen])] if seen.any() else "nowhere"
@@ -257,7 +256,7 @@ def _follow(
     mapper: HandMapper, *postures: Array, place: Array | float = 0.0
 ) -> list[MapStep]:
     """Lead to each posture in 0.75 s, with the wrist to a place [m], and 0.25 s to settle."""
-    shares = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0))
+    shares = 0.5 - 0.5 * np.cos(np.pi * np.minimum(np.arange(60) / 44, 1.0))
     mapper.reset()
     return [
         mapper.map_step(
@@ -328,7 +327,8 @@ def standard_postures(human: Hand) -> Arrays:
         # Each finger has four joints, of which the first abducts it.
         q = human.rest.reshape(-1, 4).copy()
         q[1:, 0] *= spread
-        q[: len(flexions), 1:] = _SHARES[: len(flexions)] * np.vstack(flexions)
+        for i, flexion in enumerate(flexions):
+            q[i, 1:] = flexion * _SHARES[i]
         return np.clip(q.ravel(), human.lower_limits, human.upper_limits)
 
     return {

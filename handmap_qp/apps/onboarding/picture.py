@@ -1,7 +1,6 @@
 """Pictures to check a description: a hand with its labels, and its matched posture."""
 
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -232,9 +231,11 @@ class _Scene:
         model = hand.model
         _, *beyond = model.subtrees[model.frames[hand.wrist_frame_id].parentJoint]
         origin = np.zeros(3)
-        tips = [place_of(hand, p) for p in hand.reference_points]
-        sticks = [((model.parents[joint], origin), (joint, origin)) for joint in beyond]
-        sticks += [((tip[0], origin), tip) for tip in tips]
-        places = [*chain.from_iterable(sticks)]
+        places = []
+        for joint in beyond:
+            places += [(model.parents[joint], origin), (joint, origin)]
+        for point in hand.reference_points:
+            joint, offset = place_of(hand, point)
+            places += [(joint, origin), (joint, offset)]
         ends = PalmKinematics(hand).points(hand.rest, places).reshape(-1, 2, 3)
         return merged([tube(pair, 0.015 * self.size, GREY) for pair in ends])

@@ -22,8 +22,7 @@ LONGEST_FINGER = 0.3
 _LEAST_TRAVEL = 0.004
 # An end frame closer than this to the last joint is not a fingertip [m].
 _LEAST_TIP = 0.005
-# An end frame is the fingertip up to this far inside the end of the surface, and up to this far
-# beyond it [m].
+# An end frame is the fingertip up to this far inside the end of the surface, or beyond it [m].
 _INSIDE = 0.005
 _IN_THE_AIR = 0.012
 # An end frame this near to the centre of a ball is its centre, and the largest such ball [m].
@@ -31,8 +30,7 @@ _AT_CENTRE = 0.001
 _LARGEST_BALL = 0.015
 # A chain whose end stays within this of a point on another finger is part of a linkage [m].
 _LINKAGE_SLACK = 0.004
-# A bar turns at least this far about its pivot [rad], which is at least this share of the bar's
-# length away from the bar's own joint.
+# A bar turns this far about its pivot [rad], which is this share of its length off its joint.
 _LEAST_PIVOT = 0.1
 _PIVOT_SHARE = 0.4
 # Fingers of one hand start within this distance of each other [m].
@@ -275,7 +273,7 @@ def _poses(finger: RobotFinger, other: int) -> Array:
 
 def _travel(finger: RobotFinger, poses: Array) -> float:
     """Return how far a fingertip moves along an axis in poses of its body [m]."""
-    return np.ptp(transform_points(poses, finger.tip[1][None]), axis=0).max()
+    return np.ptp(transform_points(poses, finger.tip[1]), axis=0).max()
 
 
 def _idleness(finger: RobotFinger, _: list[RobotFinger]) -> str:
