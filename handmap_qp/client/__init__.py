@@ -99,10 +99,7 @@ _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
 
 def _fields(kind: str, message: type[msgspec.Struct], given: Request) -> Request:
-    """Return the fields of a request that are not None, with poses in any form as `Pose`.
-
-    An unknown field of the message raises a TypeError, a pose that is none a ValueError.
-    """
+    """Return the fields of a request that are not None, with poses in any form as `Pose`."""
     if unknown := given.keys() - message.__annotations__.keys():
         raise TypeError(f"{kind}() has no argument {sorted(unknown)[0]!r}")
     return {
@@ -188,8 +185,7 @@ class _Core:
     async def _send(self, sample: Request) -> None:
         if self.opened is None:
             raise RuntimeError("open a session first")
-        # Only samples that could not be read, or that are of no session, are answered. The stream
-        # reports samples that the mapping rejected.
+        # Only samples that could not be read, or that are of no session, are answered.
         answer = await self._io("samples", None, 0.0)
         if answer is not None and isinstance(error := self._read(answer), Error):
             if error.code != "no_session":
@@ -367,8 +363,7 @@ class _Core:
         if use in self._sockets:
             return self._sockets[use]
         socket = self._sockets[use] = self._context.instance().socket(kind)
-        # A request waits in the client until there is a connection. Of samples and commands, the
-        # socket keeps the newest one.
+        # A request waits until there is a connection; of samples and commands the newest counts.
         socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
         socket.ipv6 = True
         socket.linger = 0

@@ -26,6 +26,7 @@ LARGEST = 1e3
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Place = tuple[Number, Number, Number]
 Angles = Annotated[tuple[Number, ...], Meta(max_length=256)]
+FingerPlaces = tuple[Place, Place, Place, Place, Place]
 Places = Annotated[tuple[Place, ...], Meta(max_length=256)]
 # Numbers of a layout may be in millimetres or degrees.
 Value = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -146,8 +147,8 @@ class Lengths(Struct, frozen=True, forbid_unknown_fields=True):
         rolls: Turn of each finger's joint axes about the palm's y axis [rad].
     """
 
-    bases: tuple[Place, Place, Place, Place, Place]
-    segments: tuple[Place, Place, Place, Place, Place]
+    bases: FingerPlaces
+    segments: FingerPlaces
     rolls: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 

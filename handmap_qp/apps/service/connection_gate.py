@@ -184,10 +184,7 @@ class SmallReads(asyncio.BufferedProtocol):
 
 
 class _Client(SmallReads):
-    """The connection of one client, last heard at a time [s].
-
-    Its name is that of the gate's end at the socket, its identity that which a ROUTER gave to it.
-    """
+    """A client's connection, `heard` [s]; a ROUTER knows its identity, the socket its name."""
 
     transport: asyncio.Transport
     _inner: Any = None

@@ -103,12 +103,11 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
         return Error(code="invalid", message=f"not a message: {error}"[:200])
     is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
     if request is None or is_newer:
-        versions = " or ".join(map(str, known))
         return Error(
             seq=head.number,
             code="protocol",
             field="protocol",
-            message=f"expected version {versions}, got {head.protocol}",
+            message=f"expected version {' or '.join(map(str, known))}, got {head.protocol}",
             protocols=known,
         )
     for place, message in _wrong_poses(request):

@@ -222,8 +222,8 @@ class HandCache:
         Raises:
             RefusedError: If no hand has this name, or it cannot be loaded so.
         """
-        known = ", ".join(self.robots + self.two_handed)
-        message = f"no hand {name!r:.80}; there are {known}"
+        known = self.robots + self.two_handed
+        message = f"no hand {name!r:.80}; there are {', '.join(known)}"
         refuse_if(name not in self._files, message, "robot")
         file = self._files[name]
         with naming_field("robot"):
@@ -273,9 +273,6 @@ def prepare_hands(
             large as the other. The request decides if empty.
         defer: Runs a measurement, which takes some 200 ms, in another thread; nothing is measured
             if omitted.
-
-    Returns:
-        The mapper and the hands.
 
     Raises:
         RefusedError: With the field at fault.

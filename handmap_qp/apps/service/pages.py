@@ -62,9 +62,6 @@ async def serve_metrics(
         port: Port at 127.0.0.1; 0 lets the system choose.
         metrics: The counters.
         health: Returns the result of the health check; its `status` is `ok` or an error.
-
-    Returns:
-        The listening server.
     """
 
     def respond(_: ServerConnection, request: Request) -> Response:

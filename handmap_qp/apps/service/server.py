@@ -343,8 +343,7 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     Raises:
         InvalidInputError: If an address or file cannot be used.
     """
-    # Interval after which a thread that loads a hand yields to the one that answers [s]. Python's
-    # default is ten times longer.
+    # Interval after which a thread that loads a hand yields to the one that answers [s].
     sys.setswitchinterval(5e-4)
     _raise_file_limit()
     with logs_on_stderr(log_level):

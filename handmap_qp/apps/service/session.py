@@ -166,9 +166,9 @@ class SampleForm:
         is_lost = not sample.valid and self._kind != "landmarks"
         refuse_if(is_lost, "only landmarks may be invalid", "valid")
         if sample.valid or given:
-            wrong = sorted(given ^ {self._field}, key=_FIELDS.index)
             message = f"this session was opened for {self._wanted}"
-            refuse_if(wrong, message, next(iter(wrong), ""))
+            for field in sorted(given ^ {self._field}, key=_FIELDS.index):
+                raise RefusedError("invalid", message, field=field)
         is_bare = self._kind == "q" and sample.wrist is None
         refuse_if(is_bare, "missing; it must come with q", "wrist")
 
@@ -328,17 +328,14 @@ class Session:
             sample: The sample; its numbers are finite.
             now: The present [s].
 
-        Returns:
-            The command.
-
         Raises:
             RefusedError: If the sample cannot be used. The robot and the watchdog then ignore it.
         """
         try:
             humans = self._form.each(sample, self._form.read)
             self._dt, flags = self._clock.grant(sample.time, now)
-            if self._hands.calibration is not None:
-                return self._calibrate(self._hands.calibration, humans, sample, now)
+            if calibration := self._hands.calibration:
+                return self._calibrate(calibration, humans, sample, now)
             self._prepare_mapper()
             step = self._map(humans, sample, now)
         except HandmapError as error:
@@ -469,7 +466,7 @@ class Session:
 
     @property
     def _is_at_rest(self) -> bool:
-        return bool((self._commanded.q == self.robot.rest).all())
+        return np.array_equal(self._commanded.q, self.robot.rest)
 
     def _start(self, q: Array, wrist: Array | None, request: Open | Reset) -> Posture:
         """Return a posture with the parts that a request gives, which the robot must reach."""

@@ -171,8 +171,7 @@ class WebSocketTransport:
                     subscribe=partial(outbox.subscribe, form),
                     by=by,
                 )
-                # Back-pressure: stop reading from clients that do not drain replies, and throttle
-                # those over the rate limit.
+                # Stop reading from clients that do not read, and slow those over the rate limit.
                 if connection.transport.get_write_buffer_size():
                     async with asyncio.timeout(_SEND_TIMEOUT):
                         await connection.drain()
@@ -231,8 +230,7 @@ class _Outbox:
 
     def subscribe(self, form: _Form, name: str) -> None:
         if len(self.streams) >= MOST_SESSIONS:
-            # Forget ended sessions. They could return under their names, but their number has no
-            # bound.
+            # Forget ended sessions: they could return under their names, but there is no end.
             for ended in self.streams.keys() - set(self._sessions.names):
                 del self.streams[ended]
         self.streams[name] = form
