@@ -75,9 +75,8 @@ KeyFiles = Annotated[
     tuple[Path, Path] | None, hinted("SECRET SERVER", "(default: not encrypted)")
 ]
 """A client's secret key and the server's key, of `handmap keys`."""
-_HANDED = (
-    3  # fingers with human names; a robot with fewer is neither a left nor a right hand
-)
+_HANDED = 3
+"""Fingers with human names; a robot with fewer is neither a left nor a right hand."""
 Recordings = Positional[
     Annotated[tuple[Path, ...], hinted("RECORDING...", "(required)")]
 ]
@@ -285,11 +284,7 @@ class MappingArguments:
     smooth: bool = False
 
     def __post_init__(self) -> None:
-        """Reject values that no preset takes, before any work.
-
-        Raises:
-            InvalidOptionsError: With the option at fault.
-        """
+        """Reject values that no preset takes, before any work."""
         if self.preset is not None:
             get_preset(self.preset)
         known = known_options()

@@ -30,8 +30,6 @@ from .sources import BOTH
 WRIST_NAMES = tuple(f"wrist_{name}" for name in ["x", "y", "z", "qw", "qx", "qy", "qz"])
 """Names of the wrist's position [m] and quaternion in the state."""
 _NO_WRIST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-
-
 Robots = Mapping[str, Hand]
 """Robot hands by side, or a robot with two hands by `BOTH`."""
 

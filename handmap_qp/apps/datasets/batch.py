@@ -336,9 +336,6 @@ def run_batch(
         progress: Called with every line.
         is_stopped: As of `Asked`.
 
-    Returns:
-        What was done.
-
     Raises:
         DiskFullError: If the disk is full. The episodes that have a line are done.
         InvalidInputError: If the manifest cannot be written.

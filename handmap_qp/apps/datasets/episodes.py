@@ -100,9 +100,10 @@ def _run(job: Job) -> Values:
             f"there is no robot for the {side} hand", argument="--robot"
         )
     with time_limit(_READING):
-        recordings = [job.source.read()]
         if side == BOTH:
             recordings = [*read_hands([job.line.path]).values()]
+        else:
+            recordings = [job.source.read()]
     for recording in recordings:
         check_recording(recording)
     robot = _robot(options.robots[side], options.arguments.robot_points)
@@ -184,7 +185,7 @@ def _measured(recording: Recording, trajectory: Trajectory) -> Values:
     whole = recording.time
     times = whole[recording.valid]
     inside = np.diff(times).max(initial=0.0) - np.median(recording.steps)
-    gap = max(0.0, inside, times[0] - whole[0], whole[-1] - times[-1])
+    gap = max(inside, times[0] - whole[0], whole[-1] - times[-1])
     return {
         "valid": recording.valid.mean(),
         "longest_gap_s": gap,
@@ -206,7 +207,7 @@ def _surfaces(
     pinching = tip_gaps(recording.landmarks)[newest] < contact_gap + _PINCHING
     pinching &= trajectory.valid[:, None]
     pinches = np.flatnonzero(pinching.any(axis=1))
-    chosen = pinches[:: max(1, -(-len(pinches) // MOST_SURFACES))]
+    chosen = pinches[:: -(-len(pinches) // MOST_SURFACES) or 1]
     gaps = meter.pinches(trajectory.q[chosen]) if len(chosen) else {}
     closed = [
         gaps[finger][pinching[chosen, i]] < _CLOSED

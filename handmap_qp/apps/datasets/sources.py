@@ -27,8 +27,6 @@ from .workers import each_apart
 
 PATIENCE = 30.0
 """Longest time for listing an HDF5 file [s]."""
-
-
 BOTH = "both"
 """The side of a robot with two hands."""
 
@@ -212,7 +210,7 @@ def _paths_of(
 ) -> Iterator[Path]:
     """Yield the path itself, or the files and data sets below it, except the folder `own`.
 
-    Adds identities of the paths found to `seen`, and paths whose identity was there to `repeated`.
+    Adds identities of paths to `seen`, and paths whose identity was there to `repeated`.
     """
     if not given.exists():
         raise InvalidInputError(f"{given}: no such file or folder", argument="INPUT")
