@@ -69,9 +69,10 @@ class Convert:
         has_files = bool(form.suffixes) and not out.suffix
         if form.suffixes and not has_files:
             check_output("OUT", out, form.suffixes)
-        sources = list(
-            map(self._with_model, chain.from_iterable(map(list_sources, inputs)))
-        )
+        sources = [
+            self._with_model(source)
+            for source in chain.from_iterable(map(list_sources, inputs))
+        ]
         unread = {source.path: source.format.unread(source.path) for source in sources}
         recordings = list(map(Source.read, sources))
         contents = {out: recordings}

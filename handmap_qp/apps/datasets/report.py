@@ -108,9 +108,7 @@ class Report:
         ]
         kept = sorted(f"{row['file']}\n" for row in rows if row["kept"])
         texts = {
-            "report.md": _markdown(
-                quality, self.worst, [file.name for file in pictures]
-            ),
+            "report.md": _markdown(quality, self.worst, pictures),
             "episodes.csv": csv_text(rows),
             "keep.txt": "".join(kept),
         }
@@ -230,7 +228,7 @@ def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
     ]
 
 
-def _markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
+def _markdown(quality: Quality, count: int, pictures: Sequence[Path]) -> str:
     samples = sum(episode.line.frames for episode in quality.episodes)
     about = [
         f"- {measure.label}: {measure.about}; {measure.hint}" for measure in MEASURES
@@ -250,7 +248,7 @@ def _markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
         failed = quality.failed[:_MOST_FAILED]
         rows = [{"recording": line.name, "error": line.error} for line in failed]
         parts += ["## Failed recordings", markdown_table(rows)]
-    parts += [f"![{name}]({name})" for name in pictures]
+    parts += [f"![{file.name}]({file.name})" for file in pictures]
     return "\n\n".join(parts) + "\n"
 
 
