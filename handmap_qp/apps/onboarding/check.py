@@ -58,7 +58,7 @@ _LARGEST_TURN = 2.0 * np.pi + 0.01
 _LARGEST_SLIDE = 2.0
 # Allowed distance of a reference point from its link's shape, for example a sensor's frame [m].
 _OFF_THE_LINK = 0.02
-# The same of a fingertip from the shapes that collide [m].
+# The same of a fingertip from the shapes that collide [m]; farther, its place is wrong, not theirs.
 _OFF_THE_TIP = 0.003
 # Least confidence of fingers and side, and of a direction, and largest angles by certainty [deg].
 _SURE = 0.65
@@ -253,7 +253,7 @@ def _check_tips(hand: Hand) -> Found:
             for shape in shapes
             if shape.parentJoint == joint
         ]
-        if (gap := min(gaps, default=0.0)) > _OFF_THE_TIP:
+        if _OFF_THE_TIP < (gap := min(gaps, default=0.0)) < _OFF_THE_LINK:
             what = f"the fingertip is {1e3 * gap:.0f} mm outside the shapes of its link"
             change = "is one of them in a wrong place? `shapes` moves it"
             yield warning(f"points.{finger}", what, change)
