@@ -105,12 +105,14 @@ class _Touch(NamedTuple):
         """Return the distance of each shape [m], (s,), and its slopes, shape (s, nv)."""
         here = geometry_of(self.shape), pin.SE3(self.pose)
         shapes, moved = _links(self.hand)
-        found = []
-        for shape in shapes:
-            there = placed.data.oMi[shape.parentJoint] * shape.placement
-            gap, near = distance(*here, shape.geometry, there)
-            found.append((gap, near.normal, near.getNearestPoint2()))
-        gaps, normals, points = map(np.array, zip(*found, strict=True))
+        places = (placed.data.oMi[s.parentJoint] * s.placement for s in shapes)
+        found = [
+            distance(*here, shape.geometry, place)
+            for shape, place in zip(shapes, places, strict=True)
+        ]
+        gaps = np.array([gap for gap, _ in found])
+        ends = [(near.normal, near.getNearestPoint2()) for _, near in found]
+        normals, points = np.reshape(ends, (-1, 2, 3)).swapaxes(0, 1)
         linear, angular = placed.joint_jacobian().reshape(2, 3, -1)
         slopes = normals @ linear + np.cross(points, normals) @ angular
         return gaps, placed.contracted(slopes * moved)
@@ -227,7 +229,7 @@ class ObjectFollower:
             found |= {
                 "touching": touch.shares,
                 "touch_error": off,
-                "clearance": gaps.min(),
+                "clearance": gaps.min(initial=np.inf),
             }
             if (touch.shares * off).max() > _OFF:
                 flags = (*flags, "off_object")

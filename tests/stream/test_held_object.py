@@ -6,6 +6,7 @@ import dataclasses
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -14,9 +15,10 @@ from bench_objects import depth, pads_of
 from holding import FINGERS, Hold, hold
 from scipy.optimize import minimize
 
-from handmap_qp import HandMapper, cli, hand_names, load_hand
+from handmap_qp import Hand, HandMapper, cli, hand_names, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.human.recording import mirrored, sample_columns
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.method import MapStep
@@ -364,6 +366,18 @@ def test_a_shape_that_is_not_known_is_refused() -> None:
     mapper = HandMapper(HUMAN, load_hand("allegro_right"), "teleoperation")
     with pytest.raises(InvalidInputError, match="object_shape"):
         map_recording(mapper, nameless)
+
+
+def test_a_hand_without_shapes_touches_too() -> None:
+    hand = load_hand("three_finger")
+    robot = parse_urdf(hand.urdf_text)
+    for link in robot.iterfind("link"):
+        for shape in link.findall("collision"):
+            link.remove(shape)
+    bare = Hand(hand.spec, urdf_text=ElementTree.tostring(robot, "unicode"))
+    recording = held().recording.part(slice(0, 60))
+    mapped = map_recording(HandMapper(HUMAN, bare, "teleoperation"), recording)
+    assert mapped.object_pose is not None
 
 
 def test_other_presets_map_the_hand_alone() -> None:
