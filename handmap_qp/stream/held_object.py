@@ -164,6 +164,7 @@ class ObjectFollower:
     Raises:
         InvalidInputError: If it is for another preset, the wrist stays where it is, or there
             is a scale.
+        HandError: If a collision shape cannot be read.
     """
 
     def __init__(
@@ -176,6 +177,8 @@ class ObjectFollower:
         self._hand = hand = mapper.robot
         wanted = "a hand that `teleoperation` moves, whose wrist follows at scale 1"
         expect(can_touch(mapper), "follower", wanted, value=hand.name)
+        # Shapes that cannot be read are refused here.
+        _links(hand)
         fingers = robot_fingers(hand)
         self._tips = TIPS[[FINGERS.index(name) for name in fingers.names]]
         pads = [fingers.pads[name] for name in fingers.names]
