@@ -223,7 +223,7 @@ class Calibrate:
         recordings = [self.inputs.read(file) for file in self.recordings]
         person = measure_person(*recordings)
         write_person(person, out)
-        samples = sum(np.count_nonzero(recording.valid) for recording in recordings)
+        samples = sum(int(recording.valid.sum()) for recording in recordings)
         if self.json:
             measures = {
                 "name": person.name,
