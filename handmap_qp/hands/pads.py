@@ -15,7 +15,7 @@ import numpy as np
 
 from handmap_qp.se3 import Array, transform_points, unit
 from .collision_shapes import read_collision_shapes
-from .fingers import Finger, place_of
+from .fingers import Finger, Place, place_of
 from .hand import Hand
 from .spec import PointSpec
 
@@ -46,6 +46,11 @@ class Pad(NamedTuple):
     offset: Array
     radius: float
     cover: float = 0.0
+
+    @property
+    def place(self) -> Place:
+        """Its middle."""
+        return self.joint, self.offset
 
 
 def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:

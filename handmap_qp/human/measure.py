@@ -141,5 +141,5 @@ def scaled_human(
 def _standard_palm() -> Array:
     """Return the palm's landmarks of the standard right hand [m], shape (5, 3), read-only."""
     right = load_hand("human", points="landmarks")
-    flat = np.clip(0.0, right.lower_limits, right.upper_limits)
+    flat = np.clip(0.0, *right.limits)
     return frozen(right.points(flat)[PALM])

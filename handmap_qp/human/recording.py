@@ -75,6 +75,10 @@ class Recording:
         check_side(self.side)
         if self.upright != "":
             upright_axes(self.upright)
+        shape = self.object_shape
+        is_known = isinstance(shape, str) and self.object_pose is not None
+        wanted = "a text, of an object that has poses"
+        expect(shape == "" or is_known, "object_shape", wanted, value=shape)
         expect(valid.any(), "valid", "at least one valid sample", got="none")
         is_right = ~valid | finite_samples(landmarks)
         finite = "finite numbers in every valid sample"
@@ -197,7 +201,8 @@ def mirrored(recording: Recording) -> Recording:
         InvalidInputError: If it has an object that is no box, ball or cylinder.
     """
     shape = recording.object_shape
-    is_plain = shape == "" or ":" in shape
+    # Before the colon of a path there is one letter, if any.
+    is_plain = shape == "" or len(shape.partition(":")[0]) not in (1, len(shape))
     expect(is_plain, "object_shape", "a shape that its mirror image is", value=shape)
     kept = recording.upright or "yz"
     mirror = np.diag([1.0 if axis in kept else -1.0 for axis in "xyz"])

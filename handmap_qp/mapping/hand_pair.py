@@ -416,7 +416,7 @@ def _pinching_thumb(
     used = [*pads.values()]
     tip = [chains[THUMB].tip]
     if tree := core_tree(hand):
-        places = [(pad.joint, pad.offset) for pad in used]
+        places = [pad.place for pad in used]
         ik = _pinching_ik(hand.unscaled or hand)
         return tree.pinching_thumb(ik, places, touching_distances(used), tip)
     ik = PointIk(hand, _PINCHING)
@@ -435,7 +435,7 @@ def gap_task(
     hand: Hand, pads: Sequence[Pad], gaps: Array | float = 0.0
 ) -> PointDistances:
     """Return the task of giving the first pad, the thumb's, gaps to p others [m], shape (p,)."""
-    points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
+    points = AttachedPoints(hand, [pad.place for pad in pads])
     pairs = [(0, k) for k in range(1, len(points))]
     return PointDistances(points, pairs, touching_distances(pads) + gaps, _GAP_WEIGHT)
 

@@ -1,5 +1,6 @@
 """Objects that hands hold: their shapes, and the nearest places of their surfaces."""
 
+import os
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -135,7 +136,7 @@ def parse_object(text: str, argument: str = "--object") -> Shape:
             return Cylinder(diameter / 2.0, length)
     file = Path(text)
     expect(
-        file.is_file(),
+        os.path.isfile(text),
         argument,
         "box:0.05, box:0.03x0.04x0.1, sphere:0.04, cylinder:0.04x0.1 or a mesh file",
         value=text,

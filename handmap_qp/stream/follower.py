@@ -8,7 +8,7 @@ The sessions of the service, `handmap map` and `handmap view` all follow in this
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from time import perf_counter, thread_time
 from typing import Any, Literal, NamedTuple, get_args
@@ -465,8 +465,23 @@ class Follower:
         return self.mapper.reference is not self._reference
 
 
-def ask(mapper: HandMapper, kind: Any, *terms: Task) -> None:
-    """Add terms to the QP's cost from the next sample on, in place of those of a kind."""
-    kept = [task for task in mapper.tasks if not isinstance(task, kind)]
-    if terms or len(kept) < len(mapper.tasks):
-        mapper.configure(tasks=(*kept, *terms))
+def map_with(
+    follower: Follower, terms: Sequence[Task], sample: HumanSample, **times: Any
+) -> MapStep:
+    """Map one sample with further terms of the QP's cost, which no other sample has.
+
+    Args:
+        follower: Follows the samples.
+        terms: The terms.
+        sample: The sample.
+        **times: As of `Follower.map_sample`.
+    """
+    mapper = follower.mapper
+    tasks = mapper.tasks
+    if not terms:
+        return follower.map_sample(sample, **times)
+    mapper.configure(tasks=(*tasks, *terms))
+    try:
+        return follower.map_sample(sample, **times)
+    finally:
+        mapper.configure(tasks=tasks)

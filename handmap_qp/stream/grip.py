@@ -26,7 +26,7 @@ from handmap_qp.ik import LENGTH_UNIT, AttachedPoints, TaskRows
 from handmap_qp.mapping import MapStep, Stages, gap_task, robot_fingers
 from handmap_qp.options import Options, Positive
 from handmap_qp.se3 import Array, as_floats, lengths, unit
-from .follower import Follower, ask
+from .follower import Follower, map_with
 
 # Weights that leave other terms little: of a held joint [1/rad], and of the pads' middle [1/m].
 _HELD = 3000.0
@@ -108,9 +108,6 @@ class _CentredPads(NamedTuple):
         own = self.points.jacobians(hand, places).mean(axis=0)
         jacobian[:, self.columns] = own[:, self.columns]
         return TaskRows(self.weight * self.off(places), self.weight * jacobian)
-
-
-_TERMS = _HeldJoints, _CentredPads
 
 
 class _Grip(NamedTuple):
@@ -211,7 +208,7 @@ class GripFollower:
             )
         if self._mapper.reference is not self._reference:
             self._let_go()
-        step = self.follower.map_sample(sample, **times)
+        step = map_with(self.follower, self._terms, sample, **times)
         if step.status not in ("held", "released"):
             self._advance(step, q, object_centre)
         if self._grip is None:
@@ -229,7 +226,7 @@ class GripFollower:
         # Whether the person's fingers have been apart since: only then they grip.
         self._is_apart = False
         self._reference = self._mapper.reference
-        ask(self._mapper, _TERMS)
+        self._terms = ()
 
     def _advance(self, step: MapStep, q: Array, centre: Array | None) -> None:
         """Go on with a grip, or see whether there is one."""
@@ -239,7 +236,7 @@ class GripFollower:
         grip = self._held(grip, gaps, dt) if grip else self._touched(step, q, gaps, dt)
         self._grip = grip
         if grip is None:
-            ask(self._mapper, _TERMS, *self._closing(step, gaps, centre))
+            self._terms = tuple(self._closing(step, gaps, centre))
             return
         if grip.opening >= 1.0:
             self._let_go()
@@ -247,7 +244,7 @@ class GripFollower:
         positions = grip.posture + self._torques(grip) / self.options.stiffness
         weight = _HELD * (1.0 - grip.opening) ** 2
         held = _HeldJoints(self._hand, grip.columns, positions, weight)
-        ask(self._mapper, _TERMS, held)
+        self._terms = (held,)
 
     def _closing(
         self, step: MapStep, gaps: Array, centre: Array | None
@@ -259,7 +256,7 @@ class GripFollower:
             return
         ends = [self._pads[0], self._pads[1 + finger]]
         term = _CentredPads(
-            AttachedPoints(self._hand, [(pad.joint, pad.offset) for pad in ends]),
+            AttachedPoints(self._hand, [pad.place for pad in ends]),
             np.array([pad.radius for pad in ends]),
             centre,
             self._hand.joint_columns[self._moving(finger)],

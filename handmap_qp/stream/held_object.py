@@ -51,7 +51,7 @@ from handmap_qp.se3 import (
     smoothstep,
     transform_points,
 )
-from .follower import Follower, ask
+from .follower import Follower, map_with
 
 # Weights of a pad's place, and of a link that is nearer to the object than its clearance [1/m, m].
 # Links that are this near feel the row, so that they stay where it ends; and what moves pads and
@@ -59,8 +59,10 @@ from .follower import Follower, ask
 _PLACED, _PUSHED = 3000.0, 1e4
 _CLEAR, _AROUND = 5e-4, 5e-3
 _DAMPED = 0.5
-# A pad that is farther from its place is said to be off [m].
-_OFF = 0.01
+# Time in which the object takes hold of the hand, and lets go of one that is not led [s].
+_EASED = 0.4
+# A pad that touches by more than this share, and is farther from its place, is said to be off [m].
+_TOUCHED, _OFF = 0.5, 0.01
 
 
 class ObjectOptions(Options, frozen=True):
@@ -92,6 +94,7 @@ class _Touch(NamedTuple):
         points: The middles of f pads.
         places: Where they belong in the robot's world [m], shape (f, 3).
         shares: Shares of the weight of each, shape (f,).
+        share: Share of all weights.
     """
 
     hand: Hand
@@ -100,6 +103,7 @@ class _Touch(NamedTuple):
     points: AttachedPoints
     places: Array
     shares: Array
+    share: float
 
     def links(self, placed: Configuration) -> tuple[Array, Array]:
         """Return the distance of each shape [m], (s,), and its slopes, shape (s, nv)."""
@@ -120,10 +124,11 @@ class _Touch(NamedTuple):
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return three rows a pad, and one a link; see `Task.linearise`."""
         now = self.points.positions(hand)
-        weights = _PLACED * self.shares[:, None]
+        weights = self.share * _PLACED * self.shares[:, None]
         pads = weights[..., None] * self.points.jacobians(hand, now)
         gaps, slopes = self.links(hand)
-        weight = _PUSHED * np.clip((_AROUND - gaps) / _AROUND, 0.0, 1.0)[:, None]
+        near = np.clip((_AROUND - gaps) / _AROUND, 0.0, 1.0)[:, None]
+        weight = self.share * _PUSHED * near
         inside = weight * np.minimum(gaps - _CLEAR, 0.0)[:, None]
         off = np.append(weights * (now - self.places), inside)
         rows = np.vstack([*pads, weight * slopes])
@@ -162,8 +167,8 @@ class ObjectFollower:
             before one is followed.
 
     Raises:
-        InvalidInputError: If it is for another preset, the wrist stays where it is, or there
-            is a scale.
+        InvalidInputError: If it is for another preset, the wrist stays where it is or after a hold,
+            there is a scale, or the shape is none.
         HandError: If a collision shape cannot be read.
     """
 
@@ -175,17 +180,21 @@ class ObjectFollower:
         self.options = options or ObjectOptions()
         self._mapper = mapper = follower.mapper
         self._hand = hand = mapper.robot
-        wanted = "a hand that `teleoperation` moves, whose wrist follows at scale 1"
-        expect(can_touch(mapper), "follower", wanted, value=hand.name)
+        is_shape = isinstance(shape, Shape)
+        expect(is_shape, "shape", "an object, as of `parse_object`", value=shape)
+        self._check_follower()
         # Shapes that cannot be read are refused here.
         _links(hand)
         fingers = robot_fingers(hand)
         self._tips = TIPS[[FINGERS.index(name) for name in fingers.names]]
         pads = [fingers.pads[name] for name in fingers.names]
-        self._points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
+        self._points = AttachedPoints(hand, [pad.place for pad in pads])
         self._radii = np.array([pad.radius for pad in pads])
         self._placed = hand.configuration()
         self.object_pose: Array | None = None
+        # The reference of the last sample, and how far the object has taken hold since.
+        self._reference: Any = None
+        self._eased = 0.0
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
@@ -195,7 +204,8 @@ class ObjectFollower:
     ) -> MapStep:
         """Map one sample of a tracker; see `Follower.map_sample`.
 
-        The first sample after a new reference is mapped as without an object.
+        The object takes hold of the hand within .4 s of a reference, of a hold or of a glide, so
+        that nothing jumps.
 
         Args:
             sample: The sample.
@@ -211,14 +221,20 @@ class ObjectFollower:
             is off by more than 10 mm, `off_object` is among the flags.
 
         Raises:
-            InvalidInputError: As there, or if the pose is none.
+            InvalidInputError: As there, if the pose is none, or the mapper's method was changed to
+                another one.
             InvalidOptionsError: As there.
         """
         pose = check_pose(object_pose, "object_pose") if sample.valid else np.eye(4)
-        is_placed = sample.valid and self._world is not None
-        terms = [self._touch(sample, pose)] if is_placed else []
-        ask(self._mapper, _Touch, *terms)
-        step = self.follower.map_sample(sample, **times)
+        self._check_follower()
+        self._eased *= self._mapper.reference is self._reference
+        is_touched = sample.valid and self._eased > 0.0
+        terms = [self._touch(sample, pose)] if is_touched else []
+        step = map_with(self.follower, terms, sample, **times)
+        is_led = step.status not in ("held", "released", "gliding")
+        dt = self._mapper.motion.dt if is_led else -self._mapper.motion.dt
+        self._eased = min(max(self._eased + dt / _EASED, 0.0), 1.0)
+        self._reference = self._mapper.reference
         if step.status in ("held", "released"):
             return step
         self.object_pose = self._world @ pose
@@ -234,12 +250,17 @@ class ObjectFollower:
                 "touch_error": off,
                 "clearance": gaps.min(initial=np.inf),
             }
-            if (touch.shares * off).max() > _OFF:
+            if off[touch.shares > _TOUCHED].max(initial=0.0) > _OFF:
                 flags = (*flags, "off_object")
         told = ChainMap(found, cast("Arrays", step.asked.diagnostics))
         asked = structs.replace(step.asked, diagnostics=told, flags=flags)
         stages = Stages(step.stages.pose, asked, step.ik, step.command)
         return structs.replace(step, stages=stages)
+
+    def _check_follower(self) -> None:
+        is_led = can_touch(self._mapper) and self.follower.rejoin == "glide"
+        wanted = "a hand that `teleoperation` moves and whose wrist glides, at scale 1"
+        expect(is_led, "follower", wanted, value=self._hand.name)
 
     @property
     def _world(self) -> Any:
@@ -257,7 +278,10 @@ class ObjectFollower:
         aims = found.places + (self._radii + away)[:, None] * found.normals
         there = self._world @ pose
         places = transform_points(there, aims)
-        return _Touch(self._hand, self.shape, there, self._points, places, shares)
+        share = float(smoothstep(self._eased))
+        return _Touch(
+            self._hand, self.shape, there, self._points, places, shares, share
+        )
 
 
 def follow_recording(
@@ -265,18 +289,21 @@ def follow_recording(
 ) -> Iterator[MapStep]:
     """Map a recording sample by sample, with its object where the method can touch one.
 
+    A hand with an object whose shape is not known is mapped alone.
+
     Args:
         follower: Follows the samples.
         recording: The recording.
         wrists: Poses of the wrist, as of `recording_samples`.
 
     Raises:
-        InvalidInputError: As `Follower.map_sample`, or if the object's shape is not known.
+        InvalidInputError: As `Follower.map_sample`, or if the shape is none.
     """
     samples = recording_samples(recording, wrists)
-    if recording.object_pose is None or not can_touch(follower.mapper):
+    if not (recording.object_shape and can_touch(follower.mapper)):
         yield from map(follower.map_sample, samples)
         return
     shape = parse_object(recording.object_shape, "object_shape")
     holding = ObjectFollower(follower, shape)
-    yield from map(holding.map_sample, samples, recording.object_pose)
+    poses = np.asarray(recording.object_pose)
+    yield from map(holding.map_sample, samples, poses)

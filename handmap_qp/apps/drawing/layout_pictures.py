@@ -120,7 +120,7 @@ def _open_posture(human: Hand) -> Array:
     for finger, spread in zip(FINGERS, _SPREADS, strict=True):
         joint = "TM" if finger == "thumb" else "MCP"
         q[HUMAN_JOINTS.index(f"{finger}_{joint}_abduction")] = spread
-    return np.clip(q, human.lower_limits, human.upper_limits)
+    return np.clip(q, *human.limits)
 
 
 def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:

@@ -40,23 +40,9 @@ from handmap_qp.mapping import PRESETS, HandMapper, preset_choice, rotation_onto
 from handmap_qp.se3 import Array, as_floats, inverse_pose
 from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import NpzFormat, read_archive
-from .fidelity import (
-    SETTLING,
-    assess_fidelity,
-    sample_workspace,
-)
-from .hand_trace import (
-    ByFinger,
-    HandTrace,
-    fingers_of,
-    trace_human,
-    trace_robot,
-)
-from .look_ahead import (
-    LookAhead,
-    look_ahead,
-    smooth_poses,
-)
+from .fidelity import SETTLING, assess_fidelity, sample_workspace
+from .hand_trace import ByFinger, HandTrace, fingers_of, trace_human, trace_robot
+from .look_ahead import LookAhead, look_ahead, smooth_poses
 from .metrics import mean_values
 from .surface_gaps import measure_gaps
 from .trajectory import held_samples, map_recording
@@ -214,10 +200,7 @@ class Comparison(NamedTuple):
 
 
 def prepare_take(
-    recording: Recording,
-    side: Side = "right",
-    *,
-    person: Person | None = None,
+    recording: Recording, side: Side = "right", *, person: Person | None = None
 ) -> Take:
     """Describe what the human did in a recording.
 
@@ -373,11 +356,7 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
     ]
 
 
-def _map_own(
-    name: str,
-    take: Take,
-    robot: Hand,
-) -> RobotMotion:
+def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
     """Map the landmarks of a take, with the palm that it is measured against."""
     _, method, ik = preset_choice(base_name(name), take.human)
     recording = take.recording
@@ -390,21 +369,12 @@ def _map_own(
         ik = ik.replaced(**SMOOTH_IK)
     mapper = HandMapper(take.human, robot, method, ik=ik)
     # Mappings are compared, not how faults of the tracker are met: peers meet none.
-    trajectory = map_recording(
-        mapper,
-        recording,
-        wrist_poses=wrist,
-        is_guarded=False,
-    )
+    trajectory = map_recording(mapper, recording, wrist_poses=wrist, is_guarded=False)
     return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 
 
 def _map_outside(
-    folder: Path,
-    listed: _Listed,
-    hand: str,
-    take: Take,
-    robot: Hand,
+    folder: Path, listed: _Listed, hand: str, take: Take, robot: Hand
 ) -> RobotMotion:
     """Run an outside program on a take."""
     recording = take.recording
@@ -442,12 +412,7 @@ def _call(folder: Path, *words: str) -> str:
     return done.stdout
 
 
-def _run(
-    method: ComparedMethod,
-    take: Take,
-    robot: Hand,
-    workspace: ByFinger,
-) -> Run:
+def _run(method: ComparedMethod, take: Take, robot: Hand, workspace: ByFinger) -> Run:
     try:
         motion = method.map_take(take, robot)
     except HandmapError as error:

@@ -130,7 +130,7 @@ def joints_figure(trajectory: Trajectory) -> Any:
     rows = -(-len(robot.joint_names) // 4)
     figure = Figure(figsize=(9.5, 2.1 * rows + 0.4), layout="constrained")
     grid = figure.subplots(rows, 4, sharex=True, squeeze=False)
-    limits = np.degrees([robot.lower_limits, robot.upper_limits]).T
+    limits = np.degrees(robot.limits).T
     for axes, name, q, (lower, upper) in zip(
         grid.flat, robot.joint_names, np.degrees(trajectory.q).T, limits, strict=False
     ):

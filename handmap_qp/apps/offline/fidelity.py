@@ -377,9 +377,7 @@ def sample_workspace(hand: Hand, *, count: int = 20_000) -> ByFinger:
     They are in the palm frame, by finger [m], shape (count, 3) each.
     """
     random = np.random.default_rng(42)
-    q = random.uniform(
-        hand.lower_limits, hand.upper_limits, (count, len(hand.joint_names))
-    )
+    q = random.uniform(*hand.limits, (count, len(hand.joint_names)))
     return _tips_by_finger(trace_robot(hand, q))
 
 

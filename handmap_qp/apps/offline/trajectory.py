@@ -129,7 +129,8 @@ def map_recording(
 ) -> Trajectory:
     """Map the landmarks of a recording as a live stream: by a `Follower`.
 
-    Where the recording has an object, and the method can touch it, `ObjectFollower` does. The robot
+    Where the recording has an object, the method can touch it, and samples are guarded,
+    `ObjectFollower` does. The robot
     holds its last posture in samples that are not valid or make no sense.
 
     Args:
@@ -147,7 +148,7 @@ def map_recording(
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
     follower = Follower(mapper)
-    if is_guarded and recording.object_pose is not None:
+    if is_guarded and recording.object_shape:
         followed = follow_recording(follower, recording, wrist_poses)
         return _with_object(mapper.robot, recording.time, followed, progress)
     if is_guarded:

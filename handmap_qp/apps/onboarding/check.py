@@ -123,7 +123,7 @@ def check_robot(robot: Hand, *, has_motion: bool = True) -> Report:
 
 def _list_joints(hand: Hand) -> Found:
     """List all joints of the URDF: role, limits of active joints, rest angle."""
-    ends = zip(hand.lower_limits, hand.upper_limits, strict=True)
+    ends = hand.limits.T
     # Followers, which come last, have no limits of their own.
     columns = {
         "joint": hand.all_joint_names,
@@ -189,7 +189,7 @@ def _check_followers(hand: Hand) -> Found:
     # It lacks the coordinates of a floating wrist, which come first.
     at = hand.q_indices + plain.nq - hand.model.nq
     lower, upper = plain.lowerPositionLimit[at], plain.upperPositionLimit[at]
-    low, high = hand.lower_limits, hand.upper_limits
+    low, high = hand.limits
     narrowed = np.maximum(low - lower, upper - high) > 0.005 * (upper - lower)
     for i in np.flatnonzero(narrowed):
         ends = f"[{lower[i]:.3g}, {upper[i]:.3g}] to [{low[i]:.3g}, {high[i]:.3g}]"

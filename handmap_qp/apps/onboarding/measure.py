@@ -329,7 +329,7 @@ def standard_postures(human: Hand) -> Arrays:
         q[1:, 0] *= spread
         for i, flexion in enumerate(flexions):
             q[i, 1:] = flexion * _SHARES[i]
-        return np.clip(q.ravel(), human.lower_limits, human.upper_limits)
+        return np.clip(q.ravel(), *human.limits)
 
     return {
         "flat hand": posture(0.1, 0.05, 0.05, 0.05, 0.05),
@@ -424,7 +424,7 @@ def _gap(hand: Hand, finger: Finger, thumb: Finger, pads: dict[str, Pad]) -> flo
 
     view = PalmKinematics(hand)
     both = [pads[each.name] for each in (finger, thumb)]
-    places = [(pad.joint, pad.offset) for pad in both]
+    places = [pad.place for pad in both]
     radii = sum(pad.radius for pad in both)
     columns = np.union1d(finger.columns, thumb.columns)
     q = hand.rest.copy()
@@ -433,7 +433,7 @@ def _gap(hand: Hand, finger: Finger, thumb: Finger, pads: dict[str, Pad]) -> flo
         q[columns] = positions
         return np.subtract(*view.points(q, places))
 
-    limits = np.array([hand.lower_limits, hand.upper_limits])
+    limits = hand.limits
     first = [hand.rest, limits.mean(axis=0), zero_posture(hand)]
     best = np.inf
     for start in np.vstack([first, random_postures(hand, _STARTS)])[:, columns]:

@@ -621,7 +621,7 @@ class Session:
             return
         angles = self._commanded.q if q is None else q
         wrist = {"robot_wrist": self._commanded.wrist} if robot.is_floating else {}
-        inside = np.clip(angles, robot.lower_limits, robot.upper_limits)
+        inside = np.clip(angles, *robot.limits)
         mapper.reset(robot_q=inside, **wrist)
         self._mapper_state = MapperState.SLEWING
 

@@ -11,7 +11,7 @@ from tyro.conf import arg
 from handmap_qp.apps.arguments import HandName, Recordings, hinted
 from handmap_qp.apps.offline.comparison import own_methods
 from handmap_qp.apps.tables import print_rows, progress
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import is_robot, load_whole
 from handmap_qp.mapping import parse_object
 from handmap_qp.output_files import check_output
@@ -140,6 +140,8 @@ class Simulate:
 
     def _check(self, trial: PinchTrial) -> None:
         """Reject options that contradict each other, before any work is done."""
+        is_whole = self.grip is not None and is_robot(self.robot)
+        expect(not is_whole, "--grip", "a robot with one hand", value=self.robot)
         problem = advice = ""
         if self.objects == "varied" and trial != PinchTrial():
             problem = "draws object, mass and friction"

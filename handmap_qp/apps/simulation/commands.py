@@ -135,10 +135,9 @@ def read_pick(robot: Hand, files: Sequence[Path]) -> tuple[Take, PinchWindow]:
     """Read a recording for a hand, prepared, and find when the human pinches.
 
     Raises:
-        HandmapError: If it cannot be read, shows no pick, or the robot has several hands.
+        HandmapError: If it cannot be read, or shows no pick.
     """
-    is_one = len(files) == len(robot.hands) == 1
-    expect(is_one, "RECORDING", "one recording of a hand", value=len(files))
+    expect(len(files) == 1, "RECORDING", "one recording of a hand", value=len(files))
     recording = read_recording(files[0])
     return prepare_take(recording, robot.side), find_pinch(recording)
 

@@ -191,9 +191,8 @@ class Replay:
             self._sample(i, step, followed[i]) for i, step in enumerate(steps)
         )
         shape = self._recording.object_shape
-        solid = (
-            surface(parse_object(shape)) if shown[-1].object_pose is not None else None
-        )
+        is_held = any(sample.object_pose is not None for sample in shown)
+        solid = surface(parse_object(shape)) if is_held else None
         return Variant(label, mapper.robot, choice, shown, solid)
 
     def _sample(

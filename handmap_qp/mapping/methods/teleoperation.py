@@ -154,7 +154,7 @@ def _distances(robot: RobotFingers, pinched: tuple[str, ...]) -> PointDistances:
     first = len(places)
     pairs = [(k, k + 1) for k in range(0, first, 2)]
     pads = [robot.pads[finger] for finger in (THUMB, *pinched) if pinched]
-    places += [(pad.joint, pad.offset) for pad in pads]
+    places += [pad.place for pad in pads]
     pairs += [(first, k) for k in range(first + 1, len(places))]
     points = AttachedPoints(robot.with_points, places)
     return PointDistances(points, pairs, np.zeros(len(pairs)))

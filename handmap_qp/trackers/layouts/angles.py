@@ -114,7 +114,7 @@ class AngleLayout(Layout):
         angles = self._scales * values + self._offsets
         postures[:, self._joints] = UNITS[self.table.unit] * angles
         self._check(values, postures)
-        postures = np.clip(postures, human.lower_limits, human.upper_limits)
+        postures = np.clip(postures, *human.limits)
         landmarks = np.array([human.points(q) for q in postures])
         if wrists is not None:
             landmarks = transform_points(wrists, landmarks)
