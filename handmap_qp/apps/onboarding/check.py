@@ -58,7 +58,8 @@ _LARGEST_TURN = 2.0 * np.pi + 0.01
 _LARGEST_SLIDE = 2.0
 # Allowed distance of a reference point from its link's shape, for example a sensor's frame [m].
 _OFF_THE_LINK = 0.02
-# The same of a fingertip from the shapes that collide [m]; farther, its place is wrong, not theirs.
+# A fingertip this far from its link's collision shapes hints at a misplaced shape; beyond
+# `_OFF_THE_LINK`, the tip itself is wrong [m].
 _OFF_THE_TIP = 0.003
 # Least confidence of fingers and side, and of a direction, and largest angles by certainty [deg].
 _SURE = 0.65
