@@ -104,7 +104,7 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     if not file.exists() and SEPARATOR in str(path):
         before, _, name = str(path).rpartition(SEPARATOR)
         file = Path(before)
-    if not file.exists():
+    if not file.is_file():
         file = _OURS.get(str(file), file)
     with reading(file):
         form = format_of(file)
