@@ -109,10 +109,10 @@ class _Touch(NamedTuple):
         """Return the distance of each shape [m], (s,), and its slopes, shape (s, nv)."""
         here = geometry_of(self.shape), pin.SE3(self.pose)
         shapes, moved = _links(self.hand)
-        places = (placed.data.oMi[s.parentJoint] * s.placement for s in shapes)
+        poses = placed.data.oMi
         found = [
-            distance(*here, shape.geometry, place)
-            for shape, place in zip(shapes, places, strict=True)
+            distance(*here, link.geometry, poses[link.parentJoint] * link.placement)
+            for link in shapes
         ]
         gaps = np.array([gap for gap, _ in found])
         ends = [(near.normal, near.getNearestPoint2()) for _, near in found]

@@ -56,7 +56,9 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
     """Put recordings behind each other, as of a right hand."""
     if len(recordings) == 1:
         return recordings[0]
-    right = [each if each.side == "right" else mirrored(each) for each in recordings]
+    # Objects do not count, and those of some shapes have no mirror image.
+    alone = [replace(each, object_shape="") for each in recordings]
+    right = [each if each.side == "right" else mirrored(each) for each in alone]
     steps, landmarks, valid = (
         np.concatenate([getattr(each, name) for each in right])
         for name in ("steps", "landmarks", "valid")

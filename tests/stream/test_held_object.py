@@ -19,7 +19,7 @@ from handmap_qp import Hand, HandMapper, cli, hand_names, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.human.recording import mirrored, sample_columns
+from handmap_qp.human.recording import SampleColumns, mirrored, sample_columns
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
@@ -36,6 +36,7 @@ from handmap_qp.mapping.objects import (
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.held_object import ObjectFollower, ObjectOptions, _Touch
+from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import read_recording, write_recordings
 
 HUMAN = load_hand("human", points="landmarks")
@@ -53,12 +54,16 @@ def follower(robot: str = "allegro_right") -> ObjectFollower:
     return ObjectFollower(Follower(mapper, smoothing=None), CUBE)
 
 
+def samples() -> tuple[SampleColumns, np.ndarray]:
+    """The samples of a person who holds an object, and the object's poses, shape (T, 4, 4)."""
+    recording = held().recording
+    assert recording.object_pose is not None
+    return sample_columns(recording), recording.object_pose
+
+
 @lru_cache
 def steps(robot: str) -> tuple[ObjectFollower, list[MapStep]]:
-    recording = held().recording
-    columns = sample_columns(recording)
-    poses = recording.object_pose
-    assert poses is not None
+    columns, poses = samples()
     holding = follower(robot)
     return holding, [
         holding.map_sample(columns.sample(i), pose) for i, pose in enumerate(poses)
@@ -176,9 +181,7 @@ def test_the_robots_object_moves_as_the_persons() -> None:
 def test_the_rows_have_the_slopes_of_their_errors() -> None:
     holding, found = steps("allegro_right")
     hand = holding.follower.mapper.robot
-    columns = sample_columns(held().recording)
-    poses = held().recording.object_pose
-    assert poses is not None
+    columns, poses = samples()
     touch = holding._touch(columns.sample(90), poses[90])
     base = found[90].ik.q
     placed = hand.configuration()
@@ -207,9 +210,7 @@ def test_the_rows_have_the_slopes_of_their_errors() -> None:
 def test_a_link_in_the_object_is_pushed_out() -> None:
     holding, found = steps("allegro_right")
     hand = holding.follower.mapper.robot
-    columns = sample_columns(held().recording)
-    poses = held().recording.object_pose
-    assert poses is not None
+    columns, poses = samples()
     touch = holding._touch(columns.sample(90), poses[90])
     touch = touch._replace(
         pose=touch.pose @ affine(np.eye(3), (0.004, 0.003, 0.002)),
@@ -246,10 +247,8 @@ def test_an_object_far_away_changes_nothing() -> None:
 
 def test_what_cannot_be_touched_is_said() -> None:
     """Joints that hardly move cannot go to where the person's fingers are."""
-    made, holding = held(), follower()
-    columns = sample_columns(made.recording)
-    poses = made.recording.object_pose
-    assert poses is not None
+    holding = follower()
+    columns, poses = samples()
     for i in range(100):
         step = holding.map_sample(columns.sample(i), poses[i], dt=1e-4)
     assert "off_object" in step.asked.flags
@@ -261,9 +260,7 @@ def test_what_cannot_be_touched_is_said() -> None:
     ("name", "small", "large"), [("touching", 0.002, 0.015), ("near", 0.012, 0.06)]
 )
 def test_options_have_their_effect(name: str, small: float, large: float) -> None:
-    columns = sample_columns(held().recording)
-    poses = held().recording.object_pose
-    assert poses is not None
+    columns, poses = samples()
 
     def touch(value: float) -> _Touch:
         holding = follower()
@@ -279,10 +276,8 @@ def test_options_have_their_effect(name: str, small: float, large: float) -> Non
 
 
 def test_a_sample_that_is_not_valid_may_have_any_pose() -> None:
-    made, holding = held(), follower()
-    columns = sample_columns(made.recording)
-    poses = made.recording.object_pose
-    assert poses is not None
+    holding = follower()
+    columns, poses = samples()
     holding.map_sample(columns.sample(0), poses[0])
     lost = dataclasses.replace(columns.sample(1), valid=False)
     step = holding.map_sample(lost, np.full((4, 4), np.nan))
@@ -381,10 +376,8 @@ def test_a_hand_with_an_object_of_no_known_shape_is_mapped_alone() -> None:
 
 
 def test_the_object_leaves_the_mapper_alone_after_each_sample() -> None:
-    made, holding = held(), follower()
-    columns = sample_columns(made.recording)
-    poses = made.recording.object_pose
-    assert poses is not None
+    holding = follower()
+    columns, poses = samples()
     for i in range(90):
         holding.map_sample(columns.sample(i), poses[i])
     mapper = holding.follower.mapper
@@ -457,3 +450,11 @@ def test_a_recording_with_an_object_comes_with_the_package() -> None:
         for pose, tip in zip(poses, tips, strict=True)
     ]
     np.testing.assert_allclose(gaps, 0.008, atol=0.002)
+
+
+def test_people_are_measured_whatever_they_hold() -> None:
+    left = mirrored(held().recording)
+    alone = dataclasses.replace(left, object_pose=None, object_shape="")
+    mesh = dataclasses.replace(left, object_shape="mug.stl")
+    one, other = (measure_person(each, each) for each in (alone, mesh))
+    assert one.hand_length == other.hand_length
