@@ -130,8 +130,8 @@ def map_recording(
     """Map the landmarks of a recording as a live stream: by a `Follower`.
 
     Where the recording has an object, the method can touch it, and samples are guarded,
-    `ObjectFollower` does. The robot
-    holds its last posture in samples that are not valid or make no sense.
+    `ObjectFollower` does. The robot holds its last posture in samples that are not valid or make no
+    sense.
 
     Args:
         mapper: The mapper; its human hand must be scaled to the person.

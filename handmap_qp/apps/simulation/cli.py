@@ -177,7 +177,7 @@ class Simulate:
         if self.grip:
             take, window = read_pick(robot, self.recordings)
             name = f"{own_methods()[0]}+{self.grip}"
-            sees = "place" in name
+            sees = self.grip == "grip+place"
             scenes[name] = GripScene(take, robot, window, physics, sees)
         for name, scene in scenes.items():
             made = outcomes[name] = {}
