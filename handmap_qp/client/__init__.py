@@ -115,7 +115,8 @@ def _field(name: str, value: Any) -> Any:
         }
     if name == "values":
         return np.ravel(value)
-    return Pose.of(value, name) if name.endswith(("wrist", "base")) else value
+    is_pose = name.endswith(("wrist", "base", "pose"))
+    return Pose.of(value, name) if is_pose else value
 
 
 class _Core:
@@ -392,7 +393,9 @@ def _note_changes(wanted: Request, request: Request) -> None:
             wanted[of] = {name: given[name] for name in _KEPT if name in given}
     for name in messages.Configure.__annotations__.keys() & request.keys():
         value = request[name]
-        wanted[name] = wanted.get(name, {}) | value if name in _OPTIONS else value
+        wanted[name] = (
+            wanted.get(name, {}) | value if isinstance(value, dict) else value
+        )
 
 
 def _load_keys(files: KeyFiles) -> tuple[bytes, bytes, bytes]:

@@ -52,6 +52,13 @@ SETUP = ("alignment",)
 """Options that describe the setup: another preset leaves them as they are."""
 NAME = "1 to 64 of A-Z a-z 0-9 _ . -"
 Name = Annotated[str, Meta(title=NAME, pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
+Solid = Annotated[
+    str,
+    Meta(
+        title="such as box:0.03x0.04x0.1, sphere:0.04, cylinder:0.04x0.1",
+        pattern=r"^(box|sphere|cylinder):[0-9.x]{1,32}\Z",
+    ),
+]
 Upright = Annotated[
     str,
     Meta(
@@ -234,6 +241,10 @@ class Open(Request):
         resume: After a hold: follow the human, or take a new reference.
         has_detail: Whether commands carry every stage of the mapping.
         is_shared: Whether others may release, clutch, configure and clear it by its name.
+        grip: Fields of GripOptions: what thumb and finger meet is held by a posture and a force;
+            samples have `measured_q`. Only with input=landmarks, as is `object`.
+        object: The object that the person holds: `box:0.05`, `box:0.03x0.04x0.1`, `sphere:0.04`,
+            `cylinder:0.04x0.1`, or the vertices of its convex hull [m]; samples have `object_pose`.
     """
 
     robot: Short
@@ -265,6 +276,8 @@ class Open(Request):
     resume: Literal["follow", "clutch"] = "follow"
     has_detail: bool = False
     is_shared: bool = False
+    grip: Options | None = None
+    object: Solid | Places | None = None
 
     def __post_init__(self) -> None:
         """Take options by their former names."""
@@ -309,6 +322,11 @@ class Step(Request):
         hands: One or both hands by side, in place of all fields above but `time`; for a robot with
             two hands. Without one of them, its side of the robot goes on to what it was asked for
             last, and holds after 0.25 s.
+        measured_q: Joint angles that the robot has now [rad]; required with `grip`.
+        object_centre: Middle of what the robot is to grip, in its world [m], if it is known: pads
+            that close near it meet around it; only with `grip`.
+        object_pose: Pose of the person's `object`, in the axes of the landmarks; if it is omitted,
+            the object is not seen.
     """
 
     time: Stamp
@@ -321,6 +339,9 @@ class Step(Request):
     confidence: Confidence = 1.0
     base: Pose | None = None
     hands: dict[Side, HandSample] | None = None
+    measured_q: Angles | None = None
+    object_centre: Place | None = None
+    object_pose: Pose | None = None
 
 
 class Sample(Step):
@@ -389,6 +410,7 @@ class Configure(Named):
         teleoperation: Former name of `options`.
         ik: Fields of IkOptions; without `preset`, others stay as they are.
         has_detail: Whether commands carry every stage of the mapping.
+        grip: Fields of GripOptions, of a session that has a grip; others stay as they are.
     """
 
     preset: Preset | None = None
@@ -397,6 +419,7 @@ class Configure(Named):
     teleoperation: Former = {}
     ik: Options = {}
     has_detail: bool | None = None
+    grip: Options = {}
 
     def __post_init__(self) -> None:
         """Take options by their former names."""
@@ -561,6 +584,9 @@ class Command(Reply):
             nothing.
         hands: Each hand of a robot with two, by side. A hand whose sample makes no sense is `held`
             by itself; the robot is `held` if all are.
+        effort: Torques with which a grip presses [N m], in the order of `q`, for drivers that take
+            them: `q` lies so far behind the surface that position control presses as much. Empty
+            without a grip.
     """
 
     name: str
@@ -585,6 +611,7 @@ class Command(Reply):
     wrist_error: Numbers = ()
     arm_held_by: str = ""
     hands: dict[str, HandState] = {}
+    effort: Numbers = ()
 
 
 class About(Struct, frozen=True, kw_only=True):

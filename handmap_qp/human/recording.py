@@ -40,7 +40,8 @@ class Recording:
         upright: Axes of the tracker's world that are up and forward, such as `+y up, -z forward`;
             empty if not known.
         object_pose: Poses of an object that the hand holds, in the tracker's world, shape
-            (T, 4, 4); None if there is none. Arbitrary where a sample is not valid.
+            (T, 4, 4); None if there is none. NaN where it is not seen; arbitrary where a sample is
+            not valid.
         object_shape: The object's shape, as of `parse_object`; empty if it is not known.
 
     Raises:
@@ -85,7 +86,9 @@ class Recording:
         _expect_each(is_right, "landmarks", finite, landmarks, "others in sample {1}")
         for name in ("wrist", "object_pose"):
             if (poses := getattr(self, name)) is not None:
-                columns[name] = check_poses(poses, name, valid)
+                poses = as_floats(poses, name, shape=(count, 4, 4))
+                is_lost = (name == "object_pose") & np.isnan(poses).any(axis=(1, 2))
+                columns[name] = check_poses(poses, name, valid & ~is_lost)
         if self.confidence is not None:
             shares = as_floats(self.confidence, "confidence", shape=(count,))
             columns["confidence"] = shares

@@ -90,9 +90,9 @@ class MeshShape:
     points: Array
 
     def __post_init__(self) -> None:
-        points = as_floats(self.points, "points", shape=("n", 3), is_finite=True)
+        points = as_floats(self.points, "vertices", shape=("n", 3), is_finite=True)
         rank = np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6)
-        expect(rank == 3, "points", "points [m] that span a volume, shape (n, 3)")
+        expect(rank == 3, "vertices", "points [m] that span a volume, shape (n, 3)")
         object.__setattr__(self, "points", points)
 
     @property

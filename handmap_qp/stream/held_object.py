@@ -192,15 +192,17 @@ class ObjectFollower:
         self._radii = np.array([pad.radius for pad in pads])
         self._placed = hand.configuration()
         self.object_pose: Array | None = None
-        # The reference of the last sample, and how far the object has taken hold since.
+        # Since the reference of the last sample: the person's object where it was seen last, and
+        # how far it has taken hold.
         self._reference: Any = None
+        self._seen: Array | None = None
         self._eased = 0.0
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 
     def map_sample(
-        self, sample: HumanSample, object_pose: ArrayLike, **times: Any
+        self, sample: HumanSample, object_pose: ArrayLike | None, **times: Any
     ) -> MapStep:
         """Map one sample of a tracker; see `Follower.map_sample`.
 
@@ -209,8 +211,9 @@ class ObjectFollower:
 
         Args:
             sample: The sample.
-            object_pose: Pose of the object in the tracker's world, shape (4, 4); arbitrary where
-                the sample is not valid.
+            object_pose: Pose of the object in the tracker's world, shape (4, 4); None if it is not
+                seen. It then stays where it was, and lets go of the hand within .4 s. Arbitrary
+                where the sample is not valid.
             **times: `dt` and `arrival` [s].
 
         Returns:
@@ -225,17 +228,19 @@ class ObjectFollower:
                 another one.
             InvalidOptionsError: As there.
         """
-        pose = check_pose(object_pose, "object_pose") if sample.valid else np.eye(4)
+        is_seen = sample.valid and object_pose is not None
+        pose = check_pose(object_pose, "object_pose") if is_seen else self._seen
         self._check_follower()
         self._eased *= self._mapper.reference is self._reference
-        is_touched = sample.valid and self._eased > 0.0
+        is_touched = sample.valid and pose is not None and self._eased > 0.0
         terms = [self._touch(sample, pose)] if is_touched else []
         step = map_with(self.follower, terms, sample, **times)
-        is_led = step.status not in ("held", "released", "gliding")
+        self._seen = pose
+        is_led = is_seen and step.status not in ("held", "released", "gliding")
         dt = self._mapper.motion.dt if is_led else -self._mapper.motion.dt
         self._eased = min(max(self._eased + dt / _EASED, 0.0), 1.0)
         self._reference = self._mapper.reference
-        if step.status in ("held", "released"):
+        if step.status in ("held", "released") or pose is None:
             return step
         self.object_pose = self._world @ pose
         found: Arrays = {"object_pose": self.object_pose}
@@ -306,4 +311,6 @@ def follow_recording(
     shape = parse_object(recording.object_shape, "object_shape")
     holding = ObjectFollower(follower, shape)
     poses = np.asarray(recording.object_pose)
-    yield from map(holding.map_sample, samples, poses)
+    for sample, pose in zip(samples, poses, strict=True):
+        is_seen = np.isfinite(pose).all()
+        yield holding.map_sample(sample, pose if is_seen else None)

@@ -35,7 +35,12 @@ from handmap_qp.mapping.objects import (
 )
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.held_object import ObjectFollower, ObjectOptions, _Touch
+from handmap_qp.stream.held_object import (
+    ObjectFollower,
+    ObjectOptions,
+    _Touch,
+    follow_recording,
+)
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import read_recording, write_recordings
 
@@ -311,12 +316,15 @@ def test_fingers_are_near_before_they_touch() -> None:
 
 @pytest.mark.parametrize("suffix", [".npz", ".hdf5", ".csv"])
 def test_files_keep_an_object(tmp_path: Path, suffix: str) -> None:
-    recording = held().recording
+    poses = np.array(held().recording.object_pose)
+    # It is not seen in one sample.
+    poses[90, :3] = np.nan
+    recording = dataclasses.replace(held().recording, object_pose=poses)
     file = tmp_path / f"held{suffix}"
     write_recordings([recording], file)
     read = read_recording(file)
     assert read.object_pose is not None
-    np.testing.assert_array_equal(read.object_pose, recording.object_pose)
+    np.testing.assert_array_equal(read.object_pose, poses)
     assert read.object_shape == ("" if suffix == ".csv" else "box:0.04")
 
 
@@ -391,7 +399,7 @@ def test_the_object_leaves_the_mapper_alone_after_each_sample() -> None:
         holding.map_sample(columns.sample(90), poses[90])
 
 
-@pytest.mark.parametrize("way", ["loss", "clutch", "late"])
+@pytest.mark.parametrize("way", ["loss", "clutch", "late", "unseen"])
 def test_nothing_jumps_when_the_object_takes_hold(way: str) -> None:
     """After a loss with a shift of 100 mm, a new reference, and a start with a closed hand."""
     recording = held().recording
@@ -409,9 +417,26 @@ def test_nothing_jumps_when_the_object_takes_hold(way: str) -> None:
             sample = dataclasses.replace(sample, valid=False)
         if way == "clutch" and i == 90:
             holding.follower.mapper.clutch()
-        commands.append(holding.map_sample(sample, poses[i]).command.wrist[:3, 3])
+        is_unseen = way == "unseen" and 70 <= i < 110
+        pose = None if is_unseen else poses[i]
+        commands.append(holding.map_sample(sample, pose).command.wrist[:3, 3])
     speeds = np.linalg.norm(np.diff(commands, axis=0), axis=1) * 60.0
     assert speeds.max() < 0.7
+
+
+def test_an_object_that_is_not_seen_lets_go_of_the_hand() -> None:
+    recording = held().recording
+    poses = np.array(recording.object_pose)
+    poses[90:] = np.nan
+    lost = dataclasses.replace(recording, object_pose=poses)
+    columns = sample_columns(lost)
+    steps = list(follow_recording(follower().follower, lost))
+    plain = Follower(HandMapper(HUMAN, load_hand("allegro_right"), "teleoperation"))
+    for i in range(len(steps)):
+        other = plain.map_sample(columns.sample(i))
+    assert steps[89].diagnostics["touching"].max() == 1.0
+    assert "touching" not in steps[-1].diagnostics
+    np.testing.assert_allclose(steps[-1].command.q, other.command.q, atol=0.05)
 
 
 def test_a_hand_without_shapes_touches_too() -> None:

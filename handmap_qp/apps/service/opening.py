@@ -56,17 +56,26 @@ from handmap_qp.mapping import (
     Choice,
     HandMapper,
     LandmarkReader,
+    MeshShape,
     RobotMapper,
     found_alignment,
     kept_options,
     known_options,
+    parse_object,
     preset_choice,
     preset_with,
 )
 from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.options import Options
 from handmap_qp.se3 import Array
-from handmap_qp.stream import Follower, RobotFollower, StreamGuard
+from handmap_qp.stream import (
+    Follower,
+    GripFollower,
+    GripOptions,
+    ObjectFollower,
+    RobotFollower,
+    StreamGuard,
+)
 from handmap_qp.trackers import LAYOUTS, SIDES
 from .safety import refuse_if
 
@@ -86,7 +95,9 @@ _FIELDS = {"human_q": "q", "wrist_pose": "wrist", "method": "preset"} | {
 }
 """Fields of requests by the arguments and choices of the library that take them."""
 
-_OF_ROBOT = {"input": "landmarks", "mount": None, "robot_points": None}
+_OF_ROBOT = {"input": "landmarks"} | dict.fromkeys(
+    ("mount", "robot_points", "grip", "object")
+)
 """The only values of fields that a robot with two hands may be opened with."""
 
 Defer = Callable[[Callable[[], "Hands"]], Future["Hands"]]
@@ -242,7 +253,7 @@ class Hands(NamedTuple):
 
     Attributes:
         mapper: Maps the human hand to the robot hand, or both to a robot.
-        follower: Lets the mapper follow samples of landmarks.
+        follower: Lets the mapper follow samples of landmarks, and grip or touch an object.
         robot: The robot hand with the reference points of the request; of two, the first.
         choice: Preset and options of the mapper.
         lengths: The measured human hand, of two one of them; None for the model's own.
@@ -251,7 +262,7 @@ class Hands(NamedTuple):
     """
 
     mapper: HandMapper | RobotMapper
-    follower: Follower | RobotFollower
+    follower: Follower | RobotFollower | GripFollower | ObjectFollower
     robot: Hand
     choice: Choice
     lengths: HumanLengths | None
@@ -311,10 +322,31 @@ def prepare_hands(
             hand_pair(humans[side], hands[side])
     rejoins = request.resume == "clutch"
     follower = following(mapper, rejoin="clutch" if rejoins else "glide")
+    for field in ("grip", "object"):
+        if getattr(request, field) is not None:
+            refuse_if(not has_landmarks, "needs input=landmarks", field)
+            with naming_field(field):
+                follower = _holding(follower, request)
     calibration = None
     if has_landmarks and lengths is None and defer is not None:
         calibration = Calibration(request, cache, defer)
     return Hands(mapper, follower, hand, choice, lengths, calibration)
+
+
+def read_grip(request: Open) -> GripOptions:
+    """Read how a session grips; errors are as of `read_choice`."""
+    return _changed("grip", GripOptions(), request.grip or {})
+
+
+def _holding(follower: Follower, request: Open) -> GripFollower | ObjectFollower:
+    """Let a follower grip, or touch the object of a request."""
+    given = request.object
+    if given is None:
+        return GripFollower(follower, read_grip(request))
+    refuse_if(request.grip is not None, "give grip or object, not both", "object")
+    is_named = isinstance(given, str)
+    shape = parse_object(given, "object") if is_named else MeshShape(np.array(given))
+    return ObjectFollower(follower, shape)
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:
@@ -377,10 +409,17 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
         request: The request, with all changes before.
         preset: The preset in force.
         changes: The changes. Without a preset, options that are not named stay as they are.
+
+    Raises:
+        RefusedError: If there is no grip to change.
     """
     kept = request.options
     ik = request.ik
     detail = changes.has_detail
+    grip = request.grip
+    if changes.grip:
+        refuse_if(grip is None, "this session was opened without it", "grip")
+        grip = {**(grip or {}), **changes.grip}
     if changes.preset is not None:
         kept = kept_options(kept, changes.preset)
         ik = {name: ik[name] for name in PROTECTING if name in ik}
@@ -389,6 +428,7 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
         preset=changes.preset or preset,
         options=kept | changes.options,
         ik=ik | changes.ik,
+        grip=grip,
         has_detail=request.has_detail if detail is None else detail,
     )
 

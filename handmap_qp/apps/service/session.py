@@ -43,6 +43,7 @@ from handmap_qp.human import UNSEEN, ContactGapMeter, HumanSample, PalmShape
 from handmap_qp.ik import Motion
 from handmap_qp.mapping import MapStep, check_joints
 from handmap_qp.se3 import Array
+from handmap_qp.stream import GripFollower
 from handmap_qp.trackers import LAYOUTS
 from .opening import (
     Calibration,
@@ -50,6 +51,7 @@ from .opening import (
     naming_field,
     naming_option,
     read_choice,
+    read_grip,
     refused,
     upright_of,
     with_changes,
@@ -80,7 +82,9 @@ _STAGES = (
     "points",
 )
 """What a detail has of a step under the same names."""
-_BARE = {"q": None, "points": None} | structs.asdict(HandSample())
+_OF_HELD = {"measured_q": "grip", "object_centre": "grip", "object_pose": "object"}
+"""What of a sample a session is opened with a field for."""
+_BARE = dict.fromkeys(("q", "points", *_OF_HELD)) | structs.asdict(HandSample())
 """Fields of a hand in a sample that has `hands`."""
 
 
@@ -97,6 +101,7 @@ class SampleForm:
 
     def __init__(self, request: Open, robot: Hand) -> None:
         self._kind = request.input
+        self._request = request
         self._side: Side = request.side
         self._sides = [hand.side for hand in robot.parts]
         name = request.layout
@@ -171,6 +176,25 @@ class SampleForm:
                 raise RefusedError("invalid", message, field=field)
         is_bare = self._kind == "q" and sample.wrist is None
         refuse_if(is_bare, "missing; it must come with q", "wrist")
+
+    def held(self, sample: Step) -> Values:
+        """Return what a sample has of robot and object, by name.
+
+        Raises:
+            RefusedError: If the session was opened without it.
+        """
+        given = {field: getattr(sample, field) for field in _OF_HELD}
+        for field, of in _OF_HELD.items():
+            is_for = getattr(self._request, of) is not None
+            message = f"this session was opened without {of}"
+            refuse_if(given[field] is not None and not is_for, message, field)
+            if not is_for:
+                del given[field]
+        is_bare = given.get("measured_q", ()) is None
+        refuse_if(is_bare, "missing; it must come with a grip", "measured_q")
+        if "object_pose" in given:
+            given["object_pose"] = to_matrix(sample.object_pose)
+        return given
 
 
 class Session:
@@ -345,6 +369,7 @@ class Session:
             # Unexpected exception: hold, and restart the mapper from the last command.
             self._mapper_state = MapperState.STALE
             raise
+        self._effort = step.command.effort
         if step.is_held:
             # The sample makes no sense: the robot holds, and the watchdog ignores the sample.
             self.counts["held"] += 1
@@ -388,6 +413,7 @@ class Session:
         if self._state is SessionState.RETURNING:
             share = self.request.return_speed
             self._commanded.advance(self.robot.rest, None, self._dt, share, stops=True)
+            self._effort = None
             # The posture of the mapper stays behind, even if the client has clutched meanwhile.
             self._mapper_state = MapperState.STALE
             if self._is_at_rest:
@@ -507,6 +533,7 @@ class Session:
     def _map(self, humans: Humans, sample: Step, now: float) -> MapStep:
         """Map a sample within the time granted."""
         mapper: Any = self._hands.mapper
+        held = self._form.held(sample)
         if sample.base is not None:
             refuse_if(not self.robot.parts, "a hand alone has no floating base", "base")
             mapper.base_pose = to_matrix(sample.base)
@@ -517,10 +544,11 @@ class Session:
             return mapper.map_step(sample.q, wrist, dt=self._dt)
         arrival = now if self.request.time_from == "server" else None
         follower: Any = self._hands.follower
+        times = {"dt": self._dt, "arrival": arrival}
         if self.robot.parts:
-            return follower.map_samples(humans, dt=self._dt, arrival=arrival)
+            return follower.map_samples(humans, **times)
         (human,) = humans.values()
-        step = follower.map_sample(human, dt=self._dt, arrival=arrival)
+        step = follower.map_sample(human, **held, **times)
         if step.rule == "size":
             # Other units than metres are a mistake of the client, which must know.
             PalmShape(mapper.human).check(human.landmarks)
@@ -572,8 +600,11 @@ class Session:
             human = human.with_contact_gap(self._gap_meter.gap)
         choice = read_choice(wanted, human, hands.robot)
         method = None if choice.method == hands.choice.method else choice.method
+        grip = read_grip(wanted)
         with naming_option(hands.robot, choice):
             mapper.configure(method, ik=choice.ik)
+        if isinstance(hands.follower, GripFollower):
+            hands.follower.options = grip
         self.request = wanted
         self._hands = hands._replace(choice=choice)
         self._commanded.obey(mapper.point_ik)
@@ -613,6 +644,7 @@ class Session:
 
     def _reset_mapper(self, q: Array | None = None) -> None:
         """Reset the mapper to the robot, or to q (n,); the next sample is the reference."""
+        self._effort = None
         mapper = self._hands.mapper
         robot = self.robot
         if q is None and self._commanded.is_placed:
@@ -702,6 +734,7 @@ class Session:
             flags=tuple(flags + released),
             epoch=self._epoch,
             dt=self._dt,
+            effort=() if self._effort is None else to_row(self._effort),
             **diagnostics,
         )
 
