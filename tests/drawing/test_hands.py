@@ -381,12 +381,12 @@ def test_the_faces_of_a_tube_look_outward() -> None:
 def test_depth_is_measured_along_the_axis_of_the_camera() -> None:
     corners = np.array([[[0.0, 0.0, 2.0], [0.0, 1.0, 3.0], [1.0, 0.0, 2.5]]])
     camera = Camera(np.eye(4), 1000.0, (80.0, 60.0), (160, 120))
-    surface = _rasterise(corners, camera)
+    pixels, _, _, depth = _rasterise(corners, camera)
     # Its plane is z = 2 + x / 2 + y, where x and y are z times the ray's tangents.
-    y, x = np.divmod(surface.pixels, 160)
+    y, x = np.divmod(pixels, 160)
     slope = ((x - 79.5) / 2.0 + (y - 59.5)) / 1000.0
     assert len(x) > 1000
-    np.testing.assert_allclose(surface.depth[y, x], 2.0 / (1.0 - slope))
+    np.testing.assert_allclose(depth[y, x], 2.0 / (1.0 - slope))
 
 
 def test_of_two_faces_in_one_plane_the_last_one_is_seen() -> None:

@@ -150,16 +150,6 @@ class Camera(NamedTuple):
         )
 
 
-class _Surface(NamedTuple):
-    """The k covered pixels, and the triangle in front at each; `shares` are barycentric, (k, 3)."""
-
-    pixels: Array
-    centres: Array
-    triangle: Array
-    shares: Array
-    depth: Array
-
-
 _NO_CORNERS = np.zeros((0, 3, 3))
 _NOTHING = Triangles.painted(_NO_CORNERS, _NO_CORNERS, (0.0, 0.0, 0.0))
 
@@ -205,8 +195,12 @@ def render(
     return picture
 
 
-def _rasterise(vertices: Array, camera: Camera) -> _Surface:
-    """Find the triangle in front at every pixel's centre; cull those seen from behind."""
+def _rasterise(vertices: Array, camera: Camera) -> tuple[Array, ...]:
+    """Find the triangle in front at every pixel's centre; cull those seen from behind.
+
+    Returns:
+        The k covered pixels, their triangles and barycentric coordinates, (k, 3); and all depths.
+    """
     width, height = camera.size
     corners = camera.project(vertices)
     depths = corners[..., 2]
@@ -240,11 +234,10 @@ def _rasterise(vertices: Array, camera: Camera) -> _Surface:
         front[pixel[is_front]] = owner[is_front]
     pixels = np.flatnonzero(nearest)
     owner = front[pixels]
-    centres = _centres(pixels, width)
-    shares = np.matvec(planes[owner], centres)
-    depth = np.full((height, width), np.inf)
-    depth.flat[pixels] = 1.0 / nearest[pixels]
-    return _Surface(pixels, centres, seen[owner], shares, depth)
+    shares = np.matvec(planes[owner], _centres(pixels, width))
+    with np.errstate(divide="ignore"):
+        depth = 1.0 / nearest.reshape(height, width)
+    return pixels, seen[owner], shares, depth
 
 
 def _between(low: Array, high: Array, size: int) -> Array:
@@ -266,11 +259,11 @@ def _shaded(triangles: Triangles, camera: Camera) -> tuple[Array, Array]:
     """Return linear light and opacity at every pixel, (height, width, 4), and its depth [m]."""
     width, height = camera.size
     picture = np.zeros((height * width, 4))
-    pixels, centres, triangle, shares, depth = _rasterise(triangles.vertices, camera)
+    pixels, triangle, shares, depth = _rasterise(triangles.vertices, camera)
     rotation = camera.world_to_camera[:3, :3]
     corners = triangles.normals[triangle] @ rotation.T
     normals = unit(np.vecmat(shares, corners))
-    rays = centres - (*camera.centre, 1.0 - camera.focal_length)
+    rays = _centres(pixels, width) - (*camera.centre, 1.0 - camera.focal_length)
     light = _AMBIENT + _SKY * (normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
     light += _KEY * np.maximum((normals @ _KEY_DIRECTION + 0.2) / 1.2, 0.0)
