@@ -51,8 +51,8 @@ _LANDMARK_RADIUS = 0.0045
 _MARGIN = 0.03
 # Spheres at the points stand out from the links by about this [m].
 _PADDING = 0.006
-# Percentage of the instants in which a hand may reach out of its room.
-_RARE = 4.0
+# A hand may reach out of its room in the instants beyond these percentiles, on each side.
+_USUAL = (4.0, 96.0)
 _OUTWARDS = np.array([[-1.0], [1.0]])
 """Senses in which the lowest and the highest corner of a box grow."""
 _UNIT_BOX = np.array([*product((0, 1), repeat=3)])
@@ -106,10 +106,9 @@ class Figure:
 
     Args:
         node: Name of its node.
-        colour: Colour of its trail.
-        variant: Index of the variant whose samples it shows.
 
     Attributes:
+        variant: Index of the variant whose samples it shows.
         part: Index of what it shows of a sample, in `ViewSample.parts`.
         axes: From the world's axes to the scene's, shape (3, 3).
         anchor: Position in the scene of the centre, or of the middle of its travel [m], shape (3,).
@@ -118,20 +117,19 @@ class Figure:
             [m], so the shape is (2, 2, 3). NaN until something is known.
     """
 
-    part = 0
+    variant = part = 0
     shows: str
     """The field of a `ViewSample` with its points."""
+    colour: Colour
+    """Colour of its points and its trail."""
     _points: Spheres
 
-    def __init__(
-        self, server: ViserServer, node: str, colour: Colour, variant: int = 0
-    ) -> None:
-        self.variant = variant
+    def __init__(self, server: ViserServer, node: str) -> None:
         self._frame = server.scene.add_frame(f"/{node}", show_axes=False)
         self._label = server.scene.add_label(
             f"/{node}_name", node.replace("_", " "), anchor="top-center"
         )
-        self.trail = Trail(server, f"/{node}/trail", colour)
+        self.trail = Trail(server, f"/{node}/trail", self.colour)
         self.anchor = np.zeros(3)
         self.turn(np.eye(3))
 
@@ -169,40 +167,46 @@ class Figure:
 
     def fit(self, samples: Iterable[ViewSample]) -> None:
         """Make room for instants that are known beforehand, save for rare excursions."""
-        parts = (sample.parts[self.part] for sample in samples)
-        found = [room for part in parts if (room := self._room(part)) is not None]
+        found = [room for each in samples if (room := self._room(each)) is not None]
         if found:
             rooms = np.array(found)
             self.room[0] = box_of(rooms[:, 0, 0])
-            low, high = rooms[:, 1].swapaxes(0, 1)
-            self.room[1, 0] = np.percentile(low, _RARE, axis=0)
-            self.room[1, 1] = np.percentile(high, 100.0 - _RARE, axis=0)
+            # The low percentile of the lowest corners, and the high one of the highest.
+            ranges = np.percentile(rooms[:, 1], _USUAL, axis=0)
+            self.room[1] = ranges[(0, 1), (0, 1)]
 
     def include(self, sample: ViewSample) -> None:
         """Make room for one more instant, with a margin where the room has to grow."""
-        if (room := self._room(sample.parts[self.part])) is not None:
+        if (room := self._room(sample)) is not None:
             is_within = _OUTWARDS * (room - self.room) <= 0.0
             self.room = np.where(is_within, self.room, room + _OUTWARDS * _MARGIN)
 
     def _room(self, sample: ViewSample) -> Array | None:
         """Return the room of one instant, as `room`; None if nothing is known."""
-        if (place := self.place_of(sample)) is None:
+        if (place := self.place_of(sample.parts[self.part])) is None:
             return None
         centre, corners = place
         middle = self.axes @ centre
         about = (corners - centre) @ self.axes.T
         return np.array([[middle, middle], box_of(about)])
 
-    def place(self, middle: Array, low: float) -> None:
+    def stand(self, x: float, low: float) -> None:
+        """Centre the figure's room at a place of the row, above its name.
+
+        Args:
+            x: The place [m].
+            low: Height of the name [m].
+        """
+        self.anchor = (x, 0.0, 0.0) - self.room[1].mean(axis=0)
+        self._label.position = (x, low, 0.0)
+
+    def place(self, middle: Array) -> None:
         """Move the figure's world so that a point of it is at the anchor.
 
         Args:
             middle: The point, along the scene's axes [m], shape (3,).
-            low: Height of the name [m].
         """
         self._frame.position = self.anchor - middle
-        x, _, z = self.anchor + self.room[1].mean(axis=0)
-        self._label.position = (x, low, z)
 
 
 class Trail:
@@ -246,14 +250,13 @@ class LandmarkFigure(Figure):
     """The landmarks as the tracker gave them, with bones between; hidden at first."""
 
     shows = "landmarks"
+    colour = LANDMARK_COLOUR
 
     def __init__(self, server: ViserServer, node: str) -> None:
-        super().__init__(server, node, LANDMARK_COLOUR)
+        super().__init__(server, node)
         self.is_shown = False
-        self._points = Spheres(
-            server, f"/{node}/points", _LANDMARK_RADIUS, LANDMARK_COLOUR
-        )
-        self._bones = _add_lines(server, f"/{node}/bones", LANDMARK_COLOUR, 3.0)
+        self._points = Spheres(server, f"/{node}/points", _LANDMARK_RADIUS, self.colour)
+        self._bones = _add_lines(server, f"/{node}/bones", self.colour, 3.0)
 
     def draw(self, sample: ViewSample) -> None:
         """Show the landmarks with their bones."""
@@ -275,16 +278,10 @@ class HandFigure(Figure):
     point_size = 0.1
     """Radius of the reference points, relative to the hand's size: about that of fingertips."""
     shows = "robot_points"
+    colour = ROBOT_COLOUR
 
-    def __init__(
-        self,
-        server: ViserServer,
-        node: str,
-        hand: Hand,
-        colour: Colour = ROBOT_COLOUR,
-        variant: int = 0,
-    ) -> None:
-        super().__init__(server, node, colour, variant)
+    def __init__(self, server: ViserServer, node: str, hand: Hand) -> None:
+        super().__init__(server, node)
         self.hand = hand
         # Its fingertips, or its own points where no finger has a name.
         tips = (h.with_points([*finger_tips(h).values()] or None) for h in hand.hands)
@@ -309,7 +306,7 @@ class HandFigure(Figure):
             box = hand.hands[0].points(hand.rest)
         self.radius = 0.4 * float(np.linalg.norm(np.ptp(box, axis=0)))
         self._points = Spheres(
-            server, f"/{node}/points", self.point_size * self.radius, colour
+            server, f"/{node}/points", self.point_size * self.radius, self.colour
         )
 
     def posture(self, sample: ViewSample) -> Posture | None:
@@ -320,8 +317,7 @@ class HandFigure(Figure):
         """Return the hand's centre and corners of its links' boxes, or those of its points."""
         if (posture := self.posture(sample)) is None:
             return super().place_of(sample)
-        (centre,) = transform_points(posture[1], self._focus[None])
-        return centre, self._boxes(*posture)
+        return transform_points(posture[1], self._focus), self._boxes(*posture)
 
     def tips(self, sample: ViewSample) -> Array | None:
         """Return the tips of the posture."""
@@ -379,9 +375,10 @@ class HumanFigure(HandFigure):
 
     point_size = 0.08
     shows = "human_points"
+    colour = HUMAN_COLOUR
 
     def __init__(self, server: ViserServer, node: str, hand: Hand) -> None:
-        super().__init__(server, node, hand, HUMAN_COLOUR)
+        super().__init__(server, node, hand)
         self.shape: Shape = "ellipsoid"
         self._size = float(np.sqrt(hand.points(hand.rest).var(axis=0).sum()))
         ball: Any = partial(
@@ -451,7 +448,8 @@ class RobotFigure(HandFigure):
 
     def __init__(self, server: ViserServer, variant: Variant, index: int) -> None:
         node = f"robot_{index + 1}" if index else "robot"
-        super().__init__(server, node, variant.robot, ROBOT_COLOUR, index)
+        super().__init__(server, node, variant.robot)
+        self.variant = index
         self.label = ""
         solid = variant.solid
         self._solid: Any = solid and server.scene.add_mesh_simple(

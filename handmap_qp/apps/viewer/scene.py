@@ -143,7 +143,7 @@ class HandScene:
             if figure.is_shown and np.isfinite(figure.room).all()
         ]
         with self.server.atomic():
-            low = self._lay_out(row)
+            self._lay_out(row)
             for figure in row:
                 sample = samples[figure.variant].parts[figure.part]
                 figure.draw(sample)
@@ -151,7 +151,7 @@ class HandScene:
                     continue
                 centre, _ = place
                 middle = figure.room[0].mean(axis=0)
-                figure.place(figure.axes @ centre if is_pinned else middle, low)
+                figure.place(figure.axes @ centre if is_pinned else middle)
                 tips = figure.tips(sample) if self.display.has_trails else None
                 if tips is not None:
                     figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
@@ -166,21 +166,20 @@ class HandScene:
         """All figures from left to right."""
         return [*chain(*self._people), *self._robots]
 
-    def _lay_out(self, row: Sequence[Figure]) -> float:
-        """Place the figures side by side, fit the cameras, and return the height of the names."""
+    def _lay_out(self, row: Sequence[Figure]) -> None:
+        """Place the figures side by side above their names, and fit the cameras."""
         # Without the centres' travel if the hands stay in place.
         first = 0 if self.display.follow == "world" else 1
         sizes = [np.ptp(figure.room[first:], axis=1).sum(axis=0) for figure in row]
-        _, height, depth = np.max(sizes, axis=0)
-        width = sum(size[0] for size in sizes) + _GAP * (len(row) - 1)
+        widths, heights, depths = np.transpose(sizes)
+        height = heights.max()
+        ends = (widths + _GAP).cumsum() - _GAP
+        width = ends[-1]
         # Seen from the palm side, +x points left.
-        left = 0.5 * width
-        for figure, size in zip(row, sizes, strict=True):
-            cell = (left - 0.5 * size[0], 0.0, 0.0)
-            figure.anchor = cell - figure.room[1].mean(axis=0)
-            left -= size[0] + _GAP
-        self.cameras.fit(width, height, depth)
-        return -0.5 * float(height)
+        places = 0.5 * (width + widths) - ends
+        for figure, x in zip(row, places, strict=True):
+            figure.stand(x, -0.5 * height)
+        self.cameras.fit(width, height, depths.max())
 
 
 class BrowserCameras:
@@ -200,19 +199,14 @@ class BrowserCameras:
         size = width, height + depth * abs(_DIRECTION[1]), depth
         if size != self._size:
             self._size = size
-            distance, low = self._view(*_DEFAULT_WINDOW)
-            middle = (0.0, low, 0.0)
-            self._server.initial_camera.look_at = middle
-            self._server.initial_camera.position = distance * _DIRECTION + middle
+            view = self._view(*_DEFAULT_WINDOW)
+            _look(self._server.initial_camera, view, _DIRECTION)
 
     @property
     def view(self) -> Values:
         """What a page needs to fit the view to its window, as `_view` does."""
-        width, height, depth = self._size
         return {
-            "width": width,
-            "height": height,
-            "depth": depth,
+            "size": self._size,
             "names": _NAMES,
             "margin": _MARGIN,
             "fov": _FIELD_OF_VIEW,
@@ -234,14 +228,10 @@ class BrowserCameras:
                 # The main panel holds the gauges; the controls have one of their own.
                 client.gui.main_panel.minimize()
                 self._folded.add(name)
-            views[name] = distance, low = self._view(columns, rows)
-            if views[name] != self._views.get(name):
+            views[name] = view = self._view(columns, rows)
+            if view != self._views.get(name):
                 offset = camera.position - camera.look_at
-                direction = unit(offset) if name in self._views else _DIRECTION
-                middle = (0.0, low, 0.0)
-                # Setting the position moves `look_at` too, so set both.
-                camera.position = middle + distance * direction
-                camera.look_at = middle
+                _look(camera, view, unit(offset) if name in self._views else _DIRECTION)
         self._views = views
 
     def _view(self, columns: int, rows: int) -> tuple[float, float]:
@@ -253,6 +243,15 @@ class BrowserCameras:
         )
         distance = 0.5 * pixel * rows / np.tan(0.5 * _FIELD_OF_VIEW) + 0.25 * depth
         return float(distance), float(-0.5 * _NAMES * pixel)
+
+
+def _look(camera: Any, view: tuple[float, float], direction: Array) -> None:
+    """Move a camera to see, in this direction from the hands, what `BrowserCameras` has found."""
+    distance, low = view
+    middle = (0.0, low, 0.0)
+    # Setting the position moves `look_at` too, so set both.
+    camera.position = middle + distance * direction
+    camera.look_at = middle
 
 
 def _robot_axes(variant: Variant, upright: Array | None) -> Array:
