@@ -6,6 +6,7 @@ carries out, so that mapping and drawing happen in one thread.
 
 import math
 import time
+from collections import namedtuple
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -46,7 +47,7 @@ _GROUPS = msgspec.yaml.decode(Path(__file__).with_suffix(".yaml").read_bytes())
 
 def add_controls(
     gui: Any, group: str, press: Callable[[str, Any], object] = lambda *_: None
-) -> list[Any]:
+) -> Any:
     """Add a group of controls, as `controls.yaml` describes them.
 
     Args:
@@ -55,7 +56,7 @@ def add_controls(
         press: Called with a button's name and the browser's handle when the button is pressed.
 
     Returns:
-        The viser controls, in their order.
+        The viser controls in their order, a tuple with their names.
     """
     handles = []
     for name, control in _GROUPS[group].items():
@@ -63,7 +64,7 @@ def add_controls(
         handles.append(handle := getattr(gui, f"add_{kind}")(**arguments))
         if kind == "button":
             handle.on_click(lambda event, name=name: press(name, event.client))
-    return handles
+    return namedtuple(group, _GROUPS[group], rename=True)(*handles)
 
 
 def say(handle: Any, said: str | HandmapError | None) -> None:
@@ -111,26 +112,6 @@ def _take_changes(controls: dict[str, _Control]) -> Values:
         for name, each in controls.items()
         if each.handle.value != each.taken
     }
-
-
-class DisplayControls:
-    """What the scene shows."""
-
-    def __init__(self, server: ViserServer) -> None:
-        self.follow, self.shape, self.landmarks, self.trails, self.clear = add_controls(
-            server.gui, "display"
-        )
-
-    def apply_to(self, scene: HandScene) -> None:
-        """Copy the settings to the scene; its next drawing shows them."""
-        display = Display(
-            self.follow.value, self.shape.value, self.landmarks.value, self.trails.value
-        )
-        # viser sets a button's value when it is pressed.
-        if self.clear.value or (scene.display.has_trails and not display.has_trails):
-            self.clear.value = False
-            scene.clear_trails()
-        scene.display = display
 
 
 class SteeringControls:
@@ -290,7 +271,7 @@ class OptionControls:
 
         def to_shown(value: float | None) -> float:
             # Widen the range to a value outside it; show infinity as the maximum.
-            value = low if value is None else value
+            value = value or 0.0
             if handle.max < value < math.inf:
                 handle.max = value
             return min(value, handle.max)
@@ -445,7 +426,7 @@ class Window:
         panel.set_width(_PANEL_WIDTH)
         self.gauges = Gauges(server, variants, human)
         with show:
-            self.display = DisplayControls(server)
+            self.display = add_controls(gui, "display")
         with save:
             add_controls(gui, "saving", self.send)
             self._saving = gui.add_markdown("", visible=False)
@@ -489,9 +470,15 @@ class Window:
             index: Index of the sample to draw.
             at_once: Whether the gauges are updated too, even if they were a moment ago.
         """
-        self.display.apply_to(self.scene)
+        *settings, clear = self.display
+        display = Display(*[setting.value for setting in settings])
+        # viser sets a button's value when it is pressed.
+        if clear.value or (self.scene.display.has_trails and not display.has_trails):
+            clear.value = False
+            self.scene.clear_trails()
+        self.scene.display = display
         samples = tuple(variant.samples[index] for variant in variants)
-        state = (samples, self.scene.display)
+        state = (samples, display)
         if state != self._drawn:
             self.scene.draw(samples)
             self._drawn = state

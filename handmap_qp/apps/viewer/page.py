@@ -5,8 +5,8 @@ import gzip
 import json
 from collections.abc import Sequence
 from html import escape
-from importlib.resources import files
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from handmap_qp.hands import Hand
@@ -65,7 +65,11 @@ def make_page(
     }
     # Instants are much alike, so they are small when compressed.
     packed = base64.b64encode(gzip.compress(json.dumps(numbers).encode()))
-    body = {
+    parts = {
+        "<title>Viser</title>": f"<title>{escape(title)} - handmap view</title>",
+        "</head>": f"{_part('page_head.html')}</head>",
+        "<body>": f"<body>{_part('page_body.html')}",
+        "__VIEW__": json.dumps(scene.cameras.view),
         "__TITLE__": escape(title),
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
         "__LEGEND__": SCENE_LEGEND,
@@ -73,20 +77,10 @@ def make_page(
         "__OPTIONS__": "".join(map(_option_table, variants)),
         "__GAUGES__": packed.decode(),
     }
-    head = _part("page_head.html").replace("__VIEW__", json.dumps(scene.cameras.view))
-    parts = {
-        "<title>Viser</title>": f"<title>{escape(title)} - handmap view</title>",
-        "</head>": f"{head}</head>",
-        "<body>": f"<body>{_filled(_part('page_body.html'), body)}",
-    }
-    return _filled(page, parts).encode()
-
-
-def _filled(page: str, parts: dict[str, str]) -> str:
-    """Return a page with texts in place of marks, each where it comes first."""
+    # Each part is put where its mark comes first.
     for mark, text in parts.items():
         page = page.replace(mark, text, 1)
-    return page
+    return page.encode()
 
 
 def _option_table(variant: Variant) -> str:
@@ -125,4 +119,4 @@ def _at_rate(instants: _Instants, rate: float) -> _Instants:
 
 
 def _part(name: str) -> str:
-    return files("handmap_qp.apps.viewer").joinpath(name).read_text(encoding="utf-8")
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
