@@ -35,7 +35,7 @@ from handmap_qp import (
 )
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.apps.viewer import figure
-from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls
+from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls, SteeringControls
 from handmap_qp.apps.viewer.figure import HandFigure, state_text
 from handmap_qp.apps.viewer.gauges import FIRST, InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
@@ -344,9 +344,9 @@ def test_every_control_reaches_its_option(server: Any, preset: str) -> None:
         options = options.with_changes(
             {"pivot": "point", "pivot_point": (0.0, 0.0, 0.0)}
         )
-    controls = OptionControls(server, options)
+    controls = SteeringControls(server, options, (preset,))
     assert controls.take_changes() == {}
-    for name, handle in controls.handles.items():
+    for name, handle in controls.options.handles.items():
         value = handle.value
         choices = getattr(handle, "options", ())
         if choices:
@@ -366,7 +366,7 @@ def test_every_control_reaches_its_option(server: Any, preset: str) -> None:
         if name == "pivot":
             changes["pivot_point"] = None
         assert options.changes_to(options.with_changes(changes)) == changes
-        controls.show(options)
+        controls.show_choice(options)
         assert handle.value == value
         assert controls.take_changes() == {}
 

@@ -1,5 +1,6 @@
 """Draw the convention of a tracker's layout: indices on both hands, and axes of the wrists."""
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,8 +38,8 @@ _OUT = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
 _SPREADS = (0.75, 0.16, 0.02, -0.12, -0.28)
 # Joints of the forearm that lie farther from the wrist are left out [m].
 _FARTHEST = 0.12
-_Entries = tuple[Array, list[str], Array]
-"""Places [m], indices as text, and whether they are landmarks."""
+_Entries = tuple[Array, Sequence[object] | Array, Array]
+"""Places [m], their indices, and whether they are landmarks."""
 
 
 def save_layout_picture(layout: Layout, path: Path) -> None:
@@ -86,12 +87,11 @@ def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
     # Landmarks have room at their right. Joints between wrist and knuckles stand close together,
     # so their labels are turned and go below.
     for (x, y), label, is_own in zip(shown, labels, is_used, strict=True):
-        style = {"zorder": 5, **_halo()}
-        if is_own:
-            axes.text(x + 6, y - 6, label, fontsize=8, color="0.1", **style)
-        else:
-            style |= {"rotation": 90, "ha": "center", "va": "top"}
-            axes.text(x + 1, y + 6, label, fontsize=7, color="0.35", **style)
+        text = axes.text(x + 6, y - 6, label, zorder=5, **_halo())
+        text.set(fontsize=8, color="0.1")
+        if not is_own:
+            text.set(x=x + 1, y=y + 6, fontsize=7, color="0.35")
+            text.set(rotation=90, ha="center", va="top")
 
 
 def _draw_axes(axes: Any, pixels: Array, directions: Array) -> None:
@@ -104,8 +104,9 @@ def _draw_axes(axes: Any, pixels: Array, directions: Array) -> None:
             arrow = _ARROW | {"color": colour}
             axes.annotate("", xy=(x, y), xytext=origin, arrowprops=arrow, zorder=4)
             text = name + _OUT.get(direction[2].round(6), "")
-            style = {"color": colour, "zorder": 6, **_halo()}
-            axes.text(x + 5, y + 11, text, fontsize=9, **style)
+            axes.text(
+                x + 5, y + 11, text, color=colour, fontsize=9, zorder=6, **_halo()
+            )
 
 
 def _halo() -> Values:
@@ -126,7 +127,13 @@ def _open_posture(human: Hand) -> Array:
 def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     """Return what the layout shows on a hand."""
     if isinstance(layout, AngleLayout):
-        return _angle_entries(layout, human.points(q))
+        # Two of a finger's angles share its first joint.
+        indices: dict[int, list[str]] = {}
+        for i, entry in enumerate(layout.table.angles):
+            finger, k = divmod(HUMAN_JOINTS.index(entry.joint), 4)
+            indices.setdefault(1 + 4 * finger + max(0, k - 1), []).append(f"{i}")
+        labels = [*map(", ".join, indices.values())]
+        return human.points(q)[[*indices]], labels, np.full(len(labels), True)
     if not isinstance(layout, PointLayout | MarkerLayout):
         expected = "points, angles or markers"
         raise InvalidInputError(argument="layout", expected=expected, value=layout)
@@ -137,24 +144,13 @@ def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     places = transform_points(layout.world, read)
     index = np.arange(len(places))
     if isinstance(layout, MarkerLayout):
-        return places, [*map(str, index)], index >= 0
+        return places, index, index >= 0
     if layout.table.is_relative:
         places = transform_points(np.linalg.inv(layout.wrist_axes(side)), read)
     is_used = np.isin(index, layout.order(side))
-    is_near = lengths(places) < _FARTHEST
-    is_shown = is_used | (np.isin(index, [*layout.table.between]) & is_near)
-    shown = index[is_shown]
-    return places[shown], [*map(str, shown)], is_used[shown]
-
-
-def _angle_entries(layout: AngleLayout, landmarks: Array) -> _Entries:
-    """Return the joints that angles turn, two of which share the first place of a finger."""
-    indices: dict[int, list[str]] = {}
-    for i, entry in enumerate(layout.table.angles):
-        finger, k = divmod(HUMAN_JOINTS.index(entry.joint), 4)
-        indices.setdefault(1 + 4 * finger + max(0, k - 1), []).append(f"{i}")
-    labels = [*map(", ".join, indices.values())]
-    return landmarks[[*indices]], labels, np.full(len(labels), True)
+    is_between = np.isin(index, [*layout.table.between])
+    shown = np.flatnonzero(is_used | is_between & (lengths(places) < _FARTHEST))
+    return places[shown], shown, is_used[shown]
 
 
 def _wrist_axes(layout: Layout, side: Side) -> Array:

@@ -105,15 +105,6 @@ class _Control:
             self.handle.value = self.taken = shown
 
 
-def _take_changes(controls: dict[str, _Control]) -> Values:
-    """Return what the user has changed since the last call, by name."""
-    return {
-        name: each.take()
-        for name, each in controls.items()
-        if each.handle.value != each.taken
-    }
-
-
 class SteeringControls:
     """Preset, comparison, clutch, options, and a message about the last request.
 
@@ -174,9 +165,14 @@ class SteeringControls:
         """Return the buttons pressed since the last call: `release`, `clutch`, `reset`, `keep`."""
         return [self._requests.pop(0) for _ in range(len(self._requests))]
 
-    def take_lists(self) -> dict[str, str]:
-        """Return what the user has chosen since the last call, of `preset` and `compare`."""
-        return _take_changes(self._lists)
+    def take_changes(self) -> Values:
+        """Return what the user has changed since the last call: `preset`, `compare`, options."""
+        controls = self._lists | self.options.controls
+        return {
+            name: each.take()
+            for name, each in controls.items()
+            if each.handle.value != each.taken
+        }
 
     def show_choice(self, choice: Choice) -> None:
         """Show preset and options, except where the user has just changed a control."""
@@ -202,7 +198,8 @@ class OptionControls:
         choice: The initial options.
 
     Attributes:
-        handles: The viser controls of the method and the QP, by option name.
+        controls: The controls of the method and the QP, by option name.
+        handles: Those of viser.
     """
 
     handles: Values
@@ -214,27 +211,23 @@ class OptionControls:
         with tabs.add_tab("QP"):
             self._ik = self._controls_of(type(choice.ik))
         self._method: type[Options] | None = None
-        self._controls = self._ik
+        self.controls = self._ik
         self.show(choice)
 
-    def take_changes(self) -> Values:
-        """Return the options that the user has changed since the last call, by name."""
-        return _take_changes(self._controls)
-
     def show(self, choice: Choice) -> None:
-        """Show the options, except where the user has changed a control since `take_changes`.
+        """Show the options, except where the user has just changed a control.
 
         If the method is another one, its controls replace those of the one before.
         """
         if self._method is not type(choice.method):
             self._method = type(choice.method)
-            for name in self._controls.keys() - self._ik.keys():
-                self._controls[name].handle.remove()
+            for name in self.controls.keys() - self._ik.keys():
+                self.controls[name].handle.remove()
             with self._tab:
-                self._controls = self._controls_of(self._method) | self._ik
-            self.handles = {name: each.handle for name, each in self._controls.items()}
+                self.controls = self._controls_of(self._method) | self._ik
+            self.handles = {name: each.handle for name, each in self.controls.items()}
         values = choice.method.values | choice.ik.values
-        for name, control in self._controls.items():
+        for name, control in self.controls.items():
             control.show(values[name])
 
     def _controls_of(self, kind: type[Options]) -> dict[str, _Control]:
@@ -284,7 +277,7 @@ class OptionControls:
         handle = self._gui.add_dropdown(
             label, option.choices, initial_value=str(option.default), hint=option.about
         )
-        values: Values = dict(zip(option.choices, option.choices, strict=True))
+        values: Values = {word: word for word in option.choices}
 
         def to_shown(value: Any) -> str:
             # A value beside the words may be a rotation matrix.

@@ -139,13 +139,11 @@ class LiveViewer(Window):
         if source.is_busy:
             return
         in_force = source.choice
-        preset = steering.take_lists().get("preset")
-        if preset is None:
-            steering.show_choice(in_force)
+        steering.show_choice(in_force)
         # Send only what was changed here: other clients may have changed other options.
-        changes = steering.options.take_changes()
-        if preset not in (None, in_force.preset):
-            changes = {"preset": preset}
+        changes = steering.take_changes()
+        if "preset" in changes:
+            changes = {"preset": changes["preset"]}
         for request in steering.take_requests():
             if request != "reset":
                 source.request(request)

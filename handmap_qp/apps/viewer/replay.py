@@ -289,27 +289,26 @@ class ReplayViewer(Window):
         """Note what the user has requested; a preset or Reset overrides changed options."""
         steering = self.steering
         replay = self.replay
-        chosen = steering.take_lists()
-        changes = steering.options.take_changes()
+        changes = steering.take_changes()
         requests = steering.take_requests()
-        if "preset" in chosen or "reset" in requests:
-            self._base = (
-                self._start if "reset" in requests else replay.preset(chosen["preset"])
-            )
+        preset = changes.pop("preset", None)
+        compared = changes.pop("compare", None)
+        if preset or "reset" in requests:
+            self._base = self._start if "reset" in requests else replay.preset(preset)
             self._changes = {}
             changes = {}
             steering.show_choice(self._base)
         for request in requests:
             replay.switch(request, self.index)
         self._changes |= changes
-        if "preset" in chosen or changes or set(requests) - {"keep"}:
+        if preset or changes or set(requests) - {"keep"}:
             self._pending.append(
                 lambda: replay.remap(self._base.with_changes(self._changes))
             )
         if "keep" in requests:
-            chosen["compare"] = KEPT
-        if "compare" in chosen:
-            self._pending.append(partial(replay.compare, chosen["compare"]))
+            compared = KEPT
+        if compared:
+            self._pending.append(partial(replay.compare, compared))
 
     def _map_pending(self) -> None:
         """Map as requested, and show why if that is not possible."""
