@@ -15,10 +15,7 @@ from .tables import print_table
 
 _PACKAGE = "handmap-qp"
 __version__ = metadata.version(_PACKAGE)
-_CORE = (
-    *("numpy", "scipy", "pin", "mink", "mujoco"),
-    *("qpsolvers", "daqp", "osqp", "proxsuite", "tyro", "rich"),
-)
+_CORE = "numpy scipy pin mink mujoco qpsolvers daqp osqp proxsuite tyro rich"
 _FOLDERS = {"HANDMAP_RECORDINGS": "*.npz", "HANDMAP_HANDS": "*/*.urdf"}
 """Folders that tests and benchmarks read, with the files expected there."""
 _GL = ("EGL", "OSMesa", "GL")
@@ -64,7 +61,7 @@ def versions() -> dict[str, str]:
         "system": system,
         "core": description,
     }
-    return own | {name: _version(name) for name in _CORE}
+    return own | {name: _version(name) for name in _CORE.split()}
 
 
 def extras() -> dict[str, str]:

@@ -312,8 +312,10 @@ def _human_triangles(landmarks: Array) -> Triangles:
     for tip, colour in zip(TIPS, FINGER_COLOURS.values(), strict=True):
         finger = points[tip - 3 : tip + 1]
         parts += [tube(bone, _BONE, colour) for bone in pairwise(finger)]
-        parts.append(spheres(finger[1:3], _JOINT, colour))
-        parts.append(spheres(finger[3], _TIP, colour))
+        parts += [
+            spheres(finger[1:3], _JOINT, colour),
+            spheres(finger[3], _TIP, colour),
+        ]
     return merged(parts)
 
 

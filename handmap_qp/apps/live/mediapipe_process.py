@@ -113,20 +113,16 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     """Yield time [s] and pixels (height, width, 3) of the camera or the video, unmirrored."""
     import cv2
 
-    source = str(arguments.video)
-    name = f"video {source}"
-    patience = 0
-    if not (is_file := arguments.video is not None):
-        source = arguments.camera
-        patience = _LOST
-        name = f"camera {source}"
+    is_file = arguments.video is not None
+    source = str(arguments.video) if is_file else arguments.camera
+    name = f"{'video' if is_file else 'camera'} {source}"
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         _stop(f"{name} cannot be read")
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
     start = time.monotonic()
     count = 0
-    for count, picture in enumerate(_read(capture, patience), start=1):
+    for count, picture in enumerate(_read(capture, is_file), start=1):
         stamp = start + (count - 1) / rate if is_file else time.monotonic()
         time.sleep(max(0.0, stamp - time.monotonic()) * arguments.paced)
         pixels = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
@@ -135,10 +131,10 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
         _stop(f"{name} {'gives no more' if count else 'holds no'} pictures")
 
 
-def _read(capture: Any, patience: int) -> Iterator[np.ndarray]:
-    """Yield pictures until more than `patience` in a row are missing."""
+def _read(capture: Any, is_file: bool) -> Iterator[np.ndarray]:
+    """Yield pictures until a file's next one is missing, or too many of a camera's in a row."""
     lost = 0
-    while lost <= patience:
+    while lost <= (0 if is_file else _LOST):
         is_there, picture = capture.read()
         lost = 0 if is_there else lost + 1
         if is_there:

@@ -127,9 +127,7 @@ class View:
         """Refuse options that would have no effect."""
         changed = self.arguments.changed()
         usual = vars(View())
-        given = {name for name, value in vars(self).items() if value != usual[name]}
-        inputs = vars(self.inputs)
-        given.update(changed, filter(inputs.get, inputs))
+        values = vars(self) | vars(self.inputs) | dict.fromkeys(changed, "given")
         problems = dict.fromkeys(("session", "keys"), "needs --live")
         if self.html is not None:
             problems |= dict.fromkeys(
@@ -143,7 +141,7 @@ class View:
             chosen = "needs a recording: the service's client chooses it"
             problems |= dict.fromkeys(("person", *changed), chosen)
         for name, problem in problems.items():
-            if name in given:
+            if values[name] != usual.get(name):
                 option = f"--{name.removeprefix('--')}"
                 raise InvalidInputError(problem, argument=option)
 

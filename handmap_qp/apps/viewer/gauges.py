@@ -154,8 +154,7 @@ class InstantGauges:
         """
         robot = self._robot
         sample, *others = samples[:2]
-        low = robot.lower_limits
-        high = robot.upper_limits
+        low, high = robot.limits
         q = sample.robot_q
         postures = [q, robot.rest, *(other.robot_q for other in others)]
         shares = 100.0 * np.clip((postures - low) / (high - low), 0.0, 1.0)

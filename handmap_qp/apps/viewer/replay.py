@@ -76,6 +76,7 @@ class Replay:
         self.time = self._time - self._time[0]
         self.switches: dict[int, bool] = {}
         self._robot = robot
+        self._first = human.hands[0], robot.hands[0]
         self.other: Variant | None = None
         self.compared = NOTHING
         self.remap(choice)
@@ -98,15 +99,14 @@ class Replay:
     @property
     def presets(self) -> Names:
         """The presets that these hands can be mapped with."""
-        return possible_presets(self.human.hands[0], self._robot.hands[0])
+        return possible_presets(*self._first)
 
     def preset(self, name: str) -> Choice:
         """Return a preset with its own options, the measured contact gap and alignment."""
-        choice = preset_choice(name, self.human.hands[0])
+        human, robot = self._first
+        choice = preset_choice(name, human)
         upright = self._recording.upright
-        return choice.with_changes(
-            found_alignment(choice.method, self._robot.hands[0], upright)
-        )
+        return choice.with_changes(found_alignment(choice.method, robot, upright))
 
     def options_text(self) -> str:
         """Return the text of a file with the options in force."""
