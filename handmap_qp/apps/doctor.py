@@ -55,13 +55,13 @@ def versions() -> dict[str, str]:
     And which path runs: the compiled core, or Python, and why.
     """
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
-    own = {
+    return {
         _PACKAGE: __version__,
         "python": sys.version.split()[0],
         "system": system,
         "core": description,
+        **{name: _version(name) for name in _CORE.split()},
     }
-    return own | {name: _version(name) for name in _CORE.split()}
 
 
 def extras() -> dict[str, str]:

@@ -216,5 +216,9 @@ class Recorder(Sink):
 
     def summary(self) -> Values:
         """Return the file, counts, and what the file cannot hold."""
-        counts = {"recorded": len(self._samples), "not_in_order": self._disordered}
-        return counts | {"record": str(self.file), "lost": ", ".join(self._lost)}
+        return {
+            "recorded": len(self._samples),
+            "not_in_order": self._disordered,
+            "record": str(self.file),
+            "lost": ", ".join(self._lost),
+        }

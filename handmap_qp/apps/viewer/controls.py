@@ -7,7 +7,8 @@ carries out, so that mapping and drawing happen in one thread.
 import math
 import time
 from collections import namedtuple
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -77,6 +78,23 @@ def say(handle: Any, said: str | HandmapError | None) -> None:
     text = f"**Not possible:** {said}" if isinstance(said, HandmapError) else said or ""
     handle.visible = text != ""
     handle.content = text
+
+
+@contextmanager
+def reporting(handle: Any, said: str) -> Iterator[None]:
+    """Show a message while the block runs, and afterwards only why it was not possible.
+
+    Args:
+        handle: As of `say`.
+        said: The message.
+    """
+    say(handle, said)
+    failure = None
+    try:
+        yield
+    except HandmapError as error:
+        failure = error
+    say(handle, failure)
 
 
 @dataclass
@@ -439,13 +457,8 @@ class Window:
             name: `options.yaml`, `handmap.png` or `handmap.html`.
             client: The browser's handle of viser.
         """
-        said: str | HandmapError = ""
-        say(self._saving, f"writing {name} …")
-        try:
+        with reporting(self._saving, f"writing {name} …"):
             client.send_file_download(name, self._files[name](client))
-        except HandmapError as error:
-            said = error
-        say(self._saving, said)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
         """Show these robots."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Hand, Names, Side, Values
 from handmap_qp.human import HumanMotion, Recording
 from handmap_qp.mapping import (
@@ -22,7 +22,7 @@ from handmap_qp.mapping import (
     surface,
 )
 from handmap_qp.stream import Follower, RobotFollower, follow_recording, paired
-from .controls import KEPT, NOTHING, PlayBar, SteeringControls, Window, say
+from .controls import KEPT, NOTHING, PlayBar, SteeringControls, Window, reporting
 from .page import make_page
 from .sample import Variant, ViewSample
 from .serving import ViserServer
@@ -313,14 +313,9 @@ class ReplayViewer(Window):
     def _map_pending(self) -> None:
         """Map as requested, and show why if that is not possible."""
         while self._pending:
-            say(self.steering.message, "mapping …")
-            # The request stays pending if this fails (`skip_wakeup_race`).
-            self.server.flush()
-            try:
+            with reporting(self.steering.message, "mapping …"):
+                # The request stays pending if this fails (`skip_wakeup_race`).
+                self.server.flush()
                 self._pending.pop(0)()
-            except HandmapError as error:
-                say(self.steering.message, error)
-            else:
-                say(self.steering.message, None)
                 self.set_variants(self.replay.variants)
             self.steering.show_compared(self.replay.compared)

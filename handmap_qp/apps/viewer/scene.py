@@ -241,8 +241,8 @@ class BrowserCameras:
             width / max(columns - 2 * _MARGIN, 50),
             height / max(rows - _NAMES - 2 * _MARGIN, 50),
         )
-        distance = 0.5 * pixel * rows / np.tan(0.5 * _FIELD_OF_VIEW) + 0.25 * depth
-        return float(distance), float(-0.5 * _NAMES * pixel)
+        distance = 0.5 * pixel * rows / math.tan(0.5 * _FIELD_OF_VIEW) + 0.25 * depth
+        return distance, -0.5 * _NAMES * pixel
 
 
 def _look(camera: Any, view: tuple[float, float], direction: Array) -> None:
