@@ -299,7 +299,11 @@ def draw_plot(
     ]
     # The first line is drawn last, over the others.
     for (_, colour, _), row in reversed(list(zip(lines, y, strict=True))):
-        parts.append(f'<path d="{_path(x, row)}" fill="none" stroke="{colour}"/>')
+        # Interrupted where there are no values.
+        runs = np.ma.clump_unmasked(np.ma.masked_invalid(row))
+        points = [map("{:.1f} {:.1f}".format, x[run], row[run]) for run in runs]
+        path = "".join(f"M{'L'.join(run)}" for run in points)
+        parts.append(f'<path d="{path}" fill="none" stroke="{colour}"/>')
     svg = "".join(parts)
     html = (
         '<div style="padding:4px 14px 0;font-size:11px"><b style="font-weight:600">'
@@ -309,14 +313,6 @@ def draw_plot(
         f'stroke-width="2"/></g></svg></div>'
     )
     return html + legend([line[:2] for line in lines])
-
-
-def _path(x: Array, y: Array) -> str:
-    """Return a line through points (n,) as SVG, interrupted where y is NaN."""
-    known = np.ma.clump_unmasked(np.ma.masked_invalid(y))
-    return "".join(
-        "M" + "L".join(map("{:.1f} {:.1f}".format, x[run], y[run])) for run in known
-    )
 
 
 def error_plot(

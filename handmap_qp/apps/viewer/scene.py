@@ -103,8 +103,7 @@ class HandScene:
         first = variants[0]
         wrist = first.samples[0].human_wrist
         if self._people and wrist is not None:
-            palm = wrist @ self._people[0][1].hand.wrist_to_palm
-            upright = palm[:3, :3].T
+            upright = (wrist @ self._people[0][1].hand.wrist_to_palm)[:3, :3].T
             if first.robot.parts:
                 upright = _FRONT @ rotation_of(_alignment(first))
             for figure in chain(*self._people):
@@ -265,8 +264,8 @@ def _robot_axes(variant: Variant, upright: Array | None) -> Array:
         return _FRONT
     alignment = _alignment(variant)
     if upright is None or alignment == "palm":
-        palm = variant.samples[0].robot_wrist @ variant.robot.wrist_to_palm
-        return palm[:3, :3].T
+        wrist = variant.samples[0].robot_wrist
+        return (wrist @ variant.robot.wrist_to_palm)[:3, :3].T
     return upright @ rotation_of(alignment).T
 
 
