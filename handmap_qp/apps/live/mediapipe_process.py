@@ -114,8 +114,10 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     import cv2
 
     is_file = arguments.video is not None
-    source = str(arguments.video) if is_file else arguments.camera
-    name = f"{'video' if is_file else 'camera'} {source}"
+    kind, source = "camera", arguments.camera
+    if is_file:
+        kind, source = "video", str(arguments.video)
+    name = f"{kind} {source}"
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         _stop(f"{name} cannot be read")

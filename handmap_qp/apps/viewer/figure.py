@@ -289,15 +289,12 @@ class HandFigure(Figure):
         self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
         self._links: Values = {}
         self._corners: Arrays = {}
-        # The view is fitted to no arm, nor to what a robot does not move.
-        is_moved = hand.is_floating or not hand.has_moving_wrist
         for link, meshes in link_meshes(hand).items():
             path = f"/{node}/body/{link}"
             self._links[link] = server.scene.add_frame(path, show_axes=False)
             for i, mesh in enumerate(meshes):
                 server.scene.add_mesh_trimesh(f"{path}/{i}", mesh)
-            is_in_view = carrier_of(hand, link) > 0 if hand.parts else is_moved
-            if is_in_view:
+            if self._is_in_view(link):
                 box = box_of(np.vstack([mesh.bounds for mesh in meshes]))
                 padded = box + _OUTWARDS * _PADDING
                 self._corners[link] = padded[_UNIT_BOX, range(3)]
@@ -342,6 +339,12 @@ class HandFigure(Figure):
             placed = inverse_pose(poses[0]) @ poses
             for node, pose in zip(self._links.values(), placed, strict=True):
                 _place(node, pose)
+
+    def _is_in_view(self, link: str) -> bool:
+        """Return whether the view is fitted to a link: no arm, nor what a robot does not move."""
+        if self.hand.parts:
+            return carrier_of(self.hand, link) > 0
+        return self.hand.is_floating or not self.hand.has_moving_wrist
 
     def _boxes(self, q: Array, wrist: Array) -> Array:
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
