@@ -76,9 +76,8 @@ class Trajectory:
     @property
     def limit_violation(self) -> float:
         """Largest excess over a position limit [rad or m]; 0 if all limits hold."""
-        robot = self.robot
-        outside = np.maximum(robot.lower_limits - self.q, self.q - robot.upper_limits)
-        return outside.max(initial=0.0)
+        outside = self.q - np.clip(self.q, *self.robot.limits)
+        return np.abs(outside).max(initial=0.0)
 
     @property
     def columns(self) -> Arrays:
@@ -104,7 +103,7 @@ class Trajectory:
             "all_q": robot.all_joints(self.q),
             "versions": np.array(package_versions()),
             **{
-                f"wrist_{hand.spec.side}": np.array(
+                f"wrist_{hand.side}": np.array(
                     [hand.frame_pose("wrist", q) for q in self.q]
                 )
                 for hand in robot.parts
@@ -148,38 +147,20 @@ def map_recording(
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
     follower = Follower(mapper)
-    if is_guarded and recording.object_shape:
-        followed = follow_recording(follower, recording, wrist_poses)
-        return _with_object(mapper.robot, recording.time, followed, progress)
-    if is_guarded:
+    if not is_guarded:
+        samples = recording_samples(recording, wrist_poses)
+        steps = (
+            follower.map(mapper.landmarks.read(sample.landmarks, sample.wrist)[0], dt)
+            if sample.valid
+            else None
+            for sample, dt in zip(samples, recording.steps, strict=True)
+        )
+    elif recording.object_shape:
+        steps = follow_recording(follower, recording, wrist_poses)
+    else:
         table = follower.map_samples(sample_columns(recording, wrist_poses), progress)
         return _trajectory(mapper.robot, recording.time, table)
-    samples = recording_samples(recording, wrist_poses)
-    steps = (
-        follower.map(mapper.landmarks.read(sample.landmarks, sample.wrist)[0], dt)
-        if sample.valid
-        else None
-        for sample, dt in zip(samples, recording.steps, strict=True)
-    )
     return trajectory_of(mapper.robot, recording.time, steps, progress)
-
-
-def _with_object(
-    robot: Hand, time: Array, steps: Iterator[MapStep], progress: Told
-) -> Trajectory:
-    """Collect steps, and where they have the robot's object."""
-    poses = []
-
-    def noted(step: MapStep) -> MapStep:
-        poses.append(step.diagnostics.get("object_pose"))
-        return step
-
-    made = trajectory_of(robot, time, map(noted, steps), progress)
-    is_known = np.array([pose is not None for pose in poses])
-    if not is_known.any():
-        return made
-    placed = [poses[i] for i in held_samples(is_known)]
-    return replace(made, object_pose=np.array(placed))
 
 
 def trajectory_of(
@@ -203,13 +184,19 @@ def trajectory_of(
         InvalidInputError: If no sample is followed.
     """
     table = StepTable(robot, len(time))
+    objects = np.full((len(time), 4, 4), np.nan)
     for i in range(len(time)):
         started = thread_time()
         if (step := next(mapped)) is not None:
             table.write(i, step, thread_time() - started)
+            objects[i] = step.diagnostics.get("object_pose", np.nan)
         if progress is not None:
             progress(i + 1)
-    return _trajectory(robot, time, table)
+    made = _trajectory(robot, time, table)
+    is_known = np.isfinite(objects[:, 0, 0])
+    if not is_known.any():
+        return made
+    return replace(made, object_pose=objects[held_samples(is_known)])
 
 
 def _trajectory(
