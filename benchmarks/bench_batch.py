@@ -15,7 +15,7 @@ import shutil
 import tempfile
 from argparse import Namespace
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -153,7 +153,7 @@ def measure(folder: Path, options: JobOptions, frames: int) -> dict[str, Any]:
     }
 
 
-def stage_times(jobs: tuple[Job, ...]) -> dict[str, float]:
+def stage_times(jobs: Sequence[Job]) -> dict[str, float]:
     """Return the mean CPU time of every stage of a job [s]; the median over recordings."""
     times: list[dict[str, float]] = []
     for job in jobs:

@@ -11,6 +11,7 @@ from pathlib import Path
 from handmap_qp.apps.datasets.batch import Tally, plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import SERIAL, Engine
 from handmap_qp.apps.datasets.sources import Job, JobOptions
+from handmap_qp.apps.datasets.workers import time_limit
 from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats import (
     Source,
@@ -65,6 +66,7 @@ def die_at_once() -> None:
     os._exit(1)
 
 
+@time_limit(1.0)
 def list_or_die(path: Path) -> tuple[tuple[Source, ...], str]:
     """List a file, unless its name says to crash or to loop for ever."""
     if path.stem == "crash":

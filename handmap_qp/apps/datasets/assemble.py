@@ -27,9 +27,17 @@ from .episodes import read_episode
 from .manifest import Line
 from .sources import BOTH
 
-WRIST_NAMES = tuple(f"wrist_{name}" for name in ["x", "y", "z", "qw", "qx", "qy", "qz"])
+WRIST_NAMES = (
+    "wrist_x",
+    "wrist_y",
+    "wrist_z",
+    "wrist_qw",
+    "wrist_qx",
+    "wrist_qy",
+    "wrist_qz",
+)
 """Names of the wrist's position [m] and quaternion in the state."""
-_NO_WRIST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+_NO_WRIST = np.eye(7)[3]
 Robots = Mapping[str, Hand]
 """Robot hands by side, or a robot with two hands by `BOTH`."""
 
@@ -87,7 +95,7 @@ def state_names(hands: Robots) -> Names:
         before = f"{side}_" if len(hands) > 1 else ""
         names += [before + name for name in hand.joint_names]
         for part in hand.hands:
-            before = f"{part.spec.side}_" if hand.parts else before
+            before = f"{part.side}_" if hand.parts else before
             names += [before + name for name in WRIST_NAMES]
     return tuple(names)
 

@@ -141,7 +141,7 @@ class Batch:
         robots: dict[str, str] = {}
         for name in self.robot:
             robot = load_whole(name, self.arguments.robot_points)
-            side = BOTH if robot.parts else robot.spec.side
+            side = BOTH if robot.parts else robot.side
             got = f"{robots.get(side)} and {name}, both {side}"
             expect(side not in robots, "--robot", "one robot for each side", got=got)
             robots[side] = name
@@ -226,7 +226,7 @@ class Plan:
         repeated: Paths that lead to files and folders which others had led to.
     """
 
-    jobs: tuple[Job, ...]
+    jobs: Sequence[Job]
     done: Sequence[Line]
     left_alone: Sequence[Line]
     damaged: Sequence[Line] = ()
@@ -288,10 +288,9 @@ def plan_batch(
         InvalidInputError: If an input cannot be used, or the folder not be written.
         HandError: If a robot cannot be loaded.
     """
-    digest = options.digest
     make_folder(folder / "episodes", "--out")
     files, repeated = find_files(inputs, folder)
-    listed = list_jobs(files, folder, options, digest, shard)
+    listed = list_jobs(files, folder, options, shard)
     state = read_manifests(folder)
     if shard == WHOLE:
         # What is torn was being written when a batch was killed; shards may be writing now.
@@ -315,7 +314,7 @@ def plan_batch(
         else:
             tried = structs.replace(job.line, kills=line.kills)
             jobs.append(replace(job, line=tried))
-    return Plan(tuple(jobs), done, left_alone, damaged, repeated)
+    return Plan(jobs, done, left_alone, damaged, repeated)
 
 
 def run_batch(

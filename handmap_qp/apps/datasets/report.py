@@ -284,7 +284,7 @@ def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[P
         if own:
             robot = load_whole(name)
             figure = contact_sheet(
-                [(robot.name, robot)], own, side=robot.spec.side, title="worst episodes"
+                [(robot.name, robot)], own, side=robot.side, title="worst episodes"
             )
             files.append(out / f"worst_{robot.name}.png")
             figure.savefig(files[-1], dpi=100)
@@ -301,10 +301,8 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     is_kept = np.array([episode.is_kept for episode in quality.episodes])
     rows = -(-len(shown) // _COLUMNS)
     figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained")
-    grid = figure.subplots(rows, _COLUMNS, squeeze=False)
-    for axes in grid.flat[len(shown) :]:
-        axes.set_axis_off()
-    for axes, (measure, values) in zip(grid.flat, shown.items(), strict=False):
+    for i, (measure, values) in enumerate(shown.items()):
+        axes = figure.add_subplot(rows, _COLUMNS, i + 1)
         low = np.nanmin(values)
         high = np.nanmax(values)
         # NaN is in no bin.
@@ -319,8 +317,8 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
         axes.locator_params("y", integer=True)
         # Numbers that are nearly the same have long labels.
         axes.locator_params("x", nbins=4)
-    for axes in grid[:, 0]:
-        axes.set_ylabel("episodes")
+        if i % _COLUMNS == 0:
+            axes.set_ylabel("episodes")
     left_out = len(is_kept) - quality.kept
     figure.suptitle(f"{quality.kept} episodes kept, {left_out} left out (red)")
     figure.savefig(file)

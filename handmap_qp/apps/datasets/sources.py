@@ -23,7 +23,7 @@ from handmap_qp.trackers.formats import (
     list_sources,
 )
 from .manifest import WHOLE, Line, Shard
-from .workers import each_apart
+from .workers import each_apart, time_limit
 
 PATIENCE = 30.0
 """Longest time for listing an HDF5 file [s]."""
@@ -142,7 +142,6 @@ def list_jobs(
     files: Mapping[str, Path],
     folder: Path,
     options: JobOptions,
-    digest: str = "",
     shard: Shard = WHOLE,
 ) -> list[Job]:
     """List the recordings of files, the longest first.
@@ -154,7 +153,6 @@ def list_jobs(
         files: The files by name.
         folder: Folder of the batch.
         options: What all jobs have in common.
-        digest: Digest of these options.
         shard: Which part of how many, counted from 1. A part has the files whose names fall to it,
             so that parts do not depend on each other.
 
@@ -164,9 +162,10 @@ def list_jobs(
     part, parts = shard
     own = [name for name in files if zlib.crc32(name.encode()) % parts == part - 1]
     risky = [name for name in own if files[name].suffix.lower() in hdf5.SUFFIXES]
-    apart = each_apart(_listing, [files[name] for name in risky], PATIENCE)
+    apart = each_apart(_listing, [files[name] for name in risky])
     listings = dict(zip(risky, apart, strict=True))
     jobs = []
+    digest = options.digest
     is_whole = BOTH in options.robots
     for name in own:
         path = files[name]
@@ -197,6 +196,7 @@ def list_jobs(
     return sorted(jobs, key=lambda job: (-job.line.frames, job.line.key))
 
 
+@time_limit(PATIENCE)
 def _listing(path: Path) -> tuple[tuple[Source, ...], str]:
     """Return the recordings of a file, and why it cannot be listed."""
     try:

@@ -83,18 +83,15 @@ def started_pool(count: int) -> Iterator[ProcessPoolExecutor]:
     )
 
 
-def each_apart(
-    call: Callable[[Any], Any], items: Sequence[Any], patience: float
-) -> list[Any]:
+def each_apart(call: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
     """Call a function on each item in a process of its own, which an item may crash or hold.
 
     Args:
-        call: The function; it must not raise.
+        call: The function; it must not raise. `time_limit` ends one that takes too long.
         items: What to call it on.
-        patience: Longest time for one item [s].
 
     Returns:
-        The results in order; None for an item on which the process died or took longer.
+        The results in order; None for an item on which the process died.
 
     Raises:
         InvalidInputError: If the process does not start.
@@ -104,12 +101,7 @@ def each_apart(
         with started_pool(1) as pool:
             try:
                 for item in items[len(found) :]:
-                    found.append(pool.submit(_timed, call, item, patience).result())
+                    found.append(pool.submit(call, item).result())
             except BrokenProcessPool:
                 found.append(None)
     return found
-
-
-def _timed(call: Callable[[Any], Any], item: Any, patience: float) -> Any:
-    with time_limit(patience):
-        return call(item)
