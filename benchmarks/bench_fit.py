@@ -108,7 +108,7 @@ def optimum_of(
 
 def local_landmarks(fitter: LandmarkFitter, landmarks: np.ndarray) -> np.ndarray:
     """Return a sample as the fitter sees it, in wrist axes [m], shape (21, 3)."""
-    wrist = rigid_fit(fitter._palm.points, landmarks[PALM])
+    wrist = rigid_fit(fitter.palm.points, landmarks[PALM])
     return (landmarks - wrist[:3, 3]) @ wrist[:3, :3]
 
 

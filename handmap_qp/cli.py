@@ -213,7 +213,7 @@ def parse(arguments: Sequence[str]) -> Command:
     rest = [
         re.sub(r"^--teleoperation\.", "--", word) for word in words[len(name.split()) :]
     ]
-    about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0]
+    about = inspect.cleandoc(command.__doc__).partition("\nAttributes:")[0]
     page = _Page(sys.stdout)
     message = _Page(sys.stderr)
     try:

@@ -15,7 +15,13 @@ from handmap_qp.errors import expect
 from handmap_qp.hands import FINGERS, HumanLengths, Side, load_hand
 from handmap_qp.ik import LENGTH_UNIT
 from handmap_qp.ik.nearest_posture import nearest_posture
-from handmap_qp.se3 import Array, as_floats, rigid_fit
+from handmap_qp.se3 import (
+    Array,
+    as_floats,
+    inverse_pose,
+    rigid_fit,
+    transform_points,
+)
 from handmap_qp.se3 import lengths as norms
 from .measure import measure_hand
 from .recording import HumanMotion, Recording
@@ -30,7 +36,7 @@ _REST_WEIGHT = 0.02
 """Pull of each joint to its rest angle, per rad: decides what the landmarks do not."""
 _STUCK_COST = 2.0
 """Cost of a finger above which its abduction at a limit is not believed: errors of 5 mm."""
-_FIRST_SHARES = ([0.0] * 4, [0.4] * 4, [0.8] * 4, [0.0, 0.0, 0.0, 0.8])
+_FIRST_SHARES = (0.0, 0.4, 0.8, [0.0, 0.0, 0.0, 0.8])
 """Starts of a first fit: shares of the way of a finger's joints from rest to their upper limits."""
 _SHAPE = (len(FINGERS), 4)
 """Fingers, and joints of each."""
@@ -48,6 +54,7 @@ class LandmarkFitter:
 
     Attributes:
         human: The human hand, its reference points the 21 landmarks.
+        palm: Its palm.
 
     Raises:
         InvalidInputError: If the side is unknown, or `lengths` is something else.
@@ -59,9 +66,9 @@ class LandmarkFitter:
         self.human = human = load_hand(
             human_name(side), points="landmarks", lengths=lengths
         )
-        self._palm = PalmShape(human)
+        self.palm = PalmShape(human)
         # Joints are in the order of `HUMAN_JOINTS`: by finger, from its base outwards.
-        limits = human.lower_limits, human.upper_limits, human.rest
+        limits = *human.limits, human.rest
         self._lower, self._upper, self._rest = (q.reshape(_SHAPE) for q in limits)
         self._q: Array | None = None
 
@@ -81,10 +88,10 @@ class LandmarkFitter:
         """
         shape = (LANDMARK_COUNT, 3)
         landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
-        self._palm.check(landmarks)
-        wrist = rigid_fit(self._palm.points, landmarks[PALM])
+        self.palm.check(landmarks)
+        wrist = rigid_fit(self.palm.points, landmarks[PALM])
         # In wrist axes the fingers alone move.
-        local = (landmarks - wrist[:3, 3]).dot(wrist[:3, :3])
+        local = transform_points(inverse_pose(wrist), landmarks)
         postures, costs = map(np.array, zip(*self._fits(local), strict=True))
         self._q = postures[costs.argmin(axis=0), _EACH]
         q = self._q.flatten()
@@ -98,7 +105,7 @@ class LandmarkFitter:
         """
         if self._q is None:
             way = self._upper - self._rest
-            starts = [self._rest + share * way for share in _FIRST_SHARES]
+            starts = [self._rest + way * share for share in _FIRST_SHARES]
             return [self._nearest(start, local) for start in starts]
         q, cost = self._nearest(self._q, local)
         is_at_limit = (q <= self._lower) | (q >= self._upper)
@@ -140,7 +147,7 @@ def fit_recording(
     lengths = lengths or measure_hand(recording)
     fitter = LandmarkFitter(recording.side, lengths)
     valid = recording.valid.copy()
-    valid[valid] = PalmShape(fitter.human).fits(recording.landmarks[valid])
+    valid[valid] = fitter.palm.fits(recording.landmarks[valid])
     expect(
         valid.any(),
         "landmarks",

@@ -229,11 +229,10 @@ def palm_sizes(palms: Array) -> Array:
     return np.sqrt(np.vecdot(offsets, offsets).mean(axis=-1))
 
 
-_RULES = Path(__file__).with_name("rules.json")
 Rule = str
 """Name of what is wrong with a sample, one of `RULES`; empty if nothing is."""
 
-RULES: dict[Rule, str] = json.loads(_RULES.read_bytes())
+RULES: dict[Rule, str] = json.loads(Path(__file__).with_name("rules.json").read_bytes())
 """The rules, in words (`rules.json`); `RULE_NAMES` of `stream.step_table` has the same order."""
 
 UNPROVEN_SPEED = 0.25

@@ -113,13 +113,13 @@ class Map:
         robots = [self.arguments.load_robot(name) for name in self.robots or ()]
         for robot, side in zip(robots, SIDES, strict=True):
             expect(
-                robot.spec.side == side,
+                robot.side == side,
                 "--robots",
                 "a left hand, then a right hand",
-                got=f"{robot.name}, a {robot.spec.side} one",
+                got=f"{robot.name}, a {robot.side} one",
             )
         hands = self.inputs.read_both(self.recordings, self.person, mirror=self.mirror)
-        return [(robot, [hands[robot.spec.side]]) for robot in robots]
+        return [(robot, [hands[robot.side]]) for robot in robots]
 
     def _out(self, recording: Recording, robot: Hand) -> Path:
         """Check the file to write."""

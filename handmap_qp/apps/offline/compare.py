@@ -252,7 +252,7 @@ def _takes(
     say: Progress,
 ) -> list[Take]:
     """Read all recordings before any is prepared."""
-    side = robot.spec.side
+    side = robot.side
     # All methods, of others too, are given the robot's world, and are measured there.
     recordings = [
         in_world_of(robot, request.inputs.read(file, side))
@@ -343,7 +343,7 @@ def _table(
 
 
 def _mirrored(robot: Hand) -> str:
-    return f"mirrored, because {robot.name} is a {robot.spec.side} hand"
+    return f"mirrored, because {robot.name} is a {robot.side} hand"
 
 
 def _palm(take: Take) -> str:
@@ -414,7 +414,7 @@ def draw_poses(file: Path, comparison: Comparison) -> list[str]:
         figure = contact_sheet(
             [(method, comparison.robot) for method in drawn[side_by_side]],
             [replace(row, q=row.q[side_by_side]) for row in rows],
-            side=comparison.robot.spec.side,
+            side=comparison.robot.side,
             title=comparison.robot.name,
             footnote=footnote,
         )
@@ -422,7 +422,7 @@ def draw_poses(file: Path, comparison: Comparison) -> list[str]:
         canvas.draw()
         bands.append(np.asarray(canvas.buffer_rgba())[..., :3])
     # One below the other, on white.
-    width = max(band.shape[1] for band in bands)
+    width = bands[0].shape[1]
     padded = [
         np.pad(band, ((0, 0), (0, width - band.shape[1]), (0, 0)), constant_values=255)
         for band in bands

@@ -273,9 +273,9 @@ def compare_methods(
     check_names("methods", names)
     for take in takes:
         expect(
-            take.recording.side == robot.spec.side,
+            take.recording.side == robot.side,
             "takes",
-            f"a {robot.spec.side} hand, as {robot.name} is",
+            f"a {robot.side} hand, as {robot.name} is",
             got=f"{take.name} ({take.recording.side})",
             advice="prepare_take mirrors it",
         )
@@ -383,7 +383,7 @@ def _map_outside(
         given = Path(temporary) / f"{take.name}.npz"
         made = Path(temporary) / "made.npz"
         NpzFormat().write([replace(recording, wrist=None)], given)
-        _call(folder, "run", listed.name, hand, str(given), str(made))
+        _call(folder, "run", listed.name, hand, given, made)
         try:
             values = read_archive(made)
             shape = (count, len(robot.joint_names))
@@ -399,9 +399,9 @@ def _map_outside(
     return RobotMotion(q, wrist, step_time, listed.about)
 
 
-def _call(folder: Path, *words: str) -> str:
+def _call(folder: Path, *words: str | Path) -> str:
     """Run the program and return its stdout."""
-    command = [sys.executable, str(folder / PROGRAM), *words]
+    command = [sys.executable, folder / PROGRAM, *words]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:

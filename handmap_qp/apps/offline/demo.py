@@ -78,14 +78,14 @@ def run_demo(name: str, directory: Path, progress: Told = None) -> Trajectory:
     """
     matplotlib = require_matplotlib()
     robot = load_hand(name)
-    recording = read_recording(DEMO, robot.spec.side)
+    recording = read_recording(DEMO, robot.side)
     person = measure_person(recording)
     with output_folder(directory) as folder:
         _, trajectory, *_ = map_hands(
             [recording], robot, person, MappingArguments(), progress
         )
         save_npz(folder / "trajectory.npz", trajectory.all_columns)
-        columns = [(trajectory.robot.name, trajectory.robot, trajectory.q)]
+        columns = [(robot.name, robot, trajectory.q)]
         save_contact_sheet(
             folder / "gestures.png", recording, find_poses(recording), columns
         )

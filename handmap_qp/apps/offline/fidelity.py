@@ -232,8 +232,7 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
     It is taken over all samples and thumb-finger pairs in which the human's tips are less than
     80 mm apart; NaN with fewer than three.
     """
-    pairs = np.array([[*pinch_gaps(hand).values()] for hand in (human, robot)])
-    pairs = pairs.reshape(2, -1)
+    pairs = np.array([np.ravel([*pinch_gaps(h).values()]) for h in (human, robot)])
     pairs = pairs[:, pairs[0] < NEAR]
     if pairs.shape[1] < 3 or not np.ptp(pairs, axis=1).all():
         return np.nan
@@ -276,7 +275,7 @@ def joint_metrics(
     human_q: Array | None,
 ) -> Values:
     """Compare joints with their limits, and their jerk with the fitted human's."""
-    outside = np.maximum(hand.lower_limits - q, q - hand.upper_limits).max(axis=1)
+    outside = np.abs(q - np.clip(q, *hand.limits)).max(axis=1)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None] / hand.velocity_limits
     moving = counts[1:] & counts[:-1]
     found: Values = {"outside_limits": (outside > _LIMIT_TOLERANCE)[counts].mean()}

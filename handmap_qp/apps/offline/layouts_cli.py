@@ -116,8 +116,8 @@ def _facts(layout: Layout) -> Values:
             own if layout.has_wrist else "given beside the values",
             *(
                 f"{side}: fingers along {axes.distal}, back of the hand along {axes.dorsal}"
-                for side, axes in (("right", wrist.right), ("left", wrist.left))
-                if axes is not None
+                for side in ("right", "left")
+                if (axes := getattr(wrist, side)) is not None
             ),
         ]
         facts["quaternions"] = getattr(table, "quaternion", wrist.quaternion)

@@ -16,6 +16,7 @@ smoothing (`SMOOTH_IK`).
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -79,10 +80,9 @@ def look_ahead(recording: Recording, options: LookAhead = LookAhead()) -> Record
     time = recording.time
     valid = recording.valid
     filled = valid.copy()
-    for gap in stretches(~valid):
-        is_inside = gap.start > 0 and gap.stop < len(time)
-        if is_inside and time[gap.stop] - time[gap.start - 1] <= options.longest_gap:
-            filled[gap] = True
+    for last, following in pairwise(np.flatnonzero(valid)):
+        if time[following] - time[last] <= options.longest_gap:
+            filled[last:following] = True
     landmarks = recording.landmarks.copy()
     for part in stretches(filled):
         if valid[part].sum() < 3:

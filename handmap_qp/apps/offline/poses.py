@@ -63,8 +63,7 @@ def measure_posture(landmarks: Array) -> Posture:
     # Chains of wrist, MCP, PIP, DIP and tip.
     chains = [[0, *range(first, first + 4)] for first in (5, 9, 13, 17)]
     bones = np.diff(points[:, chains], axis=2)
-    sizes = lengths(bones)
-    bones[~((sizes > 0.0) & (sizes < np.inf))] = np.nan
+    bones[np.isin(lengths(bones), (0.0, np.inf))] = np.nan
     flexion = angles_between(bones[:, :, 1:], bones[:, :, :-1]).sum(axis=2)
     # On both hands, the normal is such that the little finger's side is the positive one.
     normal = np.cross(bones[:, 0, 0], bones[:, 3, 0])
@@ -159,6 +158,6 @@ def _held(scores: Array, time: Array) -> Array:
     for i in np.flatnonzero(scores):
         before = scores[first[i] : i + 1]
         shown = before[before > 0.0]
-        is_held = len(shown) == len(before) and time[i] - time[0] >= HOLD
+        is_held = before.all() and time[i] - time[0] >= HOLD
         held[i] = shown.min() * (1.0 if is_held else 0.5)
     return held
