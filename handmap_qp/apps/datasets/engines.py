@@ -108,11 +108,10 @@ class Engine(NamedTuple):
                     return
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
                     jobs = flying.pop(future)
-                    lines = _result(future, workers.death)
-                    if lines is None:
+                    try:
+                        yield from _lines(future)
+                    except workers.death:
                         suspects.extend(jobs)
-                    else:
-                        yield from lines
 
     def _try_alone(self, suspects: deque[Job], is_stopped: Asked) -> Iterator[Line]:
         """Run jobs whose worker may have died over them one at a time, until one dies."""
@@ -123,12 +122,10 @@ class Engine(NamedTuple):
                 kills = job.line.kills + 1
                 line = structs.replace(job.line, status="killed", kills=kills)
                 yield structs.replace(line, error=f"try {kills} has not ended")
-                lines = None
-                with suppress(workers.death):
-                    lines = _result(workers.submit((job,)), workers.death)
-                if lines is None:
+                try:
+                    yield from _lines(workers.submit((job,)))
+                except workers.death:
                     break
-                yield from lines
             else:
                 return
         remove_torn(job.folder / job.out)
@@ -203,15 +200,13 @@ def ray_engine(most: int) -> Engine:
     return Engine(start, most)
 
 
-def _result(future: Work, death: type[Exception]) -> Sequence[Line] | None:
-    """Return the lines of a group; None if its worker has died."""
+def _lines(future: Work) -> Sequence[Line]:
+    """Return the lines of a group; raises `Workers.death` if its worker has died."""
     try:
         return future.result()
     except HandmapError as error:
         # Ray's own class of it has the worker's traceback in its text.
         raise getattr(error, "cause", error) from None
-    except death:
-        return None
 
 
 def _next_group(waiting: deque[Job], workers: int) -> Group:
