@@ -402,18 +402,19 @@ def draw_poses(file: Path, comparison: Comparison) -> list[str]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     footnote = f"Not shown: {', '.join(missing)}." if missing else ""
-    rows = []
-    for pose, (take, index) in shown.items():
-        recording = take.recording
-        (row,) = sheet_rows(recording, {pose: index}, [q[m, take] for m in drawn])
-        name = recording.name.replace("_", " ").removesuffix(f" {recording.side}")
-        rows.append(replace(row, note=f"{name}\n{row.note}"))
     bands = []
     for first in range(0, len(drawn), _BAND):
-        side_by_side = slice(first, first + _BAND)
+        methods = drawn[first : first + _BAND]
+        rows = []
+        for pose, (take, index) in shown.items():
+            recording = take.recording
+            motions = [q[method, take] for method in methods]
+            (row,) = sheet_rows(recording, {pose: index}, motions)
+            name = recording.name.replace("_", " ").removesuffix(f" {recording.side}")
+            rows.append(replace(row, note=f"{name}\n{row.note}"))
         figure = contact_sheet(
-            [(method, comparison.robot) for method in drawn[side_by_side]],
-            [replace(row, q=row.q[side_by_side]) for row in rows],
+            [(method, comparison.robot) for method in methods],
+            rows,
             side=comparison.robot.side,
             title=comparison.robot.name,
             footnote=footnote,
