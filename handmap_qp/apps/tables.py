@@ -41,14 +41,20 @@ def progress(what: str, total: int | None = None) -> Iterator[Any]:
 
 
 def print_result(
-    document: Any, tables: Mapping[str, list[Row]], *, as_json: bool
+    document: Any,
+    tables: Mapping[str, list[Row]],
+    files: Iterable[Any] = (),
+    *,
+    as_json: bool,
 ) -> None:
-    """Print a result as JSON, or its tables: rows by title."""
+    """Print a result as JSON, or its tables: rows by title; and files that were written."""
     if as_json:
         print(json.dumps(document, allow_nan=False))
         return
     for title, rows in tables.items():
         print_rows(title, rows)
+    for file in files:
+        print(f"wrote {file}")
 
 
 def rows_of(columns: Mapping[str, Iterable[Any]]) -> list[Row]:

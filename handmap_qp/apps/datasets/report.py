@@ -82,9 +82,7 @@ class Report:
             ],
             "Worst episodes": document["worst"],
         }
-        print_result(document, tables, as_json=self.json)
-        for file in () if self.json else files:
-            print(f"wrote {file}")
+        print_result(document, tables, files, as_json=self.json)
 
     def _write(self, quality: "Quality") -> list[Path]:
         """Write report, table, filter and pictures, and return the files."""

@@ -64,10 +64,8 @@ class Layouts:
         }
         rows = layout.rows()
         tables = {layout.name: table_rows(texts), "Order": rows}
-        print_result({**facts, "entries": rows}, tables, as_json=self.json)
-        for written in filter(None, (self.template, self.picture)):
-            if not self.json:
-                print(f"wrote {written}")
+        files = filter(None, (self.template, self.picture))
+        print_result({**facts, "entries": rows}, tables, files, as_json=self.json)
 
     def _list(self) -> None:
         """Print all layouts."""
