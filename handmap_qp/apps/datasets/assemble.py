@@ -170,9 +170,9 @@ def _episodes(
     )
     for _, group in groupby(known, key=lambda line: line.place[0]):
         pairs = [(line, read_episode(folder, line)) for line in group]
-        (one, first), (other, last) = pairs[0], pairs[-1]
-        is_both = len(pairs) == 2 and one.side != other.side
-        is_both = is_both and np.array_equal(first["time"], last["time"])
+        times = [columns["time"] for _, columns in pairs]
+        is_both = sorted(line.side for line, _ in pairs) == [*SIDES]
+        is_both = is_both and np.array_equal(times[0], times[1])
         for episode in [pairs] if is_both else [[pair] for pair in pairs]:
             yield _episode(episode, fps, hands)
 
@@ -225,9 +225,7 @@ def _as_float32(state: Array, hand: Hand) -> Array:
     """Round a state to float32 without leaving the joints' limits."""
     rounded = state.astype(np.float32)
     joints = rounded[:, : len(hand.joint_names)]
-    for is_outside, inwards in (
-        (joints < hand.lower_limits, np.inf),
-        (joints > hand.upper_limits, -np.inf),
-    ):
-        np.nextafter(joints, np.float32(inwards), out=joints, where=is_outside)
+    middle = np.mean(hand.limits, axis=0, dtype=np.float32)
+    is_outside = joints != np.clip(joints, *hand.limits)
+    np.nextafter(joints, middle, out=joints, where=is_outside)
     return rounded

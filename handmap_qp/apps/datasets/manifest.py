@@ -90,9 +90,6 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         return self.size, self.mtime_ns, self.options
 
 
-_DECODER = msgspec.json.Decoder(Line)
-
-
 @contextmanager
 def open_manifest(
     folder: Path, shard: Shard = WHOLE
@@ -158,7 +155,8 @@ def read_manifests(folder: Path) -> dict[str, Line]:
             for text in stream:
                 # Without a line break, it was being written when the process was killed.
                 with suppress(msgspec.DecodeError, UnicodeDecodeError):
-                    line = _DECODER.decode(text if text.endswith(b"\n") else b"")
+                    whole = text if text.endswith(b"\n") else b""
+                    line = msgspec.json.decode(whole, type=Line)
                     state[line.key] = line
         state |= done
     return state

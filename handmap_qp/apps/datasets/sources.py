@@ -160,20 +160,22 @@ def list_jobs(
         The jobs. A file that cannot be listed is one without a source.
     """
     part, parts = shard
-    own = [name for name in files if zlib.crc32(name.encode()) % parts == part - 1]
-    risky = [name for name in own if files[name].suffix.lower() in hdf5.SUFFIXES]
-    apart = each_apart(_listing, [files[name] for name in risky])
-    listings = dict(zip(risky, apart, strict=True))
+    own = {
+        name: path
+        for name, path in files.items()
+        if zlib.crc32(name.encode()) % parts == part - 1
+    }
+    risky = [path for path in own.values() if path.suffix.lower() in hdf5.SUFFIXES]
+    listings = dict(zip(risky, each_apart(_listing, risky), strict=True))
     jobs = []
     digest = options.digest
     is_whole = BOTH in options.robots
-    for name in own:
-        path = files[name]
+    for name, path in own.items():
         stats = [p.stat() for p in (path, *path.rglob("*")) if p.is_file()]
         problem = (
             f"{path}: cannot be read: listing it crashed, or took {PATIENCE:.0f} s"
         )
-        found = listings[name] if name in listings else _listing(path)
+        found = listings[path] if path in listings else _listing(path)
         sources, error = found or ((), problem)
         for source in sources[: 1 if is_whole else None] or (None,):
             entry, side, frames = source.entry if source else ("", "", 0)
