@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.apps.arguments import MappingArguments
-from handmap_qp.errors import expect
 from handmap_qp.hands import Hand
 from handmap_qp.human import PALM, Person, Recording, scaled_human
 from handmap_qp.mapping import HandMapper, RobotMapper, RobotStep
@@ -52,18 +51,10 @@ class LookAhead:
     Attributes:
         cutoff: Frequency that is passed at half its amplitude [Hz].
         longest_gap: Gaps up to this time are filled [s]; in longer ones the robot holds.
-
-    Raises:
-        InvalidInputError: If the cutoff is not a number > 0, or the gap not one >= 0.
     """
 
     cutoff: float = 6.0
     longest_gap: float = 0.5
-
-    def __post_init__(self) -> None:
-        expect(0.0 < self.cutoff < np.inf, "cutoff", "a rate > 0", value=self.cutoff)
-        gap = self.longest_gap
-        expect(0.0 <= gap < np.inf, "longest_gap", "a time >= 0", value=gap)
 
 
 def look_ahead(recording: Recording, options: LookAhead = LookAhead()) -> Recording:
