@@ -340,18 +340,19 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
     Raises:
         OutsideError: If there is no such program, or it cannot run.
     """
-    if not (folder / PROGRAM).is_file():
+    program = folder / PROGRAM
+    if not program.is_file():
         raise OutsideError(
             f"no {PROGRAM} in {folder}: --peers needs a checkout with benchmarks/"
         )
-    answer = _call(folder, "list", hand)
+    answer = _call(program, "list", hand)
     try:
         listed = msgspec.json.decode(answer, type=list[_Listed])
     except msgspec.DecodeError as error:
-        problem = f"{folder / PROGRAM}: expected a JSON list of methods: {error}"
+        problem = f"{program}: expected a JSON list of methods: {error}"
         raise OutsideError(problem) from error
     return [
-        ComparedMethod(one.name, partial(_map_outside, folder, one, hand))
+        ComparedMethod(one.name, partial(_map_outside, program, one, hand))
         for one in listed
     ]
 
@@ -374,7 +375,7 @@ def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
 
 
 def _map_outside(
-    folder: Path, listed: _Listed, hand: str, take: Take, robot: Hand
+    program: Path, listed: _Listed, hand: str, take: Take, robot: Hand
 ) -> RobotMotion:
     """Run an outside program on a take."""
     recording = take.recording
@@ -383,7 +384,7 @@ def _map_outside(
         given = Path(temporary) / f"{take.name}.npz"
         made = Path(temporary) / "made.npz"
         NpzFormat().write([replace(recording, wrist=None)], given)
-        _call(folder, "run", listed.name, hand, given, made)
+        _call(program, "run", listed.name, hand, given, made)
         try:
             values = read_archive(made)
             shape = (count, len(robot.joint_names))
@@ -394,18 +395,18 @@ def _map_outside(
                 shape = (count, 4, 4)
                 wrist = as_floats(wrist, "wrist", shape=shape, is_finite=True)
         except (KeyError, ValueError) as error:
-            problem = f"{folder / PROGRAM}: {listed.name}: bad result: {error}"
+            problem = f"{program}: {listed.name}: bad result: {error}"
             raise OutsideError(problem) from error
     return RobotMotion(q, wrist, step_time, listed.about)
 
 
-def _call(folder: Path, *words: str | Path) -> str:
+def _call(program: Path, *words: str | Path) -> str:
     """Run the program and return its stdout."""
-    command = [sys.executable, folder / PROGRAM, *words]
+    command = [sys.executable, program, *words]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:
-        raise OutsideError(f"{folder / PROGRAM}: {error}") from error
+        raise OutsideError(f"{program}: {error}") from error
     if done.returncode:
         lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
         raise OutsideError(lines[-1])

@@ -203,7 +203,7 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
     r1, s1, c1 = _object_motion(human)
     r2, s2, c2 = _object_motion(robot)
     return {
-        "object_rotation_deg": np.degrees(_turns(r1.mT @ r2)).mean(),
+        "object_rotation_deg": _turns_deg(r1.mT @ r2).mean(),
         "object_stretch": np.linalg.norm(s1 - s2, axis=(1, 2)).mean(),
         "object_translation_mm": _distance_mm(c1, c2),
     }
@@ -214,7 +214,7 @@ def palm_metrics(human: HandTrace, robot: HandTrace) -> Values:
     one, other = (inverse_pose(hand.palm[0]) @ hand.palm for hand in (human, robot))
     apart = inverse_pose(one) @ other
     return {
-        "palm_deg": np.degrees(_rms(_turns(apart[:, :3, :3]))),
+        "palm_deg": _rms(_turns_deg(apart[:, :3, :3])),
         "palm_mm": 1e3 * _rms(lengths(apart[:, :3, 3])),
     }
 
@@ -417,9 +417,9 @@ def _cosines(a: Array, b: Array) -> Array:
     return np.clip(np.vecdot(unit(a), unit(b)), -1.0, 1.0)
 
 
-def _turns(rotations: Array) -> Array:
-    """Angles of rotations of shape (T, 3, 3) [rad], shape (T,)."""
-    return Rotation.from_matrix(rotations).magnitude()
+def _turns_deg(rotations: Array) -> Array:
+    """Angles of rotations of shape (T, 3, 3) [deg], shape (T,)."""
+    return np.degrees(Rotation.from_matrix(rotations).magnitude())
 
 
 def _distance_mm(a: Array, b: Array) -> Array:
