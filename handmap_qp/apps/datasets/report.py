@@ -315,9 +315,8 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
         axes.locator_params("y", integer=True)
         # Numbers that are nearly the same have long labels.
         axes.locator_params("x", nbins=4)
-        if i % _COLUMNS == 0:
-            axes.set_ylabel("episodes")
     left_out = len(is_kept) - quality.kept
+    figure.supylabel("episodes")
     figure.suptitle(f"{quality.kept} episodes kept, {left_out} left out (red)")
     figure.savefig(file)
 

@@ -240,7 +240,7 @@ def _methods(request: Compare) -> list[ComparedMethod]:
         outside = {method.name: method for method in found}
     first, *others = own_methods()
     names = request.methods or (first, first + SMOOTH, *others)
-    if not outside.keys() & {*names}:
+    if outside.keys().isdisjoint(names):
         names = (*names, *outside)
     return [outside.get(name) or own_method(name, tuple(outside)) for name in names]
 
@@ -307,11 +307,11 @@ def _write(
         say(1, "drawing poses (1 of 2)")
         poses.unlink(missing_ok=True)
         missing = draw_poses(poses, comparison)
-    if poses.exists():
-        return files
-    shown = f"handmap: no contact sheet; not shown: {', '.join(missing)}"
-    print(shown, file=sys.stderr)
-    return files[:-1]
+    if not poses.exists():
+        shown = f"handmap: no contact sheet; not shown: {', '.join(missing)}"
+        print(shown, file=sys.stderr)
+        files.remove(poses)
+    return files
 
 
 def _pinch_samples(comparison: Comparison) -> dict[str, int]:

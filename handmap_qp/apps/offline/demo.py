@@ -145,8 +145,6 @@ def joints_figure(trajectory: Trajectory) -> Any:
         )
     for axes in grid.flat[len(robot.joint_names) :]:
         axes.set_axis_off()
-    for axes in grid[-1]:
-        axes.set_xlabel("time [s]")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("deg")
+    figure.supxlabel("time [s]")
+    figure.supylabel("deg")
     return figure
