@@ -170,9 +170,9 @@ def _episodes(
     )
     for _, group in groupby(known, key=lambda line: line.place[0]):
         pairs = [(line, read_episode(folder, line)) for line in group]
-        times = [columns["time"] for _, columns in pairs]
+        (_, first), (_, last) = pairs[0], pairs[-1]
         is_both = sorted(line.side for line, _ in pairs) == [*SIDES]
-        is_both = is_both and np.array_equal(times[0], times[1])
+        is_both = is_both and np.array_equal(first["time"], last["time"])
         for episode in [pairs] if is_both else [[pair] for pair in pairs]:
             yield _episode(episode, fps, hands)
 
