@@ -28,7 +28,6 @@ from handmap_qp.apps.offline.comparison import Take, own_method, prepare_take
 from handmap_qp.apps.offline.fidelity import SETTLING, angles_between, assess_fidelity
 from handmap_qp.apps.offline.hand_trace import KNUCKLE, TIP, HandTrace, trace_robot
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
-from handmap_qp.hands.fingers import zero_posture
 from handmap_qp.hands.human import THUMB
 from handmap_qp.se3 import rigid_fit, unit
 from handmap_qp.stream.measurement import measure_person
@@ -75,7 +74,7 @@ def turned_takes(file: str, robot: Hand) -> dict[str, Take]:
     person = measure_person(take.recording)
     is_open = (take.trace.extension[:, 1:] > _OPEN).all(axis=1) & take.recording.valid
     human = yaws(take.trace, is_open)
-    flat = trace_robot(robot, zero_posture(robot)[None])
+    flat = trace_robot(robot, robot.zero[None])
     own = yaws(flat, np.ones(1, bool)) | {"middle, person": 0.0}
     takes = {}
     for name in AXES:

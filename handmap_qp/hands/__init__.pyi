@@ -15,11 +15,9 @@ from .fingers import carrier_of as carrier_of
 from .fingers import ends_of as ends_of
 from .fingers import find_fingers as find_fingers
 from .fingers import finger_tips as finger_tips
-from .fingers import joint_motion as joint_motion
 from .fingers import nearing as nearing
 from .fingers import partner_names as partner_names
 from .fingers import place_of as place_of
-from .fingers import zero_posture as zero_posture
 from .hand import LONGEST_STOP as LONGEST_STOP
 from .hand import Hand as Hand
 from .hand import Points as Points

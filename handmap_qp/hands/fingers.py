@@ -107,11 +107,11 @@ class PalmKinematics:
     def motion(self, q: Array, place: Place) -> Array:
         """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""
         palm = self._place(q)
-        carrier = self._model.frames[self.hand.palm_frame_id].parentJoint
         # Columns of joints that move both are the same, and cancel.
-        moves, carries = moved_by(self._model, [place[0], carrier])
+        joints = [place[0], self.hand.palm_frame.parentJoint]
+        moves, carries = moved_by(self._model, joints)
         columns = (moves - carries) * self._data.J
-        linear, turns = np.split(columns @ joint_motion(self.hand), 2)
+        linear, turns = np.split(columns @ self.hand.joint_motion, 2)
         point = self._data.oMi[place[0]].act(place[1])
         linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
         return np.vstack([palm.rotation.T @ linear, palm.rotation.T @ turns])
@@ -120,18 +120,8 @@ class PalmKinematics:
         pin.computeJointJacobians(
             self._model, self._data, self.hand.configuration_vector(q)
         )
-        frame = self._model.frames[self.hand.palm_frame_id]
+        frame = self.hand.palm_frame
         return self._data.oMi[frame.parentJoint] * frame.placement
-
-
-def joint_motion(hand: Hand) -> Array:
-    """Return the motion of the model per unit of every joint that is set, shape (nv, n)."""
-    return hand.spread[:, hand.joint_columns]
-
-
-def zero_posture(hand: Hand) -> Array:
-    """Return zero, or the limit next to it, of every joint [rad or m], shape (n,)."""
-    return np.clip(0.0, *hand.limits)
 
 
 class Flexion(NamedTuple):
@@ -183,7 +173,8 @@ class Finger:
         self.tip = tip
         self.name = name
         self._own = tuple(own) or self.joints
-        self._zero = zero_posture(hand)
+        self._zero = hand.zero
+        self._view = PalmKinematics(hand)
 
     @property
     def is_jaw(self) -> bool:
@@ -194,7 +185,7 @@ class Finger:
     def columns(self) -> Array:
         """Columns of q that move the finger, from the palm outwards, shape (c,)."""
         rows = [self.hand.model.idx_vs[joint] for joint in self.joints]
-        moves = joint_motion(self.hand)[rows] != 0.0
+        moves = self.hand.joint_motion[rows] != 0.0
         columns = np.flatnonzero(moves.any(axis=0))
         # In the order of the last joints that they move.
         last = moves[::-1, columns].argmax(axis=0)
@@ -235,7 +226,7 @@ class Finger:
         return self._on_axis(self.bending[-1])
 
     def _on_axis(self, joint: int) -> Place:
-        return PalmKinematics(self.hand).on_axis(self._zero, joint, self.tip)
+        return self._view.on_axis(self._zero, joint, self.tip)
 
     def find_middle(self) -> Place | None:
         """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.
@@ -244,7 +235,7 @@ class Finger:
         joint among those beyond the knuckle. The point lies on the joint's axis, where the axis is
         nearest to the fingertip.
         """
-        view = PalmKinematics(self.hand)
+        view = self._view
         q = self._zero.copy()
         if self.flexion is not None:
             q[self.flexion.columns] = self.flexion.straight
@@ -280,13 +271,12 @@ class Finger:
         best_q = self._zero.copy()
         if not self.joints:
             return math.nan, best_q
-        view = PalmKinematics(self.hand)
         moving = np.sort(self.columns)
         low, high = self.hand.limits[:, moving]
 
         def distance(positions: Array) -> float:
             best_q[moving] = positions
-            return math.dist(*view.points(best_q, [self.tip, self.knuckle]))
+            return math.dist(*self._view.points(best_q, [self.tip, self.knuckle]))
 
         random = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(moving)))
         found = max([best_q[moving], *random], key=distance)
@@ -307,7 +297,7 @@ class Finger:
     @cached_property
     def flexion(self) -> Flexion | None:
         """How it curls; None if no joint turns the tip."""
-        view = PalmKinematics(self.hand)
+        view = self._view
         # The columns that turn the tip about the axis of the last one that does.
         turns = view.motion(self._zero, self.tip)[3:]
         sizes = np.linalg.norm(turns, axis=0)
@@ -316,7 +306,7 @@ class Finger:
         columns = turning[(np.abs(units[:, -1:].T @ units) > PARALLEL).any(axis=0)]
         if not len(columns):
             return None
-        _, base, signs, gears = self._axis(view, columns, self._zero)
+        _, base, signs, gears = self._axis(columns, self._zero)
 
         def lengths_at(postures: Array) -> Array:
             return lengths(view.points(postures, [self.tip])[..., 0, :] - base)
@@ -328,7 +318,7 @@ class Finger:
         sense, certainty = _sense(shares, np.abs(gears * ways[:, columns]).sum(axis=1))
         straight = self._with_knuckle(columns, q[columns], sense * signs)
         q[columns] = straight
-        axis, base, signs, _ = self._axis(view, columns, q)
+        axis, base, signs, _ = self._axis(columns, q)
         curls = bool(shares.max() > _LEAST_CURL)
         return Flexion(columns, signs, axis, base, straight, sense, certainty, curls)
 
@@ -341,7 +331,7 @@ class Finger:
         found = self.flexion
         senses = np.zeros_like(self.hand.lower_limits)
         if found is not None:
-            motion = PalmKinematics(self.hand).motion(self._zero, self.tip)
+            motion = self._view.motion(self._zero, self.tip)
             dorsal = motion[2, found.columns] @ found.signs
             senses[found.columns] = found.signs * (
                 found.sense or -np.sign(dorsal) or 1.0
@@ -350,20 +340,18 @@ class Finger:
 
     def _turns(self, joints: Sequence[int]) -> Array:
         """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""
-        return PalmKinematics(self.hand).axes(self._zero, joints)[0]
+        return self._view.axes(self._zero, joints)[0]
 
-    def _axis(
-        self, view: PalmKinematics, columns: Array, q: Array
-    ) -> tuple[Array, Array, Array, Array]:
+    def _axis(self, columns: Array, q: Array) -> tuple[Array, Array, Array, Array]:
         """Return axis (3,), knuckle on it (3,), and each column's sense and gear about it (k,)."""
-        turns = view.motion(q, self.tip)[3:, columns]
+        turns = self._view.motion(q, self.tip)[3:, columns]
         # The sense of the axis is that of the last joint, in every posture.
         axis = unit(turns[:, -1])
         along = axis @ turns
-        model = self.hand.model
-        motion = joint_motion(self.hand)
-        moved = [j for j in self.joints if motion[model.idx_vs[j], columns[0]] != 0.0]
-        axes, points = view.axes(q, moved, self.tip)
+        rows = self.hand.model.idx_vs
+        moves = self.hand.joint_motion[:, columns[0]] != 0.0
+        moved = [joint for joint in self.joints if moves[rows[joint]]]
+        axes, points = self._view.axes(q, moved, self.tip)
         base = points[axes.any(axis=1).argmax()]
         return axis, base, np.sign(along), np.abs(along)
 
@@ -459,33 +447,30 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
     Returns:
         Fingers by name, in the order of `FINGERS`.
     """
-    named = _points_by_finger(hand)
+    tips = {f: place_of(hand, point) for f, point in _tip_points(hand).items()}
     supports = hand.model.supports
-    tips = {f: place_of(hand, _tip(hand, f, points)) for f, points in named.items()}
-    in_palm = {*supports[hand.model.frames[hand.palm_frame_id].parentJoint]}
+    in_palm = {*supports[hand.palm_frame.parentJoint]}
     chains = {f: sorted({*supports[joint]} - in_palm) for f, (joint, _) in tips.items()}
     shared = Counter(chain(*chains.values()))
     fingers = {}
-    for finger, points in named.items():
-        first, last = ("cmc", "ip") if finger == THUMB else ("mcp", "pip")
-        own = [joint for joint in chains[finger] if shared[joint] == 1]
-        found = Finger(hand, chains[finger], tips[finger], name=finger, own=own)
-        fingers[finger] = found
-        # Of several points that stand for a landmark, the first one counts.
-        for point in reversed(points):
+    for finger, joints in chains.items():
+        own = [joint for joint in joints if shared[joint] == 1]
+        fingers[finger] = Finger(hand, joints, tips[finger], name=finger, own=own)
+    # Of several points that stand for a landmark, the first one counts.
+    for point in reversed(hand.spec.points):
+        if found := fingers.get(point.finger or ""):
+            first, last = ("cmc", "ip") if found.name == THUMB else ("mcp", "pip")
             names = point.partner, point.name
-            if f"{finger}_{first}" in names:
+            if f"{found.name}_{first}" in names:
                 found.knuckle = place_of(hand, point)
-            if f"{finger}_{last}" in names:
+            if f"{found.name}_{last}" in names:
                 found.middle = place_of(hand, point)
     return fingers
 
 
 def finger_tips(hand: Hand) -> dict[str, str]:
     """Return the name of the description's point at the tip of each finger, by finger."""
-    return {
-        f: _tip(hand, f, points).name for f, points in _points_by_finger(hand).items()
-    }
+    return {finger: point.name for finger, point in _tip_points(hand).items()}
 
 
 def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
@@ -511,22 +496,20 @@ def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
     ]
 
 
-def _points_by_finger(hand: Hand) -> dict[str, list[PointSpec]]:
-    """Return the description's points of each finger with an anatomical name."""
-    return {
-        finger: own
-        for finger in FINGERS
-        if (own := [p for p in hand.spec.points if p.finger == finger])
-    }
+def _tip_points(hand: Hand) -> dict[str, PointSpec]:
+    """Return the point at each finger's tip: the named one, else the farthest from the palm."""
+    view = PalmKinematics(hand)
 
+    def reach(point: PointSpec) -> float:
+        return math.hypot(*view.points(hand.zero, [place_of(hand, point)])[0])
 
-def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:
-    for point in points:
-        if f"{finger}_tip" in (point.partner, point.name):
-            return point
-    places = [place_of(hand, point) for point in points]
-    in_palm = PalmKinematics(hand).points(zero_posture(hand), places)
-    return points[lengths(in_palm).argmax()]
+    tips = {}
+    for finger in FINGERS:
+        points = [point for point in hand.spec.points if point.finger == finger]
+        named = [p for p in points if f"{finger}_tip" in (p.partner, p.name)]
+        if points:
+            tips[finger] = max(named[:1] or points, key=reach)
+    return tips
 
 
 def carrier_of(hand: Hand, link: str) -> int:

@@ -89,11 +89,13 @@ class Hand:
         lower_limits: The lower ones, shape (n,).
         upper_limits: The upper ones, shape (n,).
         velocity_limits: Speed limits [rad/s or m/s], shape (n,).
+        zero: Zero, or the limit next to it, of every joint [rad or m], shape (n,).
         rest: Rest posture [rad or m], shape (n,).
         matched: The spec's posture for the resting human hand [rad or m], shape (n,), or None.
         expansion: From the k active tangent coordinates (wrist and `joint_names`, in the model's
             order) to the model's: S, shape (nv, k), and offsets, (nv,). None without followers.
         spread: S, also without followers, shape (nv, k).
+        joint_motion: Motion of the model per unit of every joint: columns of S, shape (nv, n).
         active_columns: Indices of the active coordinates in the model's tangent space, shape (k,).
         joint_columns: Indices of `joint_names` in the active coordinates, shape (n,).
         all_joint_names: All movable joints: `joint_names`, then followers, then locked joints.
@@ -101,8 +103,8 @@ class Hand:
         notes: Oddities found while building the hand, a sentence each.
         reference_points: The points in use; m of them.
         point_weights: Their weights, shape (m,).
-        palm_frame_id: Index of the palm frame in the model.
-        wrist_frame_id: Index of the wrist frame in the model.
+        palm_frame: The palm's `pinocchio.Frame`; `palm_frame_id` is its index in the model.
+        wrist_frame: The wrist's frame; `wrist_frame_id` is its index.
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
         unscaled: Of a hand scaled to a person, the one that was scaled; else None.
@@ -149,6 +151,7 @@ class Hand:
         self.limits = frozen(ends.take(self.q_indices, axis=1))
         self.lower_limits, self.upper_limits = self.limits
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
+        self.zero = frozen(np.clip(0.0, *self.limits))
         self._take_postures()
         self._add_wrist_and_palm()
         self.use_points(chosen)
@@ -173,10 +176,9 @@ class Hand:
     @cached_property
     def model(self) -> pin.Model:
         """Pinocchio model, not to be changed: a floating wrist's six coordinates, then joints."""
-        standard: Any = self.unscaled
         model = build_model(self.spec, self.urdf_text, self.mount, {})
-        for frame in (standard.palm_frame_id, standard.wrist_frame_id):
-            model.addFrame(standard.model.frames[frame])
+        model.addFrame(self.palm_frame)
+        model.addFrame(self.wrist_frame)
         return model
 
     @cached_property
@@ -201,7 +203,7 @@ class Hand:
     @property
     def has_moving_wrist(self) -> bool:
         """Whether six free coordinates or the joints of an arm move the wrist."""
-        return self.model.frames[self.wrist_frame_id].parentJoint > 0
+        return self.wrist_frame.parentJoint > 0
 
     @property
     def hands(self) -> tuple[Hand, ...]:
@@ -216,8 +218,8 @@ class Hand:
     @cached_property
     def moves_wrist(self) -> Array:
         """Which joints move the wrist, those of an arm, or a wrist of a robot, shape (n,)."""
-        wrists = [hand.model.frames[hand.wrist_frame_id] for hand in self.hands]
-        return frozen(np.any([*map(self.carries, wrists)], axis=0))
+        carried = [self.carries(hand.wrist_frame) for hand in self.hands]
+        return frozen(np.any(carried, axis=0))
 
     def carries(self, frame: pin.Frame) -> Array:
         """Return which joints carry a frame of the model, shape (n,)."""
@@ -228,7 +230,7 @@ class Hand:
     def moves_points(self) -> Array:
         """Which joints move each reference point, shape (m, n)."""
         moves = moved_by(self.model, [f.parentJoint for f in self.point_frames])
-        return (moves @ np.abs(self.spread))[:, self.joint_columns] > 0.0
+        return moves @ np.abs(self.joint_motion) > 0.0
 
     @property
     def finger_joints(self) -> Array:
@@ -315,7 +317,7 @@ class Hand:
         """Return a new workspace for this hand, for one user at a time."""
         return Configuration(
             self.model,
-            [hand.model.frames[hand.wrist_frame_id] for hand in self.hands],
+            [hand.wrist_frame for hand in self.hands],
             self.point_frames,
             [len(hand.reference_points) for hand in self.hands],
             self.spread,
@@ -428,8 +430,7 @@ class Hand:
         _check_type("frame", frame, str, "a name")
         names = [point.name for point in self.reference_points]
         own = dict(zip(names, self.point_frames, strict=True))
-        own["palm"] = self.model.frames[self.palm_frame_id]
-        own["wrist"] = self.model.frames[self.wrist_frame_id]
+        own |= {"palm": self.palm_frame, "wrist": self.wrist_frame}
         found = own.get(frame) or self._find(frame, "frame", _LINK, _JOINT)
         return self._placed(q, wrist_pose).frame_pose(found)
 
@@ -481,6 +482,7 @@ class Hand:
         spread = np.eye(model.nv)[:, self.active_columns]
         spread[np.ix_(at_v, self.joint_columns)] = self._moving.matrix
         self.spread = frozen(spread)
+        self.joint_motion = frozen(spread[:, self.joint_columns])
         self.expansion = None
         if rules:
             shift = np.zeros(model.nv)
@@ -491,10 +493,14 @@ class Hand:
         """Add frames of wrist and palm to the model."""
         model, spec = self.model, self.spec
         # A slash before the name keeps them apart from links.
-        palm = self._frame("/palm", spec.palm.link, "palm.link", palm_in_link(spec))
+        self.palm_frame = palm = self._frame(
+            "/palm", spec.palm.link, "palm.link", palm_in_link(spec)
+        )
         # A robot has the wrists of several hands.
         name = f"/wrist/{spec.name}"
-        wrist = self._frame(name, spec.wrist.link, "wrist.link", np.eye(4))
+        self.wrist_frame = wrist = self._frame(
+            name, spec.wrist.link, "wrist.link", np.eye(4)
+        )
         self.palm_frame_id = model.addFrame(palm)
         self.wrist_frame_id = model.addFrame(wrist)
         spec.reject(wrist_problems(model, spec, self.mount, wrist, palm))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.se3 import Array
 from .collision_shapes import read_collision_shapes
-from .fingers import Finger, zero_posture
+from .fingers import Finger
 from .hand import Hand
 from .human import THUMB
 from .spec import Names
@@ -122,7 +122,7 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
             if owner.get(a, a) != owner.get(b, b)
         ]
     )
-    postures = np.array([hand.rest, zero_posture(hand)])
+    postures = np.array([hand.rest, hand.zero])
     distances = pair_distances(hand, _paired(shapes, ends), postures)
     is_apart = np.all(distances > 0.0, axis=0)
     is_near = is_apart & np.all(distances < _COARSE, axis=0)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands import Hand, joint_motion, moved_by
+from handmap_qp.hands import Hand, moved_by
 from handmap_qp.se3 import Array
 from .compiled import core_tree
 from .qp import solve_by_daqp
@@ -134,10 +134,10 @@ class _Distance:
 
 @lru_cache(maxsize=16)
 def _coordinates(hand: Hand) -> tuple[Array, Array]:
-    """Return `joint_motion`, and for each coordinate of the model those that it carries, or 0."""
+    """Return `Hand.joint_motion`, and for each coordinate of the model those it carries, or 0."""
     model = hand.model
     carriers = np.repeat(np.arange(model.njoints), model.nvs)
-    return joint_motion(hand), moved_by(model, carriers.tolist()).T
+    return hand.joint_motion, moved_by(model, carriers.tolist()).T
 
 
 def _convex(hessian: Array) -> Array:

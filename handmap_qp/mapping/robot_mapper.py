@@ -629,7 +629,7 @@ def _targets_of(numbers: Array, is_clamped: bool) -> Targets:
 
 def palm_place(hand: Hand, anchor: Array) -> tuple[int, Array]:
     """Return the joint that carries a palm, and where a point of palm axes (3,) is on it."""
-    frame = hand.model.frames[hand.palm_frame_id]
+    frame = hand.palm_frame
     return frame.parentJoint, frame.placement.act(anchor)
 
 

@@ -20,7 +20,6 @@ from handmap_qp.hands.fingers import (
     PalmKinematics,
     find_fingers,
     finger_tips,
-    zero_posture,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
@@ -150,7 +149,7 @@ def test_flexing_joints_shorten_a_straight_finger_towards_the_palm(name: str) ->
         flexion = finger.flexion
         if flexion is None or not flexion.curls:
             continue
-        straight, closed = zero_posture(robot), zero_posture(robot)
+        straight, closed = robot.zero.copy(), robot.zero.copy()
         straight[flexion.columns] = flexion.straight
         for column in flexion.columns:
             closed[column] = limits[int(finger.closing[column] > 0.0)][column]

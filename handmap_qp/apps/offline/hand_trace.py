@@ -20,7 +20,6 @@ from handmap_qp.hands import (
     PalmKinematics,
     Side,
     find_fingers,
-    zero_posture,
 )
 from handmap_qp.human import FIRST_JOINTS, PALM, TIPS
 from handmap_qp.se3 import (
@@ -129,7 +128,7 @@ def trace_robot(
     palm = np.array([*map(partial(hand.frame_pose, "palm"), q, wrists)])
     fingers = chains.values()
     places = [place for one in fingers for place in (one.knuckle, one.middle, one.tip)]
-    local = PalmKinematics(hand).points(np.vstack([zero_posture(hand), q]), places)
+    local = PalmKinematics(hand).points(np.vstack([hand.zero, q]), places)
     local = local.reshape(1 + len(q), -1, 3, 3)
     points = transform_points(palm[:, None], local[1:])
     reach = np.array([one.reach for one in fingers])

@@ -28,7 +28,6 @@ from handmap_qp.hands import (
     read_collision_shapes,
     read_urdf,
     urdf_path,
-    zero_posture,
 )
 from handmap_qp.mapping import distance
 from handmap_qp.se3 import box_of, lengths
@@ -167,7 +166,7 @@ def _check_limits(hand: Hand) -> Found:
 
 def _check_speeds(hand: Hand) -> Found:
     """Find joints of the fingers that are too slow for a fist in half a second."""
-    stretched = zero_posture(hand)
+    stretched = hand.zero
     travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
     times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
     times[hand.moves_wrist] = 0.0
@@ -291,7 +290,7 @@ def _check_order(hand: Hand) -> Found:
     """Compare the row of the knuckles with the side: thumb and index are at the radial edge."""
     chains = find_fingers(hand)
     row = [chains[finger].knuckle for finger in FINGERS if finger in chains]
-    places = PalmKinematics(hand).points(zero_posture(hand), row)
+    places = PalmKinematics(hand).points(hand.zero, row)
     is_back = np.diff(places[:, 0]) * (-1.0 if hand.side == "right" else 1.0) > _NARROW
     if len(is_back) and is_back.all():
         what = (

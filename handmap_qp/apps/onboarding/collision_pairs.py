@@ -97,7 +97,7 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
 
 def _owners(hand: Hand, fingers: dict[str, Finger]) -> dict[int, str]:
     """Return the finger of each joint; `palm` for the palm's and those that fingers share."""
-    owners = {hand.model.frames[hand.palm_frame_id].parentJoint: "palm"}
+    owners = {hand.palm_frame.parentJoint: "palm"}
     for name, finger in fingers.items():
         for joint in finger.joints:
             owners[joint] = "palm" if joint in owners else name

@@ -16,7 +16,6 @@ from handmap_qp.hands import (
     PalmKinematics,
     ends_of,
     nearing,
-    zero_posture,
 )
 from handmap_qp.se3 import Array, lengths, unit
 
@@ -69,7 +68,7 @@ class HandFlexion:
         self._fingers = fingers
         self._view = PalmKinematics(robot)
         self._tips = [finger.tip for finger in fingers]
-        zero = zero_posture(robot)
+        zero = robot.zero
         _, self.roots = self._view.axes(zero, [each.joints[0] for each in fingers])
         self.bases = self.roots.copy()
         self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)

@@ -21,7 +21,6 @@ from handmap_qp.hands import (
     find_pads,
     load_hand,
     random_postures,
-    zero_posture,
 )
 from handmap_qp.human import human_name, upright_axes
 from handmap_qp.mapping import HandMapper, MapStep, rotation_onto
@@ -159,7 +158,7 @@ def check_size(hand: Hand) -> Found:
     tips = hand.with_points("fingertips") if "fingertips" in hand.spec.sets else hand
     length = max(
         lengths(tips.points(q) - tips.frame_pose("palm", q)[:3, 3]).max()
-        for q in (tips.rest, zero_posture(tips))
+        for q in (tips.rest, tips.zero)
     )
     cloud, human_cloud = (
         1e3 * np.sqrt(one.points(one.rest).var(axis=0).sum()) for one in (tips, human)
@@ -434,7 +433,7 @@ def _gap(hand: Hand, finger: Finger, thumb: Finger, pads: dict[str, Pad]) -> flo
         return np.subtract(*view.points(q, places))
 
     limits = hand.limits
-    first = [hand.rest, limits.mean(axis=0), zero_posture(hand)]
+    first = [hand.rest, limits.mean(axis=0), hand.zero]
     best = np.inf
     for start in np.vstack([first, random_postures(hand, _STARTS)])[:, columns]:
         if best >= radii:

@@ -229,7 +229,7 @@ class _Scene:
         """Return sticks between joints and to points, for a hand without shapes, in palm axes."""
         hand = self.hand
         model = hand.model
-        _, *beyond = model.subtrees[model.frames[hand.wrist_frame_id].parentJoint]
+        _, *beyond = model.subtrees[hand.wrist_frame.parentJoint]
         origin = np.zeros(3)
         places = []
         for joint in beyond:

@@ -35,7 +35,6 @@ from handmap_qp.hands import (
     mimics_of,
     parse_urdf,
     root_links,
-    zero_posture,
 )
 from handmap_qp.se3 import Array, inverse_pose, transform_points
 from handmap_qp.trackers import first_of
@@ -156,7 +155,7 @@ class Robot(Hand):
         )
 
     def _take_postures(self) -> None:
-        self.rest = zero_posture(self)
+        self.rest = self.zero
 
     @property
     def remarks(self) -> list[str]:

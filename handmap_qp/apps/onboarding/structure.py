@@ -94,7 +94,7 @@ def find_structure(robot: Robot) -> Structure:
         problem = f"there are {len(palms)} possible palms: {links}"
         raise robot.error(f"{problem}; choose one with --root", links)
     structure = _hand(robot, *palms) if palms else _one_finger(robot)
-    robot.palm_frame_id = robot.model.getBodyId(structure.palm.answer)
+    robot.palm_frame = robot.frames[structure.palm.answer]
     return structure
 
 

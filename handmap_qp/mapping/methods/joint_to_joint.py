@@ -37,7 +37,6 @@ from handmap_qp.hands import (
     ends_of,
     find_fingers,
     nearing,
-    zero_posture,
 )
 from handmap_qp.human import LANDMARK_NAMES
 from handmap_qp.ik import TaskRows
@@ -330,7 +329,7 @@ class BoundJointToJoint(PalmMethod):
             if finger.reach - reaches.min() > _CURLING * finger.reach:
                 return straight[column], reaches[1] <= reaches[0], False
         else:
-            start = zero_posture(robot)
+            start = robot.zero.copy()
             if closing and (flexion := finger.flexion):
                 (straight,) = flexion.straight[flexion.columns == column]
                 return straight, closing > 0.0, False
