@@ -6,6 +6,7 @@ by name; `joint_names` is the order of every `q` of the API, and only this file 
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from copy import copy
@@ -33,11 +34,7 @@ from .model import (
     build_model,
     choose_mount,
     compose_urdf,
-    expansion_matrix,
-    limit_problems,
-    palm_in_link,
     tighten_model,
-    wrist_problems,
 )
 from .sources import read_urdf
 from .spec import (
@@ -45,12 +42,14 @@ from .spec import (
     Mount,
     PointSpec,
     Positions,
+    Problems,
     Rules,
     Side,
     Values,
     check_point,
     twice,
 )
+from .urdf import NO_LIMIT
 
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""
@@ -169,9 +168,27 @@ class Hand:
 
         self.rest = posture(spec.rest)
         self.matched = None if spec.matched is None else posture(spec.matched)
-        limits = (*self.limits, self.velocity_limits)
+        spec.reject(self._limit_problems())
+
+    def _limit_problems(self) -> Problems:
+        """Check that limits are finite and that the description's postures lie inside them."""
         postures = {"rest": self.rest, "matched": self.matched}
-        spec.reject(limit_problems(spec, limits, postures))
+        rows = zip(self.joint_names, *self.limits, self.velocity_limits, strict=True)
+        for i, (name, lower, upper, speed) in enumerate(rows):
+            interval = f"[{lower:.6g}, {upper:.6g}]"
+            key = f"limits.{name}"
+            if not max(-lower, upper) < NO_LIMIT:
+                lacks = "has no limits in the URDF: give lower, upper and velocity"
+                yield f"{name!r} {lacks}", key, name
+            if not lower < upper:
+                needs = f"needs limits with lower < upper, got {interval}"
+                yield f"{name!r} {needs}", key, None
+            if not 0.0 < speed < math.inf:
+                yield f"{name!r} needs a velocity limit > 0, got {speed:.6g}", key, None
+            for title, posture in postures.items():
+                if posture is not None and not lower <= (at := posture[i]) <= upper:
+                    outside = f"{at:.6g} is outside the joint's limits {interval}"
+                    yield outside, f"{title}.{name}", float(at)
 
     @cached_property
     def model(self) -> pin.Model:
@@ -472,40 +489,63 @@ class Hand:
         self._size = model.nq
         self._moving_q = np.array(model.idx_qs)[joints]
         at_v = np.array(model.idx_vs)[joints]
+        followers = at_v[count:]
         self.q_indices = frozen(self._moving_q[:count])
         self.v_indices = frozen(at_v[:count])
-        self.active_columns = frozen(np.setdiff1d(np.arange(model.nv), at_v[count:]))
+        self.active_columns = frozen(np.setdiff1d(np.arange(model.nv), followers))
         self.joint_columns = frozen(
             np.searchsorted(self.active_columns, self.v_indices)
         )
-        self._moving = expansion_matrix(moving, names, rules)
-        spread = np.eye(model.nv)[:, self.active_columns]
-        spread[np.ix_(at_v, self.joint_columns)] = self._moving.matrix
-        self.spread = frozen(spread)
-        self.joint_motion = frozen(spread[:, self.joint_columns])
-        self.expansion = None
-        if rules:
-            shift = np.zeros(model.nv)
-            shift[at_v] = self._moving.offset
-            self.expansion = Expansion(self.spread, frozen(shift))
+        spread = np.eye(model.nv)
+        shift = np.zeros(model.nv)
+        for row, rule in zip(followers, rules.values(), strict=True):
+            spread[row, at_v[names.index(rule.joint)]] = rule.multiplier
+            shift[row] = rule.offset
+        self.spread = frozen(spread[:, self.active_columns])
+        self.joint_motion = frozen(spread[:, self.v_indices])
+        self._moving = Expansion(self.joint_motion[at_v], shift[at_v])
+        self.expansion = Expansion(self.spread, frozen(shift)) if rules else None
 
     def _add_wrist_and_palm(self) -> None:
         """Add frames of wrist and palm to the model."""
         model, spec = self.model, self.spec
         # A slash before the name keeps them apart from links.
-        self.palm_frame = palm = self._frame(
-            "/palm", spec.palm.link, "palm.link", palm_in_link(spec)
-        )
+        palm = spec.palm
+        side = np.cross(palm.distal, palm.dorsal)
+        pose = affine(np.column_stack([side, palm.distal, palm.dorsal]), palm.xyz)
+        self.palm_frame = self._frame("/palm", palm.link, "palm.link", pose)
         # A robot has the wrists of several hands.
         name = f"/wrist/{spec.name}"
-        self.wrist_frame = wrist = self._frame(
-            name, spec.wrist.link, "wrist.link", np.eye(4)
-        )
-        self.palm_frame_id = model.addFrame(palm)
-        self.wrist_frame_id = model.addFrame(wrist)
-        spec.reject(wrist_problems(model, spec, self.mount, wrist, palm))
-        self._wrist_to_root = wrist.placement.inverse()
-        self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
+        self.wrist_frame = self._frame(name, spec.wrist.link, "wrist.link", np.eye(4))
+        self.palm_frame_id = model.addFrame(self.palm_frame)
+        self.wrist_frame_id = model.addFrame(self.wrist_frame)
+        spec.reject(self._wrist_problems())
+        self._wrist_to_root = self.wrist_frame.placement.inverse()
+        to_palm = self._wrist_to_root * self.palm_frame.placement
+        self.wrist_to_palm = frozen(to_palm.homogeneous)
+
+    def _wrist_problems(self) -> Problems:
+        """Check that wrist and palm do not move with the fingers.
+
+        Only the free-flyer or the joints of an arm may move them, and both together.
+        """
+        model, spec = self.model, self.spec
+        links = {p.link for p in spec.points if model.existBodyName(p.link)}
+        carriers = {model.frames[model.getBodyId(link)].parentJoint for link in links}
+        wrist = self.wrist_frame.parentJoint
+        palm = self.palm_frame.parentJoint
+        for key, link, joint in (
+            ("wrist.link", spec.wrist.link, wrist),
+            ("palm.link", spec.palm.link, palm),
+        ):
+            # All other joints hang from it or carry it.
+            related = {*model.subtrees[joint], *model.supports[joint]}
+            if carriers - related or (self.is_floating and joint != 1):
+                moves = f"{link!r} moves with joints of the hand"
+                yield f"{moves}; it must be fixed to the root, or to an arm", key, link
+        if wrist != palm:
+            what = f"moves against the wrist's link {spec.wrist.link!r}"
+            yield f"{spec.palm.link!r} {what}", "palm.link", spec.palm.link
 
     def _frame(self, name: str, link: str, key: str, pose: Array) -> pin.Frame:
         """Return a frame of a new name at a pose (4, 4) on a link, which a key of a spec names."""

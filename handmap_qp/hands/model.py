@@ -9,15 +9,13 @@ so followers are not variables of the QP. A leader may follow another joint itse
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple, get_args
 from xml.etree.ElementTree import Element, tostring
 
-import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, expect, reason_of
-from handmap_qp.se3 import Array, affine
+from handmap_qp.se3 import Array
 from .sources import read_urdf
 from .spec import (
     HandSpec,
@@ -30,7 +28,6 @@ from .spec import (
 )
 from .urdf import (
     MOVABLE,
-    NO_LIMIT,
     check_tree,
     joints_by_name,
     mimics_of,
@@ -133,64 +130,6 @@ def _joint_problems(spec: HandSpec, names: set[str], rules: Rules) -> Problems:
         yield f"{name!r} is not a movable joint of the URDF", "joints", name
 
 
-def palm_in_link(spec: HandSpec) -> Array:
-    """Return the pose of the palm frame in its link, shape (4, 4)."""
-    palm = spec.palm
-    side = np.cross(palm.distal, palm.dorsal)
-    return affine(np.column_stack([side, palm.distal, palm.dorsal]), palm.xyz)
-
-
-def limit_problems(
-    spec: HandSpec, limits: Sequence[Array], postures: dict[str, Array | None]
-) -> Problems:
-    """Check that limits are finite and that the description's postures lie inside them.
-
-    Args:
-        spec: The hand.
-        limits: Position limits, lower and upper [rad or m], and speed limits [rad/s or m/s], of
-            `spec.all_joints`, shape (n,) each.
-        postures: Rest posture and others by key [rad or m]; None where there is none.
-    """
-    rows = enumerate(zip(spec.all_joints, *limits, strict=True))
-    for i, (name, lower, upper, speed) in rows:
-        interval = f"[{lower:.6g}, {upper:.6g}]"
-        key = f"limits.{name}"
-        if not max(-lower, upper) < NO_LIMIT:
-            lacks = "has no limits in the URDF: give lower, upper and velocity"
-            yield f"{name!r} {lacks}", key, name
-        if not lower < upper:
-            yield f"{name!r} needs limits with lower < upper, got {interval}", key, None
-        if not 0.0 < speed < math.inf:
-            yield f"{name!r} needs a velocity limit > 0, got {speed:.6g}", key, None
-        for title, posture in postures.items():
-            if posture is not None and not lower <= (at := posture[i]) <= upper:
-                outside = f"{at:.6g} is outside the joint's limits {interval}"
-                yield outside, f"{title}.{name}", float(at)
-
-
-def wrist_problems(
-    model: pin.Model, spec: HandSpec, mount: Mount, wrist: pin.Frame, palm: pin.Frame
-) -> Problems:
-    """Check that wrist and palm do not move with the fingers.
-
-    Only the free-flyer or the joints of an arm may move them, and both together.
-    """
-    joints = [wrist.parentJoint, palm.parentJoint]
-    links = {point.link for point in spec.points if model.existBodyName(point.link)}
-    carriers = {model.frames[model.getBodyId(link)].parentJoint for link in links}
-    named = (("wrist.link", spec.wrist.link), ("palm.link", spec.palm.link))
-    for (key, link), joint in zip(named, joints, strict=True):
-        # All other joints hang from it or carry it.
-        related = {*model.subtrees[joint], *model.supports[joint]}
-        if carriers - related or (mount == "floating" and joint != 1):
-            moves = f"{link!r} moves with joints of the hand"
-            yield f"{moves}; it must be fixed to the root, or to an arm", key, link
-    if joints[0] != joints[1]:
-        palm_link = spec.palm.link
-        what = f"moves against the wrist's link {spec.wrist.link!r}"
-        yield f"{palm_link!r} {what}", "palm.link", palm_link
-
-
 class Expansion(NamedTuple):
     """From the active joints to all joints: `q_all = matrix @ q_active + offset`.
 
@@ -248,25 +187,6 @@ def _resolve(follower: str, direct: Rules) -> MimicSpec:
         offset = factor * leader.offset + rule.offset
         rule = MimicSpec(leader.joint, factor * leader.multiplier, offset)
     return rule
-
-
-def expansion_matrix(
-    names: Sequence[str], active: Sequence[str], rules: Rules
-) -> Expansion:
-    """Compose S and offset.
-
-    Args:
-        names: All joints, in the order of the rows.
-        active: The joints that follow no other, in the order of the columns.
-        rules: Resolved rules of the others.
-    """
-    matrix = np.zeros((len(names), len(active)))
-    offset = np.zeros(len(names))
-    for row, name in enumerate(names):
-        rule = rules.get(name, MimicSpec(name))
-        matrix[row, active.index(rule.joint)] = rule.multiplier
-        offset[row] = rule.offset
-    return Expansion(matrix, offset)
 
 
 def tighten_model(model: pin.Model, rules: Rules) -> Names:
