@@ -255,31 +255,29 @@ class Finger:
         best = near[-1] if is_thumb else near[np.abs(shares[near] - _PIP).argmin()]
         return view.on_axis(q, joints[best + 1], self.tip)
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """Largest distance from knuckle to tip within the joint limits [m]; NaN without joints."""
-        return self._farthest[0]
+        return self._length_at(self.stretched) if self.joints else math.nan
 
-    @property
-    def stretched(self) -> Array:
-        """Joint angles where it has that reach [rad or m], shape (n,)."""
-        return self._farthest[1]
+    def _length_at(self, q: Array) -> float:
+        return math.dist(*self._view.points(q, [self.tip, self.knuckle]))
 
     @cached_property
-    def _farthest(self) -> tuple[float, Array]:
-        """Find reach and its posture: random search, refined."""
-        best_q = self._zero.copy()
+    def stretched(self) -> Array:
+        """Joint angles where it has that reach [rad or m], shape (n,): random search, refined."""
+        q = self._zero.copy()
         if not self.joints:
-            return math.nan, best_q
+            return q
         moving = np.sort(self.columns)
         low, high = self.hand.limits[:, moving]
 
         def distance(positions: Array) -> float:
-            best_q[moving] = positions
-            return math.dist(*self._view.points(best_q, [self.tip, self.knuckle]))
+            q[moving] = positions
+            return self._length_at(q)
 
         random = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(moving)))
-        found = max([best_q[moving], *random], key=distance)
+        found = max([q[moving], *random], key=distance)
         best = distance(found)
         step = 0.25 * (high - low)
         while (step > 1e-3).any():
@@ -291,8 +289,8 @@ class Finger:
                     found = tried
             if best == before:
                 step = 0.5 * step
-        best_q[moving] = found
-        return best, best_q
+        q[moving] = found
+        return q
 
     @cached_property
     def flexion(self) -> Flexion | None:

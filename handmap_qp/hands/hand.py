@@ -82,6 +82,7 @@ class Hand:
         mount: `floating` or `fixed`.
         is_floating: Whether the wrist is free to move.
         joint_names: The n joints of every `q` in its order, an arm's first, without followers.
+        joints: The same as joints of the model.
         q_indices: Indices of the joints in a Pinocchio configuration, shape (n,).
         v_indices: Indices of the joints in the model's tangent space, shape (n,).
         limits: Position limits [rad or m], such that followers keep theirs, shape (2, n).
@@ -118,6 +119,11 @@ class Hand:
         MissingExtraError: If the URDF lies in a package that is not installed.
     """
 
+    contact_gap = CONTACT_GAP
+    unscaled: Hand | None = None
+    parts: tuple[Hand, ...] = ()
+    has_floating_base = False
+
     def __init__(
         self,
         spec: HandSpec,
@@ -129,12 +135,8 @@ class Hand:
         _check_type("spec", spec, HandSpec, "a HandSpec")
         _check_type("urdf_text", urdf_text, str | None, "the text of a URDF")
         self.spec = spec
-        self.contact_gap = CONTACT_GAP
-        self.unscaled: Hand | None = None
         self.moves: dict[str, JointMove] = {}
         self.stretches: dict[int, Array] = {}
-        self.parts: tuple[Hand, ...] = ()
-        self.has_floating_base = False
         self.name = spec.name
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)
@@ -240,8 +242,7 @@ class Hand:
 
     def carries(self, frame: pin.Frame) -> Array:
         """Return which joints carry a frame of the model, shape (n,)."""
-        above = [*self.model.supports[frame.parentJoint]]
-        return np.isin([*map(self.model.getJointId, self.joint_names)], above)
+        return np.isin(self.joints, [*self.model.supports[frame.parentJoint]])
 
     @property
     def moves_points(self) -> Array:
@@ -486,6 +487,7 @@ class Hand:
         others = ("follower",) * len(rules) + ("locked",) * len(locked)
         self.all_joint_roles = ("active",) * count + others
         joints = [*map(model.getJointId, moving)]
+        self.joints = joints[:count]
         self._size = model.nq
         self._moving_q = np.array(model.idx_qs)[joints]
         at_v = np.array(model.idx_vs)[joints]

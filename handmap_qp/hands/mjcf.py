@@ -54,10 +54,7 @@ def convert_mjcf(file: Path, meshes: str = "meshes") -> ConvertedMjcf:
     Raises:
         HandError: If MuJoCo cannot compile the file, in its words, or no joint moves in it.
     """
-    model, name, notes = _compile(file)
-    if not (model.jnt_type != _FREE).any():
-        raise HandError("no joint moves in the MJCF", file=file)
-    return ConvertedMjcf(model, name, notes, meshes)
+    return ConvertedMjcf(*_compile(file), meshes)
 
 
 def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
@@ -93,6 +90,8 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
     except (ValueError, RuntimeError) as error:
         problem = f"MuJoCo cannot compile the MJCF: {reason_of(error)}"
         raise HandError(problem, file=file) from error
+    if (model.jnt_type == _FREE).all():
+        raise HandError("no joint moves in the MJCF", file=file)
     is_unnamed = spec.modelname in ("", "MuJoCo Model")
     return model, file.stem if is_unnamed else spec.modelname, notes
 

@@ -25,7 +25,6 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from handmap_qp.errors import HandError, expect
-from handmap_qp.se3 import affine, rotation_from_rpy
 from .hand import Hand
 from .library import find_file, load_hand, robot_files
 from .model import compose_urdf
@@ -46,7 +45,7 @@ from .urdf import (
     rename,
     root_links,
     set_mesh_paths,
-    set_origin,
+    set_numbers,
 )
 
 BASE = "robot_base"
@@ -224,7 +223,7 @@ def _stand(
     mount = SubElement(robot, "joint", name=f"{prefix}{BASE}", type="fixed")
     SubElement(mount, "parent", link=BASE)
     SubElement(mount, "child", link=root_links(tree)[0])
-    set_origin(mount, affine(rotation_from_rpy(rpy), xyz))
+    set_numbers(SubElement(mount, "origin"), xyz=xyz, rpy=rpy)
     robot.extend(list(tree))
 
 

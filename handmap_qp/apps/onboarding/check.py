@@ -152,8 +152,8 @@ def _check_limits(hand: Hand) -> Found:
         if not 0.02 <= speed <= 60.0:
             what = f"a speed of {speed:.3g} per second is unusual"
             yield advice(f"limits.{names[i]}", what, "check its unit")
-    turns = PalmKinematics(hand).axes(hand.rest, [*map(hand.model.getJointId, names)])
-    largest = np.where(turns[0].any(axis=1), _LARGEST_TURN, _LARGEST_SLIDE)
+    turns, _ = PalmKinematics(hand).axes(hand.rest, hand.joints)
+    largest = np.where(turns.any(axis=1), _LARGEST_TURN, _LARGEST_SLIDE)
     is_wide = ~hand.moves_wrist & (width > largest)
     for limit, unit in ((_LARGEST_TURN, "degrees"), (_LARGEST_SLIDE, "millimetres")):
         wide = np.flatnonzero(is_wide & (largest == limit))

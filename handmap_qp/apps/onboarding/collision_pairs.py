@@ -40,14 +40,15 @@ _SHORT = 0.025
 
 def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
     """Return a detected hand with its `collision`, or with a note if it has no shapes."""
+    spec = found.spec
     try:
         pairs = all_pairs(hand, find_fingers(hand))
         collision = find_collision_pairs(hand, pairs)
+        spec = msgspec.structs.replace(spec, collision=collision)
+        notes = joined_notes(pairs)
     except HandmapError as error:
-        note = f"no pairs for self-collision: {error}"
-        return found._replace(notes=(*found.notes, note))
-    spec = msgspec.structs.replace(found.spec, collision=collision)
-    return found._replace(spec=spec, notes=(*found.notes, *joined_notes(pairs)))
+        notes = [f"no pairs for self-collision: {error}"]
+    return found._replace(spec=spec, notes=(*found.notes, *notes))
 
 
 def joined_notes(pairs: ShapePairs) -> list[str]:

@@ -74,7 +74,7 @@ class Robot(Hand):
         links: Links of each body, its first one first.
         surface: Points of a body's visuals, else of its collision shapes, by its number, in its
             frame [m], shape (k, 3); a `HandError` if a shape lacks its numbers.
-        joints: Movable joints of the model, in the order of the file.
+        bodies: Bodies that a joint moves, in the order of the file.
         elements: The URDF's element of each link.
         parents: The link that carries each link but the root.
         endless: Names of the joints of type `continuous` in the file.
@@ -108,7 +108,7 @@ class Robot(Hand):
         self.elements = {link.get("name", ""): link for link in robot.iterfind("link")}
         self.parents = {child: parent for _, parent, child in edges(robot)}
         movable = joints_by_name(robot, MOVABLE)
-        self.joints = [*map(self.model.getJointId, movable)]
+        self.bodies = [*map(self.model.getJointId, movable)]
         frames = self.model.frames
         self.frames = {f.name: f for f in frames if f.type == pin.FrameType.BODY}
         self.links = [
@@ -177,7 +177,7 @@ class Robot(Hand):
 
     def below(self, body: int) -> list[int]:
         """Return the bodies that hang from a body, in the order of the file."""
-        return [joint for joint in self.joints if self.model.parents[joint] == body]
+        return [joint for joint in self.bodies if self.model.parents[joint] == body]
 
     def leaves(self, body: int) -> list[int]:
         """Return the last bodies of all branches of a body; the body itself if it has none."""
