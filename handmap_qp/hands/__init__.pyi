@@ -90,5 +90,4 @@ from .urdf import joints_by_name as joints_by_name
 from .urdf import mimics_of as mimics_of
 from .urdf import origin_of as origin_of
 from .urdf import parse_urdf as parse_urdf
-from .urdf import prepare_urdf as prepare_urdf
 from .urdf import root_links as root_links

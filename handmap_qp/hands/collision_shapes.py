@@ -8,7 +8,6 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import reason_of
 from handmap_qp.se3 import Array
 from .hand import Hand
 from .sources import urdf_path
@@ -65,15 +64,18 @@ def _read(hand: Hand) -> pin.GeometryModel:
             if part.name in meshes:
                 part.meshPath, scale = meshes.pop(part.name)
                 part.meshScale = np.array(scale)
-                hull = _hull_of(part.meshPath, scale, _stamp(part.meshPath))
+                stat = Path(part.meshPath).stat()
+                stamp = stat.st_mtime_ns, stat.st_size
+                hull = _hull_of(part.meshPath, scale, stamp)
                 if hull is None:
                     raise ValueError(f"{part.name!r} is flat, without a convex hull")
                 part.geometry = hull
             elif isinstance(part.geometry, coal.Cylinder):
                 part.geometry = prism_around(part.geometry)
-    except (RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())
         raise hand.spec.error(
-            f"the collision shapes cannot be read: {reason_of(error)}",
+            f"the collision shapes cannot be read: {reason}",
             key="urdf",
         ) from error
     if meshes:
@@ -95,15 +97,6 @@ def _take_meshes(robot: Element) -> dict[str, tuple[str, tuple[float, ...]]]:
                 shape.remove(mesh)
                 SubElement(shape, "sphere", radius=_PLACEHOLDER)
     return meshes
-
-
-def _stamp(file: str) -> tuple[int, int]:
-    """Return time of change [ns] and size [bytes] of a file; zeros if there is none."""
-    try:
-        found = Path(file).stat()
-    except OSError:
-        return 0, 0
-    return found.st_mtime_ns, found.st_size
 
 
 # The meshes of a hand are those of all its sessions, as long as the file does not change.
@@ -135,10 +128,7 @@ def _stl_vertices(file: str) -> Array | None:
     """
     if not file.lower().endswith(".stl"):
         return None
-    try:
-        content = Path(file).read_bytes()
-    except OSError:
-        return None
+    content = Path(file).read_bytes()
     count = int.from_bytes(content[_HEADER - 4 : _HEADER], "little")
     if count == 0 or len(content) != _HEADER + count * _TRIANGLE:
         return None

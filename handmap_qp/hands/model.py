@@ -83,14 +83,14 @@ def compose_urdf(spec: HandSpec, text: str | bytes) -> tuple[str, Positions, Rul
     try:
         robot = parse_urdf(text)
         check_tree(robot)
-        locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
+        locked = prepare_urdf(robot, spec)
         move_shapes(robot, spec.shapes)
         if arm := spec.arm:
             hand = robot
             robot = parse_urdf(read_urdf(arm))
             check_tree(robot)
             remove_subtrees(robot, arm.without)
-            locked = prepare_urdf(robot, arm.root, {}, arm.locked, arm.limits) | locked
+            locked = prepare_urdf(robot, arm) | locked
             mount_on_arm(robot, hand, arm)
         if spec.mirror:
             mirror(robot)

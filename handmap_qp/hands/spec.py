@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -195,6 +195,8 @@ class ArmSpec(Document, frozen=True):
     locked: Positions = {}
     limits: dict[str, LimitSpec] = {}
     directory: Path | None = None
+    # An arm has no key for rules.
+    mimic: ClassVar[Rules] = {}
 
     def error(self, message: str, key: str, value: Any = None) -> HandError:
         """Return an error about one key of this arm, as part of a hand."""

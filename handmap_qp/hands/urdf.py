@@ -21,6 +21,7 @@ from handmap_qp.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
 from .sources import find_mesh, urdf_path
 from .spec import (
     ArmSpec,
+    HandSpec,
     LimitSpec,
     MimicSpec,
     Positions,
@@ -316,21 +317,12 @@ def _checked_kind(joint: Element) -> str:
 # -- edits of joints
 
 
-def prepare_urdf(
-    robot: Element,
-    root: str | None,
-    mimic: Mapping[str, MimicSpec | None],
-    locked: Positions,
-    limits: Mapping[str, LimitSpec],
-) -> Positions:
+def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
     """Keep the part from `root` outwards, and write mimic rules, locked joints and limits into it.
 
     Args:
         robot: The `<robot>` element, changed in place.
-        root: Link at which the part begins; all of it if None.
-        mimic: Mimic rules by follower, as of `HandSpec`.
-        locked: Positions of joints to lock [rad or m].
-        limits: Limits by joint name.
+        spec: The description of the hand or the arm.
 
     Returns:
         Positions of all joints that were locked [rad or m].
@@ -338,21 +330,21 @@ def prepare_urdf(
     Raises:
         HandError: If a link or joint does not exist.
     """
-    if root is not None:
-        cut_subtree(robot, root)
-    for name, rule in mimic.items():
+    if spec.root is not None:
+        cut_subtree(robot, spec.root)
+    for name, rule in spec.mimic.items():
         joint = _movable_joint(robot, name, "mimic")
         for old in joint.findall("mimic"):
             joint.remove(old)
         if rule:
             element = SubElement(joint, "mimic", joint=rule.joint)
             set_numbers(element, multiplier=rule.multiplier, offset=rule.offset)
-    positions = lock_joints(robot, locked)
+    positions = lock_joints(robot, spec.locked)
     fix_free_joints(robot)
-    for name in limits:
+    for name in spec.limits:
         _movable_joint(robot, name, "limits")
     for name, joint in joints_by_name(robot, MOVABLE).items():
-        _complete_limits(joint, limits.get(name, LimitSpec()))
+        _complete_limits(joint, spec.limits.get(name, LimitSpec()))
     return positions
 
 

@@ -28,7 +28,7 @@ from handmap_qp.apps.drawing.contact_sheet import (
 )
 from handmap_qp.hands import Hand, PalmKinematics, place_of
 from handmap_qp.mapping import resting_posture
-from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points, unit
+from handmap_qp.se3 import inverse_pose, lengths, transform_points, unit
 from .match import Match
 
 _PANEL = (760, 820)
@@ -184,24 +184,20 @@ class _Scene:
         )
         draw_hands(axes, self.triangles, camera, marks=self.marks)
         origin = camera.project(np.zeros(3))[:2]
+        write = partial(axes.annotate, va="center", fontsize=10, bbox=_BOX)
         for tip, name, colour in self.arrows:
             # Write beyond the end of the axis, so that the end stays visible.
             way = camera.project(tip)[:2] - origin
-            axes.annotate(
+            write(
                 name,
                 xy=origin + way,
                 xytext=_AXIS_GAP * unit(way),
                 textcoords="offset pixels",
                 ha="center",
-                va="center",
                 color=colour,
-                fontsize=10,
-                bbox=_BOX,
             )
-        self._label(axes, camera.project(self.points)[:, :2])
-
-    def _label(self, axes: Any, places: Array) -> None:
-        """Write the points' names at the panel's edges, each with a line to its point."""
+        # The points' names are at the panel's edges, each with a line to its point.
+        places = camera.project(self.points)[:, :2]
         across = places[:, 0]
         is_right = across > 0.5 * (across.min() + across.max())
         for side, edge in ((is_right, _PANEL[0] - 8), (~is_right, 8)):
@@ -213,15 +209,12 @@ class _Scene:
             excess = max(0.0, heights.max(initial=0.0) - _PANEL[1] + 20.0)
             for i, height in zip(chosen, heights - excess, strict=True):
                 colour = self.colours[i]
-                axes.annotate(
+                write(
                     self.hand.reference_points[i].name,
                     xy=places[i],
                     xytext=(edge, height),
                     ha="right" if edge > 8 else "left",
-                    va="center",
-                    fontsize=10,
                     color=colour,
-                    bbox=_BOX,
                     arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.8},
                 )
 
