@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from handmap_qp.se3 import Array, lengths, unit
 from .configuration import moved_by
@@ -73,9 +74,13 @@ class PalmKinematics:
         """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
         rows = []
         for posture in q.reshape(-1, q.shape[-1]):
-            palm = self._place(posture)
-            rows += [palm.actInv(self._data.oMi[j].act(offset)) for j, offset in places]
+            self._place(posture)
+            rows += map(self._point, places)
         return np.reshape(rows, (*q.shape[:-1], -1, 3))
+
+    def _point(self, place: Place) -> Array:
+        joint, offset = place
+        return self._palm.actInv(self._data.oMi[joint].act(offset))
 
     def axes(
         self, q: Array, joints: Sequence[int], near: Place | None = None
@@ -90,23 +95,23 @@ class PalmKinematics:
         Returns:
             Unit vectors, zero of prismatic joints, and points [m]; shape (k, 3) each.
         """
-        palm = self._place(q)
-        turns = self._data.J[3:, [self._model.idx_vs[j] for j in joints]].T
-        turns = turns @ palm.rotation
-        points = np.array([palm.actInv(self._data.oMi[j].translation) for j in joints])
+        self._place(q)
+        columns = [self._model.idx_vs[joint] for joint in joints]
+        turns = self._data.J[3:, columns].T @ self._palm.rotation
+        points = np.array([self._point((joint, np.zeros(3))) for joint in joints])
         if near is not None:
-            levers = palm.actInv(self._data.oMi[near[0]].act(near[1])) - points
+            levers = self._point(near) - points
             points += (levers * turns).sum(axis=1, keepdims=True) * turns
         return turns, points
 
     def on_axis(self, q: Array, joint: int, near: Place) -> Place:
         """Return the point of a turning joint's axis that is nearest to another point."""
         _, (point,) = self.axes(q, [joint], near)
-        return joint, self._data.oMi[joint].actInv(self._place(q).act(point))
+        return joint, self._data.oMi[joint].actInv(self._palm.act(point))
 
     def motion(self, q: Array, place: Place) -> Array:
         """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""
-        palm = self._place(q)
+        self._place(q)
         # Columns of joints that move both are the same, and cancel.
         joints = [place[0], self.hand.palm_frame.parentJoint]
         moves, carries = moved_by(self._model, joints)
@@ -114,14 +119,14 @@ class PalmKinematics:
         linear, turns = np.split(columns @ self.hand.joint_motion, 2)
         point = self._data.oMi[place[0]].act(place[1])
         linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
-        return np.vstack([palm.rotation.T @ linear, palm.rotation.T @ turns])
+        return np.vstack(self._palm.rotation.T @ [linear, turns])
 
-    def _place(self, q: Array) -> pin.SE3:
+    def _place(self, q: Array) -> None:
         pin.computeJointJacobians(
             self._model, self._data, self.hand.configuration_vector(q)
         )
         frame = self.hand.palm_frame
-        return self._data.oMi[frame.parentJoint] * frame.placement
+        self._palm = self._data.oMi[frame.parentJoint] * frame.placement
 
 
 class Flexion(NamedTuple):
@@ -173,6 +178,9 @@ class Finger:
         self.tip = tip
         self.name = name
         self._own = tuple(own) or self.joints
+        # Which joints move as each q does.
+        rows = [hand.model.idx_vs[joint] for joint in self.joints]
+        self._moves = hand.joint_motion[rows] != 0.0
         self._zero = hand.zero
         self._view = PalmKinematics(hand)
 
@@ -184,11 +192,9 @@ class Finger:
     @cached_property
     def columns(self) -> Array:
         """Columns of q that move the finger, from the palm outwards, shape (c,)."""
-        rows = [self.hand.model.idx_vs[joint] for joint in self.joints]
-        moves = self.hand.joint_motion[rows] != 0.0
-        columns = np.flatnonzero(moves.any(axis=0))
+        columns = np.flatnonzero(self._moves.any(axis=0))
         # In the order of the last joints that they move.
-        last = moves[::-1, columns].argmax(axis=0)
+        last = self._moves[::-1, columns].argmax(axis=0)
         return columns[np.argsort(-last, kind="stable")]
 
     @cached_property
@@ -346,11 +352,9 @@ class Finger:
         # The sense of the axis is that of the last joint, in every posture.
         axis = unit(turns[:, -1])
         along = axis @ turns
-        rows = self.hand.model.idx_vs
-        moves = self.hand.joint_motion[:, columns[0]] != 0.0
-        moved = [joint for joint in self.joints if moves[rows[joint]]]
-        axes, points = self._view.axes(q, moved, self.tip)
-        base = points[axes.any(axis=1).argmax()]
+        axes, points = self._view.axes(q, self.joints, self.tip)
+        turning = self._moves[:, columns[0]] & axes.any(axis=1)
+        base = points[turning.argmax()]
         return axis, base, np.sign(along), np.abs(along)
 
     def _straightened(
@@ -424,12 +428,12 @@ def ends_of(
     hand: Hand,
     q: Array,
     columns: Array | Sequence[int],
-    signs: Array | float = 1.0,
+    signs: ArrayLike = 1.0,
 ) -> Array:
     """Return two postures: some joints at one end of their ranges, then at the other, (2, n)."""
     ends = np.tile(q, (2, 1))
     limits = hand.limits[:, columns]
-    ends[:, columns] = np.where(np.asarray(signs) > 0.0, limits, limits[::-1])
+    ends[:, columns] = np.where(np.greater(signs, 0.0), limits, limits[::-1])
     return ends
 
 

@@ -150,8 +150,8 @@ def cached_urdf(file: Path) -> Path:
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     cache = Path(home) / "handmap_qp/mjcf"
     versions = [importlib.metadata.version(name) for name in ("handmap-qp", "mujoco")]
-    stats = {other.name: other.stat() for other in sorted(file.parent.glob("*.xml"))}
-    files = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats.items()]
+    others = sorted(file.parent.glob("*.xml"))
+    files = [(o.name, o.stat().st_size, o.stat().st_mtime_ns) for o in others]
     key = repr((file.resolve(), versions, _CONVERSION, files))
     digest = hashlib.sha256(key.encode()).hexdigest()[:16]
     folder = cache / f"{file.stem}-{digest}"

@@ -155,9 +155,10 @@ def common_pairs(
     fingers = tuple(max(own[end] for own in owns) for end in common)
     pinching = []
     for own in owns:
-        rows = [k for k, end in enumerate(common) if own[end]]
-        places = [[*own].index(common[k]) for k in rows]
-        pinching.append((np.array(rows, dtype=int), np.array(places, dtype=int)))
+        order = [*own]
+        found = [(k, order.index(end)) for k, end in enumerate(common) if own[end]]
+        rows, places = np.array(found, dtype=int).reshape(-1, 2).T
+        pinching.append((rows, places))
     return ShapePairs(_paired(of[0].geometry, common), fingers), pinching
 
 
