@@ -319,7 +319,16 @@ class Finger:
         ways = ends_of(self.hand, q, columns, signs)[::-1] - q
         bent = lengths_at(q + np.linspace(0.0, 1.0, _SWEEP)[:, None, None] * ways)
         shares = 1.0 - bent.min(axis=0) / bent[0].clip(1e-9)
-        sense, certainty = _sense(shares, np.abs(gears * ways[:, columns]).sum(axis=1))
+        # The finger is closed where it is shorter, or to which the ranges [rad] are longer.
+        travels = np.abs(gears * ways[:, columns]).sum(axis=1)
+        by_share = shares[0] - shares[1]
+        by_range = (travels[0] - travels[1]) / max(travels.sum(), 1e-9)
+        has_share = abs(by_share) > _EVEN_LENGTH
+        has_range = abs(by_range) > _EVEN_RANGE
+        sense = float(np.sign(by_share if has_share else by_range * has_range))
+        certainty = 0.75 * abs(sense)
+        if has_share and has_range:
+            certainty = 0.95 if by_share * by_range > 0.0 else 0.5
         straight = self._with_knuckle(columns, q[columns], sense * signs)
         q[columns] = straight
         axis, base, signs, _ = self._axis(columns, q)
@@ -393,23 +402,6 @@ class Finger:
         share = (np.abs(straight - open_end) / (upper - lower))[1:].mean()
         knuckle = open_end[0] + sense[0] * share * (upper[0] - lower[0])
         return np.array([knuckle, *straight[1:]])
-
-
-def _sense(shares: Array, travels: Array) -> tuple[float, float]:
-    """Return the sense of the closed end, 0 if unknown, and the confidence in it.
-
-    `shares` is the finger's relative shortening towards either sense, `travels` the sum of the
-    ranges [rad], shape (2,) each.
-    """
-    by_share = shares[0] - shares[1]
-    by_range = (travels[0] - travels[1]) / max(travels.sum(), 1e-9)
-    has_share = abs(by_share) > _EVEN_LENGTH
-    has_range = abs(by_range) > _EVEN_RANGE
-    sense = np.sign(by_share) if has_share else np.sign(by_range) * has_range
-    certainty = 0.75 * abs(sense)
-    if has_share and has_range:
-        certainty = 0.95 if by_share * by_range > 0.0 else 0.5
-    return float(sense), float(certainty)
 
 
 def nearing(

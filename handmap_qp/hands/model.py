@@ -23,7 +23,6 @@ from .spec import (
     Mount,
     Names,
     Positions,
-    Problems,
     Rules,
 )
 from .urdf import (
@@ -53,12 +52,8 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
         InvalidInputError: If there is no such mount.
         HandError: If a hand on an arm is asked to float.
     """
-    expect(
-        mount is None or (isinstance(mount, str) and mount in get_args(Mount)),
-        "mount",
-        "'floating' or 'fixed'",
-        value=mount,
-    )
+    is_known = isinstance(mount, str | None) and mount in (None, *get_args(Mount))
+    expect(is_known, "mount", "'floating' or 'fixed'", value=mount)
     if spec.arm is None:
         return mount or spec.wrist.mount
     if mount == "floating":
@@ -113,21 +108,19 @@ def build_model(
     except (RuntimeError, ValueError) as error:
         problem = f"Pinocchio cannot read the URDF: {reason_of(error)}"
         raise spec.error(problem, "urdf") from error
-    spec.reject(_joint_problems(spec, {*model.names}, rules))
-    return model
-
-
-def _joint_problems(spec: HandSpec, names: set[str], rules: Rules) -> Problems:
-    """Check that a model has the joints of a description, and followers."""
     own = {*spec.all_joints}
-    movable = names - {"universe", FLOATING_JOINT}
+    movable = {*model.names} - {"universe", FLOATING_JOINT}
     for name in sorted(own & rules.keys()):
         mimics = f"{name!r} mimics {rules[name].joint!r}"
-        yield f"{mimics}: leave it out, or give its rule in `mimic`", "joints", name
+        advice = "leave it out, or give its rule in `mimic`"
+        raise spec.error(f"{mimics}: {advice}", "joints", name)
     for name in sorted(movable - own - rules.keys()):
-        yield f"{name!r} is missing: name it here or in `locked`", "joints", name
+        missing = f"{name!r} is missing: name it here or in `locked`"
+        raise spec.error(missing, "joints", name)
     for name in sorted(own - movable):
-        yield f"{name!r} is not a movable joint of the URDF", "joints", name
+        unknown = f"{name!r} is not a movable joint of the URDF"
+        raise spec.error(unknown, "joints", name)
+    return model
 
 
 class Expansion(NamedTuple):

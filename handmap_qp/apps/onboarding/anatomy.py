@@ -93,6 +93,8 @@ class Anatomy:
     ) -> None:
         self._flexion = flexion
         self._names = names
+        self._named_side = named
+        self._given_side = side
         self._labels = named_fingers(names)
         # The thumb, if there are several fingers, and the other ones.
         self._thumb, self._thumb_clue = self._find_thumb(thumb)
@@ -106,9 +108,7 @@ class Anatomy:
         dorsal = self._find_dorsal(distal)
         across = np.cross(distal.answer, dorsal.answer)
         radial = self._find_radial(across)
-        turned, found = _find_side(
-            across, dorsal, radial, self._thumb_clue, side, named
-        )
+        turned, found = self._find_side(across, dorsal, radial)
         self.side: Side = found.answer
         # The thumb's side orders the fingers; only without it the side does.
         if radial.confidence == 0.0:
@@ -272,6 +272,52 @@ class Anatomy:
         # Names count as much as a clear place.
         return Clue("radial", np.sign(place + _CLEAR * named) * across, how, confidence)
 
+    def _find_side(
+        self, across: Array, dorsal: Clue, radial: Clue
+    ) -> tuple[Clue, Clue]:
+        """Find the side: a right hand seen from the back, fingers up, has its thumb on the left.
+
+        A given or named side may turn the dorsal direction over.
+        """
+        given = self._given_side
+        source = "as given" if given else "from the names"
+        declared = given or self._named_side
+        if radial.confidence == 0.0:
+            how = f"{source}; the thumb is in the middle"
+            sure = 1.0 if given else 0.65
+            if declared is None:
+                how = "undetermined; right by convention"
+                sure = 0.2
+            return dorsal, Clue("side", declared or "right", how, sure)
+        is_right = radial.answer @ across < 0.0
+        found, place = ("right", "left") if is_right else ("left", "right")
+        how = f"seen from the back with the fingers up, the thumb is on the {place} ({radial.how})"
+        least = min(radial.confidence, self._thumb_clue.confidence)
+        sure = min(least, dorsal.confidence)
+        answer = found
+        is_clear = dorsal.sign > 0.9
+        if declared == found:
+            how = f"{source}, and {how}"
+            sure = 1.0 if given else _CERTAIN if least >= _LIKELY else _LIKELY
+            dorsal = _confirmed(dorsal)
+        elif declared and is_clear and not given and radial.confidence >= _LIKELY:
+            # They disagree: names yield to clear flexion, an owner's word does not.
+            how += f"; the names say {declared}"
+            sure = _DISPUTED
+        elif declared:
+            answer = declared
+            why = f"the ranges of the joints suggest {found}"
+            turned = 0.4
+            sure = _DISPUTED
+            if not is_clear:
+                why = "flexion is symmetric"
+                turned = min(_LIKELY, radial.confidence)
+                sure = 0.9 if given else min(_LIKELY, least)
+            how = f"{source}; {why}"
+            back = f"the back of a {declared} hand with its thumb there; {why}"
+            dorsal = Clue("dorsal", -dorsal.answer + 0.0, back, turned, 0.0)
+        return dorsal, Clue("side", answer, how, sure)
+
     def _name_fingers(self, radial: Clue) -> tuple[dict[int, str], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""
         flexion = self._flexion
@@ -328,57 +374,6 @@ def _stands_out(differences: Array) -> Array:
     # Differences are symmetric.
     among = differences.sum() - 2.0 * own - differences.diagonal()
     return own / others - among / max(1, others * (others - 1))
-
-
-def _find_side(
-    across: Array,
-    dorsal: Clue,
-    radial: Clue,
-    thumb: Clue,
-    given: Side | None,
-    named: Side | None,
-) -> tuple[Clue, Clue]:
-    """Find the side: a right hand seen from the back, fingers up, has its thumb on the left.
-
-    A given or named side may turn the dorsal direction over.
-    """
-    source = "as given" if given else "from the names"
-    declared = given or named
-    if radial.confidence == 0.0:
-        how = f"{source}; the thumb is in the middle"
-        sure = 1.0 if given else 0.65
-        if declared is None:
-            how = "undetermined; right by convention"
-            sure = 0.2
-        return dorsal, Clue("side", declared or "right", how, sure)
-    is_right = radial.answer @ across < 0.0
-    found, place = ("right", "left") if is_right else ("left", "right")
-    how = f"seen from the back with the fingers up, the thumb is on the {place} ({radial.how})"
-    least = min(radial.confidence, thumb.confidence)
-    sure = min(least, dorsal.confidence)
-    answer = found
-    is_clear = dorsal.sign > 0.9
-    if declared == found:
-        how = f"{source}, and {how}"
-        sure = 1.0 if given else _CERTAIN if least >= _LIKELY else _LIKELY
-        dorsal = _confirmed(dorsal)
-    elif declared and is_clear and not given and radial.confidence >= _LIKELY:
-        # They disagree: names yield to clear flexion, an owner's word does not.
-        how += f"; the names say {declared}"
-        sure = _DISPUTED
-    elif declared:
-        answer = declared
-        why = f"the ranges of the joints suggest {found}"
-        turned = 0.4
-        sure = _DISPUTED
-        if not is_clear:
-            why = "flexion is symmetric"
-            turned = min(_LIKELY, radial.confidence)
-            sure = 0.9 if given else min(_LIKELY, least)
-        how = f"{source}; {why}"
-        back = f"the back of a {declared} hand with its thumb there; {why}"
-        dorsal = Clue("dorsal", -dorsal.answer + 0.0, back, turned, 0.0)
-    return dorsal, Clue("side", answer, how, sure)
 
 
 def _confirmed(dorsal: Clue) -> Clue:
