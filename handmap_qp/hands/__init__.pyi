@@ -63,6 +63,7 @@ from .spec import CollisionSpec as CollisionSpec
 from .spec import Document as Document
 from .spec import HandSpec as HandSpec
 from .spec import LimitSpec as LimitSpec
+from .spec import Links as Links
 from .spec import MimicSpec as MimicSpec
 from .spec import Mount as Mount
 from .spec import Names as Names

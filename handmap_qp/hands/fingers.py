@@ -243,8 +243,8 @@ class Finger:
         """
         view = self._view
         q = self._zero.copy()
-        if self.flexion is not None:
-            q[self.flexion.columns] = self.flexion.straight
+        if flexion := self.flexion:
+            q[flexion.columns] = flexion.straight
         tip = view.points(q, [self.tip])[0]
         is_thumb = self.name == THUMB
         joints = self.bending
@@ -341,9 +341,8 @@ class Finger:
 
         A finger that curls equally far both ways flexes to the palm's side.
         """
-        found = self.flexion
-        senses = np.zeros_like(self.hand.lower_limits)
-        if found is not None:
+        senses = np.zeros_like(self._zero)
+        if found := self.flexion:
             motion = self._view.motion(self._zero, self.tip)
             dorsal = motion[2, found.columns] @ found.signs
             senses[found.columns] = found.signs * (

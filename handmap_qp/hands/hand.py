@@ -358,13 +358,10 @@ class Hand:
         pose = np.eye(4)
         if wrist_pose is not None:
             pose = check_pose(wrist_pose, "wrist_pose")
-            if not self.is_floating:
-                raise InvalidInputError(
-                    argument="wrist_pose",
-                    problem=f"{self.name} has a fixed wrist, whose pose cannot be given",
-                    value=wrist_pose,
-                    advice="mount='floating' frees it",
-                )
+            expected = (
+                f"none: {self.name} has a fixed wrist (mount='floating' frees it)"
+            )
+            expect(self.is_floating, "wrist_pose", expected, value=wrist_pose)
         vector = np.zeros(self._size)
         self.write_configuration(vector, angles, pose)
         return vector

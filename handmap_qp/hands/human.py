@@ -161,7 +161,13 @@ class HumanLengths:
         Raises:
             HandError: If the text is not the URDF of a human hand with this package's names.
         """
-        named = _joints(parse_urdf(text))
+        named = joints_by_name(parse_urdf(text))
+        for finger in FINGERS:
+            for name in _chain(finger):
+                tags = {element.tag for element in named.get(name, ())}
+                if not {"origin", "child"} <= tags:
+                    problem = f"the joint {name!r} is missing or has no origin"
+                    raise HandError(f"{_NOT_HUMAN}: {problem}", value=name)
         joints = [[named[name] for name in _chain(finger)] for finger in FINGERS]
         poses = np.array([[*map(origin_of, chain)] for chain in joints])
         rolls = [
@@ -270,19 +276,6 @@ def _chain(finger: str) -> Names:
     """Return a finger's four joints and the fixed one of its tip, outwards."""
     first = 4 * FINGERS.index(finger)
     return (*HUMAN_JOINTS[first : first + 4], f"{finger}_tip_joint")
-
-
-def _joints(robot: Element) -> dict[str, Element]:
-    """Return all joints by name, those of the fingers with an origin and a child."""
-    joints = joints_by_name(robot)
-    for name in (name for finger in FINGERS for name in _chain(finger)):
-        tags = {element.tag for element in joints[name]} if name in joints else set()
-        if not {"origin", "child"} <= tags:
-            raise HandError(
-                f"{_NOT_HUMAN}: the joint {name!r} is missing or has no origin",
-                value=name,
-            )
-    return joints
 
 
 def _palm_map(

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from handmap_qp.errors import (
     HandError,
-    InvalidInputError,
     MissingExtraError,
     MissingPackageError,
     describe_value,
@@ -115,12 +114,8 @@ def load_hand(
     )
     if lengths is None and hand_length is None:
         return Hand(_spec_of(hand), points=points, mount=mount)
-    if None not in (lengths, hand_length):
-        raise InvalidInputError(
-            "cannot be combined with hand_length: give one of them",
-            argument="lengths",
-            value=lengths,
-        )
+    is_one = None in (lengths, hand_length)
+    expect(is_one, "lengths", "these or hand_length, not both", value=lengths)
     if hand_length is not None:
         lengths = HumanLengths.from_hand_length(hand_length)
     expect(isinstance(lengths, HumanLengths), "lengths", "HumanLengths", value=lengths)
@@ -138,12 +133,8 @@ def _load_human(
 ) -> tuple[Hand, HumanLengths]:
     """Load a human hand with its own lengths; reject a robot."""
     spec = _spec_of(hand)
-    if spec.name not in HUMAN_HANDS:
-        raise InvalidInputError(
-            f"only the human hand can be scaled, not {spec.name}",
-            argument="lengths",
-            value=spec.name,
-        )
+    expected = "none, because only the human hand can be scaled"
+    expect(spec.name in HUMAN_HANDS, "lengths", expected, got=f"some for {spec.name}")
     human = Hand(spec, points=points, mount=mount)
     return human, HumanLengths.from_urdf(read_urdf(spec))
 

@@ -315,7 +315,7 @@ class ConvertedMjcf:
         rule = self._rules.get(joint)
         low, high = model.jnt_range[joint]
         ends: dict[str, float] = {}
-        if rule is not None and rule.leader is None:
+        if rule and rule.leader is None:
             ends = {"lower": rule.offset, "upper": rule.offset}
         elif model.jnt_limited[joint]:
             # MuJoCo's range of a ball is [0, largest angle].
@@ -328,7 +328,7 @@ class ConvertedMjcf:
         damping = np.ravel(model.dof_damping[dof])[:1]
         friction = model.dof_frictionloss[dof]
         set_numbers(SubElement(element, "dynamics"), damping=damping, friction=friction)
-        if rule is not None and rule.leader is not None:
+        if rule and rule.leader is not None:
             mimic = SubElement(element, "mimic", joint=self.joints[rule.leader])
             set_numbers(mimic, multiplier=rule.multiplier, offset=rule.offset)
 

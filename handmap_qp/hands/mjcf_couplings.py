@@ -204,10 +204,10 @@ class _Constraints:
         model = self._model
         motors = model.actuator_trntype
         equal = [i for i in constraints if self._kinds[i] == "joint"]
-        leading = set(model.eq_obj2id[equal].tolist()) - {*model.eq_obj1id[equal]}
+        leading = {*model.eq_obj2id[equal]} - {*model.eq_obj1id[equal]}
         targets = model.actuator_trnid[:, 0]
-        driven = set(targets[motors == int(mujoco.mjtTrn.mjTRN_JOINT)].tolist())
-        for tendon in targets[motors == int(mujoco.mjtTrn.mjTRN_TENDON)].tolist():
+        driven = {*targets[motors == int(mujoco.mjtTrn.mjTRN_JOINT)]}
+        for tendon in targets[motors == int(mujoco.mjtTrn.mjTRN_TENDON)]:
             driven.update(_fixed_tendon(model, tendon))
         return max(sorted(coupled), key=lambda j: (j in leading, j in driven))
 

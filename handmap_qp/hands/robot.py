@@ -234,7 +234,7 @@ def _on_robot(spec: HandSpec, name: str, prefix: str, rest: Positions) -> HandSp
         return replace(value, link=f"{prefix}{value.link}")
 
     matched = spec.matched
-    if matched is not None:
+    if matched:
         matched = rest | {f"{prefix}{joint}": at for joint, at in matched.items()}
     collision = spec.collision
     if collision:

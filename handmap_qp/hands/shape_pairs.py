@@ -1,5 +1,6 @@
 """Pairs of a hand's collision shapes: those that its description names, or all that may collide."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from itertools import combinations, compress, product
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from .collision_shapes import read_collision_shapes
 from .fingers import Finger
 from .hand import Hand
 from .human import THUMB
-from .spec import Names
+from .spec import Links, Names
 
 LINK_MARGIN = 0.001
 """Margin between all links but those that pinch [m]."""
@@ -39,10 +40,10 @@ class ShapePairs(NamedTuple):
 
     geometry: pin.GeometryModel
     fingers: Names
-    joined: tuple[tuple[str, str], ...] = ()
+    joined: tuple[Links, ...] = ()
 
     @property
-    def links(self) -> tuple[tuple[str, str], ...]:
+    def links(self) -> tuple[Links, ...]:
         """Links of both shapes of each pair."""
         names = _links(self.geometry)
         return tuple((names[i], names[j]) for i, j in _ends(self.geometry))
@@ -67,7 +68,7 @@ def _paired(geometry: pin.GeometryModel, ends: ArrayLike) -> pin.GeometryModel:
     return paired
 
 
-def named_pairs(hand: Hand, pairs: Sequence[tuple[str, str]]) -> ShapePairs:
+def named_pairs(hand: Hand, pairs: Sequence[Links]) -> ShapePairs:
     """Pair the shapes of links.
 
     Args:
@@ -78,8 +79,9 @@ def named_pairs(hand: Hand, pairs: Sequence[tuple[str, str]]) -> ShapePairs:
         HandError: If a link does not exist or has no collision shape, or a shape cannot be read.
     """
     geometry = read_collision_shapes(hand)
-    links = np.array(_links(geometry))
-    shapes = {str(link): np.flatnonzero(links == link).tolist() for link in links}
+    shapes = defaultdict[str, list[int]](list)
+    for i, link in enumerate(_links(geometry)):
+        shapes[link].append(i)
     for i, pair in enumerate(pairs):
         for link in pair:
             if link not in shapes:
@@ -164,12 +166,10 @@ def common_pairs(
 
 def _pinching_fingers(geometry: pin.GeometryModel, chains: dict[str, Finger]) -> Names:
     """Return the finger that each pair brings together with the thumb; empty where none."""
-    owners = {
-        shape: finger
-        for finger, chain in chains.items()
-        for shape in distal_shapes(chain, geometry)
-    }
-    names = [{owners.get(i, ""), owners.get(j, "")} for i, j in _ends(geometry)]
+    owners = defaultdict[int, str](str)
+    for finger, chain in chains.items():
+        owners |= dict.fromkeys(distal_shapes(chain, geometry), finger)
+    names = [{owners[i], owners[j]} for i, j in _ends(geometry)]
     return tuple(
         max(two - {THUMB}, default="") if THUMB in two else "" for two in names
     )

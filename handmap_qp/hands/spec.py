@@ -20,6 +20,8 @@ from msgspec import Meta
 from handmap_qp.errors import HandError, reason_of
 
 Names = tuple[str, ...]
+Links = tuple[str, str]
+"""Names of two links."""
 Values = dict[str, Any]
 """Values by name."""
 Side = Literal["right", "left"]
@@ -129,7 +131,7 @@ class CollisionSpec(Document, frozen=True):
         margin: Least distance between their shapes [m].
     """
 
-    pairs: Annotated[tuple[tuple[str, str], ...], Meta(min_length=1)]
+    pairs: Annotated[tuple[Links, ...], Meta(min_length=1)]
     margin: Annotated[float, Meta(ge=0.0)] = 0.0005
 
 

@@ -109,7 +109,8 @@ def get_numbers(
             value=text,
         )
     may_be_infinite = element.tag == "limit"
-    if np.isnan(numbers).any() or not (may_be_infinite or np.isfinite(numbers).all()):
+    faults = np.isnan(numbers) if may_be_infinite else ~np.isfinite(numbers)
+    if faults.any():
         raise HandError(
             f"<{element.tag} {key}={text!r}> is not a finite number", value=text
         )

@@ -16,6 +16,7 @@ from handmap_qp.errors import HandError
 from handmap_qp.hands import (
     Hand,
     HandSpec,
+    Links,
     Names,
     PalmKinematics,
     carrier_of,
@@ -343,23 +344,23 @@ def _compare_fingers(hand: Hand, chains: dict[str, Names]) -> Found:
     owners = {joint: finger for finger, joints in pairs for joint in joints}
     for point in hand.reference_points:
         owner = owners.get(hand.model.names[place_of(hand, point)[0]])
-        if owner is not None and point.finger not in (None, owner):
+        if owner and point.finger not in (None, owner):
             what = f"is on the finger at the position of the {owner}, but names {point.finger}"
             change = f"finger: {owner}, with a matching name and partner"
             yield warning(f"points.{point.name}", what, change)
 
 
 def _check_collisions(hand: Hand) -> Found:
-    if hand.spec.collision is not None:
+    if collision := hand.spec.collision:
         try:
-            named_pairs(hand, hand.spec.collision.pairs)
+            named_pairs(hand, collision.pairs)
         except HandError as error:
             yield warning(error.key or "collision", error.problem, "correct the pair")
     pairs = colliding_links(hand, hand.rest)
     yield _overlap(pairs, "open the hand or spread its fingers more")
 
 
-def _overlap(pairs: list[tuple[str, str]], change: str) -> Finding:
+def _overlap(pairs: list[Links], change: str) -> Finding:
     if pairs:
         shown = first_of([*map(" and ".join, pairs)], MOST_NAMES)
         return warning("rest", f"at rest {shown} overlap", change)

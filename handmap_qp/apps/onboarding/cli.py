@@ -415,7 +415,7 @@ class HandsCheck:
         with progress("checking"):
             report = check_hand(self.hand, has_motion=self.motion)
         picture = self.picture or picture_path(self.hand)
-        if picture is not None and report.hand is not None:
+        if picture and report.hand:
             draw_hand(report.hand, picture, *report.measured.get("Directions", []))
         report.print(picture, as_json=self.json)
 
@@ -454,13 +454,13 @@ class HandsMatch:
         """Solve the posture, print it, and draw it if requested."""
         robot = load_hand(self.hand)
         expect(robot.name not in HUMAN_HANDS, "hand", "a robot hand", value=robot.name)
-        if self.picture is not None:
+        if self.picture:
             check_output("--picture", self.picture, (".png",))
         source = self.recording
-        recording = None if source is None else InputArguments().read(source)
+        recording = InputArguments().read(source) if source else None
         match = match_hand(robot, recording=recording, human_length=self.human_length)
         written = []
-        if self.picture is not None:
+        if self.picture:
             draw_match(match, self.picture)
             written = [str(self.picture)]
         said = {"name": robot.name, "joints": match.rows, "written": written}
@@ -545,7 +545,7 @@ class RobotsCheck:
             robot = load_robot(self.robot)
             report = check_robot(robot, has_motion=self.motion)
         picture = self.picture or picture_path(self.robot, "robot")
-        if picture is not None:
+        if picture:
             draw_robot(robot, picture)
         report.print(picture, as_json=self.json)
         # The worst is first; an error is raised.

@@ -13,6 +13,7 @@ from handmap_qp.hands import (
     CollisionSpec,
     Finger,
     Hand,
+    Links,
     ShapePairs,
     all_pairs,
     carrier_of,
@@ -105,9 +106,7 @@ def _owners(hand: Hand, fingers: dict[str, Finger]) -> dict[int, str]:
     return owners
 
 
-def colliding_links(
-    hand: Hand, q: Array, wrists: Sequence[int] = ()
-) -> list[tuple[str, str]]:
+def colliding_links(hand: Hand, q: Array, wrists: Sequence[int] = ()) -> list[Links]:
     """Return the pairs of links whose collision shapes overlap in one posture.
 
     Pairs that meet in a joint, or that overlap in most postures, are left out.

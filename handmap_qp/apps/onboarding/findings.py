@@ -87,9 +87,9 @@ class Report:
         }
         tables = {f"{self.name}: findings": rows, **self.measured}
         # A table of one error would say it twice.
-        if as_json or self.error is None:
+        if as_json or not self.error:
             print_result(said, tables, as_json=as_json)
-        if self.error is not None:
+        if self.error:
             raise self.error
-        if picture is not None and not as_json:
+        if picture and not as_json:
             print(f"wrote {picture}")

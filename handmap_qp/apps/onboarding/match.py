@@ -6,7 +6,7 @@ import numpy as np
 import yaml
 
 from handmap_qp.apps.tables import rows_of
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Values, load_hand
 from handmap_qp.human import Recording, human_name, mirrored, scaled_human
 from handmap_qp.mapping import HandPair
@@ -70,10 +70,8 @@ def match_hand(
         InvalidInputError: If the recording or the length cannot be used, or both are given.
         InvalidOptionsError: If the description names no finger.
     """
-    if recording is not None and human_length is not None:
-        raise InvalidInputError(
-            argument="--human-length", problem="cannot be combined with --recording"
-        )
+    is_one = None in (recording, human_length)
+    expect(is_one, "--human-length", "none beside --recording", value=human_length)
     if recording is None:
         human = load_hand(
             human_name(robot.spec.side), points="landmarks", hand_length=human_length

@@ -110,8 +110,8 @@ def open_source(
     source = source_path(given)
     path = source or robot
     if not is_mjcf(path):
-        return RobotSource(path, str(path) if source is None else given)
-    if source is not None:
+        return RobotSource(path, given if source else str(path))
+    if source:
         return RobotSource(
             hands.mjcf.cached_urdf(path), given, hands.mjcf.convert_mjcf(path).notes
         )
