@@ -224,6 +224,15 @@ class Finger:
         found = self.find_middle() if self.name != THUMB else None
         return found or (self._own[-1], np.zeros(3))
 
+    def take(self, point: PointSpec) -> None:
+        """Take knuckle or middle from a point of the description that stands for one."""
+        first, last = ("cmc", "ip") if self.name == THUMB else ("mcp", "pip")
+        names = point.partner, point.name
+        if f"{self.name}_{first}" in names:
+            self.knuckle = place_of(self.hand, point)
+        if f"{self.name}_{last}" in names:
+            self.middle = place_of(self.hand, point)
+
     @property
     def last(self) -> Place:
         """The last joint: the middle one of a thumb, else where its axis is nearest to the tip."""
@@ -451,13 +460,8 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
         fingers[finger] = Finger(hand, joints, tips[finger], name=finger, own=own)
     # Of several points that stand for a landmark, the first one counts.
     for point in reversed(hand.spec.points):
-        if found := fingers.get(point.finger or ""):
-            first, last = ("cmc", "ip") if found.name == THUMB else ("mcp", "pip")
-            names = point.partner, point.name
-            if f"{found.name}_{first}" in names:
-                found.knuckle = place_of(hand, point)
-            if f"{found.name}_{last}" in names:
-                found.middle = place_of(hand, point)
+        if point.finger in fingers:
+            fingers[point.finger].take(point)
     return fingers
 
 

@@ -304,11 +304,11 @@ def _palm_map(
 def _scale_shape(shape: Element, move: Callable[[Array], Array], size: float) -> None:
     """Move a primitive's centre and ends by `move`, and scale its thickness by `size`."""
     pose = origin_of(shape)
-    primitive = shape.find("geometry/*")
+    primitive = next(shape.iterfind("geometry/*"), Element("nothing"))
     axes = pose[:3, :3]
     centre = pose[:3, 3]
-    kind = None if primitive is None else primitive.tag
-    if primitive is None or kind not in ("sphere", "cylinder", "box"):
+    kind = primitive.tag
+    if kind not in ("sphere", "cylinder", "box"):
         problem = f"{_NOT_HUMAN}: a shape is <{kind}>"
         raise HandError(problem, key=shape.get("name"), value=kind)
     origin = child_of(shape, "origin")

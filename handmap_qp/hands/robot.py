@@ -191,7 +191,7 @@ def load_whole(name: str, points: str | None = None, **options: Any) -> Hand:
 
 def _check_roots(robot: RobotSpec, specs: Sequence[HandSpec]) -> None:
     """Reject arms of one URDF that begin at different links: no joint would be shared."""
-    arms = [s for s in specs if s.arm is None and s.wrist.mount == "fixed"]
+    arms = [s for s in specs if not s.arm and s.wrist.mount == "fixed"]
     files = {source_file(spec) for spec in arms}
     roots = {(source_file(spec), spec.root) for spec in arms}
     if len(files) < len(roots):

@@ -107,8 +107,7 @@ class Robot(Hand):
         robot = parse_urdf(self.urdf_text)
         self.elements = {link.get("name", ""): link for link in robot.iterfind("link")}
         self.parents = {child: parent for _, parent, child in edges(robot)}
-        movable = joints_by_name(robot, MOVABLE)
-        self.bodies = [*map(self.model.getJointId, movable)]
+        self.bodies = [*map(self.model.getJointId, joints_by_name(robot, MOVABLE))]
         frames = self.model.frames
         self.frames = {f.name: f for f in frames if f.type == pin.FrameType.BODY}
         self.links = [

@@ -218,10 +218,8 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
         for end in robot.links[leaf][1:]
         if end not in robot.parents.values()
     }
-    distance, far = max(
-        ((lengths(place), end) for end, place in ends.items()),
-        default=(0.0, ""),
-    )
+    far_ends = [(lengths(place), end) for end, place in ends.items()]
+    distance, far = max(far_ends, default=(0.0, ""))
     if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, ends[far]):
         how = f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint"
         return Clue("tip", far, how, 0.95), np.zeros(3)
