@@ -120,15 +120,11 @@ class HandMapper:
         self._given_robot = robot
         if method is None and not options:
             method = default_preset(human, robot)
-        chosen, weights = _method_of(method, options)
-        bound = chosen.bind(human, robot)
-        solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
-        self._plan = _Plan(chosen, bound, solver)
+        self._method, weights = _method_of(method, options)
+        self._bound = bound = self._method.bind(human, robot)
+        self._ik = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self.tasks: tuple[Task, ...] = tuple(tasks)
-        self._start: _Start | None = _Start(robot.rest, None)
-        self._reference: _Reference | None = None
-        self._is_released = False
-        self.core: Any = None
+        self.reset()
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
@@ -136,32 +132,32 @@ class HandMapper:
     @property
     def robot(self) -> Hand:
         """The hand that follows, with the reference points that the method moves."""
-        return self._plan.bound.robot
+        return self._bound.robot
 
     @property
     def method(self) -> Method:
         """The mapping method: turns a sample into targets."""
-        return self._plan.method
+        return self._method
 
     @property
     def ik(self) -> IkOptions:
         """Weights and settings of the QP."""
-        return self._plan.ik.options
+        return self._ik.options
 
     @property
     def point_ik(self) -> PointIk:
         """The robot's present posture and the QP. Read it only: changing it breaks the mapper."""
-        return self._plan.ik
+        return self._ik
 
     @property
     def motion(self) -> Motion:
         """How the robot moves. Set it where something else has moved the robot."""
-        return self._plan.ik.gate.motion
+        return self._ik.gate.motion
 
     @motion.setter
     def motion(self, motion: Motion) -> None:
-        self._start = None
-        self._plan.ik.gate.motion = motion
+        self._awaits_palm = False
+        self._ik.gate.motion = motion
 
     @property
     def reference(self) -> HumanPose | None:
@@ -283,7 +279,7 @@ class HandMapper:
         """
         started = started or perf_counter()
         dt = self.dt if dt is None else check_dt(dt)
-        bound = self._plan.bound
+        bound = self._bound
         reference = self._reference or self._reference_at(sample)
         core: Any = None if sample.wrist is None else self._core_at(reference)
         target_map = reference.map
@@ -325,11 +321,10 @@ class HandMapper:
         self, sample: HumanPose, asked: Targets, rest: Array, dt: float, speed: float
     ) -> Stages:
         """Move the robot towards its targets in Python, or in the core by its QP alone."""
-        plan = self._plan
         if self._is_released:
-            result = plan.ik.hold(dt)
+            result = self._ik.hold(dt)
         else:
-            result = plan.ik.solve(
+            result = self._ik.solve(
                 asked.points,
                 asked.wrist,
                 dt,
@@ -343,8 +338,7 @@ class HandMapper:
 
     def _core_at(self, reference: _Reference) -> Any:
         """Return the core's mapper from a reference on; None if Python has to map."""
-        plan = self._plan
-        ik = plan.ik
+        ik = self._ik
         is_python = self._is_released or self.tasks or ik.options.tasks
         if is_python or ik.core is None or not getattr(reference.map, "core", None):
             return None
@@ -365,21 +359,9 @@ class HandMapper:
             The step, whose targets and points are the robot's own.
         """
         started = perf_counter()
-        ik = self._plan.ik
-        robot = self.robot
-        start = self._start
-        if seen is None:
-            seen = self._unseen
-        held = ik.hold(check_dt(dt))
-        # Before the first sample, a floating robot has no place yet.
-        vector = start.vector(robot, np.eye(4)) if start else ik.configuration.q
-        posture = posture_of(robot, vector)
-        stages = Stages(
-            seen,
-            Targets(posture.points, posture.wrist),
-            structs.replace(held, points=posture.points, targets=posture.points),
-            RobotCommand(robot.joint_names, posture.q, posture.wrist),
-        )
+        held = self._ik.hold(check_dt(dt))
+        asked = Targets(held.points, held.wrist)
+        stages = stages_of(seen or self._unseen, asked, held)
         return MapStep(stages, (), perf_counter() - started)
 
     @property
@@ -421,7 +403,7 @@ class HandMapper:
         q = robot.rest
         wrist = None
         if robot_q is not None:
-            q = check_joints(robot, robot_q, "robot_q")[0].copy()
+            q, _ = check_joints(robot, robot_q, "robot_q")
         if robot_wrist is not None:
             if not robot.is_floating:
                 raise InvalidInputError(
@@ -430,16 +412,19 @@ class HandMapper:
                     advice="leave it out",
                 )
             wrist = check_pose(robot_wrist, "robot_wrist", self.quat_order)
-        start = _Start(q, wrist)
+        # A floating robot is at the origin until the human's palm is known.
+        start = robot.configuration_vector(q, wrist)
+        awaits_palm = robot.is_floating and wrist is None
         reference = None
         if human_q is not None and wrist_pose is not None:
-            reference = self._reference_at(
-                self._joints.read(human_q, wrist_pose)[0], start
-            )
-        self._start = start
+            sample, _ = self._joints.read(human_q, wrist_pose)
+            reference = self._reference_from(start, awaits_palm, sample)
+            start = reference.vector
+            awaits_palm = False
+        self._ik.place(start)
+        self._awaits_palm = awaits_palm
         self.clutch()
-        if reference:
-            self._begin(reference)
+        self._reference = reference
 
     def release(self) -> None:
         """Release the robot: it brakes and holds still until `clutch`, whatever the human does."""
@@ -475,7 +460,9 @@ class HandMapper:
             DegeneratePointsError: If with them the reference points do not determine the motion;
                 likewise.
         """
-        plan = self._plan
+        chosen = self._method
+        bound = self._bound
+        solver = self._ik
         reference = self._reference
         if method is not None:
             chosen, weights = _method_of(method, {})
@@ -483,57 +470,53 @@ class HandMapper:
             bound = chosen.bind(self.human, self._given_robot)
             solver = PointIk(
                 bound.robot,
-                plan.ik.options,
-                plan.ik.gate.motion,
+                ik or solver.options,
+                self.motion,
                 contacts=bound.contacts,
             )
-            plan = _Plan(chosen, bound, solver)
             reference = reference and _bound_again(reference, bound)
-        if ik:
-            plan = plan._replace(ik=plan.ik.with_options(ik))
+        elif ik:
+            solver = solver.with_options(ik)
         if tasks is not None:
             self.tasks = tuple(tasks)
-        self._plan = plan
+        self._method = chosen
+        self._bound = bound
+        self._ik = solver
         self._reference = reference
         self.core = None
 
     # -- the reference
 
-    def _reference_at(
-        self, sample: HumanPose, start: _Start | None = None
+    def _reference_at(self, sample: HumanPose) -> _Reference:
+        """Count from this sample, with the robot where it is."""
+        return self._reference_from(self.motion.q, self._awaits_palm, sample)
+
+    def _reference_from(
+        self, vector: Array, awaits_palm: bool, sample: HumanPose
     ) -> _Reference:
-        """Count from this sample, with the robot at its start, or where it is if it has started."""
-        start = start or self._start
-        bound = self._plan.bound
-        if start is None:
-            vector = self._plan.ik.configuration.q
-        else:
-            palm = np.eye(4)
-            if start.wrist is None and bound.robot.is_floating:
-                palm = bound.start_palm(sample)
-            to_wrist = inverse_pose(bound.robot.wrist_to_palm)
-            vector = start.vector(bound.robot, palm @ to_wrist)
+        """Count from this sample, with the robot at a configuration (nq,), or on its palm."""
+        bound = self._bound
+        robot = bound.robot
+        if awaits_palm:
+            wrist = bound.start_palm(sample) @ inverse_pose(robot.wrist_to_palm)
+            vector = robot.configuration_vector(vector[robot.q_indices], wrist)
         # The caller has the sample's arrays too, and may write into them.
-        reference = _count_from(bound, deepcopy(sample), vector.copy())
-        return reference._replace(is_start=start is not None)
+        return _count_from(bound, deepcopy(sample), vector.copy())
 
     def _begin(self, reference: _Reference) -> None:
-        """Take a reference, and put the robot where it begins unless it is on its way."""
-        if reference.is_start:
-            self._plan.ik.place(reference.vector)
-        self._start = None
+        """Take a reference, and put the robot on its palm unless it has a place."""
+        if self._awaits_palm:
+            self._ik.place(reference.vector)
+        self._awaits_palm = False
         self._reference = reference
 
     def _needs_wrist(self) -> str:
         """Return what the next sample's wrist pose is needed for; empty if for nothing."""
-        bound = self._plan.bound
-        needs = ""
+        bound = self._bound
+        needs = bound.needs_wrist
         if self._reference is None or bound.renews_reference:
-            start = self._start
-            needs = bound.reference_needs_wrist
-            if start and start.wrist is None and self.robot.is_floating:
-                needs = needs or _PLACING
-        return bound.needs_wrist or needs
+            needs = needs or bound.reference_needs_wrist
+        return needs or (_PLACING if self._awaits_palm else "")
 
 
 class LandmarkReader(Compiled):
@@ -626,35 +609,13 @@ class JointReader(Compiled):
         return HumanPose(points, wrist), tuple(outside)
 
 
-class _Plan(NamedTuple):
-    """All that `configure` changes: the method, what it is for these hands, and the solver."""
-
-    method: Method
-    bound: BoundMethod
-    ik: PointIk
-
-
-class _Start(NamedTuple):
-    """Posture of the robot at the reference: joints (n,); wrist, None for the human's palm."""
-
-    q: Array
-    wrist: Array | None
-
-    def vector(self, robot: Hand, wrist: Array) -> Array:
-        """Return the configuration (nq,), with a wrist pose where none was given."""
-        if self.wrist is not None:
-            wrist = self.wrist
-        return robot.configuration_vector(self.q, wrist if robot.is_floating else None)
-
-
 class _Reference(NamedTuple):
-    """Both hands at the reference, the robot as a configuration (nq,) that it may begin at, too."""
+    """Both hands at the reference, the robot as a configuration (nq,), too."""
 
     sample: HumanPose
     posture: RobotPosture
     map: TargetMap
     vector: Array
-    is_start: bool = False
 
 
 def _count_from(bound: BoundMethod, sample: HumanPose, vector: Array) -> _Reference:

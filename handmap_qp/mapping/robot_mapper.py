@@ -97,8 +97,9 @@ class Leader(HandMapper):
 
     def join(self, ik: PointIk) -> None:
         """Ask the robot that a solver moves."""
-        self._plan = self._plan._replace(ik=ik)
-        self._start = self.core = None
+        self._ik = ik
+        self._awaits_palm = False
+        self.core = None
 
     @property
     def asked(self) -> Any:
@@ -108,7 +109,7 @@ class Leader(HandMapper):
     @property
     def contacts(self) -> ShapePairs | None:
         """Collision shapes that the method keeps apart."""
-        return self._plan.bound.contacts
+        return self._bound.contacts
 
     def clutch(self) -> None:
         """Make the next sample the reference; see `HandMapper.clutch`."""
@@ -119,7 +120,7 @@ class Leader(HandMapper):
     @property
     def renews_reference(self) -> bool:
         """Whether every sample becomes the reference of the next one."""
-        return self._plan.bound.renews_reference
+        return self._bound.renews_reference
 
     def _core_by(self, core: Any, target_map: TargetMap) -> Any:
         return core.asker(target_map, self.robot)
