@@ -4,7 +4,7 @@
 `handmap_qp.ik.qp`, which is equal to it and faster. Each `Term` is one term of the cost, so
 `mink.build_ik` composes them with tasks and limits of your own (subclass `mink.Task` and
 `mink.Limit`). mink's error convention holds: a task asks for `J dq = -gain * error`. Its
-Levenberg-Marquardt term grows with the square of the error. Ours, in `damping_term`, grows with the
+Levenberg-Marquardt term grows with the square of the error. Ours, a term of its own, grows with the
 error (see `IkOptions.error_damping`).
 """
 
@@ -17,10 +17,10 @@ import numpy as np
 import qpsolvers
 
 from handmap_qp.hands import Configuration, Hand
-from handmap_qp.se3 import Array, lengths
+from handmap_qp.se3 import Array
 from .limits import Rows
 from .options import IkOptions
-from .qp import followed_rows
+from .qp import cost_rows
 from .tasks import Goal
 
 
@@ -45,31 +45,6 @@ class Term(mink.Task):
     def compute_jacobian(self, configuration: Any) -> Array:
         """Return J, shape (r, nv)."""
         return self.jacobian
-
-
-def damping_term(
-    nv: int,
-    cost: float | Array,
-    error_damping: float = 0.0,
-    of: Sequence[Term] = (),
-    free_translations: int = 0,
-) -> Term:
-    """Return damping: zero displacement as a target, in shorter steps with larger errors.
-
-    Args:
-        nv: Number of velocity coordinates.
-        cost: Weight of every coordinate's displacement, shape (nv,), or one for all.
-        error_damping: Further squared cost of every coordinate, per weighted error and per weighted
-            norm of its Jacobian column, of the terms in `of`.
-        of: Terms whose errors and Jacobians count.
-        free_translations: Number of leading coordinates that translate, without this damping.
-    """
-    further = np.zeros(nv)
-    for term in of:
-        levers = lengths((term.cost[:, None] * term.jacobian).T)
-        further += error_damping * lengths(term.cost * term.error) * levers
-    further[:free_translations] = 0.0
-    return Term(np.sqrt(cost**2 + further), np.zeros(nv), np.eye(nv))
 
 
 class RowsLimit(mink.Limit):
@@ -107,27 +82,6 @@ class _ActiveConfiguration:
         return getattr(self._configuration, name)
 
 
-def make_terms(
-    hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
-) -> list[Term]:
-    """Return the terms whose sum is the cost of one iteration; arguments as of `build_problem`."""
-    followed = [
-        Term(*rows) for rows in followed_rows(hand, options, configuration, goal)
-    ]
-    nv = configuration.nv
-    free = 3 if hand.is_floating else 0
-    terms = [damping_term(nv, options.damping, options.error_damping, followed, free)]
-    q = configuration.q[hand.q_indices]
-    joints = np.eye(nv)[hand.joint_columns]
-    for cost, posture in goal.postures:
-        terms.append(Term(np.full(len(q), cost), q - posture, joints))
-    for task in goal.tasks:
-        residual, jacobian, damping = task.linearise(configuration)
-        terms.append(Term(np.ones(1), residual, jacobian))
-        terms.append(damping_term(nv, np.sqrt(damping)))
-    return [*followed, *terms]
-
-
 def build_problem(
     hand: Hand,
     options: IkOptions,
@@ -153,7 +107,12 @@ def build_problem(
     # Our configuration has the attributes that build_ik and our tasks read of mink's, which is one
     # of MuJoCo. The limits are of displacements, so the time has no meaning.
     active: Any = _ActiveConfiguration(configuration)
-    terms = make_terms(hand, options, configuration, goal)
-    return mink.build_ik(
-        active, [*terms, *extra_tasks], 1.0, damping=0.0, limits=[limit]
-    )
+    nv = configuration.nv
+    terms = []
+    damping = np.full(nv, options.damping**2)
+    for residual, jacobian, further in cost_rows(hand, options, configuration, goal):
+        terms.append(Term(np.ones(1), residual, jacobian))
+        damping += further
+    still = Term(np.sqrt(damping), np.zeros(nv), np.eye(nv))
+    tasks = [*terms, still, *extra_tasks]
+    return mink.build_ik(active, tasks, 1.0, damping=0.0, limits=[limit])

@@ -28,7 +28,7 @@ from handmap_qp.hands import Configuration, Hand, Names
 from handmap_qp.se3 import Array, frozen, lengths, transform_points
 from .limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
 from .options import IkOptions
-from .tasks import Goal, Task, tasks_named
+from .tasks import Goal, Task, TaskRows, tasks_named
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
@@ -155,12 +155,16 @@ def wrist_rows(
     return pin.log6(offset).vector, hand.wrist_jacobian(pin.Jlog6(offset), part)
 
 
-def followed_rows(
+def cost_rows(
     hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
-) -> list[tuple[Array, Array, Array]]:
-    """Return costs, errors, shape (r,) each, and Jacobian, (r, k), of all points and wrists.
+) -> list[TaskRows]:
+    """Return the rows of every term of the cost at a configuration, with their weights.
 
-    Arguments are those of `direct_cost`.
+    Args:
+        hand: The hand.
+        options: The weights.
+        configuration: Of the hand, placed with Jacobians.
+        goal: What the cost asks for.
     """
     costs = _costs(hand, options)
     on = dict(enumerate(carriers(options, goal)))
@@ -171,42 +175,32 @@ def followed_rows(
     for part, wrist in enumerate(() if goal.wrists is None else goal.wrists):
         rows = wrist_rows(configuration, pin.SE3(wrist), part)
         blocks.append((costs[-6:], *rows))
-    return blocks
+    terms = []
+    for cost, error, jacobian in blocks:
+        residual = cost * error
+        rows = cost[:, None] * jacobian
+        # Damp by error times lever, the curvature that the linearisation neglects.
+        damping = options.error_damping * lengths(residual) * lengths(rows.T)
+        damping[: 3 if hand.is_floating else 0] = 0.0  # a floating wrist's translation
+        terms.append(TaskRows(residual, rows, damping))
+    joints = np.eye(configuration.nv)[hand.joint_columns]
+    q = configuration.q[hand.q_indices]
+    for weight, posture in goal.postures:
+        rows = np.reshape(weight, (-1, 1)) * joints
+        terms.append(TaskRows(weight * (q - posture), rows))
+    return [*terms, *(task.linearise(configuration) for task in goal.tasks)]
 
 
 def direct_cost(
     hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
 ) -> tuple[Array, Array]:
-    """Return H, shape (k, k), and c, shape (k,), of the QP at a configuration.
-
-    Args:
-        hand: The hand.
-        options: The weights.
-        configuration: Of the hand, placed with Jacobians.
-        goal: What the cost asks for.
-    """
-    H = np.zeros((configuration.nv, configuration.nv))
-    c, diagonal = np.zeros((2, configuration.nv))
-    for cost, error, jacobian in followed_rows(hand, options, configuration, goal):
-        error = cost * error
-        jacobian = cost[:, None] * jacobian
-        H += jacobian.T.dot(jacobian)
-        c += error.dot(jacobian)
-        # Damp by error times lever, the curvature that the linearisation neglects.
-        diagonal += options.error_damping * lengths(error) * lengths(jacobian.T)
-    diagonal[: 3 if hand.is_floating else 0] = 0.0  # a floating wrist's translation
-    diagonal += options.damping**2
-    joints = hand.joint_columns
-    q = configuration.q[hand.q_indices]
-    for weight, posture in goal.postures:
-        diagonal[joints] += weight**2
-        c[joints] += weight**2 * (q - posture)
-    for task in goal.tasks:
-        residual, rows, damping = task.linearise(configuration)
-        H += rows.T.dot(rows)
+    """Return H, shape (k, k), and c, shape (k,), of the QP; arguments as of `cost_rows`."""
+    eye = np.eye(configuration.nv)
+    H = options.damping**2 * eye
+    c = np.zeros(len(H))
+    for residual, rows, damping in cost_rows(hand, options, configuration, goal):
+        H += rows.T.dot(rows) + damping * eye
         c += residual.dot(rows)
-        diagonal += damping
-    H.flat[:: len(H) + 1] += diagonal
     return H, c
 
 

@@ -20,7 +20,7 @@ from handmap_qp import IkOptions
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.mink_problem import RowsLimit, build_problem, damping_term
+from handmap_qp.ik.mink_problem import RowsLimit, Term, build_problem
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.ik.solvers import solve_problem
 from handmap_qp.ik.tasks import Goal
@@ -237,10 +237,10 @@ def test_a_users_task_joins_the_mink_problem() -> None:
     hand = hand_of(HANDS[0])
     case = next(random_cases(hand, 1))
     ik = placed(hand, case)
-    alone, joined = way_1(ik, case), way_1(ik, case, [damping_term(hand.model.nv, 3.0)])
-    np.testing.assert_allclose(
-        joined.P - alone.P, 9.0 * np.eye(hand.model.nv), atol=1e-9
-    )
+    eye = np.eye(hand.model.nv)
+    still = Term(np.array([3.0]), np.zeros(len(eye)), eye)
+    alone, joined = way_1(ik, case), way_1(ik, case, [still])
+    np.testing.assert_allclose(joined.P - alone.P, 9.0 * eye, atol=1e-9)
 
 
 def test_the_configuration_is_all_that_mink_asks_for() -> None:
