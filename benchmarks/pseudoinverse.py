@@ -143,10 +143,10 @@ class PseudoinverseIk(PointIk):
 class _NoLimits(Gate):
     """Admits every displacement."""
 
-    def bounds(self, dt: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self, dt: float, share: float = 1.0) -> np.ndarray:
         """Return infinite bounds."""
         free = np.full(len(self.motion.displacement), np.inf)
-        return -free, free
+        return np.array([-free, free])
 
     def admit(
         self,

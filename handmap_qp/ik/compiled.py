@@ -16,7 +16,7 @@ from .core import core
 from .limits import Gate
 from .options import IkOptions
 from .qp import IkResult, Status
-from .tasks import Goal, PointDistances, PointOffset, Task
+from .tasks import Goal, PointDistances, Task
 
 STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""
@@ -36,12 +36,10 @@ class CompiledIk:
         self, goal: Goal, dt: float, margins: Array | None, speed: float
     ) -> IkResult:
         """Move the hand for one sample; arguments as of `PointIk.solve`."""
-        distances, offsets, tasks = [], [], []
+        distances, tasks = [], []
         for task in goal.tasks:
             if isinstance(task, PointDistances) and task.core:
                 distances.append(task)
-            elif isinstance(task, PointOffset):
-                offsets.append(task)
             else:
                 tasks.append(task)
         step = self.core.solve(
@@ -53,7 +51,7 @@ class CompiledIk:
             margins,
             goal.postures,
             distances,
-            offsets,
+            [],  # offsets, for which only the core's own `RobotMover` asks
             partial(self._linearise, tasks) if tasks else None,
         )
         return self._result(step)

@@ -411,8 +411,8 @@ class Gate:
         """Put the robot at a configuration of Pinocchio, shape (nq,), at rest."""
         self.motion = Motion.at_rest(q, self.limits.size)
 
-    def bounds(self, dt: float, share: float = 1.0) -> tuple[Array, Array]:
-        """Return the bounds of the next displacement, shape (nv,) each.
+    def bounds(self, dt: float, share: float = 1.0) -> Array:
+        """Return the lower and upper bounds of the next displacement, shape (2, nv).
 
         Args:
             dt: Time for it [s].
@@ -421,7 +421,7 @@ class Gate:
         lower, upper, *_ = self.limits.box(self.motion.q, dt, self.motion.velocity)
         farthest = share * dt * self.limits.speeds
         # Up to that displacement, or the nearest corner of the box.
-        return np.clip(-farthest, lower, upper), np.clip(farthest, lower, upper)
+        return np.clip([-farthest, farthest], lower, upper)
 
     def stopping(self, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it."""
@@ -448,9 +448,9 @@ class Gate:
     def joined(self, rows: Rows, placed: Configuration, met: NearPairs) -> Rows:
         """Return rows, and those of points that met; arguments as of `rows` and `admit`."""
         assert self.collisions
-        further = self.collisions.rows(placed, met, _CLEARED)
+        G, h = self.collisions.rows(placed, met, _CLEARED)
         self._row_pairs = np.append(self._row_pairs, met.pairs)
-        return np.vstack([rows[0], further[0]]), np.append(rows[1], further[1])
+        return np.vstack([rows[0], G]), np.append(rows[1], h)
 
     def press(self, slope: Array, step: Array, rows: Rows) -> None:
         """Note the pair whose row the cost presses a step against most, if it is much.

@@ -18,7 +18,6 @@ import qpsolvers
 
 from handmap_qp.hands import Configuration, Hand
 from handmap_qp.se3 import Array
-from .limits import Rows
 from .options import IkOptions
 from .qp import cost_rows
 from .tasks import Goal
@@ -47,30 +46,6 @@ class Term(mink.Task):
         return self.jacobian
 
 
-class RowsLimit(mink.Limit):
-    """Bounds as rows `[I; -I] dq <= [upper; -lower]`, without infinite ones, and further rows.
-
-    Args:
-        lower: Lower bound of the displacement, shape (nv,).
-        upper: Upper bound, shape (nv,).
-        rows: G, shape (r, nv), and h, shape (r,), of self-collision avoidance; none if omitted.
-    """
-
-    def __init__(self, lower: Array, upper: Array, rows: Rows | None = None) -> None:
-        eye = np.eye(len(upper))
-        further, least = rows or (np.zeros((0, len(upper))), ())
-        G = np.vstack([eye, -eye, further])
-        h = np.concatenate([upper, -lower, least])
-        finite = np.isfinite(h)
-        self._rows = mink.Constraint()
-        if finite.any():
-            self._rows = mink.Constraint(G[finite], h[finite])
-
-    def compute_qp_inequalities(self, configuration: Any, dt: float) -> mink.Constraint:
-        """Return the rows, upper bounds first."""
-        return self._rows
-
-
 class _ActiveConfiguration:
     """A configuration for `mink.build_ik`: its `model.nv` counts only the active coordinates."""
 
@@ -87,19 +62,19 @@ def build_problem(
     options: IkOptions,
     configuration: Configuration,
     goal: Goal,
-    limit: mink.Limit,
     *,
     extra_tasks: Sequence[mink.Task] = (),
+    limits: Sequence[mink.Limit] = (),
 ) -> qpsolvers.Problem:
-    """Return the QP of one iteration at a configuration.
+    """Return the QP of one iteration at a configuration, without the hand's own limits.
 
     Args:
         hand: The hand.
         options: The weights.
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
-        limit: Limit of the displacement.
         extra_tasks: Further terms of the cost as tasks of mink.
+        limits: Limits of mink.
 
     Returns:
         The problem in dq, shape (nv,).
@@ -115,4 +90,4 @@ def build_problem(
         damping += further
     still = Term(np.sqrt(damping), np.zeros(nv), np.eye(nv))
     tasks = [*terms, still, *extra_tasks]
-    return mink.build_ik(active, tasks, 1.0, damping=0.0, limits=[limit])
+    return mink.build_ik(active, tasks, 1.0, damping=0.0, limits=limits)

@@ -273,7 +273,7 @@ class PointIk:
         self._contacts = contacts and collisions
         self._tasks = tasks_named(options.tasks, hand)
         self._solver = solve_by_daqp
-        if options.solver != "daqp":
+        if options.solver != "daqp" or options.formulation == "mink":
             self._solver = ik.solvers.make_solver(options.solver)
         self.gate = Gate(
             hand,
@@ -457,13 +457,11 @@ class PointIk:
         problem = self.hand, self.options, self._configuration, goal
         self.gate.held_by = -1
         if self.options.formulation == "mink":
-            limit = ik.mink_problem.RowsLimit(lower, upper, rows)
-            posed = ik.mink_problem.build_problem(*problem, limit)
-            H, c = posed.P, posed.q
-            step = ik.solvers.solve_problem(posed, self.options.solver)
+            posed = ik.mink_problem.build_problem(*problem)
+            H, c = np.asarray(posed.P), posed.q
         else:
             H, c = direct_cost(*problem)
-            step = self._solver(H, c, lower, upper, rows)
+        step = self._solver(H, c, lower, upper, rows)
         # Catch NaN too, which solvers return where extreme weights or targets overflow.
         if step is None or not math.isfinite(step.dot(step)):
             return None

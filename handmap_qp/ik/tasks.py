@@ -235,17 +235,16 @@ class PointOffset:
     def __init__(
         self, hand: Hand, places: Sequence[tuple[int, Array]], aim: Array, weight: float
     ) -> None:
-        self.places = places
-        self.aim = aim
-        self.weight = weight
+        self._aim = aim
+        self._weight = weight
         self._points = AttachedPoints(hand, places)
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row an axis; see `Task.linearise`."""
         positions = self._points.positions(hand)
         first, other = self._points.jacobians(hand, positions)
-        weight = self.weight / LENGTH_UNIT
-        residual = weight * (positions[1] - positions[0] - self.aim)
+        weight = self._weight / LENGTH_UNIT
+        residual = weight * (positions[1] - positions[0] - self._aim)
         return TaskRows(residual, weight * (other - first))
 
 
