@@ -79,6 +79,9 @@ class HandMapper:
 
     Attributes:
         human: The hand that leads.
+        method: The mapping method, which turns a sample into targets; `configure` changes it.
+        point_ik: The robot's present posture and the QP. Read it only: changing it breaks the
+            mapper.
         dt: Time between samples [s].
         joint_tolerance: As given [rad].
         tasks: Further terms of the QP's cost; `configure` changes them.
@@ -120,9 +123,9 @@ class HandMapper:
         self._given_robot = robot
         if method is None and not options:
             method = default_preset(human, robot)
-        self._method, weights = _method_of(method, options)
-        self._bound = bound = self._method.bind(human, robot)
-        self._ik = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
+        self.method, weights = _method_of(method, options)
+        self._bound = bound = self.method.bind(human, robot)
+        self.point_ik = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self.tasks: tuple[Task, ...] = tuple(tasks)
         self.reset()
 
@@ -135,29 +138,19 @@ class HandMapper:
         return self._bound.robot
 
     @property
-    def method(self) -> Method:
-        """The mapping method: turns a sample into targets."""
-        return self._method
-
-    @property
     def ik(self) -> IkOptions:
         """Weights and settings of the QP."""
-        return self._ik.options
-
-    @property
-    def point_ik(self) -> PointIk:
-        """The robot's present posture and the QP. Read it only: changing it breaks the mapper."""
-        return self._ik
+        return self.point_ik.options
 
     @property
     def motion(self) -> Motion:
         """How the robot moves. Set it where something else has moved the robot."""
-        return self._ik.gate.motion
+        return self.point_ik.gate.motion
 
     @motion.setter
     def motion(self, motion: Motion) -> None:
         self._awaits_palm = False
-        self._ik.gate.motion = motion
+        self.point_ik.gate.motion = motion
 
     @property
     def reference(self) -> HumanPose | None:
@@ -322,9 +315,9 @@ class HandMapper:
     ) -> Stages:
         """Move the robot towards its targets in Python, or in the core by its QP alone."""
         if self._is_released:
-            result = self._ik.hold(dt)
+            result = self.point_ik.hold(dt)
         else:
-            result = self._ik.solve(
+            result = self.point_ik.solve(
                 asked.points,
                 asked.wrist,
                 dt,
@@ -338,7 +331,7 @@ class HandMapper:
 
     def _core_at(self, reference: _Reference) -> Any:
         """Return the core's mapper from a reference on; None if Python has to map."""
-        ik = self._ik
+        ik = self.point_ik
         is_python = self._is_released or self.tasks or ik.options.tasks
         if is_python or ik.core is None or not getattr(reference.map, "core", None):
             return None
@@ -359,7 +352,7 @@ class HandMapper:
             The step, whose targets and points are the robot's own.
         """
         started = perf_counter()
-        held = self._ik.hold(check_dt(dt))
+        held = self.point_ik.hold(check_dt(dt))
         asked = Targets(held.points, held.wrist)
         stages = stages_of(seen or self._unseen, asked, held)
         return MapStep(stages, (), perf_counter() - started)
@@ -421,7 +414,7 @@ class HandMapper:
             reference = self._reference_from(start, awaits_palm, sample)
             start = reference.vector
             awaits_palm = False
-        self._ik.place(start)
+        self.point_ik.place(start)
         self._awaits_palm = awaits_palm
         self.clutch()
         self._reference = reference
@@ -460,9 +453,9 @@ class HandMapper:
             DegeneratePointsError: If with them the reference points do not determine the motion;
                 likewise.
         """
-        chosen = self._method
+        chosen = self.method
         bound = self._bound
-        solver = self._ik
+        solver = self.point_ik
         reference = self._reference
         if method is not None:
             chosen, weights = _method_of(method, {})
@@ -479,9 +472,9 @@ class HandMapper:
             solver = solver.with_options(ik)
         if tasks is not None:
             self.tasks = tuple(tasks)
-        self._method = chosen
+        self.method = chosen
         self._bound = bound
-        self._ik = solver
+        self.point_ik = solver
         self._reference = reference
         self.core = None
 
@@ -506,7 +499,7 @@ class HandMapper:
     def _begin(self, reference: _Reference) -> None:
         """Take a reference, and put the robot on its palm unless it has a place."""
         if self._awaits_palm:
-            self._ik.place(reference.vector)
+            self.point_ik.place(reference.vector)
         self._awaits_palm = False
         self._reference = reference
 
@@ -562,8 +555,6 @@ class LandmarkReader(Compiled):
         if wrist is not None:
             wrist = check_pose(wrist, "wrist_pose", self.quat_order)
         points = as_points(landmarks, "landmarks", LANDMARK_COUNT)
-        if self.core and (pose := self.core.read(points, wrist)):
-            return pose, ()
         if wrist is None:
             wrist = rigid_fit(self.model, points[PALM])
         return HumanPose(points[self.used], wrist), ()

@@ -37,7 +37,7 @@ class PalmMethod:
 
     def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm in the robot's world, as far as it is known."""
-        return in_robot_world(self.alignment, palm_of(sample, self.human))
+        return in_robot_world(self.alignment, known_palm(sample, self.human))
 
 
 class PalmMap:

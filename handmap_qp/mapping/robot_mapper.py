@@ -97,7 +97,7 @@ class Leader(HandMapper):
 
     def join(self, ik: PointIk) -> None:
         """Ask the robot that a solver moves."""
-        self._ik = ik
+        self.point_ik = ik
         self._awaits_palm = False
         self.core = None
 
@@ -223,6 +223,8 @@ class RobotMapper:
 
     Attributes:
         leaders: The mapping of each hand. Its reference and clutch are its own.
+        point_ik: The robot's present posture and the QP. Read it only: changing it breaks the
+            mapper.
 
     Raises:
         InvalidOptionsError: As of `HandMapper`.
@@ -268,26 +270,21 @@ class RobotMapper:
     @property
     def robot(self) -> Hand:
         """The robot as one hand, with the reference points of all that the methods move."""
-        return self._ik.hand
+        return self.point_ik.hand
 
     @property
     def ik(self) -> IkOptions:
         """Weights and settings of the QP."""
-        return self._ik.options
-
-    @property
-    def point_ik(self) -> PointIk:
-        """The robot's present posture and the QP. Read it only: changing it breaks the mapper."""
-        return self._ik
+        return self.point_ik.options
 
     @property
     def motion(self) -> Motion:
         """How the robot moves. Set it where something else has moved the robot."""
-        return self._ik.gate.motion
+        return self.point_ik.gate.motion
 
     @motion.setter
     def motion(self, motion: Motion) -> None:
-        self._ik.gate.motion = motion
+        self.point_ik.gate.motion = motion
         for leader in self.leaders.values():
             if leader.is_staying:
                 leader.stay()
@@ -427,7 +424,7 @@ class RobotMapper:
         asked = [leader.asked for leader in leaders]
         worlds = self._worlds()
         times = [leader.since for leader in leaders]
-        core = self._ik.core
+        core = self.point_ik.core
         is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
         if is_python or not core:
             turning = np.array(times) / self._turns_in
@@ -458,11 +455,11 @@ class RobotMapper:
     ) -> IkResult:
         """Move the robot to targets by one QP, in Python or in the core."""
         if self._is_released:
-            return self._ik.hold(dt)
+            return self.point_ik.hold(dt)
         rest = self.robot.rest.copy()
         for own, each in zip(self._own, asked, strict=True):
             rest[own] = each.rest[own]
-        return self._ik.solve(
+        return self.point_ik.solve(
             np.concatenate([each.points for each in targets]),
             np.array([each.wrist for each in targets]),
             dt,
@@ -477,7 +474,7 @@ class RobotMapper:
     ) -> tuple[Stages, list[Stages]]:
         """Return the stages of the robot, and those of each hand."""
         parts = []
-        for k, own in enumerate(self._ik.configuration.parts):
+        for k, own in enumerate(self.point_ik.configuration.parts):
             part = structs.replace(
                 result,
                 points=result.points[own],
@@ -521,14 +518,14 @@ class RobotMapper:
             shift = (k - 0.5) * (aim - own)
             targets[k] = _turned(maps[k], targets[k], person, share, shift)
         places = [*map(palm_place, hands, anchors)]
-        weight = _TOGETHER_SHARE * share * self._ik.options.wrist_position_weight
+        weight = _TOGETHER_SHARE * share * self.point_ik.options.wrist_position_weight
         return [PointOffset(self.robot, places, aim, weight)]
 
     def _margins(self, targets: list[Targets]) -> Array | None:
         """Return the margin of each pair: that of the hand whose thumb and finger it is."""
         if not self._pinching:
             return None
-        found = LINK_MARGIN * np.ones(len(self._ik.gate.links) - 1)
+        found = LINK_MARGIN * np.ones(len(self.point_ik.gate.links) - 1)
         for each, (rows, own) in zip(targets, self._pinching, strict=True):
             if each.margins is not None:
                 found[rows] = each.margins[own]
@@ -540,12 +537,12 @@ class RobotMapper:
         whole = joined(self._name, *(leader.robot for leader in leaders))
         contacts = tuple(leader.contacts for leader in leaders if leader.contacts)
         pairs, pinching = _common_pairs(contacts) if contacts else (None, [])
-        self._ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
+        self.point_ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
         self._pinching = pinching
         self._own = whole.finger_joints
         self._core: Any = None
         for leader in leaders:
-            leader.join(self._ik)
+            leader.join(self.point_ik)
 
     # -- between samples
 
@@ -573,7 +570,7 @@ class RobotMapper:
         q = whole.rest
         if robot_q is not None:
             q = check_joints(whole, robot_q, "robot_q")[0]
-        self._ik.place(whole.configuration_vector(q))
+        self.point_ik.place(whole.configuration_vector(q))
         self.clutch()
 
     def release(self) -> None:

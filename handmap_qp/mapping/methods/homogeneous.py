@@ -26,11 +26,11 @@ from handmap_qp.mapping import (
     HumanPose,
     MotionEstimate,
     MotionEstimator,
+    PalmMethod,
     Preset,
     RobotPosture,
     Row,
     Targets,
-    in_robot_world,
     known_palm,
     require_partners,
     rotation_of,
@@ -143,15 +143,12 @@ _NEEDING_WRIST = [("pivot", "palm"), ("alignment", "palm"), ("reference", "rest"
 """Choices that need the wrist of the reference sample."""
 
 
-class BoundHomogeneous:
+class BoundHomogeneous(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
-    contacts = None
-
     def __init__(self, options: Homogeneous, human: Hand, robot: Hand) -> None:
+        super().__init__(options, human, robot)
         self.options = options
-        self.human = human
-        self.robot = robot
         self.renews_reference = options.reference == "previous"
         self.needs_wrist = "rigid_from='wrist'" if options.rigid_from == "wrist" else ""
         needs = [
@@ -172,11 +169,6 @@ class BoundHomogeneous:
             if options.residual_gain > 0.0
             else []
         )
-
-    def start_palm(self, sample: HumanPose) -> Array:
-        """Return the human's palm in the robot's world, as far as it is known."""
-        known = known_palm(sample, self.human)
-        return in_robot_world(self.options.alignment, known)
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> HomogeneousMap:
         """Take both hands for the reference, as they are or at rest; see `BoundMethod.start`."""
