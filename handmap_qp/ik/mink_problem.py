@@ -1,4 +1,4 @@
-"""The QP as published: built by `mink.build_ik` over Pinocchio, solved by `qpsolvers`.
+"""The QP as published: built by `mink.build_ik` over Pinocchio.
 
 `IkOptions(formulation="mink", solver=...)` takes it in place of the direct formulation of
 `handmap_qp.ik.qp`, which is equal to it and faster. Each `Term` is one term of the cost, so

@@ -167,14 +167,14 @@ def cost_rows(
         goal: What the cost asks for.
     """
     costs = _costs(hand, options)
-    on = dict(enumerate(carriers(options, goal)))
     blocks = []
     for part, own in enumerate(configuration.parts):
-        rows = point_rows(configuration, goal.points, on.get(part), part)
+        wrist = None if goal.wrists is None else pin.SE3(goal.wrists[part])
+        carrier = wrist if options.points_follow_wrist else None
+        rows = point_rows(configuration, goal.points, carrier, part)
         blocks.append((costs[3 * own.start : 3 * own.stop], *rows))
-    for part, wrist in enumerate(() if goal.wrists is None else goal.wrists):
-        rows = wrist_rows(configuration, pin.SE3(wrist), part)
-        blocks.append((costs[-6:], *rows))
+        if wrist:
+            blocks.append((costs[-6:], *wrist_rows(configuration, wrist, part)))
     terms = []
     for cost, error, jacobian in blocks:
         residual = cost * error
@@ -273,7 +273,7 @@ class PointIk:
         self._contacts = contacts and collisions
         self._tasks = tasks_named(options.tasks, hand)
         self._solver = solve_by_daqp
-        if options.solver != "daqp" or options.formulation == "mink":
+        if options.solver != "daqp":
             self._solver = ik.solvers.make_solver(options.solver)
         self.gate = Gate(
             hand,

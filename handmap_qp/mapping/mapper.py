@@ -80,6 +80,7 @@ class HandMapper:
     Attributes:
         human: The hand that leads.
         method: The mapping method, which turns a sample into targets; `configure` changes it.
+        bound: What the method is for these two hands.
         point_ik: The robot's present posture and the QP. Read it only: changing it breaks the
             mapper.
         dt: Time between samples [s].
@@ -124,7 +125,7 @@ class HandMapper:
         if method is None and not options:
             method = default_preset(human, robot)
         self.method, weights = _method_of(method, options)
-        self._bound = bound = self.method.bind(human, robot)
+        self.bound = bound = self.method.bind(human, robot)
         self.point_ik = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self.tasks: tuple[Task, ...] = tuple(tasks)
         self.reset()
@@ -135,7 +136,7 @@ class HandMapper:
     @property
     def robot(self) -> Hand:
         """The hand that follows, with the reference points that the method moves."""
-        return self._bound.robot
+        return self.bound.robot
 
     @property
     def ik(self) -> IkOptions:
@@ -272,7 +273,7 @@ class HandMapper:
         """
         started = started or perf_counter()
         dt = self.dt if dt is None else check_dt(dt)
-        bound = self._bound
+        bound = self.bound
         reference = self._reference or self._reference_at(sample)
         core: Any = None if sample.wrist is None else self._core_at(reference)
         target_map = reference.map
@@ -283,7 +284,7 @@ class HandMapper:
         if reference is not self._reference:
             self._begin(reference)
         if asked:
-            stages = self._moved(sample, asked, target_map.rest, dt, speed)
+            stages = self._moved(sample, asked, target_map, dt, speed)
         else:
             stages = core.follow(sample, dt, speed)
         self.core = core
@@ -311,7 +312,12 @@ class HandMapper:
         return self.map(sample, dt, out_of_range=out_of_range, started=started)
 
     def _moved(
-        self, sample: HumanPose, asked: Targets, rest: Array, dt: float, speed: float
+        self,
+        sample: HumanPose,
+        asked: Targets,
+        target_map: TargetMap,
+        dt: float,
+        speed: float,
     ) -> Stages:
         """Move the robot towards its targets in Python, or in the core by its QP alone."""
         if self._is_released:
@@ -321,7 +327,7 @@ class HandMapper:
                 asked.points,
                 asked.wrist,
                 dt,
-                rest=rest,
+                rest=target_map.rest,
                 tasks=(*asked.tasks, *self.tasks),
                 margins=asked.margins,
                 speed=speed,
@@ -454,7 +460,7 @@ class HandMapper:
                 likewise.
         """
         chosen = self.method
-        bound = self._bound
+        bound = self.bound
         solver = self.point_ik
         reference = self._reference
         if method is not None:
@@ -473,7 +479,7 @@ class HandMapper:
         if tasks is not None:
             self.tasks = tuple(tasks)
         self.method = chosen
-        self._bound = bound
+        self.bound = bound
         self.point_ik = solver
         self._reference = reference
         self.core = None
@@ -488,7 +494,7 @@ class HandMapper:
         self, vector: Array, awaits_palm: bool, sample: HumanPose
     ) -> _Reference:
         """Count from this sample, with the robot at a configuration (nq,), or on its palm."""
-        bound = self._bound
+        bound = self.bound
         robot = bound.robot
         if awaits_palm:
             wrist = bound.start_palm(sample) @ inverse_pose(robot.wrist_to_palm)
@@ -505,7 +511,7 @@ class HandMapper:
 
     def _needs_wrist(self) -> str:
         """Return what the next sample's wrist pose is needed for; empty if for nothing."""
-        bound = self._bound
+        bound = self.bound
         needs = bound.needs_wrist
         if self._reference is None or bound.renews_reference:
             needs = needs or bound.reference_needs_wrist
@@ -525,16 +531,14 @@ class LandmarkReader(Compiled):
 
     def __init__(self, human: Hand, quat_order: QuatOrder | None = None) -> None:
         self.quat_order = quat_order
-        known = {name: i for i, name in enumerate(LANDMARK_NAMES)}
         names = [point.name for point in human.reference_points]
-        missing = [name for name in names if name not in known]
-        if missing:
+        if missing := [name for name in names if name not in LANDMARK_NAMES]:
             raise InvalidOptionsError(
                 option="human_points",
                 problem=f"{', '.join(missing)} cannot be read from landmarks",
                 advice="choose reference points among the landmarks, or call map_points",
             )
-        self.used = np.array([known[name] for name in names])
+        self.used = np.array([*map(LANDMARK_NAMES.index, names)])
         self.model = landmarks_at_rest(human)[PALM]
 
     def read(

@@ -540,10 +540,10 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
 
     def named(self, name: str) -> Array:
         """Return a result of the method by its name in `diagnostics`."""
-        if name not in self.asked.diagnostics:
+        if name not in self.diagnostics:
             raise InvalidOptionsError(
                 option="method",
                 problem=f"its diagnostics have no {name}",
-                advice=f"there are {', '.join(self.asked.diagnostics) or 'none'}",
+                advice=f"there are {', '.join(self.diagnostics) or 'none'}",
             )
-        return self.asked.diagnostics[name]
+        return self.diagnostics[name]

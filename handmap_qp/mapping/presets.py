@@ -91,7 +91,7 @@ class Choice(NamedTuple):
         return self.method.changes_to(other.method) | self.ik.changes_to(other.ik)
 
 
-IK_NAMES = frozenset(option.name for option in options_of(IkOptions))
+IK_NAMES = frozenset(IkOptions.__struct_fields__)
 """Names of the options of the QP; no method has an option of such a name."""
 
 

@@ -26,7 +26,6 @@ from handmap_qp.errors import HandmapError, InvalidOptionsError, expect
 from handmap_qp.hands import (
     LINK_MARGIN,
     Hand,
-    ShapePairs,
     Side,
     common_pairs,
     joined,
@@ -106,31 +105,25 @@ class Leader(HandMapper):
         """What it asked last, as `Asked` or as the core has it."""
         return self.last and self.last.stages
 
-    @property
-    def contacts(self) -> ShapePairs | None:
-        """Collision shapes that the method keeps apart."""
-        return self._bound.contacts
-
     def clutch(self) -> None:
         """Make the next sample the reference; see `HandMapper.clutch`."""
         super().clutch()
         self.since = 0.0
         self.last = MapStep(self.asked, (), 0.0)
 
-    @property
-    def renews_reference(self) -> bool:
-        """Whether every sample becomes the reference of the next one."""
-        return self._bound.renews_reference
-
     def _core_by(self, core: Any, target_map: TargetMap) -> Any:
         return core.asker(target_map, self.robot)
 
     def _moved(
-        self, sample: HumanPose, asked: Targets, rest: Array, dt: float, speed: float
+        self,
+        sample: HumanPose,
+        asked: Targets,
+        target_map: TargetMap,
+        dt: float,
+        speed: float,
     ) -> Any:
         """Ask for targets."""
-        leading = self._reference and self._reference.map
-        return Asked(sample, asked, rest, dt, speed, leading)
+        return Asked(sample, asked, target_map.rest, dt, speed, target_map)
 
     @property
     def is_staying(self) -> bool:
@@ -390,7 +383,7 @@ class RobotMapper:
             expect(dt, "hands", "a sample of one at least")
             stages, parts = self._moved(dt)
         for leader in self.leaders.values():
-            if leader.renews_reference:
+            if leader.bound.renews_reference:
                 leader.base = self._base
         duration = perf_counter() - started
         hands = {
@@ -457,7 +450,7 @@ class RobotMapper:
         if self._is_released:
             return self.point_ik.hold(dt)
         rest = self.robot.rest.copy()
-        for own, each in zip(self._own, asked, strict=True):
+        for own, each in zip(self.robot.finger_joints, asked, strict=True):
             rest[own] = each.rest[own]
         return self.point_ik.solve(
             np.concatenate([each.points for each in targets]),
@@ -535,11 +528,10 @@ class RobotMapper:
         """Make one solver of what the leaders are bound to, and let them know it."""
         leaders = [*self.leaders.values()]
         whole = joined(self._name, *(leader.robot for leader in leaders))
-        contacts = tuple(leader.contacts for leader in leaders if leader.contacts)
+        contacts = tuple(filter(None, [leader.bound.contacts for leader in leaders]))
         pairs, pinching = _common_pairs(contacts) if contacts else (None, [])
         self.point_ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
         self._pinching = pinching
-        self._own = whole.finger_joints
         self._core: Any = None
         for leader in leaders:
             leader.join(self.point_ik)

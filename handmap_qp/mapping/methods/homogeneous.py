@@ -157,7 +157,24 @@ class BoundHomogeneous(PalmMethod):
             if (name, value) in _NEEDING_WRIST
         ]
         self.reference_needs_wrist = " and ".join(needs)
-        self._check_hands()
+        if options.rigid_from != "none" and not robot.has_moving_wrist:
+            raise InvalidOptionsError(
+                f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
+                option="rigid_from",
+                value=options.rigid_from,
+                advice="give rigid_from='none', or load the robot with mount='floating'",
+            )
+        count = len(human.reference_points)
+        needed = 0 if self.needs_wrist else 3
+        if options.ridge == 0.0:
+            needed = 4
+        if count < needed:
+            raise InvalidOptionsError(
+                f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
+                option="ridge",
+                value=options.ridge,
+                advice="choose more points, or ridge > 0 with rigid_from='wrist'",
+            )
         self.partners = (
             require_partners(
                 human,
@@ -184,28 +201,6 @@ class BoundHomogeneous(PalmMethod):
         placed = transform_points(to_here, hand.points(hand.rest))
         posture = RobotPosture(hand.rest, placed, robot.wrist)
         return HomogeneousMap(self, HumanPose(points, sample.wrist), posture)
-
-    def _check_hands(self) -> None:
-        """Reject choices that these two hands cannot carry out."""
-        options = self.options
-        human = self.human
-        robot = self.robot
-        if options.rigid_from != "none" and not robot.has_moving_wrist:
-            raise InvalidOptionsError(
-                f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
-                option="rigid_from",
-                value=options.rigid_from,
-                advice="give rigid_from='none', or load the robot with mount='floating'",
-            )
-        count = len(human.reference_points)
-        needed = 4 if options.ridge == 0.0 else 3
-        if count < needed and not (options.ridge > 0.0 and self.needs_wrist):
-            raise InvalidOptionsError(
-                f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
-                option="ridge",
-                value=options.ridge,
-                advice="choose more points, or ridge > 0 with rigid_from='wrist'",
-            )
 
 
 class HomogeneousMap(Compiled):
