@@ -14,7 +14,7 @@ keeps the Hessian near one, where solvers work best. `handmap_qp.ik.solvers` has
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -130,10 +130,10 @@ def point_rows(
     return (configuration.points[own] - targets).ravel(), jacobian
 
 
-def carriers(options: IkOptions, goal: Goal) -> list[pin.SE3]:
+def carriers(options: IkOptions, goal: Goal) -> Iterable[Array]:
     """Return the targets of the wrists if the points' targets go with them; else none."""
     goes = options.points_follow_wrist and goal.wrists is not None
-    return [*map(pin.SE3, goal.wrists)] if goes else []
+    return goal.wrists if goes else ()
 
 
 def moved_along(here: pin.SE3, targets: Array, wrist: pin.SE3) -> Array:
@@ -416,12 +416,14 @@ class PointIk:
             placed.parts, placed.wrists, carriers(self.options, goal), strict=False
         )
         for own, here, wrist in on:
-            targets[own] = moved_along(here, targets[own], wrist)
-            error = wrist_error(here.homogeneous, wrist.homogeneous)
+            targets[own] = moved_along(here, targets[own], pin.SE3(wrist))
+            error = wrist_error(here.homogeneous, wrist)
             off = max(off, *(error * WRIST_LEVERS))
-        return self._result(
-            status, targets, total, lower, upper, iterations, last_step, off
-        )
+        width = np.minimum(upper - lower, 1.0)
+        is_high = upper - total <= _AT_BOUND * width
+        is_low = total - lower <= _AT_BOUND * width
+        active = is_high.astype(np.int8) - is_low
+        return self._result(status, targets, total, active, iterations, last_step, off)
 
     def hold(self, dt: float) -> IkResult:
         """Bring the hand to a stop within its acceleration limit, without targets.
@@ -431,8 +433,8 @@ class PointIk:
         """
         displacement = self.gate.brake(dt)
         points = self.configuration.points.copy()
-        free = np.full(len(displacement), np.inf)
-        return self._result("released", points, displacement, -free, free, 0, 0.0)
+        active = np.zeros(len(displacement), dtype=np.int8)
+        return self._result("released", points, displacement, active, 0, 0.0)
 
     def postures(self, dt: float, rest: Array | None) -> list[tuple[float, Array]]:
         """Return weights and postures of the cost of a sample; see `Goal` and `solve`."""
@@ -475,18 +477,13 @@ class PointIk:
         end: Literal["solved", "failed", "released"],
         targets: Array,
         displacement: Array,
-        lower: Array,
-        upper: Array,
+        active: Array,
         iterations: int,
         last_step: float,
         off: float = 0.0,
     ) -> IkResult:
         configuration = self.configuration
         points = configuration.points.copy()
-        width = np.minimum(upper - lower, 1.0)
-        is_high = upper - displacement <= _AT_BOUND * width
-        is_low = displacement - lower <= _AT_BOUND * width
-        active = is_high.astype(np.int8) - is_low
         farthest = max(off, *lengths(points - targets))
         status: Status = "unreachable" if last_step <= _AT_REST else "unsettled"
         if end != "solved":

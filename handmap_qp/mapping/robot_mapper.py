@@ -498,19 +498,17 @@ class RobotMapper:
         share = float(smoothstep((_NEAR - gap) / (_NEAR - _TOGETHER)))
         if share == 0.0 or not np.array_equal(first.alignment, other.alignment):
             return []
-        hands = self.robot.hands
-        anchors = first.robot_anchor, other.robot_anchor
-        palms = [
-            each.wrist @ hand.wrist_to_palm
-            for each, hand in zip(targets, hands, strict=True)
-        ]
-        here, there = map(transform_points, palms, anchors)
-        own = there - here
+        ends, places = [], []
+        for leading, each, hand in zip(maps, targets, self.robot.hands, strict=True):
+            anchor = leading.robot_anchor
+            ends.append(transform_points(each.wrist @ hand.wrist_to_palm, anchor))
+            palm = hand.model.frames[hand.palm_frame_id]
+            places.append((palm.parentJoint, palm.placement.act(anchor)))
+        own = ends[1] - ends[0]
         aim = own + share * (apart - own)
         for k, person in enumerate(persons):
             shift = (k - 0.5) * (aim - own)
             targets[k] = _turned(maps[k], targets[k], person, share, shift)
-        places = [*map(palm_place, hands, anchors)]
         weight = _TOGETHER_SHARE * share * self.point_ik.options.wrist_position_weight
         return [PointOffset(self.robot, places, aim, weight)]
 
@@ -615,12 +613,6 @@ def _targets_of(numbers: Array, is_clamped: bool) -> Targets:
     points, wrist = np.split(numbers, [-16])
     flags = ("stretch_clamped",) if is_clamped else ()
     return Targets(points.reshape(-1, 3), wrist.reshape(4, 4), flags=flags)
-
-
-def palm_place(hand: Hand, anchor: Array) -> tuple[int, Array]:
-    """Return the joint that carries a palm, and where a point of palm axes (3,) is on it."""
-    frame = hand.palm_frame
-    return frame.parentJoint, frame.placement.act(anchor)
 
 
 def _expect_sides(sides: Iterable[Side], known: Mapping[Side, Any], name: str) -> None:
