@@ -509,14 +509,15 @@ class Gate:
         """Take the stop that was admitted last, for a sample of dt [s]; return the displacement."""
         dt = max(dt, SHORTEST_DT)
         self.held_by = -1
-        displacement = self._braking(dt)
-        self._move(displacement, np.maximum(self.motion.stop_times - dt, 0.0), dt)
+        displacement, left = self._braking(dt)
+        self._move(displacement, left, dt)
         return displacement
 
-    def _braking(self, dt: float) -> Array:
-        """Return the displacement of the stop that was admitted last."""
-        share = 1.0 - dt / np.maximum(self.motion.stop_times, dt)
-        return self.motion.velocity * (dt * share)
+    def _braking(self, dt: float) -> tuple[Array, Array]:
+        """Return the displacement of the stop that was admitted last, and its times behind that."""
+        times = self.motion.stop_times
+        share = 1.0 - dt / np.maximum(times, dt)
+        return self.motion.velocity * (dt * share), np.maximum(times - dt, 0.0)
 
     def _shortened(
         self, wanted: Array | None, first: Array, dt: float
@@ -526,8 +527,7 @@ class Gate:
         Coordinates that stop alone take theirs, or brake. The others take the wanted one, if there
         is one, or shares of `first`; shape (nv,) each.
         """
-        brake = self._braking(dt)
-        left = np.maximum(self.motion.stop_times - dt, 0.0)
+        brake, left = self._braking(dt)
         middle = self.motion.velocity * dt
         change = self.limits.change(dt)
         together = self.limits.together

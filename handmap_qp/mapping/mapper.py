@@ -339,7 +339,7 @@ class HandMapper:
         """Return the core's mapper from a reference on; None if Python has to map."""
         ik = self.point_ik
         is_python = self._is_released or self.tasks or ik.options.tasks
-        if is_python or ik.core is None or not getattr(reference.map, "core", None):
+        if is_python or not (ik.core and getattr(reference.map, "core", None)):
             return None
         return self.core or self._core_by(ik.core, reference.map)
 
@@ -459,29 +459,21 @@ class HandMapper:
             DegeneratePointsError: If with them the reference points do not determine the motion;
                 likewise.
         """
-        chosen = self.method
-        bound = self.bound
-        solver = self.point_ik
-        reference = self._reference
         if method is not None:
             chosen, weights = _method_of(method, {})
             ik = weights if ik is None and isinstance(method, str) else ik
             bound = chosen.bind(self.human, self._given_robot)
             solver = PointIk(
-                bound.robot,
-                ik or solver.options,
-                self.motion,
-                contacts=bound.contacts,
+                bound.robot, ik or self.ik, self.motion, contacts=bound.contacts
             )
-            reference = reference and _bound_again(reference, bound)
+            self._reference = self._reference and _bound_again(self._reference, bound)
+            self.method = chosen
+            self.bound = bound
+            self.point_ik = solver
         elif ik:
-            solver = solver.with_options(ik)
+            self.point_ik = self.point_ik.with_options(ik)
         if tasks is not None:
             self.tasks = tuple(tasks)
-        self.method = chosen
-        self.bound = bound
-        self.point_ik = solver
-        self._reference = reference
         self.core = None
 
     # -- the reference

@@ -377,7 +377,8 @@ class RobotMapper:
                 leader = self._leader(side)
                 leader.last = ask(side)
                 if not leader.is_staying:
-                    leader.base = leader.base if leader.since else self._base
+                    if not leader.since:
+                        leader.base = self._base
                     leader.since += leader.asked.dt
                 dt = max(dt, leader.asked.dt)
             expect(dt, "hands", "a sample of one at least")
@@ -450,7 +451,7 @@ class RobotMapper:
         if self._is_released:
             return self.point_ik.hold(dt)
         rest = self.robot.rest.copy()
-        for own, each in zip(self.robot.finger_joints, asked, strict=True):
+        for own, each in zip(self._own, asked, strict=True):
             rest[own] = each.rest[own]
         return self.point_ik.solve(
             np.concatenate([each.points for each in targets]),
@@ -509,14 +510,14 @@ class RobotMapper:
         for k, person in enumerate(persons):
             shift = (k - 0.5) * (aim - own)
             targets[k] = _turned(maps[k], targets[k], person, share, shift)
-        weight = _TOGETHER_SHARE * share * self.point_ik.options.wrist_position_weight
+        weight = _TOGETHER_SHARE * share * self.ik.wrist_position_weight
         return [PointOffset(self.robot, places, aim, weight)]
 
     def _margins(self, targets: list[Targets]) -> Array | None:
         """Return the margin of each pair: that of the hand whose thumb and finger it is."""
         if not self._pinching:
             return None
-        found = LINK_MARGIN * np.ones(len(self.point_ik.gate.links) - 1)
+        found = np.full(len(self.point_ik.gate.links) - 1, LINK_MARGIN)
         for each, (rows, own) in zip(targets, self._pinching, strict=True):
             if each.margins is not None:
                 found[rows] = each.margins[own]
@@ -530,6 +531,7 @@ class RobotMapper:
         pairs, pinching = _common_pairs(contacts) if contacts else (None, [])
         self.point_ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
         self._pinching = pinching
+        self._own = whole.finger_joints
         self._core: Any = None
         for leader in leaders:
             leader.join(self.point_ik)
