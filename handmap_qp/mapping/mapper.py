@@ -421,6 +421,9 @@ class HandMapper:
             start = reference.vector
             awaits_palm = False
         self.point_ik.place(start)
+        if awaits_palm:
+            # Like no other motion, so that whoever knows where the robot is will say so.
+            self.motion = self.motion._replace(dt=np.inf)
         self._awaits_palm = awaits_palm
         self.clutch()
         self._reference = reference
