@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError, expect, require
-from handmap_qp.hands import convex_hull, prism_around
+from handmap_qp.hands import Configuration, convex_hull, prism_around
 from handmap_qp.options import Options, number
 from handmap_qp.se3 import Array, as_floats
 
@@ -201,6 +201,18 @@ def distance(
     ends = [coal.Transform3s(pose.rotation, pose.translation) for pose in (here, there)]
     request = coal.DistanceRequest(True, True)
     return coal.distance(first, ends[0], second, ends[1], request, found), found
+
+
+def distances_to(
+    shape: Shape, pose: Array, placed: Configuration, links: pin.GeometryModel
+) -> list[tuple[float, coal.DistanceResult]]:
+    """Return `distance` of an object at its pose, (4, 4), to each shape of a placed hand."""
+    here = geometry_of(shape), pin.SE3(pose)
+    poses = placed.data.oMi
+    return [
+        distance(*here, link.geometry, poses[link.parentJoint] * link.placement)
+        for link in links.geometryObjects
+    ]
 
 
 @lru_cache(maxsize=8)

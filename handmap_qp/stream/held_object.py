@@ -35,8 +35,7 @@ from handmap_qp.mapping import (
     MapStep,
     Shape,
     Stages,
-    distance,
-    geometry_of,
+    distances_to,
     nearest,
     parse_object,
     robot_fingers,
@@ -107,13 +106,8 @@ class _Touch(NamedTuple):
 
     def links(self, placed: Configuration) -> tuple[Array, Array]:
         """Return the distance of each shape [m], (s,), and its slopes, shape (s, nv)."""
-        here = geometry_of(self.shape), pin.SE3(self.pose)
         shapes, moved = _links(self.hand)
-        poses = placed.data.oMi
-        found = [
-            distance(*here, link.geometry, poses[link.parentJoint] * link.placement)
-            for link in shapes
-        ]
+        found = distances_to(self.shape, self.pose, placed, shapes)
         gaps = np.array([gap for gap, _ in found])
         ends = [(near.normal, near.getNearestPoint2()) for _, near in found]
         normals, points = np.reshape(ends, (-1, 2, 3)).swapaxes(0, 1)
@@ -136,10 +130,11 @@ class _Touch(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def _links(hand: Hand) -> tuple[list[pin.GeometryObject], Array]:
+def _links(hand: Hand) -> tuple[pin.GeometryModel, Array]:
     """Return a hand's s shapes, and which velocities of the model move each, shape (s, nv)."""
-    shapes = list(read_collision_shapes(hand).geometryObjects)
-    return shapes, moved_by(hand.model, [shape.parentJoint for shape in shapes])
+    shapes = read_collision_shapes(hand)
+    joints = [shape.parentJoint for shape in shapes.geometryObjects]
+    return shapes, moved_by(hand.model, joints)
 
 
 def can_touch(mapper: HandMapper) -> bool:
@@ -249,11 +244,12 @@ class ObjectFollower:
             placed = self._placed
             placed.place(step.ik.q)
             off = lengths(touch.points.positions(placed) - touch.places)
-            gaps, _ = touch.links(placed)
+            links, _ = _links(self._hand)
+            gaps = distances_to(self.shape, touch.pose, placed, links)
             found |= {
                 "touching": touch.shares,
                 "touch_error": off,
-                "clearance": gaps.min(initial=np.inf),
+                "clearance": np.min([gap for gap, _ in gaps], initial=np.inf),
             }
             if off[touch.shares > _TOUCHED].max(initial=0.0) > _OFF:
                 flags = (*flags, "off_object")

@@ -32,10 +32,12 @@ def test_every_metric_is_one_of_fidelity() -> None:
     trace = trace_human(landmarks, HumanLengths.from_hand_length(0.19))
     values = assess_fidelity(trace, trace, np.arange(100) / 100.0).values
     assert list(values) == [m.key for m in METRICS]
-    # These metrics need surfaces, joints, workspace or times; all others have a value.
+    # These metrics need surfaces, an object, joints, workspace or times; all others have a value.
     unknown = {key for key, value in values.items() if np.isnan(value)}
     motion = {"jerk_ratio", "speed_ratio", "outside_limits", "self_penetration"}
-    pinches = {m.key for m in GROUPS["Pinches"]}
+    pinches = {
+        m.key for group in ("Pinches", "Object in the hand") for m in GROUPS[group]
+    }
     assert unknown == motion | pinches | {"colliding", "workspace", "step_time_ms"}
     assert values["thumb_extension_correlation"] == pytest.approx(1.0)
     assert values["key_cosine"] == pytest.approx(1.0)

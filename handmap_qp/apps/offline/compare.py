@@ -43,7 +43,7 @@ from .comparison import (
     own_methods,
     prepare_take,
 )
-from .metrics import GROUPS, METRICS, Metric
+from .metrics import METRICS, Metric, arising
 from .poses import POSES, rank_poses
 from .trajectory import package_versions
 
@@ -276,15 +276,15 @@ def _print_tables(comparison: Comparison) -> None:
     from rich.table import Table
 
     console = Console()
-    for group, metrics in GROUPS.items():
+    overall = {method: comparison.overall(method) for method in comparison.methods}
+    for group, metrics in arising(overall.values()):
         table = Table(box=None, header_style="bold")
         table.add_column("method", no_wrap=True)
         for metric in metrics:
             heading = f"{metric.title} {metric.unit}".split()
             table.add_column("\n".join(heading), justify="right")
-        for method in comparison.methods:
-            overall = comparison.overall(method)
-            table.add_row(method, *(m.text(overall[m.key]) for m in metrics))
+        for method, row in overall.items():
+            table.add_row(method, *(m.text(row[m.key]) for m in metrics))
         console.print(f"{group}, {comparison.robot.name}", style="bold")
         console.print(table)
         console.print()
@@ -320,8 +320,8 @@ def _pinch_samples(comparison: Comparison) -> dict[str, int]:
 
 
 def _tables(values: dict[str, Values]) -> list[str]:
-    """Return a table for every group, with a row for every method."""
-    return [_table(group, metrics, values) for group, metrics in GROUPS.items()]
+    """Return a table for every group that arises, with a row for every method."""
+    return [_table(*group, values) for group in arising(values.values())]
 
 
 def _table(

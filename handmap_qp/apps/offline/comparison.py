@@ -36,10 +36,18 @@ from handmap_qp.human import (
     scaled_human,
     turned,
 )
-from handmap_qp.mapping import PRESETS, HandMapper, preset_choice, rotation_onto
+from handmap_qp.mapping import (
+    PRESETS,
+    HandMapper,
+    Shape,
+    parse_object,
+    preset_choice,
+    rotation_onto,
+)
 from handmap_qp.se3 import Array, as_floats, inverse_pose
 from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import NpzFormat, read_archive
+from .contacts import contact_metrics
 from .fidelity import SETTLING, assess_fidelity, sample_workspace
 from .hand_trace import ByFinger, HandTrace, fingers_of, trace_human, trace_robot
 from .look_ahead import LookAhead, look_ahead, smooth_poses
@@ -74,6 +82,7 @@ class Take:
             before.
         wrist: Pose of the human model's wrist frame in the world, shape (T, 4, 4).
         q: The human's joint angles, fitted for the jerk alone [rad], shape (T, 20).
+        shape: Shape of the object that it has; None if none is known.
     """
 
     recording: Recording
@@ -82,6 +91,7 @@ class Take:
     trace: HandTrace
     wrist: Array
     q: Array
+    shape: Shape | None = None
 
     @property
     def name(self) -> str:
@@ -225,6 +235,7 @@ def prepare_take(
         recording = mirrored(recording)
     held = held_samples(recording.valid)
     poses = recording.wrist
+    of_object = recording.object_shape
     lengths = (person or measure_person(recording)).lengths
     human = scaled_human(recording, lengths=lengths)
     wrist = None if poses is None else poses[held]
@@ -236,6 +247,7 @@ def prepare_take(
         trace=trace,
         wrist=trace.palm @ inverse_pose(human.wrist_to_palm),
         q=fit_recording(recording, lengths=lengths).q,
+        shape=parse_object(of_object, recording.name) if of_object else None,
     )
 
 
@@ -369,8 +381,12 @@ def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
     if name != base_name(name):
         ik = ik.replaced(**SMOOTH_IK)
     mapper = HandMapper(take.human, robot, method, ik=ik)
-    # Mappings are compared, not how faults of the tracker are met: peers meet none.
-    trajectory = map_recording(mapper, recording, wrist_poses=wrist, is_guarded=False)
+    # Mappings are compared, not how faults of the tracker are met: peers meet none. Only what knows
+    # of an object is on guard too.
+    is_guarded = take.shape is not None
+    trajectory = map_recording(
+        mapper, recording, wrist_poses=wrist, is_guarded=is_guarded
+    )
     return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 
 
@@ -419,9 +435,10 @@ def _run(method: ComparedMethod, take: Take, robot: Hand, workspace: ByFinger) -
     except HandmapError as error:
         return Run(method.name, take, mean_values([]), problem=reason_of(error))
     wrist = motion.wrist_in(take, robot) if robot.is_floating else None
+    trace = trace_robot(robot, motion.q, wrist)
     fidelity = assess_fidelity(
         take.trace,
-        trace_robot(robot, motion.q, wrist),
+        trace,
         take.recording.time,
         valid=take.recording.valid,
         gaps=measure_gaps(robot, motion.q),
@@ -433,4 +450,9 @@ def _run(method: ComparedMethod, take: Take, robot: Hand, workspace: ByFinger) -
     )
     if motion.wrist is None:
         fidelity.values.update(palm_deg=np.nan, palm_mm=np.nan)
+    if take.shape is not None:
+        found = contact_metrics(
+            take.trace, trace, take.recording, take.shape, robot, motion.q
+        )
+        fidelity.values.update(found)
     return Run(method.name, take, *fidelity, motion)

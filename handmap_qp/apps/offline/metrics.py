@@ -1,6 +1,6 @@
 """What `handmap compare` measures: names, units and meaning of its metrics (`metrics.yaml`)."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -80,6 +80,13 @@ GROUPS: dict[str, tuple[Metric, ...]] = msgspec.yaml.decode(
 """All metrics by subject: those of `fidelity`, then the eight of mimic_retargeter_lab."""
 METRICS = sum(GROUPS.values(), ())
 """The same in one row."""
+
+
+def arising(rows: Collection[Values]) -> Iterator[tuple[str, tuple[Metric, ...]]]:
+    """Yield the groups of metrics of which a row has one that is not NaN."""
+    for group, metrics in GROUPS.items():
+        if any(np.isfinite(row[metric.key]) for row in rows for metric in metrics):
+            yield group, metrics
 
 
 def mean_values(rows: Sequence[Values]) -> Values:
