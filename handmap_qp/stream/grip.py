@@ -22,18 +22,25 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Configuration, Hand
 from handmap_qp.human import HumanSample
-from handmap_qp.ik import LENGTH_UNIT, AttachedPoints, TaskRows
+from handmap_qp.ik import LENGTH_UNIT, AttachedPoints, PointDistances, Task, TaskRows
 from handmap_qp.mapping import MapStep, Stages, gap_task, robot_fingers
 from handmap_qp.options import Options, Positive
 from handmap_qp.se3 import Array, as_floats, lengths, unit
 from .follower import Follower, map_with
 
-# Weights that leave other terms little: of a held joint [1/rad], and of the pads' middle [1/m].
+# Weights that leave other terms little: of a held joint [1/rad], of pads that stay apart, and of
+# their middle [1/m].
 _HELD = 3000.0
+_APART = 6000.0
 _CENTRED = 1000.0
 # Share of a pinch from which on a person grips, and at which pads close around an object.
 _PINCHING = 0.5
 _CLOSING = 0.1
+# Pads that close feel how far they may go this far before [m]. They go no faster than that depth in
+# this time, by which joints are late [s], and have met something where this share is behind.
+_EDGE = 0.005
+_LATE = 0.07
+_BEHIND = 0.5
 # Pads so near an object close around it, and do so least at twice the distance [m].
 _NEAR = 0.05
 # Pads that move no faster than this for so long have met something [m/s, s].
@@ -51,9 +58,10 @@ class GripOptions(Options, frozen=True):
 
     Attributes:
         stiffness: Stiffness of the fingers' position control [N m/rad].
-        force: Force with which thumb and finger press [N].
+        force: Force with which thumb and finger press [N]. Near an object whose place is known,
+            pads are not commanded farther than presses so: a small force closes gently.
         behind: How far the measured gap of the pads stays behind the commanded one where they have
-            met something [m].
+            met something [m]; half of what presses with `force` if that is less.
         opens_by: How much farther apart than in the grip a person's fingers let go [m].
     """
 
@@ -108,6 +116,32 @@ class _CentredPads(NamedTuple):
         own = self.points.jacobians(hand, places).mean(axis=0)
         jacobian[:, self.columns] = own[:, self.columns]
         return TaskRows(self.weight * self.off(places), self.weight * jacobian)
+
+
+class _PadsApart(NamedTuple):
+    """Keeps the pads of thumb and a finger at least so far apart.
+
+    Attributes:
+        task: The gaps of all fingers.
+        finger: Number of the finger.
+        least: The least gap, < 0 for pads in each other [m].
+        weight: Weight [1/m].
+    """
+
+    task: PointDistances
+    finger: int
+    least: float
+    weight: float
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        """Return a row; see `Task.linearise`."""
+        rows = self.task.linearise(hand)
+        unit = LENGTH_UNIT / self.task.weights[self.finger]
+        more = unit * rows.residual[self.finger] - self.least
+        near = np.clip(1.0 - more / _EDGE, 0.0, 1.0)
+        weight = self.weight * near
+        slope = weight * unit * rows.jacobian[self.finger]
+        return TaskRows(np.array([weight * min(more, 0.0)]), slope[None])
 
 
 class _Grip(NamedTuple):
@@ -221,22 +255,25 @@ class GripFollower:
     def _let_go(self) -> None:
         """Grip nothing."""
         self._grip: _Grip | None = None
-        # The finger that may meet something, its gap, and for how long it has.
-        self._near = -1, 0.0, 0.0
+        # The finger that may meet something, its gap, the least one that is commanded, and for how
+        # long it has met something.
+        self._near = -1, 0.0, 0.0, 0.0
         # Whether the person's fingers have been apart since: only then they grip.
         self._is_apart = False
         self._reference = self._mapper.reference
-        self._terms = ()
+        self._terms: tuple[Task, ...] = ()
 
     def _advance(self, step: MapStep, q: Array, centre: Array | None) -> None:
         """Go on with a grip, or see whether there is one."""
         dt = self._mapper.motion.dt
         gaps = step.named("gaps")
+        self._terms = ()
+        if self._grip is None:
+            self._close(step, q, gaps, centre, dt)
+        else:
+            self._grip = self._held(self._grip, gaps, dt)
         grip = self._grip
-        grip = self._held(grip, gaps, dt) if grip else self._touched(step, q, gaps, dt)
-        self._grip = grip
         if grip is None:
-            self._terms = tuple(self._closing(step, gaps, centre))
             return
         if grip.opening >= 1.0:
             self._let_go()
@@ -246,14 +283,52 @@ class GripFollower:
         held = _HeldJoints(self._hand, grip.columns, positions, weight)
         self._terms = (held,)
 
-    def _closing(
-        self, step: MapStep, gaps: Array, centre: Array | None
-    ) -> Iterator[_CentredPads]:
-        """Yield the term by which pads that close meet around a place, if they are near it."""
+    def _close(
+        self, step: MapStep, q: Array, gaps: Array, centre: Array | None, dt: float
+    ) -> None:
+        """Close pads, gently around a place if it is known, until they have met something."""
         finger = int(gaps.argmin())
-        share = min(step.named("pinching")[finger] / _CLOSING, 1.0)
-        if centre is None or share <= 0.0:
+        pinching = step.named("pinching")[finger]
+        self._is_apart |= pinching <= _PINCHING
+        if pinching <= 0.0:
+            self._near = -1, 0.0, 0.0, 0.0
             return
+        gap = self._gaps(q)[finger]
+        slopes = self._task.linearise(self._placed).jacobian[finger]
+        unit = LENGTH_UNIT / self._task.weights[finger]
+        levers = -unit * slopes[self._hand.joint_columns]
+        stiffness = self.options.stiffness
+        # How far the command is in what the pads meet, where they press with the force.
+        depth = self.options.force / stiffness * (levers @ levers)
+        commanded = self._gaps(step.command.q)[finger]
+        share = min(pinching / _CLOSING, 1.0)
+        before, last, least, time = self._near
+        if finger != before:
+            least = commanded
+        # Not at once: joints that are late would let it jump.
+        least = max(gap - depth, least - depth * dt / _LATE)
+        if centre is not None:
+            self._terms = tuple(self._around(step, finger, least, share, centre))
+        behind = min(self.options.behind, _BEHIND * depth)
+        is_met = (
+            pinching > _PINCHING
+            and self._is_apart
+            and finger == before
+            and abs(gap - last) < _STILL * dt
+            and gap - commanded > behind
+        )
+        time = time + dt if is_met else 0.0
+        self._near = finger, gap, least, time
+        if time >= _TOUCHED:
+            pressed = stiffness * levers @ (step.command.q - q)
+            force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
+            columns = self._moving(finger)
+            self._grip = _Grip(finger, columns, q, levers, force, gaps[finger])
+
+    def _around(
+        self, step: MapStep, finger: int, least: float, share: float, centre: Array
+    ) -> Iterator[_CentredPads | _PadsApart]:
+        """Yield terms by which pads close gently around a place, if they are near it."""
         ends = [self._pads[0], self._pads[1 + finger]]
         term = _CentredPads(
             AttachedPoints(self._hand, [pad.place for pad in ends]),
@@ -267,6 +342,7 @@ class GripFollower:
         near = np.clip(2.0 - off / _NEAR, 0.0, 1.0)
         if near > 0.0:
             yield term._replace(weight=near * term.weight)
+            yield _PadsApart(self._task, finger, least, near * share * _APART)
 
     def _moving(self, finger: int) -> Array:
         """Return the columns of q that move the thumb and a finger, shape (c,)."""
@@ -287,36 +363,6 @@ class GripFollower:
         share = min(grip.time / _RAISED, 1.0)
         force = grip.force + share * (self.options.force - grip.force)
         return (1.0 - grip.opening) * force * grip.levers
-
-    def _touched(
-        self, step: MapStep, q: Array, human: Array, dt: float
-    ) -> _Grip | None:
-        """Return the grip of pads that have met something; None if they have not."""
-        finger = int(human.argmin())
-        is_pinching = step.named("pinching")[finger] > _PINCHING
-        self._is_apart |= not is_pinching
-        if not (is_pinching and self._is_apart):
-            self._near = -1, 0.0, 0.0
-            return None
-        gap = self._gaps(q)[finger]
-        before, last, time = self._near
-        is_met = (
-            finger == before
-            and abs(gap - last) < _STILL * dt
-            and gap - self._gaps(step.command.q)[finger] > self.options.behind
-        )
-        time = time + dt if is_met else 0.0
-        self._near = finger, gap, time
-        if time < _TOUCHED:
-            return None
-        self._place(q)
-        slopes = self._task.linearise(self._placed).jacobian[finger]
-        unit = LENGTH_UNIT / self._task.weights[finger]
-        levers = -unit * slopes[self._hand.joint_columns]
-        columns = self._moving(finger)
-        pressed = self.options.stiffness * levers @ (step.command.q - q)
-        force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
-        return _Grip(finger, columns, q, levers, force, human[finger])
 
     def _gaps(self, q: Array) -> Array:
         """Return the gaps from the thumb's pad to those of the fingers [m], shape (f,)."""

@@ -85,13 +85,16 @@ class Blocked:
 
 
 def run(
-    grip: GripFollower, width: float = WIDTH, opens: bool = False
+    grip: GripFollower,
+    width: float = WIDTH,
+    opens: bool = False,
+    centre: np.ndarray | None = None,
 ) -> Iterator[tuple[MapStep, np.ndarray]]:
     """Yield each step, and the joints that had been measured."""
     plant = Blocked(grip.follower.mapper.robot, width)
     for sample in samples(opens):
         measured = plant.q
-        step = grip.map_sample(sample, measured)
+        step = grip.map_sample(sample, measured, centre)
         plant.follow(step.command.q)
         yield step, measured
 
@@ -205,11 +208,53 @@ def test_a_hand_that_trembles_keeps_what_it_grips(allegro: Hand) -> None:
 
 
 def test_only_pads_that_stay_behind_are_a_grip(allegro: Hand) -> None:
-    never = grip_follower(allegro, behind=1.0)
+    never = grip_follower(allegro, behind=1.0, force=100.0)
     assert all(step.command.effort is None for step, _ in run(never))
     # What is as narrow as they are behind is not found.
     narrow = grip_follower(allegro, behind=0.02)
     assert all(step.command.effort is None for step, _ in run(narrow, width=0.01))
+
+
+@pytest.mark.parametrize("force", [0.8, 1.5])
+def test_what_is_touched_is_pressed_no_harder_than_with_the_force(
+    allegro: Hand, force: float
+) -> None:
+    grip = grip_follower(allegro, force=force)
+    ran = list(run(grip, centre=meeting(allegro)))
+    last, stopped = ran[-1]
+    grip._place(stopped)
+    slopes = grip._task.linearise(grip._placed).jacobian[0]
+    levers = slopes[allegro.joint_columns] * 0.01 / grip._task.weights[0]
+    # The gap that position control closes farther for one newton.
+    compliance = levers @ levers / grip.options.stiffness
+    gap = gap_of(allegro, stopped)
+    pressed = [
+        (gap - gap_of(allegro, step.command.q)) / compliance
+        for step, measured in ran
+        if np.array_equal(measured, stopped)
+    ]
+    assert len(pressed) > 10
+    assert max(pressed) < 1.4 * force
+    # It is gripped with this force, although it gives way by little.
+    effort = last.command.effort
+    assert effort is not None
+    assert np.abs(effort).max() == pytest.approx(force * np.abs(levers).max(), rel=0.1)
+
+
+def test_a_small_force_closes_gently(allegro: Hand) -> None:
+    speeds = []
+    centre = meeting(allegro)
+    for force in (5.0, 0.5):
+        grip = grip_follower(allegro, force=force)
+        q, gaps = allegro.rest.copy(), []
+        for sample in samples():
+            gaps.append(gap_of(allegro, q))
+            # Joints that lag behind their commands by 70 ms.
+            command = grip.map_sample(sample, q, centre).command
+            q = q + (command.q - q) * (1.0 / 60.0 / 0.07)
+        near = np.array(gaps) < 0.03
+        speeds.append(-np.diff(gaps)[near[1:]].min() * 60.0)
+    assert speeds[1] < 0.5 * speeds[0]
 
 
 @pytest.mark.parametrize("opens_by", [0.008, 1.0])
@@ -268,7 +313,7 @@ def test_a_new_reference_lets_go(allegro: Hand, way: str) -> None:
     later = dataclasses.replace(sample, time=sample.time + 1.0 / 60.0)
     step = grip.map_sample(later, measured)
     assert step.command.effort is None
-    assert grip._terms == ()
+    assert grip._grip is None
     np.testing.assert_array_equal(step.command.q, plain.map_sample(later).command.q)
 
 
@@ -333,11 +378,15 @@ def pads_middle(hand: Hand, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
     return (ends[0] + thumb.radius * way + ends[1] - index.radius * way) / 2.0
 
 
+def meeting(allegro: Hand) -> np.ndarray:
+    """Return where the pads meet with nothing between them [m], shape (3,)."""
+    closed = [step for step, _ in run(grip_follower(allegro), width=-1.0)][75].command
+    return pads_middle(allegro, closed.q, closed.wrist)
+
+
 def closings(allegro: Hand, away: np.ndarray) -> tuple[list[MapStep], np.ndarray]:
     """Close without anything between the pads, around a place beside where they would meet."""
-    plain = [step for step, _ in run(grip_follower(allegro), width=-1.0)]
-    closed = plain[75].command
-    centre = pads_middle(allegro, closed.q, closed.wrist) + away
+    centre = meeting(allegro) + away
     grip = grip_follower(allegro)
     q = allegro.rest
     steps = []
@@ -376,7 +425,7 @@ def test_the_term_of_a_place_has_the_slopes_of_its_error(allegro: Hand) -> None:
     grip = grip_follower(allegro)
     step = [step for step, _ in run(grip, width=-1.0)][75]
     centre = pads_middle(allegro, step.command.q, step.command.wrist) + 0.01
-    (term,) = grip._closing(step, step.named("gaps"), centre)
+    term, _ = grip._around(step, 0, 0.0, 1.0, centre)
     placed = allegro.configuration()
     own = [allegro.joint_columns[grip._moving(0)].tolist()]
     base = step.ik.q
