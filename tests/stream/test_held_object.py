@@ -432,11 +432,10 @@ def test_an_object_that_is_not_seen_lets_go_of_the_hand() -> None:
     columns = sample_columns(lost)
     steps = list(follow_recording(follower().follower, lost))
     plain = Follower(HandMapper(HUMAN, load_hand("allegro_right"), "teleoperation"))
-    for i in range(len(steps)):
-        other = plain.map_sample(columns.sample(i))
+    others = [plain.map_sample(columns.sample(i)) for i in range(len(steps))]
     assert steps[89].diagnostics["touching"].max() == 1.0
     assert "touching" not in steps[-1].diagnostics
-    np.testing.assert_allclose(steps[-1].command.q, other.command.q, atol=0.05)
+    np.testing.assert_allclose(steps[-1].command.q, others[-1].command.q, atol=0.05)
 
 
 def test_a_hand_without_shapes_touches_too() -> None:

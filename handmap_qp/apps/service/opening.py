@@ -338,7 +338,7 @@ def read_grip(request: Open) -> GripOptions:
     return _changed("grip", GripOptions(), request.grip or {})
 
 
-def _holding(follower: Follower, request: Open) -> GripFollower | ObjectFollower:
+def _holding(follower: Any, request: Open) -> GripFollower | ObjectFollower:
     """Let a follower grip, or touch the object of a request."""
     given = request.object
     if given is None:
