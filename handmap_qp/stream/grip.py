@@ -11,7 +11,6 @@ pushes it away before the other one is there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any, NamedTuple
 
@@ -22,8 +21,8 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Configuration, Hand
 from handmap_qp.human import HumanSample
-from handmap_qp.ik import LENGTH_UNIT, AttachedPoints, PointDistances, Task, TaskRows
-from handmap_qp.mapping import MapStep, Stages, gap_task, robot_fingers
+from handmap_qp.ik import AttachedPoints, Task, TaskRows
+from handmap_qp.mapping import MapStep, Stages, robot_fingers
 from handmap_qp.options import Options, Positive
 from handmap_qp.se3 import Array, as_floats, lengths, unit
 from .follower import Follower, map_with
@@ -46,6 +45,8 @@ _NEAR = 0.05
 # Pads that move no faster than this for so long have met something [m/s, s].
 _STILL = 0.03
 _TOUCHED = 0.1
+# No finger, gap, least gap and time.
+_NOTHING = -1, 0.0, 0.0, 0.0
 # Time over which a force is raised, and a grip is let go [s].
 _RAISED = 0.1
 _LET_GO = 0.1
@@ -86,62 +87,64 @@ class _HeldJoints(NamedTuple):
         return TaskRows(self.weight * off[self.columns], self.weight * rows)
 
 
-class _CentredPads(NamedTuple):
-    """Keeps the middle between the pads of thumb and finger at a place, by their own joints.
+class _PadPair(NamedTuple):
+    """The pads of the thumb and a finger.
 
     Attributes:
-        points: The middles of both pads.
+        points: The middles of both.
         radii: Their radii [m], shape (2,).
-        centre: The place [m], shape (3,).
-        columns: Columns of the velocity that move both fingers, shape (c,).
-        weight: Weight [1/m].
+        columns: Columns of q that move both fingers, shape (c,).
     """
 
     points: AttachedPoints
     radii: Array
-    centre: Array
     columns: Array
-    weight: float
 
-    def off(self, places: Array) -> Array:
-        """Return how far the middle of pads at such places, (2, 3), is off [m], shape (3,)."""
-        farther = 0.5 * (self.radii[0] - self.radii[1])
-        between = unit(places[1] - places[0])
-        return places.mean(axis=0) + farther * between - self.centre
+    def gap(self, hand: Configuration) -> float:
+        """Return the distance between their surfaces, < 0 for pads in each other [m]."""
+        thumb, finger = self.points.positions(hand)
+        return float(lengths(finger - thumb) - self.radii.sum())
 
-    def linearise(self, hand: Configuration) -> TaskRows:
-        """Return three rows; see `Task.linearise`."""
+    def middle(self, hand: Configuration) -> Array:
+        """Return the point midway between their surfaces [m], shape (3,)."""
+        thumb, finger = self.points.positions(hand)
+        farther = self.radii[0] - self.radii[1]
+        return (thumb + finger + farther * unit(finger - thumb)) / 2.0
+
+    def slopes(self, hand: Configuration) -> tuple[Array, Array]:
+        """Return the derivatives of the gap, shape (nv,), and of the middle, shape (3, nv)."""
         places = self.points.positions(hand)
-        jacobian = np.zeros((3, hand.nv))
-        own = self.points.jacobians(hand, places).mean(axis=0)
-        jacobian[:, self.columns] = own[:, self.columns]
-        return TaskRows(self.weight * self.off(places), self.weight * jacobian)
+        thumb, finger = self.points.jacobians(hand, places)
+        gap = unit(places[1] - places[0]) @ (finger - thumb)
+        return gap, (thumb + finger) / 2.0
 
 
-class _PadsApart(NamedTuple):
-    """Keeps the pads of thumb and a finger at least so far apart.
+class _ClosingPads(NamedTuple):
+    """Keeps two pads apart, and by their own joints the middle between them at a place.
 
     Attributes:
-        task: The gaps of all fingers.
-        finger: Number of the finger.
-        least: The least gap, < 0 for pads in each other [m].
-        weight: Weight [1/m].
+        pads: The pads.
+        own: Whether each column of the velocity moves one of both fingers, shape (nv,).
+        centre: The place [m], shape (3,).
+        least: The least gap [m].
+        share: Share of the weights.
     """
 
-    task: PointDistances
-    finger: int
+    pads: _PadPair
+    own: Array
+    centre: Array
     least: float
-    weight: float
+    share: float
 
     def linearise(self, hand: Configuration) -> TaskRows:
-        """Return a row; see `Task.linearise`."""
-        rows = self.task.linearise(hand)
-        unit = LENGTH_UNIT / self.task.weights[self.finger]
-        more = unit * rows.residual[self.finger] - self.least
+        """Return three rows of the middle, and one of the gap; see `Task.linearise`."""
+        more = self.pads.gap(hand) - self.least
+        gap, middle = self.pads.slopes(hand)
         near = np.clip(1.0 - more / _EDGE, 0.0, 1.0)
-        weight = self.weight * near
-        slope = weight * unit * rows.jacobian[self.finger]
-        return TaskRows(np.array([weight * min(more, 0.0)]), slope[None])
+        weights = self.share * np.append(np.full(3, _CENTRED), near * _APART)
+        off = np.append(self.pads.middle(hand) - self.centre, min(more, 0.0))
+        rows = np.vstack([middle * self.own, gap])
+        return TaskRows(weights * off, weights[:, None] * rows)
 
 
 class _Grip(NamedTuple):
@@ -201,9 +204,16 @@ class GripFollower:
         )
         wanted = "a hand that `teleoperation` moves, whose thumb turns to a finger"
         expect(has_pinch, "follower", wanted, value=hand.name)
-        self._pads = pads = [fingers.pads[name] for name in names]
-        self._task = gap_task(hand, pads)
-        self._columns = [fingers.used[name].columns for name in names]
+        pads = [fingers.pads[name] for name in names]
+        used = [fingers.used[name].columns for name in names]
+        self._pairs = [
+            _PadPair(
+                AttachedPoints(hand, [pads[0].place, pad.place]),
+                np.array([pads[0].radius, pad.radius]),
+                np.union1d(used[0], columns),
+            )
+            for pad, columns in zip(pads[1:], used[1:], strict=True)
+        ]
         self._placed = hand.configuration()
         self._let_go()
 
@@ -257,7 +267,7 @@ class GripFollower:
         self._grip: _Grip | None = None
         # The finger that may meet something, its gap, the least one that is commanded, and for how
         # long it has met something.
-        self._near = -1, 0.0, 0.0, 0.0
+        self._near = _NOTHING
         # Whether the person's fingers have been apart since: only then they grip.
         self._is_apart = False
         self._reference = self._mapper.reference
@@ -291,24 +301,25 @@ class GripFollower:
         pinching = step.named("pinching")[finger]
         self._is_apart |= pinching <= _PINCHING
         if pinching <= 0.0:
-            self._near = -1, 0.0, 0.0, 0.0
+            self._near = _NOTHING
             return
-        gap = self._gaps(q)[finger]
-        slopes = self._task.linearise(self._placed).jacobian[finger]
-        unit = LENGTH_UNIT / self._task.weights[finger]
-        levers = -unit * slopes[self._hand.joint_columns]
+        pads = self._pairs[finger]
+        placed = self._placed_at(q)
+        gap = pads.gap(placed)
+        slopes, _ = pads.slopes(placed)
+        levers = -slopes[self._hand.joint_columns]
         stiffness = self.options.stiffness
         # How far the command is in what the pads meet, where they press with the force.
         depth = self.options.force / stiffness * (levers @ levers)
-        commanded = self._gaps(step.command.q)[finger]
-        share = min(pinching / _CLOSING, 1.0)
+        commanded = pads.gap(self._placed_at(step.command.q))
         before, last, least, time = self._near
         if finger != before:
             least = commanded
         # Not at once: joints that are late would let it jump.
         least = max(gap - depth, least - depth * dt / _LATE)
         if centre is not None:
-            self._terms = tuple(self._around(step, finger, least, share, centre))
+            share = min(pinching / _CLOSING, 1.0)
+            self._terms = self._around(step, pads, centre, least, share)
         behind = min(self.options.behind, _BEHIND * depth)
         is_met = (
             pinching > _PINCHING
@@ -322,31 +333,19 @@ class GripFollower:
         if time >= _TOUCHED:
             pressed = stiffness * levers @ (step.command.q - q)
             force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
-            columns = self._moving(finger)
-            self._grip = _Grip(finger, columns, q, levers, force, gaps[finger])
+            self._grip = _Grip(finger, pads.columns, q, levers, force, gaps[finger])
 
     def _around(
-        self, step: MapStep, finger: int, least: float, share: float, centre: Array
-    ) -> Iterator[_CentredPads | _PadsApart]:
-        """Yield terms by which pads close gently around a place, if they are near it."""
-        ends = [self._pads[0], self._pads[1 + finger]]
-        term = _CentredPads(
-            AttachedPoints(self._hand, [pad.place for pad in ends]),
-            np.array([pad.radius for pad in ends]),
-            centre,
-            self._hand.joint_columns[self._moving(finger)],
-            share * _CENTRED,
-        )
-        self._placed.place(step.ik.q)
-        off = lengths(term.off(term.points.positions(self._placed)))
+        self, step: MapStep, pads: _PadPair, centre: Array, least: float, share: float
+    ) -> tuple[Task, ...]:
+        """Return the term by which pads close gently around a place, if they are near it."""
+        hand = self._placed
+        hand.place(step.ik.q)
+        off = lengths(pads.middle(hand) - centre)
         near = np.clip(2.0 - off / _NEAR, 0.0, 1.0)
-        if near > 0.0:
-            yield term._replace(weight=near * term.weight)
-            yield _PadsApart(self._task, finger, least, near * share * _APART)
-
-    def _moving(self, finger: int) -> Array:
-        """Return the columns of q that move the thumb and a finger, shape (c,)."""
-        return np.union1d(self._columns[0], self._columns[1 + finger])
+        own = np.isin(np.arange(hand.nv), self._hand.joint_columns[pads.columns])
+        term = _ClosingPads(pads, own, centre, least, near * share)
+        return (term,) if near > 0.0 else ()
 
     def _held(self, grip: _Grip, gaps: Array, dt: float) -> _Grip:
         """Return a grip after a sample of the person's gaps."""
@@ -364,12 +363,8 @@ class GripFollower:
         force = grip.force + share * (self.options.force - grip.force)
         return (1.0 - grip.opening) * force * grip.levers
 
-    def _gaps(self, q: Array) -> Array:
-        """Return the gaps from the thumb's pad to those of the fingers [m], shape (f,)."""
-        self._place(q)
-        places = self._task.points.positions(self._placed)
-        return lengths(places[1:] - places[0]) - self._task.distances
-
-    def _place(self, q: Array) -> None:
+    def _placed_at(self, q: Array) -> Configuration:
+        """Return the hand with its joints at q, and its wrist anywhere."""
         wrist = np.eye(4) if self._hand.is_floating else None
         self._placed.place(self._hand.configuration_vector(q, wrist))
+        return self._placed

@@ -222,9 +222,8 @@ def test_what_is_touched_is_pressed_no_harder_than_with_the_force(
     grip = grip_follower(allegro, force=force)
     ran = list(run(grip, centre=meeting(allegro)))
     last, stopped = ran[-1]
-    grip._place(stopped)
-    slopes = grip._task.linearise(grip._placed).jacobian[0]
-    levers = slopes[allegro.joint_columns] * 0.01 / grip._task.weights[0]
+    slopes, _ = grip._pairs[0].slopes(grip._placed_at(stopped))
+    levers = slopes[allegro.joint_columns]
     # The gap that position control closes farther for one newton.
     compliance = levers @ levers / grip.options.stiffness
     gap = gap_of(allegro, stopped)
@@ -425,17 +424,17 @@ def test_the_term_of_a_place_has_the_slopes_of_its_error(allegro: Hand) -> None:
     grip = grip_follower(allegro)
     step = [step for step, _ in run(grip, width=-1.0)][75]
     centre = pads_middle(allegro, step.command.q, step.command.wrist) + 0.01
-    term, _ = grip._around(step, 0, 0.0, 1.0, centre)
+    (term,) = grip._around(step, grip._pairs[0], centre, 0.0, 1.0)
     placed = allegro.configuration()
-    own = [allegro.joint_columns[grip._moving(0)].tolist()]
+    own = [allegro.joint_columns[grip._pairs[0].columns].tolist()]
     base = step.ik.q
 
     def error(way: np.ndarray) -> np.ndarray:
         placed.place(pin.integrate(allegro.model, base, way))
-        return term.linearise(placed).residual
+        return term.linearise(placed).residual[:3]
 
     placed.place(base)
-    jacobian = term.linearise(placed).jacobian
+    jacobian = term.linearise(placed).jacobian[:3]
     for column in range(allegro.model.nv):
         way = np.zeros(allegro.model.nv)
         way[column] = 1e-6
