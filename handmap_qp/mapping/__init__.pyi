@@ -41,6 +41,7 @@ from .objects import Shape as Shape
 from .objects import Sphere as Sphere
 from .objects import distance as distance
 from .objects import distances_to as distances_to
+from .objects import geometry_of as geometry_of
 from .objects import nearest as nearest
 from .objects import parse_object as parse_object
 from .objects import surface as surface

@@ -172,8 +172,11 @@ class Simulate:
         robot = load_whole(self.robot)
         outcomes: dict[str, dict[int, PinchOutcome]] = {}
         physics = self._physics()
-        mapped = map_pinch(methods, robot, self.recordings)
-        scenes = {name: PinchScene(*each, physics) for name, each in mapped.items()}
+        mapped, window = map_pinch(methods, robot, self.recordings)
+        scenes = {
+            method.name: PinchScene(commands, window, physics)
+            for method, commands in zip(methods, mapped, strict=True)
+        }
         if self.grip:
             take, window = read_pick(robot, self.recordings)
             name = f"{own_methods()[0]}+{self.grip}"

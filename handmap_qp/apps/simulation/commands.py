@@ -1,7 +1,7 @@
 """What a mapping commands over time, and when the human pinches: `map_commands`, `find_pinch`."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
@@ -106,8 +106,8 @@ def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:
 
 
 def map_pinch(
-    methods: Iterable[ComparedMethod], robot: Hand, files: Sequence[Path]
-) -> dict[str, tuple[Commands, PinchWindow]]:
+    methods: Sequence[ComparedMethod], robot: Hand, files: Sequence[Path]
+) -> tuple[list[Commands], PinchWindow]:
     """Return what each mapping commands, and when the human pinches.
 
     A robot with several hands needs a recording of each. Its first part then is what pinches.
@@ -121,14 +121,9 @@ def map_pinch(
         parts = sorted(robot.parts, key=lambda hand: hand.side != window.side)
         whole = joined(robot.name, *parts)
         used = [hands[side] for side in whole.by_side]
-        return {
-            method.name: (_map_hands(method.name, whole, used), window)
-            for method in methods
-        }
+        return [_map_hands(method.name, whole, used) for method in methods], window
     take, window = read_pick(robot, files)
-    return {
-        method.name: (map_commands(method, take, robot), window) for method in methods
-    }
+    return [map_commands(method, take, robot) for method in methods], window
 
 
 def read_pick(robot: Hand, files: Sequence[Path]) -> tuple[Take, PinchWindow]:

@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Iterator
-from functools import cached_property
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from handmap_qp.mapping import HandMapper
 from handmap_qp.stream import Follower, GripFollower, GripOptions
 from .commands import Commands, PinchWindow
 from .physics import Physics
-from .pinch import Meeting, PinchScene
+from .pinch import PinchScene
 from .simulator import Simulator
 
 
@@ -49,11 +48,6 @@ class GripScene(PinchScene):
         time = take.recording.time[: len(made)]
         commands = Commands(follower.mapper.robot, time, q, wrist)
         super().__init__(commands, window, physics)
-
-    @cached_property
-    def _closing(self) -> Meeting:
-        """The motion of the mapping alone, with nothing between the pads."""
-        return PinchScene(self.commands, self.window, self.physics)._closing
 
     def _play(self, simulator: Simulator, start: int) -> Iterator[float]:
         """Follow the recording to the end of the pinch, and yield the time of each sample [s]."""

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands import Hand, read_collision_shapes
-from handmap_qp.mapping import Box, Cylinder, MeshShape, Sphere
+from handmap_qp.mapping import Cylinder, geometry_of
 from handmap_qp.se3 import Array, mirror_sign, quat_wxyz_from_rotation
 from .physics import Body, Physics
 
@@ -64,7 +64,9 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
         )
     held = spec.worldbody.add_body(name=OBJECT)
     held.add_freejoint(name=OBJECT)
-    held.add_geom(name=OBJECT, mass=body.mass, **_shape(spec, body.shape), **_HELD)
+    is_round = isinstance(body.shape, Cylinder)
+    shape = body.shape if is_round else geometry_of(body.shape)
+    held.add_geom(name=OBJECT, mass=body.mass, **_shape(spec, shape), **_HELD)
     _couple_followers(spec, hand)
     # A spring with critical damping for each joint of the hand, and of its arm.
     stiffness = np.where(hand.moves_wrist, _ARM_STIFFNESS, physics.joint_stiffness)
@@ -159,14 +161,12 @@ def _set_inertia(
 
 
 def _shape(spec: Any, shape: Any) -> dict[str, Any]:
-    """Return what makes a geom of one of our shapes, or of coal's; of a mesh, its convex hull."""
+    """Return what makes a geom of a cylinder or of a shape of coal; of a mesh, its convex hull."""
     kind = type(shape).__name__.upper()
     match shape:
         case coal.Box():
             size = shape.halfSide
-        case Box():
-            size = np.divide(shape.size, 2.0)
-        case coal.Sphere() | Sphere():
+        case coal.Sphere():
             size = [shape.radius, 0.0, 0.0]
         case coal.Capsule():
             size = [shape.radius, shape.halfLength, 0.0]
@@ -174,9 +174,7 @@ def _shape(spec: Any, shape: Any) -> dict[str, Any]:
             size = [shape.radius, shape.length / 2.0, 0.0]
         case _:
             name = f"hull{len(spec.meshes)}"
-            is_ours = isinstance(shape, MeshShape)
-            vertices = shape.points if is_ours else shape.points()
-            spec.add_mesh(name=name, uservert=np.ravel(vertices).tolist())
+            spec.add_mesh(name=name, uservert=np.ravel(shape.points()).tolist())
             return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name}
     return {"type": getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"), "size": size}
 
