@@ -289,9 +289,7 @@ class CommandedRobot(Gate):
         q: Array,
         wrist: Array | None,
         dt: float,
-        share: float = 1.0,
-        *,
-        stops: bool = False,
+        share: float | None = None,
     ) -> bool:
         """Move towards a posture as far as the gate admits.
 
@@ -306,8 +304,8 @@ class CommandedRobot(Gate):
             q: Target joint angles [rad], shape (n,).
             wrist: Target pose of the wrist, shape (4, 4); None keeps it. The first one places it.
             dt: Time since the last command [s].
-            share: Share of the speed limits to use.
-            stops: Whether the robot must be able to stop there at once.
+            share: Share of the speed limits to use on the way to a stop there; all of them without
+                a stop if omitted.
 
         Returns:
             Whether the posture is reached. If it is not finite, the robot brakes.
@@ -318,34 +316,32 @@ class CommandedRobot(Gate):
         if not self.is_placed and wrist is not None:
             self.place(self.hand.configuration_vector(self.q, wrist))
             self.is_placed = True
-        motion = self.motion
-        goal = motion.q.copy()
+        start = self.motion.q
+        goal = start.copy()
         self.hand.write_configuration(goal, q, wrist)
         dt = max(dt, SHORTEST_DT)
-        columns = self.hand.active_columns
-        change = pin.difference(self.hand.model, motion.q, goal)[columns]
-        lower, upper = self.bounds(dt)
-        limit = self.limits.speeds * (dt * share)
+        change = pin.difference(self.hand.model, start, goal)[self.hand.active_columns]
+        lower, upper = self.bounds(dt, share or 1.0)
+        limit = self.limits.speeds * (dt * (share or 1.0))
         slack = 1e-12 + 1e-9 * limit
         braking = self.limits.change(dt)
-        reach = np.minimum(limit, braking) if stops else limit
-        is_near = (np.abs(change) <= reach + slack) & (change <= upper + slack)
-        is_there = (is_near & (change >= lower - slack)).all()
+        reach = limit if share is None else braking
+        near = np.clip(np.clip(change, -reach, reach), lower, upper)
+        is_there = (np.abs(change - near) <= slack).all()
         # The part of the way that the robot takes if it must stop at its end.
         allowed = braking_displacement(np.abs(change), braking)
         # Scale all six coordinates of a free wrist alike, so that it stays on its path.
         free = slice(6 * self.hand.is_floating)
         shares = limit[free] / np.maximum(allowed[free], 1e-300)
         allowed[free] *= shares.min(initial=1.0)
-        part = np.copysign(np.minimum(allowed, limit), change)
-        nearest = np.clip(part, lower, upper)
+        nearest = np.clip(np.copysign(allowed, change), lower, upper)
         wanted = change if is_there else nearest
         if self.collisions is not None:
             nearest = self._along_links(wanted, lower, upper, dt)
         taken = self.admit(wanted, nearest, dt)
         if not (is_there and (np.abs(taken - change) <= slack).all()):
             return False
-        self.motion = self.motion._replace(q=self.limits.clipped(goal, motion.q))
+        self.motion = self.motion._replace(q=self.limits.clipped(goal, start))
         return True
 
     def _along_links(

@@ -100,19 +100,15 @@ class SampleForm:
     """
 
     def __init__(self, request: Open, robot: Hand) -> None:
-        self._kind = request.input
         self._request = request
-        self._side: Side = request.side
         self._sides = [hand.side for hand in robot.parts]
+        self._field = self._wanted = request.input
         name = request.layout
-        self._layout = None
-        self._field = self._wanted = self._kind
         if name is not None:
-            refuse_if(self._kind != "landmarks", "needs input=landmarks", "layout")
+            refuse_if(self._field != "landmarks", "needs input=landmarks", "layout")
             # Only layouts of the package: a name must not open files of the server.
             message = f"no layout {name!r}; there are {', '.join(LAYOUTS)}"
             refuse_if(name not in LAYOUTS, message, "layout")
-            self._layout = LAYOUTS[name]
             self._field, self._wanted = "values", f"values of {name}"
 
     def each(self, sample: Step, work: Callable[[Side, Step], Any]) -> Humans:
@@ -123,7 +119,8 @@ class SampleForm:
             HandmapError: As of `work`; with the hand at fault if a robot has several.
         """
         if not self._sides:
-            return {self._side: work(self._side, sample)}
+            side = self._request.side
+            return {side: work(side, sample)}
         hands = sample.hands or {}
         is_bare = sample == structs.replace(sample, **_BARE)
         is_right = is_bare and hands and hands.keys() <= set(self._sides)
@@ -147,8 +144,17 @@ class SampleForm:
             RefusedError: If the session was opened for another kind, with the field at fault.
             HandmapError: If the numbers are not of the layout.
         """
-        self._check(sample)
-        if self._kind != "landmarks":
+        has_landmarks = self._request.input == "landmarks"
+        given = {field for field in _FIELDS if getattr(sample, field) is not None}
+        is_lost = not (sample.valid or has_landmarks)
+        refuse_if(is_lost, "only landmarks may be invalid", "valid")
+        if sample.valid or given:
+            message = f"this session was opened for {self._wanted}"
+            for field in sorted(given ^ {self._field}, key=_FIELDS.index):
+                raise RefusedError("invalid", message, field=field)
+        is_bare = self._field == "q" and sample.wrist is None
+        refuse_if(is_bare, "missing; it must come with q", "wrist")
+        if not has_landmarks:
             return None
         common: Values = {
             "time": sample.time,
@@ -157,25 +163,15 @@ class SampleForm:
             "valid": sample.valid,
             "confidence": sample.confidence,
         }
-        if sample.values is not None and self._layout is not None:
-            return self._layout.read(np.array(sample.values), **common)
+        if sample.values is not None:
+            return LAYOUTS[self._request.layout or ""].read(
+                np.array(sample.values), **common
+            )
         landmarks = UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
         # Messages were checked, except for their number of landmarks.
         is_hand = landmarks.shape == UNSEEN.shape
         make = HumanSample.of_checked if is_hand else HumanSample
         return make(landmarks=landmarks, **common)
-
-    def _check(self, sample: Step) -> None:
-        """Reject a sample of another kind than the session was opened for."""
-        given = {field for field in _FIELDS if getattr(sample, field) is not None}
-        is_lost = not sample.valid and self._kind != "landmarks"
-        refuse_if(is_lost, "only landmarks may be invalid", "valid")
-        if sample.valid or given:
-            message = f"this session was opened for {self._wanted}"
-            for field in sorted(given ^ {self._field}, key=_FIELDS.index):
-                raise RefusedError("invalid", message, field=field)
-        is_bare = self._kind == "q" and sample.wrist is None
-        refuse_if(is_bare, "missing; it must come with q", "wrist")
 
     def held(self, sample: Step) -> Values:
         """Return what a sample has of robot and object, by name.
@@ -183,17 +179,16 @@ class SampleForm:
         Raises:
             RefusedError: If the session was opened without it.
         """
-        given = {field: getattr(sample, field) for field in _OF_HELD}
+        given: Values = {}
         for field, of in _OF_HELD.items():
-            is_for = getattr(self._request, of) is not None
-            message = f"this session was opened without {of}"
-            refuse_if(given[field] is not None and not is_for, message, field)
-            if not is_for:
-                del given[field]
+            value = getattr(sample, field)
+            if getattr(self._request, of) is not None:
+                given[field] = value.matrix if isinstance(value, Pose) else value
+            elif value is not None:
+                message = f"this session was opened without {of}"
+                raise RefusedError("invalid", message, field=field)
         is_bare = given.get("measured_q", ()) is None
         refuse_if(is_bare, "missing; it must come with a grip", "measured_q")
-        if "object_pose" in given:
-            given["object_pose"] = to_matrix(sample.object_pose)
         return given
 
 
@@ -282,9 +277,16 @@ class Session:
     def record(self) -> Record:
         """Posture, epoch, release and owner, for a session that continues from here."""
         q, wrist = self.posture
-        pose = None if wrist is None else to_row(wrist.ravel())
-        control = self._epoch, self._state.is_released, self._stop, self.owner
-        return Record(self.name, self.robot.name, to_row(q), pose, *control)
+        return Record(
+            self.name,
+            self.robot.name,
+            to_row(q),
+            None if wrist is None else to_row(wrist.ravel()),
+            self._epoch,
+            self._state.is_released,
+            self._stop,
+            self.owner,
+        )
 
     @property
     def due(self) -> float:
@@ -412,7 +414,7 @@ class Session:
         self._dt = self._clock.grant_tick(now)
         if self._state is SessionState.RETURNING:
             share = self.request.return_speed
-            self._commanded.advance(self.robot.rest, None, self._dt, share, stops=True)
+            self._commanded.advance(self.robot.rest, None, self._dt, share)
             self._effort = None
             # The posture of the mapper stays behind, even if the client has clutched meanwhile.
             self._mapper_state = MapperState.STALE
@@ -533,22 +535,21 @@ class Session:
     def _map(self, humans: Humans, sample: Step, now: float) -> MapStep:
         """Map a sample within the time granted."""
         mapper: Any = self._hands.mapper
+        follower: Any = self._hands.follower
         held = self._form.held(sample)
         if sample.base is not None:
             refuse_if(not self.robot.parts, "a hand alone has no floating base", "base")
-            mapper.base_pose = to_matrix(sample.base)
-        if self.request.input != "landmarks":
-            wrist = to_matrix(sample.wrist)
-            if sample.points is not None:
-                return mapper.map_points(sample.points, wrist, dt=self._dt)
-            return mapper.map_step(sample.q, wrist, dt=self._dt)
-        arrival = now if self.request.time_from == "server" else None
-        follower: Any = self._hands.follower
-        times = {"dt": self._dt, "arrival": arrival}
+            mapper.base_pose = sample.base.matrix
+        held["dt"] = self._dt
+        kind = self.request.input
+        if kind != "landmarks":
+            work = mapper.map_step if kind == "q" else mapper.map_points
+            return work(getattr(sample, kind), to_matrix(sample.wrist), **held)
+        held["arrival"] = now if self.request.time_from == "server" else None
         if self.robot.parts:
-            return follower.map_samples(humans, **times)
+            return follower.map_samples(humans, **held)
         (human,) = humans.values()
-        step = follower.map_sample(human, **held, **times)
+        step = follower.map_sample(human, **held)
         if step.rule == "size":
             # Other units than metres are a mistake of the client, which must know.
             PalmShape(mapper.human).check(human.landmarks)
