@@ -3,11 +3,12 @@
     python benchmarks/bench_effort.py --seed 21 --json effort.json --picture effort.png
     python benchmarks/bench_effort.py --robots allegro_right --picks 4 --trials 1
 
-A robot follows every pick of `picks.py` by `GripFollower` with the object's place known. The wanted
-force is told as a session does it (`configure`): 2.5 N for the egg, 7 N for the bottle. The egg, a
-ball of 42 mm and 60 g, breaks when one link presses on it with more than 4 N; pads are soft (a time
-of contact of 8 ms). Friction is .3 to .8. The mapping is wrong about the stiffness of the joints by
-up to 20 %, and commands reach the joints 40 ms late. `--force` is for both objects.
+A robot follows every pick of `picks.py` by `GripFollower` with the object's place known. The
+wanted force is told as a session does it (`configure`): 2.5 N for the egg, which is gripped gently,
+7 N for the bottle. The egg, a ball of 42 mm and 60 g, breaks when one link presses on it with more
+than 4 N; pads are soft (a time of contact of 8 ms). Friction is .3 to .8. The mapping is wrong
+about the stiffness of the joints by up to 20 %, and commands reach the joints 40 ms late. `--force`
+is for both objects, gently below 4 N.
 
 Forces are measured in every step of the simulation, 2 ms. The force error is that of the thumb's
 mean force from .3 s after the touch on, of objects that are held. An object that the open hand
@@ -64,7 +65,8 @@ class EffortScene(GripScene):
     def prepare(self, force: float, gain: float) -> None:
         """Tell the force [N], and a stiffness that is wrong by a factor."""
         stiffness = gain * self.physics.joint_stiffness
-        self._options = GripOptions(stiffness=stiffness, force=force)
+        is_gentle = force < BREAKS
+        self._options = GripOptions(stiffness=stiffness, force=force, gentle=is_gentle)
         self.peak = 0.0
         self.forces: list[float] = []
 

@@ -59,15 +59,17 @@ class GripOptions(Options, frozen=True):
 
     Attributes:
         stiffness: Stiffness of the fingers' position control [N m/rad].
-        force: Force with which thumb and finger press [N]. Near an object whose place is known,
-            pads are not commanded farther than presses so: a small force closes gently.
+        force: Force with which thumb and finger press [N].
+        gentle: Whether pads close no farther, near an object whose place is known, than presses
+            with the force. That makes them slow, too: for what breaks.
         behind: How far the measured gap of the pads stays behind the commanded one where they have
-            met something [m]; half of what presses with `force` if that is less.
+            met something [m]; at most half of what presses with the force if they close gently.
         opens_by: How much farther apart than in the grip a person's fingers let go [m].
     """
 
     stiffness: Positive = 3.0
     force: Positive = 5.0
+    gentle: bool = False
     behind: Positive = 0.01
     opens_by: Positive = 0.008
 
@@ -296,7 +298,7 @@ class GripFollower:
     def _close(
         self, step: MapStep, q: Array, gaps: Array, centre: Array | None, dt: float
     ) -> None:
-        """Close pads, gently around a place if it is known, until they have met something."""
+        """Close pads, around a place if it is known, until they have met something."""
         finger = int(gaps.argmin())
         pinching = step.named("pinching")[finger]
         self._is_apart |= pinching <= _PINCHING
@@ -314,17 +316,20 @@ class GripFollower:
         commanded = pads.gap(self._placed_at(step.command.q))
         before, last, least, time = self._near
         if finger != before:
-            least = commanded
+            last, least, time = np.inf, commanded, 0.0
         # Not at once: joints that are late would let it jump.
         least = max(gap - depth, least - depth * dt / _LATE)
+        behind = self.options.behind
+        if self.options.gentle:
+            behind = min(behind, _BEHIND * depth)
+        else:
+            least = -np.inf
         if centre is not None:
             share = min(pinching / _CLOSING, 1.0)
             self._terms = self._around(step, pads, centre, least, share)
-        behind = min(self.options.behind, _BEHIND * depth)
         is_met = (
             pinching > _PINCHING
             and self._is_apart
-            and finger == before
             and abs(gap - last) < _STILL * dt
             and gap - commanded > behind
         )
@@ -338,7 +343,7 @@ class GripFollower:
     def _around(
         self, step: MapStep, pads: _PadPair, centre: Array, least: float, share: float
     ) -> tuple[Task, ...]:
-        """Return the term by which pads close gently around a place, if they are near it."""
+        """Return the term by which pads close around a place, if they are near it."""
         hand = self._placed
         hand.place(step.ik.q)
         off = lengths(pads.middle(hand) - centre)

@@ -241,22 +241,25 @@ class ObjectFollower:
         found: Arrays = {"object_pose": self.object_pose}
         flags = step.asked.flags
         for touch in terms:
-            placed = self._placed
-            placed.place(step.ik.q)
-            off = lengths(touch.points.positions(placed) - touch.places)
-            links, _ = _links(self._hand)
-            gaps = distances_to(self.shape, touch.pose, placed, links)
-            found |= {
-                "touching": touch.shares,
-                "touch_error": off,
-                "clearance": np.min([gap for gap, _ in gaps], initial=np.inf),
-            }
-            if off[touch.shares > _TOUCHED].max(initial=0.0) > _OFF:
+            found |= self._felt(step, touch)
+            if found["touch_error"][touch.shares > _TOUCHED].max(initial=0.0) > _OFF:
                 flags = (*flags, "off_object")
         told = ChainMap(found, cast("Arrays", step.asked.diagnostics))
         asked = structs.replace(step.asked, diagnostics=told, flags=flags)
         stages = Stages(step.stages.pose, asked, step.ik, step.command)
         return structs.replace(step, stages=stages)
+
+    def _felt(self, step: MapStep, touch: _Touch) -> Arrays:
+        """Return what diagnostics say of a touch after a step."""
+        placed = self._placed
+        placed.place(step.ik.q)
+        links, _ = _links(self._hand)
+        gaps = distances_to(self.shape, touch.pose, placed, links)
+        return {
+            "touching": touch.shares,
+            "touch_error": lengths(touch.points.positions(placed) - touch.places),
+            "clearance": np.min([gap for gap, _ in gaps], initial=np.inf),
+        }
 
     def _check_follower(self) -> None:
         is_led = can_touch(self._mapper) and self.follower.rejoin == "glide"
