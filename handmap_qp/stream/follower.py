@@ -172,9 +172,9 @@ class SmoothState(NamedTuple):
         waited: Time since the sample came [s].
         seen: The sample; None to start again.
         dt: Time between it and the one before [s]; 0 for a first one.
-        moving: Velocity of its points, shape (n, 3) [m/s].
+        moving: Velocity of its points, shape (n, 3) [m/s]; None for a first one.
         speeds: Smoothed velocities, as of `_Place.to`, shape (n + 2, 3) [m/s, rad/s].
-        recent: Largest recent speeds, of the turn at a lever, shape (n + 2,) [m/s].
+        recent: Largest recent speeds, of the turn at a lever, shape (n + 2,) [m/s]; 0 likewise.
         stages: Where the three filters are; the last one is the smoothed sample.
     """
 
@@ -184,7 +184,7 @@ class SmoothState(NamedTuple):
     dt: float = 0.0
     moving: Any = None
     speeds: Any = None
-    recent: Any = None
+    recent: Any = 0.0
     stages: tuple[_Place, ...] = ()
 
 
@@ -214,7 +214,7 @@ class Smoother(Compiled):
         if is_first or dt > _LONGEST_GAP:
             still = np.zeros((len(seen.points) + 1, 3))
             self._state = SmoothState(
-                before.noise, 0.0, seen, 0.0, still[2:], still, still[:, 0], (seen,) * 3
+                before.noise, seen=seen, speeds=still, stages=(seen,) * 3
             )
         elif all(map(np.array_equal, seen, former)):
             self._state = before._replace(waited=dt)
@@ -312,6 +312,8 @@ class Follower:
         self._reference: HumanPose | None = None
         # That of the mapper while the samples simply follow those before.
         self._core: Any = None
+        # What `forget` takes back.
+        self._before: tuple[Any, ...] = ()
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
@@ -342,6 +344,7 @@ class Follower:
                 determine the motion.
         """
         found = None
+        self._before = self._return, self._reference, self._core
         if self._simply_follows():
             # The step, or the verdict about a sample that Python has to look at, if it is known.
             found = self._core.map_sample(*self._cores(), sample, dt, arrival)
@@ -369,8 +372,15 @@ class Follower:
         table = StepTable(self.mapper.robot, count)
         i = 0
         while i < count:
-            # The verdict about a sample that the core has judged, and leaves to the return here.
-            i, verdict = self._run(samples, i, table)
+            # That about a sample which the core has judged, and leaves to the return here.
+            verdict = None
+            if self._simply_follows():
+                last = min(count, i + _RUN)
+                cores = self._cores()
+                run = self._core.run(*cores, samples, i, last, table.rows)
+                i, verdict, seen = run
+                if seen is not None:
+                    self._return = self._return._replace(seen=seen)
             if i < count:
                 started = thread_time()
                 sample = samples.sample(i)
@@ -382,19 +392,9 @@ class Follower:
                 progress(i)
         return table
 
-    @property
-    def state(self) -> tuple[Any, ...]:
-        """What `forget` takes back a sample with."""
-        return self._return, self._reference, self._core
-
-    def forget(self, step: MapStep, state: tuple[Any, ...]) -> None:
-        """Forget the sample that was mapped last.
-
-        Args:
-            step: Its step.
-            state: `state` before it.
-        """
-        self._return, self._reference, self._core = state
+    def forget(self, step: MapStep) -> None:
+        """Forget the sample that `map_sample` was given last, by its step."""
+        self._return, self._reference, self._core = self._before
         self._guard.forget()
         if not step.is_held:
             self._smoother.forget()
@@ -419,19 +419,6 @@ class Follower:
     def _cores(self) -> tuple[Any, Any, Any]:
         """Return what the core judges, smooths and reads samples by."""
         return self._guard.core, self._smoother.core, self.mapper.landmarks.core
-
-    def _run(
-        self, samples: SampleColumns, first: int, table: StepTable
-    ) -> tuple[int, Verdict | None]:
-        """Map samples in the core; return the first that it leaves, and its verdict if known."""
-        if not self._simply_follows():
-            return first, None
-        last = min(len(samples.time), first + _RUN)
-        cores = self._cores()
-        count, verdict, seen = self._core.run(*cores, samples, first, last, table.rows)
-        if seen is not None:
-            self._return = self._return._replace(seen=seen)
-        return count, verdict
 
     def _judged(
         self, sample: HumanSample, verdict: Verdict, dt: float | None

@@ -58,7 +58,6 @@ class RobotFollower:
         A hand without a sample goes on to what it asked for last.
         """
         followed: dict[Side, MapStep] = {}
-        before = {side: follower.state for side, follower in self.hands.items()}
 
         def follow(side: Side) -> MapStep:
             sample = samples[side]
@@ -71,7 +70,7 @@ class RobotFollower:
         except HandmapError:
             # The hand whose sample was refused is as it was before by itself.
             for side, step in followed.items():
-                self.hands[side].forget(step, before[side])
+                self.hands[side].forget(step)
             raise
         newest = max(sample.time for sample in samples.values())
         self._seen |= dict.fromkeys(samples, newest)
