@@ -18,7 +18,7 @@ import numpy as np
 
 from handmap_qp import ik
 from handmap_qp.errors import expect
-from handmap_qp.hands import FINGERS, Hand, Names, PointSpec, Side
+from handmap_qp.hands import FINGERS, Hand, Names, Side
 from handmap_qp.se3 import Array, as_floats, check_pose, frozen, transform_points
 
 LANDMARK_COUNT = 21
@@ -187,14 +187,9 @@ def landmarks_at_rest(human: Hand) -> Array:
     """
     if (tree := ik.compiled.core_tree(human)) is None:
         return frozen(human.with_points("landmarks").points(human.rest))
-    points = _landmark_points(human.unscaled or human)
+    points = (human.unscaled or human).with_points("landmarks").reference_points
     in_palm = tree.points(human.rest, points)
     return frozen(transform_points(human.wrist_to_palm, in_palm))
-
-
-@lru_cache(maxsize=16)
-def _landmark_points(human: Hand) -> tuple[PointSpec, ...]:
-    return human.with_points("landmarks").reference_points
 
 
 def human_name(side: Side) -> str:

@@ -253,12 +253,11 @@ class ObjectFollower:
         """Return what diagnostics say of a touch after a step."""
         placed = self._placed
         placed.place(step.ik.q)
-        links, _ = _links(self._hand)
-        gaps = distances_to(self.shape, touch.pose, placed, links)
+        gaps, _ = touch.links(placed)
         return {
             "touching": touch.shares,
             "touch_error": lengths(touch.points.positions(placed) - touch.places),
-            "clearance": np.min([gap for gap, _ in gaps], initial=np.inf),
+            "clearance": gaps.min(initial=np.inf),
         }
 
     def _check_follower(self) -> None:

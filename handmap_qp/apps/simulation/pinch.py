@@ -18,8 +18,8 @@ from scipy.stats import binomtest
 
 from handmap_qp.apps.tables import Row
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import THUMB, Hand, find_fingers, find_pads
-from handmap_qp.mapping import KINDS, Box, Shape, Sphere, parse_object
+from handmap_qp.hands import THUMB, Hand
+from handmap_qp.mapping import KINDS, Box, Shape, Sphere, parse_object, robot_fingers
 from handmap_qp.se3 import (
     Array,
     affine,
@@ -75,15 +75,15 @@ class Pads:
     """
 
     def __init__(self, hand: Hand) -> None:
-        chains = find_fingers(hand)
+        fingers = robot_fingers(hand)
+        chains = fingers.chains
         expect(
             {THUMB, _INDEX} <= chains.keys(),
             "robot",
             f"a hand with {THUMB} and {_INDEX}",
             got=f"{hand.name} with {', '.join(chains)}",
         )
-        used = {name: chains[name] for name in (THUMB, _INDEX)}
-        self._pads = [*find_pads(hand, used).values()]
+        self._pads = [fingers.pads[name] for name in (THUMB, _INDEX)]
         bodies = ["world", *hand.model.names[1:]]
         self.bodies = [bodies[pad.joint] for pad in self._pads]
         self._radii = np.array([pad.radius for pad in self._pads])
@@ -253,7 +253,7 @@ class PinchScene:
         # Never nearer, or never farther: where they are nearest.
         after = max(1, np.argmax(gaps <= width) or np.argmin(gaps))
         share = np.interp(width, (gaps[after], gaps[after - 1]), [1.0, 0.0])
-        ends = [(column[after - 1], column[after]) for column in closing]
+        ends = (column[after - 1 : after + 1] for column in closing)
         return Meeting(*(start + share * (end - start) for start, end in ends))
 
     @cached_property
