@@ -93,7 +93,7 @@ def _plain(value: Any) -> Any:
 
 _ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
-_OPTIONS = ("options", *messages.former_names(messages.Open), "ik")
+_OPTIONS = ("options", *messages.FORMER, "ik")
 _KEPT = (*PROTECTING, *SETUP)
 _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
@@ -281,24 +281,17 @@ class _Core:
         """Open the lost session again, where its robot is."""
         if (payload := await self._io("stream", None, 0.0)) is not None:
             self._read_streamed(payload)
-        last = self._last_command
-        await self._call(self._reopen_request(), Opened, deadline)
-        self._last_command = last
-        self.reopened += 1
-
-    def _reopen_request(self) -> Request:
-        """Return a request that opens the session again, at the robot's last known posture.
-
-        `restore` lets the server use its own record if it has one; it knows the owner's secret.
-        """
         opened = self.opened
         assert opened is not None
         last = self._last_command
-        start: Request = {"name": opened.name, "restore": True}
-        start["robot_q"] = (last or opened).q
+        # `restore` lets the server use its own record if it has one; it knows the owner's secret.
+        request = self._open_request | {"name": opened.name, "restore": True}
+        request["robot_q"] = (last or opened).q
         if last is not None and opened.is_floating:
-            start["robot_wrist"] = last.wrist
-        return self._open_request | start
+            request["robot_wrist"] = last.wrist
+        await self._call(request, Opened, deadline)
+        self._last_command = last
+        self.reopened += 1
 
     def _numbered(self, request: Request) -> Request:
         """Add the next number and the session to a request."""
@@ -307,7 +300,7 @@ class _Core:
         return addressee | request | {"protocol": self._protocol, "seq": self._seq}
 
     def _read(self, payload: bytes) -> Reply:
-        """Decode a reply, and remember the last command for `_reopen_request`."""
+        """Decode a reply, and remember the last command for `_reopen`."""
         reply = _DECODE(payload)
         last = self._last_command
         if isinstance(reply, Command) and (last is None or reply.seq >= last.seq):

@@ -184,14 +184,9 @@ Former = Annotated[Options, Meta()]
 """A former name of `options`: that of a preset, or `mapping` for the preset paper."""
 
 
-def former_names(message: type[Struct]) -> list[str]:
-    """Return the former names of `options` in a message."""
-    return [field.name for field in fields(message) if field.type is Former]
-
-
 def _rename_options(request: "Open | Configure") -> None:
     """Move options of former names to their present one."""
-    for former in former_names(type(request)):
+    for former in FORMER:
         if given := getattr(request, former):
             force_setattr(request, "options", given | request.options)
             force_setattr(request, former, {})
@@ -282,6 +277,10 @@ class Open(Request):
     def __post_init__(self) -> None:
         """Take options by their former names."""
         _rename_options(self)
+
+
+FORMER = [field.name for field in fields(Open) if field.type is Former]
+"""Former names of `options`."""
 
 
 class HandSample(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -655,7 +654,7 @@ class About(Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         """Give options their former names too."""
-        former = self.preset if self.preset in former_names(About) else "mapping"
+        former = self.preset if self.preset in FORMER else "mapping"
         force_setattr(self, former, self.options)
 
 

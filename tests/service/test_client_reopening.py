@@ -253,7 +253,7 @@ def test_a_session_that_is_lost_twice_keeps_the_last_posture(server: Server) -> 
             in_loop(server, server.dispatcher.sessions.by_secret.clear)
             assert tracker.status().q == pytest.approx(last.q, abs=1e-9)
             assert tracker.reopened == reopened
-        request = tracker._reopen_request()
+        request = tracker._open_request
         assert request["robot_q"] == pytest.approx(last.q, abs=1e-9)
         assert request["robot_wrist"] == last.wrist
 
@@ -265,10 +265,10 @@ def test_a_command_of_an_earlier_sample_does_not_undo_a_release(server: Server) 
         # The stream may deliver the earlier command after the answer to the release.
         payload = b"lab\0" + msgspec.msgpack.encode(earlier)
         tracker._read_streamed(payload)
-        assert tracker._reopen_request()["is_released"]
+        assert tracker._open_request["is_released"]
         after = msgspec.structs.replace(earlier, seq=earlier.seq + 2)
         tracker._read_streamed(b"lab\0" + msgspec.msgpack.encode(after))
-        assert not tracker._reopen_request()["is_released"]
+        assert not tracker._open_request["is_released"]
 
 
 def test_nobody_takes_a_session_whose_client_is_heard_from(server: Server) -> None:
@@ -321,7 +321,7 @@ def test_a_stop_outlives_a_session_that_is_not_restored(server: Server) -> None:
 def test_a_client_restores_its_running_session_with_its_secret(server: Server) -> None:
     with connected(server, name="lab") as tracker:
         before = tracker.step(q=human_q(), wrist=WRIST)
-        payload = tracker._reopen_request()
+        payload = tracker._open_request
         assert payload["session"] == tracker._addressee["session"]
         tracker._run(tracker._reopen(clock.monotonic() + PATIENCE))
         after = tracker.step(q=human_q(), wrist=WRIST)

@@ -249,12 +249,10 @@ class _Client(SmallReads):
         return self.transport.get_extra_info("peername")[0]
 
     def pause_writing(self) -> None:
-        if self._inner is not None:
-            self._inner.pause_reading()
+        self._inner.pause_reading()
 
     def resume_writing(self) -> None:
-        if self._inner is not None:
-            self._inner.resume_reading()
+        self._inner.resume_reading()
 
     def connection_lost(self, exc: Exception | None) -> None:
         self.end()

@@ -208,27 +208,13 @@ class HandCache:
         self._load = lru_cache(maxsize=_CACHED_HANDS)(load_hand)
         self._load_robot = lru_cache(maxsize=_CACHED_HANDS)(load_robot)
 
-    def robot_of(self, request: Open) -> Hand:
-        """Return the robot of a request, or its hand.
-
-        Raises:
-            RefusedError: As of `robot`, or if a field is not for a robot.
-        """
-        if request.robot not in self.two_handed:
-            return self.robot(request.robot, request.robot_points, request.mount)
-        for field, only in _OF_ROBOT.items():
-            message = f"expected {only or 'none'} for a robot with two hands"
-            refuse_if(getattr(request, field) != only, message, field)
-        with naming_field("robot"):
-            return self._load_robot(self._files[request.robot])
-
     def robot(self, name: str, points: str | None, mount: Mount | None) -> Hand:
-        """Return a robot hand.
+        """Return a robot hand, or a robot with two.
 
         Args:
             name: Its name.
-            points: Set of reference points; the hand's own if None.
-            mount: How its wrist is mounted; as in the description if None.
+            points: Set of reference points; the hand's own if None, as a robot's always are.
+            mount: How its wrist is mounted; as in the description if None, likewise.
 
         Raises:
             RefusedError: If no hand has this name, or it cannot be loaded so.
@@ -238,6 +224,8 @@ class HandCache:
         refuse_if(name not in self._files, message, "robot")
         file = self._files[name]
         with naming_field("robot"):
+            if name in self.two_handed:
+                return self._load_robot(file)
             return self._load(file, points=points, mount=mount)
 
     def human(
@@ -288,8 +276,13 @@ def prepare_hands(
     Raises:
         RefusedError: With the field at fault.
     """
-    robot = cache.robot_of(request)
-    hands = robot.by_side if robot.parts else {request.side: robot}
+    robot = cache.robot(request.robot, request.robot_points, request.mount)
+    hands = {request.side: robot}
+    if robot.parts:
+        for field, only in _OF_ROBOT.items():
+            message = f"expected {only or 'none'} for a robot with two hands"
+            refuse_if(getattr(request, field) != only, message, field)
+        hands = robot.by_side
     first, hand = next(iter(hands.items()))
     lengths = next(iter(measured.values()), None)
     if lengths is None:
@@ -417,9 +410,8 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
     ik = request.ik
     detail = changes.has_detail
     grip = request.grip
-    if changes.grip:
-        refuse_if(grip is None, "this session was opened without it", "grip")
-        grip = {**(grip or {}), **changes.grip}
+    is_alien = grip is None and changes.grip
+    refuse_if(is_alien, "this session was opened without it", "grip")
     if changes.preset is not None:
         kept = kept_options(kept, changes.preset)
         ik = {name: ik[name] for name in PROTECTING if name in ik}
@@ -428,7 +420,7 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
         preset=changes.preset or preset,
         options=kept | changes.options,
         ik=ik | changes.ik,
-        grip=grip,
+        grip=None if grip is None else grip | changes.grip,
         has_detail=request.has_detail if detail is None else detail,
     )
 
