@@ -431,8 +431,9 @@ class StreamGuard(Compiled):
     def check_side(self, samples: HumanSample | SampleColumns) -> None:
         """Reject samples of the other hand."""
         given, own = samples.side, self._side
-        got = f"one of a {given} hand"
-        expect(given == own, "side", f"samples of a {own} hand", value=given, got=got)
+        if given != own:
+            got = f"one of a {given} hand"
+            expect(False, "side", f"samples of a {own} hand", value=given, got=got)
 
     @in_core
     def holds(self, recording: Recording) -> Array:

@@ -226,19 +226,23 @@ class ObjectFollower:
         is_seen = sample.valid and object_pose is not None
         pose = check_pose(object_pose, "object_pose") if is_seen else self._seen
         self._check_follower()
-        self._eased *= self._mapper.reference is self._reference
+        mapper = self._mapper
+        self._eased *= mapper.reference is self._reference
         is_touched = sample.valid and pose is not None and self._eased > 0.0
         terms = [self._touch(sample, pose)] if is_touched else []
         step = map_with(self.follower, terms, sample, **times)
-        self._seen = pose
-        is_led = is_seen and step.status not in ("held", "released", "gliding")
-        dt = self._mapper.motion.dt if is_led else -self._mapper.motion.dt
+        self._seen, self._reference = pose, mapper.reference
+        is_still = step.status in ("held", "released")
+        is_led = is_seen and not is_still and step.status != "gliding"
+        dt = mapper.motion.dt if is_led else -mapper.motion.dt
         self._eased = min(max(self._eased + dt / _EASED, 0.0), 1.0)
-        self._reference = self._mapper.reference
-        if step.status in ("held", "released") or pose is None:
+        if is_still or pose is None:
             return step
         self.object_pose = self._world @ pose
-        found: Arrays = {"object_pose": self.object_pose}
+        return self._told(step, {"object_pose": self.object_pose}, terms)
+
+    def _told(self, step: MapStep, found: Arrays, terms: list[_Touch]) -> MapStep:
+        """Return a step that says where the object is, and how it is touched."""
         flags = step.asked.flags
         for touch in terms:
             found |= self._felt(step, touch)

@@ -206,7 +206,8 @@ class InputCheck(Compiled):
         distances = own_distances(landmarks)
         evidence = palmar_evidence(landmarks)
         own = misfit(distances)
-        total, fingers = (median(self._sign * each) for each in evidence)
+        total = median(self._sign * evidence.total)
+        fingers = median(self._sign * evidence.fingers)
         is_known = own < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
         order = None if is_known else _find_order(landmarks, self._sign, total)
         finding = (
