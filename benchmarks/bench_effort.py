@@ -8,7 +8,7 @@ wanted force is told as a session does it (`configure`): 2.5 N for the egg, whic
 7 N for the bottle. The egg, a ball of 42 mm and 60 g, breaks when one link presses on it with more
 than 4 N; pads are soft (a time of contact of 8 ms). Friction is .3 to .8. The mapping is wrong
 about the stiffness of the joints by up to 20 %, and commands reach the joints 40 ms late. `--force`
-is for both objects, gently below 4 N.
+is for both objects, gently below 4 N; `--rough` grips nothing gently.
 
 Forces are measured in every step of the simulation, 2 ms. The force error is that of the thumb's
 mean force from .3 s after the touch on, of objects that are held. An object that the open hand
@@ -62,11 +62,10 @@ class EffortScene(GripScene):
         forces: Forces of the thumb while the object is gripped [N].
     """
 
-    def prepare(self, force: float, gain: float) -> None:
+    def prepare(self, force: float, gain: float, *, gentle: bool) -> None:
         """Tell the force [N], and a stiffness that is wrong by a factor."""
         stiffness = gain * self.physics.joint_stiffness
-        is_gentle = force < BREAKS
-        self._options = GripOptions(stiffness=stiffness, force=force, gentle=is_gentle)
+        self._options = GripOptions(stiffness=stiffness, force=force, gentle=gentle)
         self.peak = 0.0
         self.forces: list[float] = []
 
@@ -121,10 +120,16 @@ class LateSimulator(Simulator):
 
 
 def tried(
-    scene: EffortScene, what: str, trial: PinchTrial, force: float, gain: float
+    scene: EffortScene,
+    what: str,
+    trial: PinchTrial,
+    force: float,
+    gain: float,
+    *,
+    gentle: bool,
 ) -> dict[str, Any]:
     """Return what became of an object."""
-    scene.prepare(force, gain)
+    scene.prepare(force, gain, gentle=gentle)
     try:
         outcome = scene.run(trial)
     except InvalidInputError as error:
@@ -189,6 +194,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--trials", type=int, default=3, help="for each recording")
     parser.add_argument("--picks", type=int, default=None, help="only the first ones")
     parser.add_argument("--force", type=float, default=None, help="for both [N]")
+    parser.add_argument("--rough", action="store_true", help="grip nothing gently")
     parser.add_argument("--seed", type=int, default=0)
     arguments = common.parse_arguments(parser, words)
     if arguments.quick:
@@ -218,7 +224,9 @@ def main(words: Sequence[str] | None = None) -> None:
                         where["recording"] = recording.name
                         force = arguments.force or told
                         gain = random.uniform(*GAINS)
-                        found.append(where | tried(scene, what, trial, force, gain))
+                        gentle = force < BREAKS and not arguments.rough
+                        became = tried(scene, what, trial, force, gain, gentle=gentle)
+                        found.append(where | became)
                 done()
     to_stderr = arguments.json == "-"
     for keys in (("object",), ("robot", "object"), ("recording", "object")):

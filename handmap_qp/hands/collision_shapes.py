@@ -11,10 +11,13 @@ import pinocchio as pin
 from handmap_qp.se3 import Array
 from .hand import Hand
 from .sources import urdf_path
+from .stand_ins import add_stand_ins
 from .urdf import get_numbers, parse_urdf, set_mesh_paths
 
 _PLACEHOLDER = "0.001"
 """Radius of the sphere in the place of a mesh [m]."""
+_SIZES = (5e-4, 2.0)
+"""Sizes that a link's mesh may have [m]; others are in another unit."""
 
 
 def parse_with_meshes(hand: Hand) -> Element:
@@ -31,6 +34,8 @@ def parse_with_meshes(hand: Hand) -> Element:
 def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
     """Read a hand's collision shapes; meshes become their convex hulls, cylinders prisms.
 
+    Stand-ins take the place of meshes that cannot be read, see `add_stand_ins`.
+
     Args:
         hand: The hand.
 
@@ -40,7 +45,7 @@ def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
 
     Raises:
         HandError: If a shape cannot be read.
-        MissingExtraError: If meshes lie in a package that is not installed.
+        MissingExtraError: If the URDF lies in a package that is not installed.
     """
     return pin.GeometryModel(_read(hand))
 
@@ -54,30 +59,27 @@ def _read(hand: Hand) -> pin.GeometryModel:
     """
     robot = parse_with_meshes(hand)
     try:
+        add_stand_ins(robot, is_lost)
         meshes = _take_meshes(robot)
         geometry = pin.buildGeomFromUrdfString(
             hand.model,
             tostring(robot, "unicode"),
             pin.GeometryType.COLLISION,
         )
-        for part in geometry.geometryObjects:
-            if part.name in meshes:
-                part.meshPath, scale = meshes.pop(part.name)
-                part.meshScale = np.array(scale)
-                stat = Path(part.meshPath).stat()
-                stamp = stat.st_mtime_ns, stat.st_size
-                hull = _hull_of(part.meshPath, scale, stamp)
-                if hull is None:
-                    raise ValueError(f"{part.name!r} is flat, without a convex hull")
-                part.geometry = hull
-            elif isinstance(part.geometry, coal.Cylinder):
-                part.geometry = prism_around(part.geometry)
     except (OSError, RuntimeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise hand.spec.error(
             f"the collision shapes cannot be read: {reason}",
             key="urdf",
         ) from error
+    for part in geometry.geometryObjects:
+        if part.name in meshes:
+            mesh = meshes.pop(part.name)
+            part.meshPath = mesh.get("filename", "")
+            part.meshScale = _scale(mesh)
+            part.geometry = _hull_of(mesh)
+        elif isinstance(part.geometry, coal.Cylinder):
+            part.geometry = prism_around(part.geometry)
     if meshes:
         raise hand.spec.error(
             f"the collision shape {min(meshes)!r} cannot be read", key="urdf"
@@ -85,26 +87,42 @@ def _read(hand: Hand) -> pin.GeometryModel:
     return geometry
 
 
-def _take_meshes(robot: Element) -> dict[str, tuple[str, tuple[float, ...]]]:
-    """Replace meshes by spheres, and return file and scale of each by its shape's name."""
+def _take_meshes(robot: Element) -> dict[str, Element]:
+    """Replace meshes by spheres, and return each by its shape's name."""
     meshes = {}
     for link in robot.iterfind("link"):
         for i, shape in enumerate(link.iterfind("collision/geometry")):
             mesh = shape.find("mesh")
             if mesh is not None:
-                scale = tuple(get_numbers(mesh, "scale", 3, "1 1 1"))
-                meshes[f"{link.get('name')}_{i}"] = mesh.get("filename", ""), scale
+                meshes[f"{link.get('name')}_{i}"] = mesh
                 shape.remove(mesh)
                 SubElement(shape, "sphere", radius=_PLACEHOLDER)
     return meshes
 
 
+def _scale(mesh: Element) -> Array:
+    return np.array(get_numbers(mesh, "scale", 3, "1 1 1"))
+
+
+def is_lost(mesh: Element) -> bool:
+    """Return whether a `<mesh>`, by its absolute path, is missing, unreadable, flat or absurd."""
+    return _hull_of(mesh) is None
+
+
+def _hull_of(mesh: Element) -> coal.Convex | None:
+    """Read a `<mesh>` as its convex hull; None if it is lost."""
+    file = mesh.get("filename", "")
+    try:
+        stat = Path(file).stat()
+        return _hull_in(file, tuple(_scale(mesh)), stat.st_mtime_ns, stat.st_size)
+    except (OSError, RuntimeError, ValueError):
+        return None
+
+
 # The meshes of a hand are those of all its sessions, as long as the file does not change.
 @lru_cache(maxsize=256)
-def _hull_of(
-    file: str, scale: tuple[float, ...], _: tuple[int, int]
-) -> coal.Convex | None:
-    """Read a mesh as its convex hull; None if its vertices lie in a plane.
+def _hull_in(file: str, scale: tuple[float, ...], *_: int) -> coal.Convex | None:
+    """Read a file as its convex hull; None if it is flat, or not as large as links are.
 
     A mesh is a surface without an inside: an object within it would not be noticed, and an overlap
     would have no depth.
@@ -112,7 +130,8 @@ def _hull_of(
     corners = _stl_vertices(file)
     if corners is None:
         corners = np.array(coal.MeshLoader().load(file, np.ones(3)).vertices())
-    return convex_hull(corners * scale)
+    size = np.ptp(corners * scale, axis=0).max()
+    return convex_hull(corners * scale) if _SIZES[0] < size < _SIZES[1] else None
 
 
 _HEADER = 84

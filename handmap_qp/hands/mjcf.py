@@ -26,7 +26,7 @@ from trimesh.exchange.stl import export_stl
 from handmap_qp.errors import HandError, reason_of
 from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
-from .sources import root_tag
+from .sources import find_mesh, root_tag
 from .spec import Names
 from .urdf import set_numbers, set_origin
 
@@ -39,7 +39,9 @@ _LAST_SHOWN_GROUP = 2
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
-_CONVERSION = 4
+_CONVERSION = 5
+# Radius of a ball in the place of a lost mesh [m].
+_RADIUS = 0.006
 # A range of this size in radians is one of pi in degrees [rad].
 _SMALL_RANGE = 0.06
 
@@ -71,14 +73,14 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
         spec = mujoco.MjSpec.from_file(str(file))
         # Keep bodies without joints, and shapes that only show.
         spec.compiler.fusestatic = spec.compiler.discardvisual = False
+        notes = _find_assets(spec, file.parent)
         model = spec.compile()
-        notes: Names = ()
         is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
         ranges = model.jnt_range[is_hinge & (model.jnt_limited != 0)]
         widest = np.ptp(ranges, axis=1).max(initial=0.0)
         if spec.compiler.degree and 0.0 < widest < _SMALL_RANGE:
             what = f"ranges of at most {math.degrees(widest):.2g} deg make no sense"
-            notes = (f"{what}: angles are taken as radians",)
+            notes += (f"{what}: angles are taken as radians",)
             spec.compiler.degree = False
             model = spec.compile()
         # Bindings decode names only when they are asked for them.
@@ -94,6 +96,33 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
         raise HandError("no joint moves in the MJCF", file=file)
     is_unnamed = spec.modelname in ("", "MuJoCo Model")
     return model, file.stem if is_unnamed else spec.modelname, notes
+
+
+def _find_assets(spec: mujoco.MjSpec, folder: Path) -> Names:
+    """Find meshes by their names, put balls in the place of lost ones, and drop what only colours.
+
+    Returns:
+        A note if there are lost ones.
+    """
+    for element in (*spec.geoms, *spec.sites, *spec.tendons):
+        element.material = ""
+    for asset in (*spec.materials, *spec.textures):
+        spec.delete(asset)
+    lost = set()
+    for mesh in filter(lambda mesh: mesh.file, list(spec.meshes)):
+        path = find_mesh(mesh.file, folder / spec.meshdir)
+        if path.exists():
+            mesh.file = str(path.resolve())
+        else:
+            lost.add(mesh.name)
+            spec.delete(mesh)
+    for geom in spec.geoms:
+        if geom.meshname in lost:
+            geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
+            geom.meshname = ""
+            geom.size[0] = _RADIUS
+    names = ", ".join(sorted(lost))
+    return (f"balls are in the place of missing meshes: {names}",) if lost else ()
 
 
 def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:

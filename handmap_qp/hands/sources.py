@@ -11,6 +11,7 @@ import pkgutil
 import re
 import sys
 import xml.etree.ElementTree as ET
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
@@ -166,10 +167,12 @@ def find_mesh(name: str, folder: Path) -> Path:
 
     A relative name starts at the URDF's folder. `package://PACKAGE/...` is searched in installed
     packages of robot descriptions first. After that, it is searched in the folders above the URDF:
-    a ROS package is a folder of the package's name, or one that holds a `package.xml`.
+    a ROS package is a folder of the package's name, or one that holds a `package.xml`. A file that
+    is at none of these places is looked for by its name in the folders of meshes around the URDF.
     """
     if not name.startswith((PACKAGE_SCHEME, "model://")):
-        return folder / name.removeprefix("file://")
+        file = folder / name.removeprefix("file://")
+        return file if file.exists() else _meshes_near(folder).get(file.name, file)
     package, _, inside = name.partition("://")[2].partition("/")
     try:
         candidates = [package_folder(package) / inside]
@@ -179,7 +182,21 @@ def find_mesh(name: str, folder: Path) -> Path:
         candidates.append(above / package / inside)
         if (above / "package.xml").exists():
             candidates.append(above / inside)
+    candidates += filter(None, [_meshes_near(folder).get(Path(inside).name)])
     return next((path for path in candidates if path.exists()), candidates[0])
+
+
+@lru_cache(maxsize=8)
+def _meshes_near(folder: Path) -> dict[str, Path]:
+    """Return the files in folders of meshes beside a URDF, and beside its folder, by their names.
+
+    Of files with one name, the shortest path counts.
+    """
+    near = [folder, *folder.glob("*"), *folder.parent.glob("*")]
+    named = [each for each in near if re.search("mesh|asset", each.name, re.IGNORECASE)]
+    files = [file for each in named for file in each.rglob("*.*")]
+    files.sort(key=lambda file: len(file.parts), reverse=True)
+    return {file.name: file for file in files}
 
 
 def root_tag(content: bytes) -> str:

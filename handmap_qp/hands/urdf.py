@@ -321,6 +321,8 @@ def _checked_kind(joint: Element) -> str:
 def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
     """Keep the part from `root` outwards, and write mimic rules, locked joints and limits into it.
 
+    A leader's speed is that of its followers, too, unless they are given their own.
+
     Args:
         robot: The `<robot>` element, changed in place.
         spec: The description of the hand or the arm.
@@ -344,9 +346,24 @@ def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
     fix_free_joints(robot)
     for name in spec.limits:
         _movable_joint(robot, name, "limits")
+    rules = mimics_of(robot)
     for name, joint in joints_by_name(robot, MOVABLE).items():
-        _complete_limits(joint, spec.limits.get(name, LimitSpec()))
+        limits = spec.limits.get(name)
+        _complete_limits(joint, limits or _followed(name, rules, spec.limits))
     return positions
+
+
+def _followed(name: str, rules: Rules, limits: Mapping[str, LimitSpec]) -> LimitSpec:
+    """Return the speed of a joint whose leader is given another one than the file's."""
+    scale = 1.0
+    # Rules that lead in a circle are rejected later.
+    for _ in rules:
+        if rule := rules.get(name):
+            scale *= abs(rule.multiplier)
+            name = rule.joint
+        if speed := limits.get(name, LimitSpec()).velocity:
+            return LimitSpec(velocity=scale * speed)
+    return LimitSpec()
 
 
 def _complete_limits(joint: Element, limits: LimitSpec) -> None:

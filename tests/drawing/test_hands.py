@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from handmap_qp.errors import MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import HandSpec, PalmSpec, PointSpec, WristSpec
+from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -200,11 +202,20 @@ def test_a_fine_mesh_is_simplified(tmp_path: Path) -> None:
     assert volume(part) == pytest.approx(4 / 3 * np.pi * 0.02**3, rel=0.05)
 
 
-def test_a_missing_mesh_is_left_out(tmp_path: Path) -> None:
-    shape = load_shape(
-        finger('<mesh filename="package://nowhere/part.stl"/>', tmp_path)
-    )
-    assert list(shape.links) == ["palm", "proximal"]
+@pytest.mark.parametrize("solid", ['<mesh filename="package://nowhere/part.stl"/>', ""])
+def test_a_missing_mesh_is_drawn_by_a_stand_in(tmp_path: Path, solid: str) -> None:
+    hand = finger(solid, tmp_path)
+    if not solid:
+        # A robot without any shapes.
+        robot = parse_urdf(hand.urdf_text)
+        for link in robot.iterfind("link"):
+            for tag in ("visual", "collision"):
+                for shape in link.findall(tag):
+                    link.remove(shape)
+        hand = Hand(hand.spec, urdf_text=ElementTree.tostring(robot, "unicode"))
+    shape = load_shape(hand)
+    assert list(shape.links) == ["palm", "proximal", "distal"]
+    assert all(len(triangles.vertices) for triangles in shape.links.values())
 
 
 def test_the_camera_frames_what_it_is_given() -> None:

@@ -205,6 +205,20 @@ def test_limits_are_the_tightest_of_leader_and_followers() -> None:
     assert by_name["z_j1"] == pytest.approx((0.0, 1.2, 5.0))
 
 
+def test_a_leaders_speed_is_its_followers_too() -> None:
+    # b_j2 and c_j3 follow c_j2, and b_j3 follows b_j2: with speeds of the file they would bind it.
+    fast = {"c_j2": LimitSpec(velocity=50.0)}
+    hand = Hand(changed(limits=fast))
+    assert hand.velocity_limits[2] == pytest.approx(50.0)
+    # A follower with a speed of its own binds.
+    slow = fast | {"b_j3": LimitSpec(velocity=11.0)}
+    hand = Hand(changed(limits=slow))
+    assert hand.velocity_limits[2] == pytest.approx(11.0 / (0.5 * 1.1))
+    np.testing.assert_allclose(
+        np.delete(hand.velocity_limits, 2), np.delete(HAND.velocity_limits, 2)
+    )
+
+
 def test_a_followers_limit_that_contradicts_its_rule_is_dropped_with_a_warning() -> (
     None
 ):

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -314,7 +315,7 @@ def test_primitives_have_whole_lengths_where_mujoco_has_half(
         ("<mujoco><worldbody/></mujoco>", "no joint moves"),
         ("<mujocoinclude/>", "include"),
         ("<mujoco><worldbody><joint/></worldbody></mujoco>", "MuJoCo cannot compile"),
-        ("<mujoco><asset><mesh file='gone.stl'/></asset></mujoco>", "gone.stl"),
+        ("<mujoco><asset><mesh file='gone.stl'/></asset></mujoco>", "no joint moves"),
     ],
 )
 def test_a_model_without_a_hand_is_one_line(
@@ -366,3 +367,32 @@ reference: tips
     assert cached_urdf(model) == first
     model.write_text(HAND.replace('model="claw"', 'model="other_claw"'))
     assert cached_urdf(model) != first
+
+
+@pytest.mark.parametrize("place", ["assets", "elsewhere/meshes", None])
+def test_meshes_are_found_by_their_names_or_have_balls_in_their_place(
+    tmp_path: Path, place: str | None
+) -> None:
+    file = tmp_path / "hand.xml"
+    file.write_text("""
+      <mujoco><compiler meshdir="assets"/>
+        <asset>
+          <texture name="skin" type="2d" file="skin.png"/><material name="skin" texture="skin"/>
+          <mesh name="part" file="part.stl"/>
+        </asset>
+        <worldbody><body name="palm"><geom type="mesh" mesh="part" material="skin"/>
+          <body name="tip" pos="0.1 0 0"><joint name="bend" range="0 90"/>
+            <geom size="0.01" material="skin"/></body></body></worldbody>
+      </mujoco>""")
+    if place:
+        (tmp_path / place).mkdir(parents=True)
+        trimesh.creation.box((0.02, 0.03, 0.04)).export(tmp_path / place / "part.stl")
+    # Folders of meshes are looked for beside the file.
+    if place == "elsewhere/meshes":
+        (tmp_path / "elsewhere/meshes").rename(tmp_path / "meshes")
+    converted = convert_mjcf(file)
+    robot = ET.fromstring(converted.text)
+    palm = next(link for link in robot.iter("link") if link.get("name") == "palm")
+    assert (palm.find("collision/geometry/mesh") is None) == (place is None)
+    notes = [note for note in converted.notes if "missing meshes: part" in note]
+    assert len(notes) == (place is None)

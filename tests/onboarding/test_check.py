@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from pathlib import Path
@@ -12,9 +13,10 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 import yaml
 
-from handmap_qp import Hand, HandError, load_hand
+from handmap_qp import Hand, HandError, cli, load_hand
 from handmap_qp.apps.onboarding.check import (
     _check_tips,
     _check_wrist,
@@ -38,6 +40,7 @@ from handmap_qp.apps.onboarding.measure import (
 )
 from handmap_qp.apps.onboarding.picture import _Scene
 from handmap_qp.apps.onboarding.write import write_hand
+from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.sources import urdf_directory
@@ -172,7 +175,70 @@ def test_missing_meshes_are_counted(made: MadeHand, tmp_path: Path, tag: str) ->
     link = f'<link name="{made.palm}"'
     text = made.urdf.replace(f"{link}/>", f"{link}>{mesh}</link>")
     found = warnings_of(check(described(tmp_path, text)))
-    assert found["urdf"].startswith(f"1 of 1 {tag} meshes are missing: palm.stl")
+    assert found["urdf"].startswith(f"1 of 1 {tag} meshes are missing, unreadable")
+    assert "palm.stl" in found["urdf"]
+
+
+def test_speeds_that_nobody_knows_are_said_and_may_be_given(
+    made: MadeHand, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf = tmp_path / "made.urdf"
+    urdf.write_text(re.sub('velocity="[^"]*"', 'velocity="0.5"', made.urdf))
+    said = {}
+    for name, words in (("slow", []), ("fast", ["--speed", "4"])):
+        file = tmp_path / f"{name}.yaml"
+        assert cli.main(["hands", "init", str(urdf), "--out", str(file), *words]) == 0
+        assert (load_hand(file).velocity_limits == (4.0 if words else 0.5)).all()
+        said[name] = [f.found for f in check(file).findings if "too slow" in f.found]
+    assert "the same speed: a placeholder?" in said["slow"][0]
+    assert said["fast"] == []
+    capsys.readouterr()
+    words = [
+        "hands",
+        "init",
+        str(urdf),
+        "--speed",
+        "0",
+        "--out",
+        str(tmp_path / "no.yaml"),
+    ]
+    assert cli.main(words) == 2
+    assert "--speed: expected a speed > 0" in capsys.readouterr().err
+
+
+def test_a_contradiction_is_an_exit_code(
+    made: MadeHand, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = described(tmp_path, made.urdf)
+    words = ["hands", "check", str(file), "--no-motion", "--json"]
+    assert cli.main(words) == 0
+    text = file.read_text().replace("side: right", "side: left")
+    file.write_text(text)
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as end:
+        cli.main(words)
+    assert end.value.code == 1
+    said = json.loads(capsys.readouterr().out)
+    assert said["findings"][0]["level"] == "warning"
+
+
+def test_a_mesh_in_millimetres_is_said_and_not_used(
+    made: MadeHand, tmp_path: Path
+) -> None:
+    trimesh.creation.box((20.0, 80.0, 90.0)).export(tmp_path / "palm.stl")
+    mesh = '<collision><geometry><mesh filename="palm.stl"/></geometry></collision>'
+    link = f'<link name="{made.palm}"'
+    text = made.urdf.replace(f"{link}/>", f"{link}>{mesh}</link>")
+    report = check(described(tmp_path, text))
+    assert "of no link's size: palm.stl" in warnings_of(report)["urdf"]
+    assert report.hand is not None
+    sizes = []
+    for shape in read_collision_shapes(report.hand).geometryObjects:
+        shape.geometry.computeLocalAABB()
+        sizes.append(
+            np.ptp([shape.geometry.aabb_local.min_, shape.geometry.aabb_local.max_])
+        )
+    assert max(sizes) < 0.5
 
 
 def test_a_pair_of_links_that_do_not_exist_is_found(

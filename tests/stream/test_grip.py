@@ -66,7 +66,7 @@ def gap_of(hand: Hand, q: np.ndarray) -> float:
     return float(apart - pads[0].radius - pads[1].radius)
 
 
-def grip_follower(hand: Hand, **options: float) -> GripFollower:
+def grip_follower(hand: Hand, **options: Any) -> GripFollower:
     follower = Follower(HandMapper(HUMAN, hand, "teleoperation"), smoothing=None)
     return GripFollower(follower, GripOptions(**options))
 

@@ -1,5 +1,6 @@
 """The shapes of a URDF's links as meshes of trimesh: `read_shapes`."""
 
+import os
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -9,10 +10,11 @@ from typing import Any
 from handmap_qp.errors import require
 from handmap_qp.hands import (
     Hand,
+    add_stand_ins,
     find_mesh,
     get_numbers,
     origin_of,
-    parse_urdf,
+    parse_with_meshes,
     urdf_path,
 )
 from .raster import Colour
@@ -24,8 +26,8 @@ LinkShape = tuple[list[Any], Colour | None]
 def read_shapes(hand: Hand, kind: str) -> dict[str, list[LinkShape]]:
     """Read the shapes of each link that has any, in the link's frame [m].
 
-    Meshes that cannot be read are left out. They are looked for in the folder of the hand's URDF,
-    as by `find_mesh`.
+    Stand-ins take the place of meshes that are missing (`add_stand_ins`), and of all shapes if
+    there are none; other meshes that cannot be read are left out.
 
     Args:
         hand: The hand.
@@ -35,7 +37,12 @@ def read_shapes(hand: Hand, kind: str) -> dict[str, list[LinkShape]]:
         HandError: If a shape lacks its numbers.
         MissingExtraError: If trimesh is not installed.
     """
-    robot = parse_urdf(hand.urdf_text)
+    robot = parse_with_meshes(hand)
+    if not [*robot.iterfind("link/*/geometry")]:
+        # Every link gets a stand-in.
+        for link in robot.iterfind("link"):
+            ET.SubElement(ET.SubElement(ET.SubElement(link, kind), "geometry"), "mesh")
+    add_stand_ins(robot, lambda mesh: not os.path.isfile(mesh.get("filename", "")))
     folder = urdf_path(hand.spec).parent
     named = {each.get("name"): each for each in robot.iter("material") if len(each)}
     found = {}

@@ -21,6 +21,7 @@ from handmap_qp.hands import (
     PalmKinematics,
     carrier_of,
     find_fingers,
+    is_lost,
     load_hand,
     named_pairs,
     parse_with_meshes,
@@ -52,6 +53,8 @@ from .robot import Robot
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME = 0.5
+# A slower one, at one speed of all joints, is what a file says that does not know them [s].
+_PLACEHOLDER = 1.0
 _FIST_ANGLE = 1.5
 # A larger range is in degrees or millimetres [rad or m].
 _LARGEST_TURN = 2.0 * np.pi + 0.01
@@ -178,7 +181,9 @@ def _check_speeds(hand: Hand) -> Found:
             f"second; at {hand.velocity_limits[worst]:.3g} per second this one needs "
             f"{times[worst]:.2g} s"
         )
-        change = "give the true speeds in `limits`, or move more slowly than people do"
+        if times[worst] > _PLACEHOLDER and np.ptp(hand.velocity_limits) == 0.0:
+            what += "; all joints have the same speed: a placeholder?"
+        change = "give the maker's speeds in `limits`, or one for all by `hands init --speed`"
         yield advice(f"limits.{hand.joint_names[worst]}", what, change)
 
 
@@ -261,18 +266,26 @@ def _check_tips(hand: Hand) -> Found:
 
 
 def _check_meshes(hand: Hand) -> Found:
+    """Find meshes of which other shapes of a link, cylinders or balls take the place."""
     robot = parse_with_meshes(hand)
     for tag, use in (
         ("collision", "self-collision and pinches"),
         ("visual", "pictures"),
     ):
-        meshes = robot.iterfind(f".//{tag}//mesh")
-        files = {Path(mesh.get("filename", "")): None for mesh in meshes}
-        if missing := [file for file in files if not file.is_file()]:
-            shown = first_of([file.name for file in missing], MOST_NAMES)
-            what = f"{len(missing)} of {len(files)} {tag} meshes are missing: {shown}; "
-            change = f"put them where the URDF looks for them: {missing[0].parent}"
-            yield warning("urdf", f"{what}{use} do without them", change)
+        meshes = {
+            mesh.get("filename", ""): mesh for mesh in robot.iterfind(f".//{tag}//mesh")
+        }
+        lost = [Path(file) for file, mesh in meshes.items() if is_lost(mesh)]
+        if tag == "visual":
+            lost = [file for file in lost if not file.is_file()]
+        if lost:
+            shown = first_of([file.name for file in lost], MOST_NAMES)
+            what = f"{len(lost)} of {len(meshes)} {tag} meshes are missing, unreadable, flat or "
+            what += (
+                f"of no link's size: {shown}; {use} have simple shapes in their place"
+            )
+            change = f"put them where the URDF looks for them: {lost[0].parent}"
+            yield warning("urdf", what, change)
 
 
 def _check_wrist(hand: Hand) -> Found:

@@ -77,6 +77,7 @@ class Report:
 
         Raises:
             HandError: If the hand cannot be built.
+            SystemExit: With the code 1 if there is a warning.
         """
         rows = [finding._asdict() for finding in self.findings]
         said = {
@@ -93,3 +94,6 @@ class Report:
             raise self.error
         if picture and not as_json:
             print(f"wrote {picture}")
+        # The worst is first.
+        if self.findings[0].level == "warning":
+            raise SystemExit(1)

@@ -54,7 +54,7 @@ _ABOVE = {
     "`fixed`: to the world, or to an arm among the joints.",
     "joints": "Active joints, in the order of every q; mimic joints are not among them.",
     "locked": "Locked joints and their positions [rad or m].",
-    "limits": "Assumed limits that the URDF lacks; give the true values [rad or m, and per s].",
+    "limits": "Limits that the URDF lacks, and speeds in place of its own [rad or m, and per s].",
     "mimic": "Joints that mimic a joint outside this part of the robot: treated as independent.",
     "points": "Reference points on links [m]; `partner` names the corresponding human point.",
     "collision": "Links that self-collision avoidance keeps apart: thumb and fingers, thumb and "
