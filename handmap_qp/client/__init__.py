@@ -187,8 +187,8 @@ class _Core:
         if self.opened is None:
             raise RuntimeError("open a session first")
         # Only samples that could not be read, or that are of no session, are answered.
-        answer = await self._io("samples", None, 0.0)
-        if answer is not None and isinstance(error := self._read(answer), Error):
+        error = await self._read("samples", 0.0)
+        if isinstance(error, Error):
             if error.code != "no_session":
                 raise ServiceError(error)
             await self._reopen(monotonic() + self.timeout)
@@ -200,9 +200,8 @@ class _Core:
         until = monotonic() + timeout
         # Another task may replace the stream by opening a session, or end it by closing.
         while "stream" in self._sockets:
-            payload = await self._io("stream", None, until)
-            if payload is not None:
-                reply = self._read_streamed(payload)
+            reply = await self._read("stream", until)
+            if reply is not None:
                 if isinstance(reply, Error) and reply.code not in (
                     "no_session",
                     "taken",
@@ -262,10 +261,9 @@ class _Core:
             until = now + (deadline - now) / left
             is_sent = await self._io("requests", payload, until) is not None
             while is_sent:
-                answer = await self._io("requests", None, until)
-                if answer is None:
+                reply = await self._read("requests", until)
+                if reply is None:
                     break
-                reply = self._read(answer)
                 # An error with number 0 says that the server did not read the request. Other
                 # numbers are of requests that timed out before.
                 if reply.seq == request["seq"] or (
@@ -279,8 +277,7 @@ class _Core:
 
     async def _reopen(self, deadline: float) -> None:
         """Open the lost session again, where its robot is."""
-        if (payload := await self._io("stream", None, 0.0)) is not None:
-            self._read_streamed(payload)
+        await self._read("stream", 0.0)
         opened = self.opened
         assert opened is not None
         last = self._last_command
@@ -299,8 +296,13 @@ class _Core:
         addressee = {} if request["type"] == "open" else self._addressee
         return addressee | request | {"protocol": self._protocol, "seq": self._seq}
 
-    def _read(self, payload: bytes) -> Reply:
-        """Decode a reply, and remember the last command for `_reopen`."""
+    async def _read(self, use: Use, until: float) -> Reply | None:
+        """Read a reply, as of `_io`, and remember the last command for `_reopen`."""
+        payload = await self._io(use, None, until)
+        if payload is None:
+            return None
+        if use == "stream":
+            payload = payload.split(TOPIC_END, 1)[1]
         reply = _DECODE(payload)
         last = self._last_command
         if isinstance(reply, Command) and (last is None or reply.seq >= last.seq):
@@ -310,9 +312,6 @@ class _Core:
             if self._open_request and reply.seq > self._released_at:
                 self._open_request["is_released"] = "released" in reply.flags
         return reply
-
-    def _read_streamed(self, payload: bytes) -> Reply:
-        return self._read(payload.split(TOPIC_END, 1)[1])
 
     def _speaks_older(self, reply: Reply) -> bool:
         """Return whether the server answers an older version only, and speak that from now on."""

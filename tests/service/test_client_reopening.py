@@ -258,16 +258,26 @@ def test_a_session_that_is_lost_twice_keeps_the_last_posture(server: Server) -> 
         assert request["robot_wrist"] == last.wrist
 
 
-def test_a_command_of_an_earlier_sample_does_not_undo_a_release(server: Server) -> None:
+def test_a_command_of_an_earlier_sample_does_not_undo_a_release(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with connected(server, name="lab") as tracker:
+
+        def read(command: Command) -> None:
+            async def stream(*_: Any) -> bytes:
+                return b"lab\0" + msgspec.msgpack.encode(command)
+
+            with monkeypatch.context() as patch:
+                patch.setattr(tracker, "_io", stream)
+                assert tracker.latest() == command
+
         earlier = tracker.step(q=human_q(), wrist=WRIST)
         tracker.release()
         # The stream may deliver the earlier command after the answer to the release.
-        payload = b"lab\0" + msgspec.msgpack.encode(earlier)
-        tracker._read_streamed(payload)
+        read(earlier)
         assert tracker._open_request["is_released"]
         after = msgspec.structs.replace(earlier, seq=earlier.seq + 2)
-        tracker._read_streamed(b"lab\0" + msgspec.msgpack.encode(after))
+        read(after)
         assert not tracker._open_request["is_released"]
 
 

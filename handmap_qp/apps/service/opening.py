@@ -100,6 +100,7 @@ _OF_ROBOT = {"input": "landmarks"} | dict.fromkeys(
 )
 """The only values of fields that a robot with two hands may be opened with."""
 
+AnyFollower = Follower | RobotFollower | GripFollower | ObjectFollower
 Defer = Callable[[Callable[[], "Hands"]], Future["Hands"]]
 
 
@@ -250,7 +251,7 @@ class Hands(NamedTuple):
     """
 
     mapper: HandMapper | RobotMapper
-    follower: Follower | RobotFollower | GripFollower | ObjectFollower
+    follower: AnyFollower
     robot: Hand
     choice: Choice
     lengths: HumanLengths | None
@@ -315,11 +316,7 @@ def prepare_hands(
             hand_pair(humans[side], hands[side])
     rejoins = request.resume == "clutch"
     follower = following(mapper, rejoin="clutch" if rejoins else "glide")
-    for field in ("grip", "object"):
-        if getattr(request, field) is not None:
-            refuse_if(not has_landmarks, "needs input=landmarks", field)
-            with naming_field(field):
-                follower = _holding(follower, request)
+    follower = _holding(follower, request)
     calibration = None
     if has_landmarks and lengths is None and defer is not None:
         calibration = Calibration(request, cache, defer)
@@ -331,15 +328,20 @@ def read_grip(request: Open) -> GripOptions:
     return _changed("grip", GripOptions(), request.grip or {})
 
 
-def _holding(follower: Any, request: Open) -> GripFollower | ObjectFollower:
-    """Let a follower grip, or touch the object of a request."""
+def _holding(follower: Any, request: Open) -> AnyFollower:
+    """Let a follower grip, or touch the object of a request, if it says so."""
     given = request.object
-    if given is None:
-        return GripFollower(follower, read_grip(request))
-    refuse_if(request.grip is not None, "give grip or object, not both", "object")
-    is_named = isinstance(given, str)
-    shape = parse_object(given, "object") if is_named else MeshShape(np.array(given))
-    return ObjectFollower(follower, shape)
+    if given is None and request.grip is None:
+        return follower
+    field = "grip" if given is None else "object"
+    refuse_if(request.input != "landmarks", "needs input=landmarks", field)
+    with naming_field(field):
+        if given is None:
+            return GripFollower(follower, read_grip(request))
+        refuse_if(request.grip is not None, "give grip or object, not both", field)
+        is_named = isinstance(given, str)
+        shape = parse_object(given, field) if is_named else MeshShape(np.array(given))
+        return ObjectFollower(follower, shape)
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:

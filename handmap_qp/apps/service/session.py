@@ -565,8 +565,14 @@ class Session:
         hands = calibration.result()
         self.counts["held"] += bool(rule)
         flags = [rule] if rule else self._accept(now)
-        trust = {"rule": rule, "confidence": sample.confidence}
-        command = self._command(now, "calibrating", flags, sample, **trust)
+        command = self._command(
+            now,
+            "calibrating",
+            flags,
+            sample,
+            rule=rule,
+            confidence=sample.confidence,
+        )
         if hands is not None:
             # Options may have changed since the hands were prepared.
             self._choose(hands, self.request)

@@ -110,9 +110,11 @@ class WebSocketTransport:
         if self.token is not None:
             # As a header, or among its subprotocols.
             offered = ",".join(asked.get_all("Sec-WebSocket-Protocol")).split(",")
-            given = [part.strip().removeprefix("bearer.") for part in offered]
-            headers = asked.get_all("Authorization")
-            given += [value.removeprefix("Bearer ") for value in headers]
+            offered += asked.get_all("Authorization")
+            given = [
+                each.strip().removeprefix("bearer.").removeprefix("Bearer ")
+                for each in offered
+            ]
             token = self.token.encode()
             is_admitted = any(hmac.compare_digest(v.encode(), token) for v in given)
             refusal = http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n"
