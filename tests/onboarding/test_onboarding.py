@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from made_hands import make_hand
 from strategies import generators
 
 from handmap_qp import HandError, load_hand
 from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
+from handmap_qp.apps.onboarding.findings import fine, warning
 from handmap_qp.hands.sources import package_folder, urdf_directory, urdf_path
+from handmap_qp.hands.urdf import edges, parse_urdf
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -378,3 +381,34 @@ def test_a_hand_can_keep_its_arm() -> None:
         detect(G1, root="left_hand_palm_link", base="left_wrist_yaw_link")
     with pytest.raises(HandError, match="does not hang from"):
         detect(G1, root="left_hand_palm_link", base="right_shoulder_pitch_link")
+
+
+def test_directions_are_no_surer_than_the_fingertips_that_they_are_measured_with() -> (
+    None
+):
+    made = make_hand(np.random.default_rng(0))
+    robot = parse_urdf(made.urdf)
+    carriers = {parent for _, parent, _ in edges(robot)}
+    for joint, _, child in list(edges(robot)):
+        if child not in carriers and joint.get("type") == "fixed":
+            cut = next(link for link in robot.iter("link") if link.get("name") == child)
+            robot.remove(joint)
+            robot.remove(cut)
+    whole, bare = (
+        {clue.what: clue.certainty for clue in detect_text(text, Path("x.urdf")).clues}
+        for text in (made.urdf, ET.tostring(robot, "unicode"))
+    )
+    for what in ("distal", "dorsal", "palm origin", "rest"):
+        assert whole[what] in ("certain", "likely")
+        assert bare[what].startswith("a guess")
+
+
+def test_what_a_measurement_contradicts_is_a_guess() -> None:
+    found = detect_text(make_hand(np.random.default_rng(0)).urdf, Path("x.urdf"))
+    wrong = warning("palm.dorsal", "the fingers close elsewhere", "correct it")
+    clues = {
+        clue.what: clue for clue in found.doubted([wrong, fine("palm", "so")]).clues
+    }
+    assert clues["dorsal"].certainty.startswith("a guess")
+    assert clues["dorsal"].how.endswith("but the fingers close elsewhere")
+    assert clues["distal"] == next(c for c in found.clues if c.what == "distal")

@@ -45,7 +45,7 @@ from .collision_pairs import with_collision_pairs
 from .detect import Detection, detect_hands
 from .findings import Rows
 from .match import match_hand
-from .measure import palm_rows
+from .measure import check_fist, palm_rows
 from .migrate import migrate, read_dex_configuration
 from .picture import draw_hand, draw_match, draw_robot, picture_path
 from .write import RobotSource, check_free, open_source, write_hand, write_robot
@@ -341,7 +341,7 @@ class HandsInit:
         check_free(out, overwrite=self.overwrite)
         write_hand(found, out)
         hand = load_hand(out)
-        found = with_collision_pairs(found, hand)
+        found = with_collision_pairs(found, hand).doubted(check_fist(hand))
         write_hand(found, out)
         rows = [
             {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}

@@ -46,6 +46,8 @@ _AT_LIMIT = 0.05
 _SPREAD = 0.3
 # Range of a person's wrist-to-knuckle distance, in lengths of the longest finger.
 _PALM_RATIO = np.array([0.4, 1.4])
+# Confidence in what a measurement contradicts.
+_DOUBT = 0.5
 
 
 class Detection(NamedTuple):
@@ -62,6 +64,17 @@ class Detection(NamedTuple):
     clues: tuple[Clue, ...]
     notes: Names
     chains: dict[str, Names]
+
+    def doubted(self, findings: Iterable[Any]) -> "Detection":
+        """Return the detection with clues that are guesses where a finding contradicts them."""
+        wrong = {f.key.removeprefix("palm."): f.found for f in findings if f.change}
+        clues = (
+            clue._replace(confidence=_DOUBT, how=f"{clue.how}; but {wrong[clue.what]}")
+            if clue.what in wrong
+            else clue
+            for clue in self.clues
+        )
+        return self._replace(clues=tuple(clues))
 
 
 def detect(urdf: Path, **given: Any) -> Detection:
@@ -193,8 +206,16 @@ class _FoundHand:
             # The side turned the palm over: joints with symmetric ranges flex the other way.
             flexion = HandFlexion(robot, fingers, palmar=-self.anatomy.dorsal)
         self.flexion = flexion
-        self._sure = {clue.what: clue.confidence for clue in self.anatomy.clues}
-        self.clues = [self.structure.palm, *self.anatomy.clues]
+        # Directions are no surer than the fingertips that they are measured with.
+        ends = float(np.median([finger.end.confidence for finger in fingers]))
+        clues = [
+            clue._replace(confidence=min(clue.confidence, ends))
+            if clue.what in ("distal", "dorsal")
+            else clue
+            for clue in self.anatomy.clues
+        ]
+        self._sure = {clue.what: clue.confidence for clue in clues}
+        self.clues = [self.structure.palm, *clues]
 
     def describe(self, name: str | None, part: Robot) -> HandSpec:
         """Return the description; `part` is the robot from the arm's base, if there is one."""
