@@ -38,7 +38,6 @@ from handmap_qp.mapping.objects import Box, Cylinder, MeshShape, Sphere, parse_o
 from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.archive import read_archive
 
-UP = np.array([0.0, 0.0, 1.0])
 WINDOW = PinchWindow(0, 10, 60)
 
 
@@ -329,7 +328,7 @@ def episode(lifted: PinchOutcome) -> Episode:
 def test_pictures_and_films_show_the_object(episode: Episode, tmp_path: Path) -> None:
     from PIL import Image
 
-    picture(episode, UP, tmp_path / "strip.png", count=2)
+    picture(episode, tmp_path / "strip.png", count=2)
     strip = np.asarray(Image.open(tmp_path / "strip.png").convert("RGB")).astype(int)
     assert strip.shape == (360, 960, 3)
     is_orange = (strip[..., 0] > strip[..., 2] + 60) & (strip[..., 1] > strip[..., 2])
@@ -337,7 +336,7 @@ def test_pictures_and_films_show_the_object(episode: Episode, tmp_path: Path) ->
     assert min(left.sum(), right.sum()) > 300
     # Upwards is towards the first row.
     assert np.argwhere(left)[:, 0].mean() - np.argwhere(right)[:, 0].mean() > 20
-    film(episode, UP, tmp_path / "film.gif", rate=2.0)
+    film(episode, tmp_path / "film.gif", rate=2.0)
     duration = episode.at.time[-1] - episode.at.time[0]
     with Image.open(tmp_path / "film.gif") as frames:
         assert getattr(frames, "n_frames", 1) == int(np.ceil(2.0 * duration))
@@ -348,7 +347,7 @@ def test_a_page_plays_both_hands_without_a_network(
     episode: Episode, tmp_path: Path
 ) -> None:
     page = tmp_path / "run.html"
-    write_page(page, {"robot": episode, "again": episode}, UP, "a <run>")
+    write_page(page, {"robot": episode, "again": episode}, "a <run>")
     text = page.read_text(encoding="utf-8")
     assert "<title>a &lt;run&gt;" in text
     assert "__VISER_EMBED_DATA__" in text

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from tyro.conf import arg
 
 from handmap_qp.apps.arguments import HandName, Recordings, hinted
@@ -196,16 +195,15 @@ class Simulate:
 
     def _write(self, episodes: dict[str, Episode]) -> None:
         """Write the files: of the first mapping; the page shows all."""
-        up = -np.array(self._physics().gravity)
         episode = next(iter(episodes.values()))
         if self.out:
             save_npz(self.out, episode.columns)
         if self.picture:
-            picture(episode, up, self.picture)
+            picture(episode, self.picture)
         if self.film:
-            film(episode, up, self.film)
+            film(episode, self.film)
         if self.html:
-            write_page(self.html, episodes, up, f"{self.robot}, simulated")
+            write_page(self.html, episodes, f"{self.robot}, simulated")
 
 
 def _by_whom(

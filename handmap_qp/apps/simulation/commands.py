@@ -184,6 +184,6 @@ def find_pinch(*recordings: Recording) -> PinchWindow:
     wanted = f"a palm that turns by less than {_TURN:g} degrees {instant}"
     expect(turn < _TURN, name, wanted, got=f"{turn:.0f} degrees")
     instants = max(recordings, key=len).time[:-1]
-    at = np.searchsorted(instants, time[[start, closed, end, opened]])
-    start, closed, end, opened = at.tolist()
+    ends = time[[start, closed, end, opened]]
+    start, closed, end, opened = np.searchsorted(instants, ends).tolist()
     return PinchWindow(start, closed, end, recording.side, opened)

@@ -83,6 +83,12 @@ class Physics(Options, frozen=True):
         number("Time constant with which a penetration is corrected [s].", above=True),
     ] = 4e-3
 
+    @property
+    def up(self) -> Array:
+        """Direction against gravity, shape (3,); z if there is none."""
+        gravity = np.array(self.gravity)
+        return -gravity if gravity.any() else np.array([0.0, 0.0, 1.0])
+
     def check(self) -> None:
         """Reject infinite gravity, and contacts that are too stiff for the time step."""
         if not all(map(math.isfinite, self.gravity)):

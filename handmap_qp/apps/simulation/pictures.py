@@ -27,7 +27,7 @@ _SIZE = (480, 360)
 
 
 def frames(
-    episode: Episode, up: Array, instants: Iterable[int], *, supersampling: int = 1
+    episode: Episode, instants: Iterable[int], *, supersampling: int = 1
 ) -> Iterator[Array]:
     """Render instants of a simulation, turned so that gravity points down.
 
@@ -35,7 +35,6 @@ def frames(
 
     Args:
         episode: The simulation.
-        up: Direction against gravity, shape (3,).
         instants: Indices of the instants.
         supersampling: As of `render`.
 
@@ -45,7 +44,7 @@ def frames(
     at = episode.at
     shape = load_shape(episode.hand)
     held = solid(surface(episode.body.shape), _OBJECT_COLOUR)
-    turn = affine(turn_up(up))
+    turn = affine(turn_up(episode.up))
     wrists = at.wrist if episode.hand.is_floating else [None] * len(at.time)
 
     def scene(i: int, of_object: int) -> Triangles:
@@ -62,12 +61,11 @@ def frames(
         yield np.round(255.0 * colour).astype(np.uint8)
 
 
-def film(episode: Episode, up: Array, path: Path, *, rate: float = 15.0) -> None:
+def film(episode: Episode, path: Path, *, rate: float = 15.0) -> None:
     """Write a simulation as a moving picture, in real time.
 
     Args:
         episode: The simulation.
-        up: Direction against gravity, shape (3,).
         path: The file: `.gif`, `.webp` or `.png` (an animated PNG).
         rate: Pictures of each second.
 
@@ -81,7 +79,7 @@ def film(episode: Episode, up: Array, path: Path, *, rate: float = 15.0) -> None
     nearest = np.abs(time - times[:, None]).argmin(axis=1)
     pictures = []
     with progress("rendering", len(nearest)) as advance:
-        for frame in frames(episode, up, nearest):
+        for frame in frames(episode, nearest):
             pictures.append(pillow.fromarray(frame))
             advance(len(pictures))
     first, *others = pictures
@@ -96,12 +94,11 @@ def film(episode: Episode, up: Array, path: Path, *, rate: float = 15.0) -> None
         )
 
 
-def picture(episode: Episode, up: Array, path: Path, *, count: int = 4) -> None:
+def picture(episode: Episode, path: Path, *, count: int = 4) -> None:
     """Write instants of a simulation side by side.
 
     Args:
         episode: The simulation.
-        up: Direction against gravity, shape (3,).
         path: The file, PNG.
         count: Number of instants, evenly spread.
 
@@ -111,30 +108,27 @@ def picture(episode: Episode, up: Array, path: Path, *, count: int = 4) -> None:
     """
     pillow = require("PIL.Image", "plot", "pillow")
     chosen = np.linspace(0, len(episode.at.time) - 1, count).round().astype(int)
-    strip = np.hstack(list(frames(episode, up, chosen, supersampling=2)))
+    strip = np.hstack(list(frames(episode, chosen, supersampling=2)))
     with replaced_file(path, "--picture") as file:
         pillow.fromarray(strip).save(file, format="PNG", optimize=True)
 
 
-def write_page(
-    path: Path, episodes: Mapping[str, Episode], up: Array, title: str
-) -> None:
+def write_page(path: Path, episodes: Mapping[str, Episode], title: str) -> None:
     """Write one HTML file that plays simulations side by side, in real time.
 
     Args:
         path: The file.
         episodes: What happened, by the name to show; at the same times.
-        up: Direction against gravity, shape (3,).
         title: Title of the page.
 
     Raises:
         MissingExtraError: If viser is not installed.
         InvalidInputError: If the file cannot be written.
     """
-    # From +z up, as in pictures, to +y up and seen along +z, as in the view.
-    axes = UPRIGHT[:3, :3] @ turn_up(up)
     variants = []
     for name, episode in episodes.items():
+        # From +z up, as in pictures, to +y up and seen along +z, as in the view.
+        axes = UPRIGHT[:3, :3] @ turn_up(episode.up)
         held = surface(episode.body.shape)
         hand = episode.hand
         samples = [

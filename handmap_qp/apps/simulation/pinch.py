@@ -209,11 +209,9 @@ class PinchScene:
         width = trial.shape.width
         met = self.meeting(width)
         place = pads.middle(met.places) + trial.offset
-        gravity = np.array(self.physics.gravity)
-        up = -gravity if gravity.any() else np.array([0.0, 0.0, 1.0])
         # The object's z is up and its x along the pinch, turned about the vertical.
         turn = rotation_from_rpy((0.0, 0.0, trial.yaw))
-        axes = turn_up(up, met.places[1] - met.places[0]).T @ turn
+        axes = turn_up(self.physics.up, met.places[1] - met.places[0]).T @ turn
         physics = self.physics.replaced(friction=trial.friction)
         body = Body(trial.shape, trial.mass)
         simulator = Simulator(self.commands.hand, body, physics)

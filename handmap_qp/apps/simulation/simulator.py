@@ -55,17 +55,20 @@ class Episode(NamedTuple):
         hand: The hand.
         body: The object.
         at: All instants, each field of T rows.
+        up: Direction against gravity, shape (3,).
     """
 
     hand: Hand
     body: Body
     at: Instant
+    up: Array
 
     @classmethod
     def of(cls, simulator: Simulator, instants: Sequence[Instant]) -> Episode:
         """Return what happened in a simulation, instant after instant."""
         columns = map(np.array, zip(*instants, strict=True))
-        return cls(simulator.hand, simulator.body, Instant(*columns))
+        at = Instant(*columns)
+        return cls(simulator.hand, simulator.body, at, simulator.physics.up)
 
     @property
     def columns(self) -> dict[str, Array]:
