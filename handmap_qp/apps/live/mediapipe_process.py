@@ -63,29 +63,24 @@ def position_in_camera(
     return np.linalg.lstsq(rows, sides.ravel(), rcond=None)[0]
 
 
-class HandTracker:
-    """MediaPipe's hand tracker.
+def hand_finder(arguments: argparse.Namespace) -> Callable[[np.ndarray], Hand]:
+    """Return a function that finds the hand in pixels by MediaPipe.
+
+    It returns `landmarks` in upright camera axes [m], shape (21, 3), and `confidence`: MediaPipe's
+    score of the hand being this one of the two, 0 to 1; nothing if the hand is not there.
 
     Args:
         arguments: The program's `side`, and `fov`, the horizontal field of view [deg].
     """
+    try:
+        from mediapipe.python.solutions.hands import Hands
+    except ImportError as error:
+        _stop(f"mediapipe cannot be imported: {error}")
+    tracker = Hands(max_num_hands=2, model_complexity=1)
+    half_width = math.tan(math.radians(0.5 * arguments.fov))
 
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        try:
-            from mediapipe.python.solutions.hands import Hands
-        except ImportError as error:
-            _stop(f"mediapipe cannot be imported: {error}")
-        self._arguments = arguments
-        self._hands = Hands(max_num_hands=2, model_complexity=1)
-
-    def find(self, pixels: np.ndarray) -> Hand:
-        """Return what a picture shows of the hand; nothing if it is not there.
-
-        Returns:
-            `landmarks` in upright camera axes [m], shape (21, 3), and `confidence`: MediaPipe's
-            score of the hand being this one of the two, 0 to 1.
-        """
-        result = self._hands.process(pixels)
+    def find(pixels: np.ndarray) -> Hand:
+        result = tracker.process(pixels)
         hands = zip(
             result.multi_handedness or (),
             result.multi_hand_landmarks or (),
@@ -93,13 +88,13 @@ class HandTracker:
             strict=True,
         )
         height, width = pixels.shape[:2]
-        focal_length = 0.5 * width / math.tan(math.radians(0.5 * self._arguments.fov))
+        focal_length = 0.5 * width / half_width
         centre = (0.5 * width, 0.5 * height)
         best: Hand = {}
         for named, image, world in hands:
             kind = named.classification[0]
             confidence = min(1.0, kind.score)
-            is_ours = _OTHER.get(kind.label) == self._arguments.side
+            is_ours = _OTHER.get(kind.label) == arguments.side
             if is_ours and confidence > best.get("confidence", -1.0):
                 shape = _rows(world)
                 places = _rows(image)[:, :2] * (width, height)
@@ -107,6 +102,8 @@ class HandTracker:
                 landmarks = ((shape + position) * _UPRIGHT).tolist()
                 best = {"landmarks": landmarks, "confidence": confidence}
         return best
+
+    return find
 
 
 def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]]:
@@ -174,13 +171,13 @@ def sent(
 def main() -> None:
     """Track until the video ends or the program is stopped."""
     arguments = _parse()
-    tracker = HandTracker(arguments)
+    find = hand_finder(arguments)
     with contextlib.ExitStack() as closing:
         emit = printed if arguments.to is None else sent(arguments, closing)
         # Ctrl-C and a reader that has gone end this process without a traceback.
         with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
             for stamp, pixels in pictures(arguments):
-                emit(stamp, tracker.find(pixels))
+                emit(stamp, find(pixels))
 
 
 def _parse() -> argparse.Namespace:

@@ -313,7 +313,7 @@ class Layout(abc.ABC):
         landmarks, poses, seen = self._convert(values, side, wrists, valid, lengths)
         return Recording(
             name,
-            as_floats(time, "time"),
+            np.asarray(time),
             landmarks,
             seen,
             side,

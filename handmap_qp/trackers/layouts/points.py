@@ -91,10 +91,9 @@ class PointLayout(Layout):
 
     def __init__(self, table: PointTable) -> None:
         super().__init__(table)
-        left = table.left_landmarks or table.landmarks
         self._indices: dict[Side, Array] = {
-            "right": _indices(table.landmarks, "landmarks", table.count),
-            "left": _indices(left, "left_landmarks", table.count),
+            "right": _indices(table, "landmarks"),
+            "left": _indices(table, "left_landmarks"),
         }
         expect(
             table.poses and set(table.poses) <= set(_FORMS),
@@ -218,17 +217,14 @@ class PointLayout(Layout):
         return np.hstack([joints, np.tile(quat, (len(joints), 1))])
 
 
-def _indices(
-    given: tuple[int, ...],
-    key: str,
-    count: int,
-) -> Array:
-    """Return the indices of our landmarks among `count` joints, which must all differ."""
-    known = set(given) & set(range(count))
+def _indices(table: PointTable, key: str) -> Array:
+    """Return the indices of our landmarks among all joints, which must differ."""
+    given = getattr(table, key) or table.landmarks
+    known = set(given) & set(range(table.count))
     expect(
         len(given) == len(known) == LANDMARK_COUNT,
         key,
-        f"{LANDMARK_COUNT} different indices below count, {count}",
+        f"{LANDMARK_COUNT} different indices below count, {table.count}",
         value=given,
     )
     return np.array(given)
