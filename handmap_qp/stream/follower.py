@@ -345,9 +345,9 @@ class Follower:
         """
         found = None
         self._before = self._return, self._reference, self._core
-        if self._simply_follows():
+        if cores := self._cores():
             # The step, or the verdict about a sample that Python has to look at, if it is known.
-            found = self._core.map_sample(*self._cores(), sample, dt, arrival)
+            found = self._core.map_sample(*cores, sample, dt, arrival)
         if isinstance(found, MapStep):
             self._return = self._return._replace(seen=found.stages.pose)
             return found
@@ -374,9 +374,8 @@ class Follower:
         while i < count:
             # That about a sample which the core has judged, and leaves to the return here.
             verdict = None
-            if self._simply_follows():
+            if cores := self._cores():
                 last = min(count, i + _RUN)
-                cores = self._cores()
                 run = self._core.run(*cores, samples, i, last, table.rows)
                 i, verdict, seen = run
                 if seen is not None:
@@ -412,12 +411,10 @@ class Follower:
         self._reference = self.mapper.reference
         return step
 
-    def _simply_follows(self) -> bool:
-        """Return whether the core maps the next sample, unless the guard stops it."""
-        return bool(self._core) and self._core is self.mapper.core
-
-    def _cores(self) -> tuple[Any, Any, Any]:
-        """Return what the core judges, smooths and reads samples by."""
+    def _cores(self) -> tuple[Any, ...]:
+        """Return what the core judges, smooths and reads the next sample by, if it maps it."""
+        if self._core is None or self._core is not self.mapper.core:
+            return ()
         return self._guard.core, self._smoother.core, self.mapper.landmarks.core
 
     def _judged(

@@ -111,8 +111,9 @@ class SampleClock(NamedTuple):
         if -_SET_BACK <= step < 0.0:
             count = 1 + (self.late_count if stamp > self.late_stamp else 0)
             if count < _LATE_SAMPLES:
-                idle = idle._replace(rule="disorder", late_stamp=stamp)
-                return idle._replace(late_count=count)
+                return idle._replace(
+                    rule="disorder", late_stamp=stamp, late_count=count
+                )
         if step < 0.0 or step > _SET_FORWARD:
             return usual._replace(rule="clock_jump")
         if step > GAP:
