@@ -53,7 +53,6 @@ Request = dict[str, Any]
 R = TypeVar("R", bound=Reply)
 T = TypeVar("T")
 Use = Literal["requests", "samples", "stream"]
-Turn = Literal["call", "stream"]
 Call = Coroutine[Any, Any, T]
 
 
@@ -143,7 +142,7 @@ class _Core:
         self._protocol = PROTOCOL
         self._sockets: dict[Use, Any] = {}
         # Calls of several tasks take turns. One task may wait for the stream meanwhile.
-        self._turns: dict[Turn, asyncio.Lock] = defaultdict(asyncio.Lock)
+        self._turns: dict[Use, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._forget()
 
     def _forget(self) -> None:
@@ -575,7 +574,7 @@ class Client(_Core):
         """End the session if the server can be reached, and close the sockets."""
         return self._run(self._close())
 
-    def _run(self, call: Call[T], turn: Turn = "call") -> T:
+    def _run(self, call: Call[T], turn: Use = "requests") -> T:
         try:
             while True:
                 call.send(None)
@@ -625,7 +624,7 @@ class AsyncClient(_Core):
         finally:
             polled.cancel()
 
-    async def _run(self, call: Call[T], turn: Turn = "call") -> T:
+    async def _run(self, call: Call[T], turn: Use = "requests") -> T:
         try:
             async with self._turns[turn]:
                 return await call

@@ -121,13 +121,10 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
     msgspec only has a text, such as "Expected `float`, got `str` - at `$.q[1]`", or for a field of
     the message itself "Object missing required field `time`".
     """
-    message, separator, path = str(error).rpartition(" - at `$")
-    if separator:
-        path = path.rstrip("`").lstrip(".")
-    else:
-        message = path
-        named = re.search(r"field `(\w+)`$", path)
-        path = named[1] if named else ""
+    message, *places = str(error).rsplit(" - at `$", 1)
+    path = "".join(places).rstrip("`").lstrip(".")
+    if not path:
+        path = "".join(re.findall(r"field `(\w+)`$", message))
     if "matching regex" in message:
         message = f"expected {NAME}"
     elif path == "name" and message.startswith("Object contains unknown field"):

@@ -372,24 +372,26 @@ class Session:
             self._mapper_state = MapperState.STALE
             raise
         self._effort = step.command.effort
+        status = step.status
+        said = self._trust(step, humans)
+        flags += [step.rule] * bool(step.rule)
         if step.is_held:
             # The sample makes no sense: the robot holds, and the watchdog ignores the sample.
             self.counts["held"] += 1
             self._stay(step)
-            flags.append(step.rule)
-            trust = self._trust(step, humans)
-            return self._command(now, step.status, flags, sample, **trust)
-        flags = self._accept(now) + flags + [step.rule] * bool(step.rule)
-        if self._state is SessionState.FOLLOWING:
-            flags += self._follow(step)
-            self._measure_gap(sample.time, humans)
         else:
-            self._stay(step)
-        flags += step.stages.summary.flags
-        self.counts["steps"] += 1
-        status = self._state.mode if self._state.is_stopped else step.status
-        diagnostics = self._diagnostics(step, sample, humans)
-        return self._command(now, status, flags, sample, **diagnostics)
+            self.counts["steps"] += 1
+            flags = self._accept(now) + flags
+            if self._state is SessionState.FOLLOWING:
+                flags += self._follow(step)
+                self._measure_gap(sample.time, humans)
+            else:
+                self._stay(step)
+            flags += step.stages.summary.flags
+            if self._state.is_stopped:
+                status = self._state.mode
+            said |= self._diagnostics(step, sample, humans)
+        return self._command(now, status, flags, sample, **said)
 
     def tick(self, now: float) -> Command | None:
         """Let time pass.
@@ -676,7 +678,6 @@ class Session:
             "detail": self._detail(step, humans.get(self.request.side), sample.q),
             "wrist_error": to_row(step.wrist_error),
             "arm_held_by": step.arm_held_by,
-            **self._trust(step, humans),
         }
 
     def _detail(self, step: MapStep, human: Any, q: Any = None) -> Detail | None:
