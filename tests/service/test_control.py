@@ -298,7 +298,7 @@ class World:
 
         return (
             tuple(
-                (secret in there.by_secret, dict(there._ended).get(secret))
+                (secret in there.by_secret, there._ended.get(secret))
                 for secret in secrets
             ),
             running

@@ -457,7 +457,5 @@ class Dispatcher:
 def _changes(request: Request) -> dict[str, Any]:
     """Return the fields of a request that the audit log keeps: those that were given."""
     left_out = {"type", "protocol", "seq", "session", "name"}
-    given = msgspec.to_builtins(request)
-    return {
-        name: value for name, value in given.items() if name not in left_out and value
-    }
+    given = msgspec.to_builtins(request).items()
+    return {name: value for name, value in given if name not in left_out and value}

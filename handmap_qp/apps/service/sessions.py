@@ -7,7 +7,6 @@ import itertools
 import math
 import secrets
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -104,7 +103,7 @@ class Sessions:
         self._opens = Bucket(limits.opens, limits.sessions, self.clock)
         # Names of the sessions that are being opened, by their secrets.
         self._opening: dict[str, str] = {}
-        self._ended = deque[tuple[str, str]](maxlen=_REMEMBERED)
+        self._ended: dict[str, str] = {}
         # After a restart, owners are on their way back.
         self._last_heard = dict.fromkeys(self.store.records, self.clock())
         self._numbers = itertools.count(1)
@@ -129,7 +128,7 @@ class Sessions:
         if session is not None:
             session.last_request = self.clock()
             return session
-        is_taken = dict(self._ended).get(secret) == "taken"
+        is_taken = self._ended.get(secret) == "taken"
         refuse_if(is_taken, "another client took this session over", "session", "taken")
         raise RefusedError("no_session", "no such session; open one", field="session")
 
@@ -231,7 +230,9 @@ class Sessions:
         secret = session.request.session
         del self.by_secret[secret]
         self.store.note(session.record)
-        self._ended.append((secret, code))
+        self._ended[secret] = code
+        if len(self._ended) > _REMEMBERED:
+            del self._ended[next(iter(self._ended))]
         self.send(
             session.name, msgspec.msgpack.encode(Error(code=code, message=reason))
         )
