@@ -119,6 +119,7 @@ class Server:
         self._bugs = Throttle()
         self._is_draining = False
         self._parts: list[zmq.Frame] = []
+        self._cost = 0
         self._lags = deque([0.0], _TICKS)
         self._loads = deque([0.0], _TICKS)
         self.metrics.gauges["lag_seconds"] = lambda: max(self._lags)
@@ -240,19 +241,21 @@ class Server:
         try:
             for _ in range(_BATCH):
                 frame = self._router.recv(zmq.NOBLOCK, copy=False)
+                self._cost += cost_of(frame)
                 # Keep one part too many of a message that has too many.
                 if len(self._parts) <= _MOST_PARTS:
                     self._parts.append(frame)
                 if not frame.more:
-                    self._receive(self._parts)
+                    self._receive(self._parts, self._cost)
                     self._parts = []
+                    self._cost = 0
             self._loop.call_soon(self._drain)
         except zmq.Again:
             pass
         finally:
             self._is_draining = False
 
-    def _receive(self, parts: Sequence[zmq.Frame]) -> None:
+    def _receive(self, parts: Sequence[zmq.Frame], cost: int) -> None:
         """Handle one message: the payload of a DEALER, or that of a REQ after an empty frame."""
         client = self._gate.find(parts)
         *envelope, payload = (part.bytes for part in parts)
@@ -260,7 +263,7 @@ class Server:
             if client is not None:
                 client.end("a message has too many parts")
             return
-        address = "" if client is None else client.refund(sum(map(cost_of, parts)))
+        address = "" if client is None else client.refund(cost)
         keys = self._clients
         try:
             key = "" if keys is None else keys.name_of(str(parts[-1].get("User-Id")))
