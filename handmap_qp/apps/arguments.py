@@ -187,7 +187,7 @@ def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
             round.
     """
     side = recording.side
-    own = robot.spec.side
+    own = robot.side
     fingers = {point.finger for point in robot.spec.points} & set(FINGERS)
     if mirror and side == own:
         raise InvalidInputError(
@@ -352,7 +352,7 @@ def read_robot(
         value=len(files),
         advice="give a robot with both hands, or --robots LEFT RIGHT of `handmap map`",
     )
-    recording = command.inputs.read(files[0], robot.spec.side, command.person)
+    recording = command.inputs.read(files[0], robot.side, command.person)
     return robot, [fit_side(recording, robot, mirror=command.mirror)]
 
 

@@ -232,7 +232,7 @@ class Hand:
     @property
     def by_side(self) -> dict[Side, Hand]:
         """The same by their side."""
-        return {hand.spec.side: hand for hand in self.hands}
+        return {hand.side: hand for hand in self.hands}
 
     @cached_property
     def moves_wrist(self) -> Array:

@@ -245,7 +245,7 @@ def pose_pictures(
             # In its palm frame, upright.
             pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", q))
             solids.append(shape.triangles(q).moved(pose))
-        drawn = _pictures(solids, hand.spec.side, 1.0)
+        drawn = _pictures(solids, hand.side, 1.0)
         pictures[1:][own] = drawn.reshape(-1, *human.shape)
     return pictures.swapaxes(0, 1)
 

@@ -137,7 +137,7 @@ def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     if not isinstance(layout, PointLayout | MarkerLayout):
         expected = "points, angles or markers"
         raise InvalidInputError(argument="layout", expected=expected, value=layout)
-    side = human.spec.side
+    side = human.side
     written = layout.write_posture(human, q, np.eye(4))
     # Rows are points, poses, or a position and a quaternion.
     read = written[:, :3, 3] if written.ndim == 3 else written[:, :3]

@@ -74,7 +74,7 @@ def match_hand(
     expect(is_one, "--human-length", "none beside --recording", value=human_length)
     if recording is None:
         human = load_hand(
-            human_name(robot.spec.side), points="landmarks", hand_length=human_length
+            human_name(robot.side), points="landmarks", hand_length=human_length
         )
     else:
         same = recording if recording.side == robot.side else mirrored(recording)

@@ -134,7 +134,7 @@ def draw_match(match: Match, path: Path) -> None:
     landmarks = transform_points(to_palm, human.points(q))
     rows = [SheetRow("human at rest", "", landmarks, (robot.rest, match.q))]
     columns = [(f"{robot.name}, rest", robot), (f"{robot.name}, matched", robot)]
-    figure = contact_sheet(columns, rows, side=robot.spec.side)
+    figure = contact_sheet(columns, rows, side=robot.side)
     save_picture(figure, path, dpi=figure.dpi)
 
 

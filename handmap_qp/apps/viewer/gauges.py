@@ -125,7 +125,7 @@ class InstantGauges:
         pinches = ""
         for i, part in enumerate(samples[0].hands or samples[:1]):
             gaps = [self.pinches(sample, i) for sample in samples]
-            whose = self._robot.hands[i].spec.side if samples[0].hands else ""
+            whose = self._robot.hands[i].side if samples[0].hands else ""
             pinches += _pinch_bars(whose, [self.human_pinches(part), *gaps])
         heads = "".join(
             f'<th style="{_CELL};color:{colour};font-weight:600">{escape(label)}</th>'
@@ -239,7 +239,7 @@ def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
         Indices into `Hand.joint_names`; every joint once.
     """
     fingers = {
-        f"{hand.spec.side} {name}" if robot.parts else name: finger
+        f"{hand.side} {name}" if robot.parts else name: finger
         for hand in robot.hands
         for name, finger in find_fingers(hand).items()
     }

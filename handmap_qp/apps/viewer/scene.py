@@ -82,7 +82,7 @@ class HandScene:
         hands = () if human is None else human.hands
         # From the right hand on, as they are seen.
         for place, hand in enumerate(reversed(hands), 1):
-            whose = f"_{hand.spec.side}" if hands[1:] else ""
+            whose = f"_{hand.side}" if hands[1:] else ""
             landmarks = LandmarkFigure(server, f"landmarks{whose}")
             figure = HumanFigure(server, f"human{whose}", hand)
             landmarks.part = figure.part = -place

@@ -108,7 +108,7 @@ class MarkerLayout(Layout):
 
     def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return the markers on the human hand; see `Layout.write_posture`."""
-        points = human.with_points(self._points(human.spec.side)).points(q)
+        points = human.with_points(self._points(human.side)).points(q)
         return transform_points(np.linalg.inv(self.world) @ wrist, points)
 
     def _points(self, side: Side) -> tuple[PointSpec, ...]:

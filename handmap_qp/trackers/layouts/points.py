@@ -184,7 +184,7 @@ class PointLayout(Layout):
     ) -> Array:
         """Return the joints of the human hand; see `Layout.write_posture`."""
         landmarks = human.with_points("landmarks").points(q)
-        return self._write(transform_points(wrist, landmarks), wrist, human.spec.side)
+        return self._write(transform_points(wrist, landmarks), wrist, human.side)
 
     def _write(
         self,
