@@ -250,8 +250,8 @@ class Robot(Hand):
                 self._remark(
                     name, f"has no speed limit in the URDF: {speed:.4g} is assumed"
                 )
-            if speed or None not in ends:
-                limits[name] = LimitSpec(*ends, speed)
+            if speed or ends:
+                limits[name] = LimitSpec(*ends, velocity=speed)
         return limits, locked
 
 
@@ -278,8 +278,8 @@ def _limits(joint: Element) -> _Limits:
 
 def _assumed_range(
     given: _Limits, *, in_degrees: bool
-) -> tuple[tuple[float | None, float | None], str]:
-    """Return a range in place of that of the URDF, and a remark if it is wrong or suspicious."""
+) -> tuple[tuple[float, ...], str]:
+    """Return a range in place of the URDF's if need be, and a remark if that is suspicious."""
     kind, lower, upper, _ = given
     if not math.isfinite(upper - lower):
         ends = _ASSUMED_RANGE[kind]
@@ -293,5 +293,5 @@ def _assumed_range(
     else:
         is_wide = kind == "revolute" and upper - lower > _LARGEST_TURN
         what = "has a range of more than two turns: is it in degrees?"
-        return (None, None), what * is_wide
+        return (), what * is_wide
     return ends, f"{what}: [{ends[0]:.4g}, {ends[1]:.4g}] is assumed"
