@@ -102,8 +102,6 @@ _GROUPS = {
 
 _OPTIONS = {"--help", "--version", "--completion"}
 """Options without a command."""
-_SHELLS = "bash, zsh or tcsh"
-"""Shells that have completions."""
 _SYSTEM_PACKAGES = {"libgomp": "libgomp1", "libGL.": "libgl1", "libEGL": "libegl1"}
 """Debian's packages of system libraries that slim images lack, by how their file names begin."""
 
@@ -239,54 +237,49 @@ def _answer_without_command(words: list[str]) -> NoReturn:
         case ["--version"]:
             print(f"handmap {handmap_qp.__version__}")
         case ["--help" | "-h"]:
-            print(
-                f"usage: handmap [-h] COMMAND ...\n\n{_ABOUT}\n{_list_of('')}", end=""
-            )
+            _print_overview("", _ABOUT)
         case [group] | [group, "--help" | "-h"] if group in _GROUPS:
-            usage = f"usage: handmap {group} COMMAND ..."
-            print(f"{usage}\n\n{_GROUPS[group]}\n\n{_list_of(f'{group} ')}", end="")
-        case ["--completion", shell]:
-            _print_completion(shell)
-        case ["--completion"]:
-            expect(False, "--completion", _SHELLS)
+            _print_overview(f"{group} ", f"{_GROUPS[group]}\n")
+        case ["--completion", *shell]:
+            _print_completion(" ".join(shell))
         case []:
             raise InvalidInputError("expected a command (see handmap --help)")
         case [group, word, *_] if group in _GROUPS:
-            members = [name.split()[1] for name in COMMANDS if name.split()[0] == group]
-            hint = did_you_mean(word, members)
-            if not hint and group != "track":
-                hint = f"to describe one: handmap {group} show {word}"
-            hint = hint or f"see handmap {group} --help"
-            raise InvalidInputError(f"no command '{group} {word}': {hint}")
+            _refuse(f"{group} ", word)
         case [word, *_]:
-            kind = "option" if word.startswith("-") else "command"
-            firsts = {key.split()[0] for key in COMMANDS}
-            known = _OPTIONS if kind == "option" else firsts
-            hint = did_you_mean(word, known) or "see handmap --help"
-            raise InvalidInputError(f"no {kind} {word!r}: {hint}")
+            _refuse("", word)
     raise SystemExit(0)
 
 
-def _list_of(prefix: str) -> str:
-    """Return the commands that begin with a prefix, one a line, fitting the terminal."""
+def _refuse(prefix: str, word: str) -> NoReturn:
+    """Say that no command or option of a group goes on by a word, and what may be meant."""
+    kind = "option" if word.startswith("-") else "command"
+    members = [
+        name.removeprefix(prefix) for name in COMMANDS if name.startswith(prefix)
+    ]
+    hint = did_you_mean(word, {*_OPTIONS, *(name.split()[0] for name in members)})
+    if not hint and "show" in members:
+        hint = f"to describe one: handmap {prefix}show {word}"
+    hint = hint or f"see handmap {prefix}--help"
+    raise InvalidInputError(f"no {kind} {prefix + word!r}: {hint}")
+
+
+def _print_overview(prefix: str, about: str) -> None:
+    """Print usage, explanation and list of a group of commands, fitting the terminal."""
     width = min(100, max(40, shutil.get_terminal_size().columns))
     column = max(map(len, COMMANDS)) + 2
-    lines = [
-        textwrap.fill(
-            place.about,
-            width,
-            initial_indent=f"  {name:<{column}}",
-            subsequent_indent=" " * (column + 2),
-        )
-        for name, place in COMMANDS.items()
-        if name.startswith(prefix)
-    ]
-    return "\n".join(["Commands:", *lines, ""])
+    after = " " * (column + 2)
+    print(f"usage: handmap {prefix or '[-h] '}COMMAND ...\n\n{about}\nCommands:")
+    for name, place in COMMANDS.items():
+        if name.startswith(prefix):
+            line = f"  {name:<{column}}{place.about}"
+            print(textwrap.fill(line, width, subsequent_indent=after))
 
 
 def _print_completion(shell: str) -> None:
     """Print the completions of all commands for a shell."""
-    expect(shell in ("bash", "zsh", "tcsh"), "--completion", _SHELLS, value=shell)
+    shells = "bash, zsh or tcsh"
+    expect(shell in ("bash", "zsh", "tcsh"), "--completion", shells, value=shell)
     import tyro
 
     words = ["--tyro-print-completion", shell]
