@@ -32,6 +32,7 @@ from msgspec import Meta
 from handmap_qp.errors import InvalidOptionsError
 
 _ANY = Meta()
+_NOUNS = {int: "an integer", float: "a number", bool: "true or false", str: "a name"}
 _ATTRIBUTE = re.compile(r"^ {4}(\w+): (.+(?:\n {5,}.+)*)", re.MULTILINE)
 """Name and text of an attribute in a docstring."""
 LARGEST = float(np.finfo(float).max)
@@ -229,13 +230,12 @@ def _in_words(bare: Any, meta: Meta) -> str:
         return f"{len(parts)} finite numbers" + (
             "" if inner.gt is None else f" > {inner.gt:g}"
         )
-    if bare not in (int, float):
-        return {bool: "true or false", str: "a name"}.get(bare, "none")
-    noun = "an integer" if bare is int else "a number"
+    noun = _NOUNS.get(bare, "none")
     bracket, sign, low = "[", ">=", meta.ge
     if low is None:
         bracket, sign, low = "(", ">", meta.gt
-    if meta.le is not None and meta.le < LARGEST:
+    if meta.le == LARGEST:
+        noun = "a finite number"
+    elif meta.le is not None:
         return f"{noun} in {bracket}{low:g}, {meta.le:g}]"
-    noun = "a finite number" if meta.le == LARGEST else noun
     return noun if low is None else f"{noun} {sign} {low:g}"
