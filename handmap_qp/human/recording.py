@@ -18,7 +18,6 @@ from handmap_qp.se3 import Array, affine, as_floats, check_poses, frozen
 from .sample import LANDMARK_COUNT, HumanSample, check_side
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
-_COLUMNS = ("time", "landmarks", "valid", "wrist", "confidence", "object_pose")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,12 +113,12 @@ class Recording:
         Raises:
             InvalidInputError: If no valid sample is left, or time does not increase.
         """
-        known = {
-            name: column[samples]
-            for name in _COLUMNS
-            if (column := getattr(self, name)) is not None
+        columns = {
+            field.name: column[samples]
+            for field in fields(self)
+            if isinstance(column := getattr(self, field.name), Array)
         }
-        return replace(self, **known)
+        return replace(self, **columns)
 
     @property
     def steps(self) -> Array:

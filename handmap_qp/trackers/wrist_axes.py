@@ -144,7 +144,8 @@ def _mean_relative(palms: Array, rotations: Array) -> tuple[Array, Array]:
 
 def _cosine(a: Array, b: Array) -> Array:
     """Return cosines of the angles between rotations, shape (...)."""
-    return np.clip((np.vecdot(a, b).sum(axis=-1) - 1.0) / 2.0, -1.0, 1.0)
+    traces = np.einsum("...ij,...ij", a, b)
+    return np.clip((traces - 1.0) / 2.0, -1.0, 1.0)
 
 
 _ROLLS = {

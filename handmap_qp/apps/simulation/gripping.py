@@ -43,8 +43,9 @@ class GripScene(PinchScene):
         for i in range(window.end + 1):
             if i == window.opened + 1:
                 self._opened = copy.deepcopy(follower)
-            made.append(follower.map_sample(self._samples.sample(i)).command)
-        q, wrist = (np.array([getattr(c, key) for c in made]) for key in ("q", "wrist"))
+            command = follower.map_sample(self._samples.sample(i)).command
+            made.append((command.q, command.wrist))
+        q, wrist = map(np.array, zip(*made, strict=True))
         time = take.recording.time[: len(made)]
         commands = Commands(follower.mapper.robot, time, q, wrist)
         super().__init__(commands, window, physics)

@@ -55,18 +55,18 @@ class MarkerLayout(Layout):
     """
 
     table: MarkerTable
+    has_wrist = True
 
     def __init__(self, table: MarkerTable) -> None:
         super().__init__(table)
         names = [entry.name for entry in table.markers]
         expect(len(set(names)) == len(names), "markers", "different names", value=names)
-        on_palm = [i for i, each in enumerate(table.markers) if each.link == "palm"]
-        self._on_palm = on_palm
-        count = len(on_palm)
+        markers = enumerate(table.markers)
+        self._on_palm = [i for i, entry in markers if entry.link == "palm"]
+        count = len(self._on_palm)
         expect(count >= 3, "markers", "three markers on the palm", value=count)
         self.shapes = ((len(names), 3),)
         self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")
-        self.has_wrist = True
 
     def rows(self) -> Rows:
         """Describe every marker."""
