@@ -228,8 +228,7 @@ class ObjectFollower:
         self._check_follower()
         mapper = self._mapper
         self._eased *= mapper.reference is self._reference
-        is_touched = sample.valid and pose is not None and self._eased > 0.0
-        terms = [self._touch(sample, pose)] if is_touched else []
+        terms = [*self._touches(sample, pose)]
         step = map_with(self.follower, terms, sample, **times)
         self._seen, self._reference = pose, mapper.reference
         is_still = step.status in ("held", "released")
@@ -275,8 +274,10 @@ class ObjectFollower:
         found: Any = self._mapper.target_map
         return found and found.world
 
-    def _touch(self, sample: HumanSample, pose: Array) -> _Touch:
-        """Return the term by which the robot touches an object as the person does."""
+    def _touches(self, sample: HumanSample, pose: Array | None) -> Iterator[_Touch]:
+        """Yield the term by which the robot touches an object as the person does."""
+        if not sample.valid or pose is None or self._eased == 0.0:
+            return
         options = self.options
         tips = transform_points(inverse_pose(pose), sample.landmarks[self._tips])
         found = nearest(self.shape, tips)
@@ -286,9 +287,7 @@ class ObjectFollower:
         there = self._world @ pose
         places = transform_points(there, aims)
         share = float(smoothstep(self._eased))
-        return _Touch(
-            self._hand, self.shape, there, self._points, places, shares, share
-        )
+        yield _Touch(self._hand, self.shape, there, self._points, places, shares, share)
 
 
 def follow_recording(

@@ -187,7 +187,7 @@ def test_the_rows_have_the_slopes_of_their_errors() -> None:
     holding, found = steps("allegro_right")
     hand = holding.follower.mapper.robot
     columns, poses = samples()
-    touch = holding._touch(columns.sample(90), poses[90])
+    touch = next(holding._touches(columns.sample(90), poses[90]))
     base = found[90].ik.q
     placed = hand.configuration()
     pads = 3 * len(touch.shares)
@@ -216,7 +216,7 @@ def test_a_link_in_the_object_is_pushed_out() -> None:
     holding, found = steps("allegro_right")
     hand = holding.follower.mapper.robot
     columns, poses = samples()
-    touch = holding._touch(columns.sample(90), poses[90])
+    touch = next(holding._touches(columns.sample(90), poses[90]))
     touch = touch._replace(
         pose=touch.pose @ affine(np.eye(3), (0.004, 0.003, 0.002)),
         shares=np.zeros_like(touch.shares),
@@ -271,7 +271,7 @@ def test_options_have_their_effect(name: str, small: float, large: float) -> Non
         holding = follower()
         holding.options = ObjectOptions().replaced(**{name: value})
         holding.map_sample(columns.sample(80), poses[80])
-        return holding._touch(columns.sample(80), poses[80])
+        return next(holding._touches(columns.sample(80), poses[80]))
 
     one, other = touch(small), touch(large)
     if name == "near":
