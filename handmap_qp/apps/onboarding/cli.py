@@ -477,15 +477,10 @@ class HandsMatch:
             written = [str(self.picture)]
         said = {"name": robot.name, "joints": match.rows, "written": written}
         title = f"{robot.name}: the posture that matches the resting human's"
-        print_result(said, {title: match.rows}, as_json=self.json)
-        if self.json:
-            return
-        print(
-            f"to use this posture for everyone, paste into hand.yaml:\n{match.text}",
-            end="",
-        )
-        for path in written:
-            print(f"wrote {path}")
+        print_result(said, {title: match.rows}, written, as_json=self.json)
+        if not self.json:
+            advice = "to use this posture for everyone, paste into hand.yaml:"
+            print(f"{advice}\n{match.text}", end="")
 
 
 @dataclass(frozen=True)

@@ -89,11 +89,10 @@ class Report:
         tables = {f"{self.name}: findings": rows, **self.measured}
         # A table of one error would say it twice.
         if as_json or not self.error:
-            print_result(said, tables, as_json=as_json)
+            files = filter(None, [picture])
+            print_result(said, tables, files, as_json=as_json)
         if self.error:
             raise self.error
-        if picture and not as_json:
-            print(f"wrote {picture}")
         # The worst is first.
         if self.findings[0].level == "warning":
             raise SystemExit(1)

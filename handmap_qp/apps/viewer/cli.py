@@ -184,7 +184,7 @@ class View:
         lengths = person_of(recordings, self.person).lengths
         motions = [fit_recording(each, lengths=lengths) for each in recordings]
         humans = [m.human.with_points(self.arguments.human_points) for m in motions]
-        human = joined("human", *humans) if robot.parts else humans[0]
+        human = joined("human", *humans)
         names = possible_presets(humans[0], robot.hands[0])
         compared = self.compare
         expect(

@@ -240,7 +240,7 @@ class ServiceSession:
         self._fitters = [LandmarkFitter(side, lengths) for side in sides]
         points = about["human_points"]
         humans = [fitter.human.with_points(points) for fitter in self._fitters]
-        self.human = joined("human", *humans) if humans[1:] else humans[0]
+        self.human = joined("human", *humans)
         self.robot = self._with_method_points()
 
     def _with_method_points(self) -> Hand:
