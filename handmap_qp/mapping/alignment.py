@@ -1,6 +1,7 @@
 """Alignment: how the human's world axes and the robot's correspond."""
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +20,7 @@ from handmap_qp.se3 import (
     nearest_rotation,
     unit,
 )
-from .method import MethodOptions
+from .method import BoundMethod, MethodOptions
 
 Coordinate = Annotated[float, number("Finite.", -FARTHEST, FARTHEST)]
 Row = tuple[Coordinate, Coordinate, Coordinate]
@@ -48,7 +49,13 @@ class AlignedOptions(MethodOptions, frozen=True, kw_only=True):
             rotation matrix.
     """
 
+    bound_type: ClassVar[Callable[..., BoundMethod]]
+    """What the method is for two hands, made of it, the human and the robot."""
     alignment: Alignment = "world"
+
+    def bind(self, human: Hand, robot: Hand) -> BoundMethod:
+        """Check the method against two hands, and measure them; see `Method.bind`."""
+        return self.bound_type(self, human, robot)
 
     def check(self) -> None:
         """Reject a matrix that is no rotation; see `Options.check`."""

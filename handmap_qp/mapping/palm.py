@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +11,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 from .alignment import AlignedOptions, in_robot_world, rotation_of
-from .method import HumanPose, RobotPosture
+from .method import HumanPose, RobotPosture, TargetMap
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
@@ -29,6 +29,8 @@ class PalmMethod:
     needs_wrist = "the pose of the palm"
     reference_needs_wrist = ""
     renews_reference = False
+    map_type: Callable[..., TargetMap]
+    """Its map, made of it and both hands at the reference; by `start`."""
 
     def __init__(self, choices: AlignedOptions, human: Hand, robot: Hand) -> None:
         self.alignment = choices.alignment
@@ -38,6 +40,10 @@ class PalmMethod:
     def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm in the robot's world, as far as it is known."""
         return in_robot_world(self.alignment, known_palm(sample, self.human))
+
+    def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
+        """Take both hands as they are for the reference; see `BoundMethod.start`."""
+        return self.map_type(self, sample, robot)
 
 
 class PalmMap:

@@ -11,6 +11,7 @@ from mapping_cases import little_pose, near_rest
 from handmap_qp import FingertipVectors, HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.mapping.methods.fingertip_vectors import BoundFingertipVectors
 from handmap_qp.se3 import inverse_pose, transform_points
 
 HUMAN = load_hand("human")
@@ -44,7 +45,7 @@ def test_a_straight_finger_is_straight_on_the_robot() -> None:
     # From the palm, one scale for the whole hand asks for tips beyond or within the reach.
     chains = find_fingers(ALLEGRO)
     reaches = [chains[str(point.finger)].reach for point in ALLEGRO.reference_points]
-    knuckles = KNUCKLE.bind(HUMAN, ALLEGRO).robot_origins
+    knuckles = BoundFingertipVectors(KNUCKLE, HUMAN, ALLEGRO).robot_origins
     shares = {}
     for method in (KNUCKLE, FingertipVectors()):
         step = HandMapper(HUMAN, ALLEGRO, method).map_step(straight(), np.eye(4))
@@ -56,7 +57,7 @@ def test_a_straight_finger_is_straight_on_the_robot() -> None:
 
 def test_an_arm_does_not_count_to_the_size_of_its_hand() -> None:
     alone, on_arm = (
-        FingertipVectors().bind(HUMAN, load_hand(name))
+        BoundFingertipVectors(FingertipVectors(), HUMAN, load_hand(name))
         for name in ("allegro_right", "ur5_allegro")
     )
     np.testing.assert_allclose(on_arm.scales, alone.scales, rtol=1e-9)

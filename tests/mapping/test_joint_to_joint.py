@@ -156,7 +156,7 @@ def test_a_fist_brings_every_fingertip_nearer_to_the_thumb_or_its_knuckle(
 ) -> None:
     robot = load_hand(name)
     human = LEFT if robot.side == "left" else HUMAN
-    bound = JointToJoint().bind(human, robot)
+    bound = BoundJointToJoint(JointToJoint(), human, robot)
     open_angles, fist = (
         np.zeros((len(bound.fingers), 4)),
         np.zeros((len(bound.fingers), 4)),
@@ -209,7 +209,7 @@ def test_a_pinch_does_not_come_across() -> None:
 @pytest.mark.slow
 def test_fewer_flexions_take_the_rest_together_and_more_share_them() -> None:
     def led(robot: str, finger: str) -> list[list[int]]:
-        bound: BoundJointToJoint = JointToJoint().bind(HUMAN, load_hand(robot))
+        bound = BoundJointToJoint(JointToJoint(), HUMAN, load_hand(robot))
         return [
             np.flatnonzero(x.human).tolist() for x in bound.links if x.finger == finger
         ]
@@ -266,7 +266,7 @@ def test_joint_to_joint_names_its_missing_requirement() -> None:
 
 
 def test_a_joint_that_fingers_share_takes_the_mean_of_what_they_ask() -> None:
-    bound: BoundJointToJoint = JointToJoint().bind(HUMAN, ALLEGRO)
+    bound = BoundJointToJoint(JointToJoint(), HUMAN, ALLEGRO)
     angles = np.tile([0.0, 0.3, 0.2, 0.1], (len(bound.fingers), 1))
     angles *= 1.0 + np.arange(len(bound.fingers))[:, None]
     led = bound.links

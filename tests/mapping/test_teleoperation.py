@@ -27,7 +27,11 @@ from handmap_qp.hands.spec import PadSpec
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import hand_pair, resting_posture
 from handmap_qp.mapping.method import HumanPose, RobotPosture
-from handmap_qp.mapping.methods.teleoperation import smoothstep
+from handmap_qp.mapping.methods.teleoperation import (
+    BoundTeleoperation,
+    TeleoperationMap,
+    smoothstep,
+)
 from handmap_qp.mapping.palm import PalmMap, PalmMethod
 from handmap_qp.mapping.presets import PRESETS, default_preset, get_preset
 from handmap_qp.se3 import affine, inverse_pose, rotation_from_rpy, transform_points
@@ -444,7 +448,7 @@ def test_the_weight_of_the_thumbs_extension_counts_for_the_thumb_alone() -> None
     q = OPEN.copy()
     for name, angle in {"thumb_MCP_flexion": 0.6, "thumb_IP_flexion": 0.9}.items():
         q[HUMAN.joint_names.index(name)] = angle
-    method = Teleoperation(pinch_weight=0.0).bind(HUMAN, ALLEGRO)
+    method = BoundTeleoperation(Teleoperation(pinch_weight=0.0), HUMAN, ALLEGRO)
     pair, points = method.pair, HUMAN.points(q)
     distances = np.zeros(len(method.aim_slopes))
     distances[: len(pair.fingers)] = np.linalg.norm(
@@ -468,7 +472,7 @@ def test_the_weight_of_the_thumbs_extension_counts_for_the_thumb_alone() -> None
 def test_a_gap_to_the_thumb_grows_with_the_hands_but_between_jaws_it_is_the_object(
     name: str,
 ) -> None:
-    method = Teleoperation().bind(HUMAN, load_hand(name))
+    method = BoundTeleoperation(Teleoperation(), HUMAN, load_hand(name))
     pair = method.pair
     narrow = np.full(len(method.aim_slopes), 0.06)
     grown = (method.aims(narrow + 0.01) - method.aims(narrow))[len(pair.fingers) :]
@@ -480,7 +484,7 @@ def test_a_gap_to_the_thumb_grows_with_the_hands_but_between_jaws_it_is_the_obje
 
 
 def test_no_finger_is_asked_for_more_than_its_reach_and_no_pad_into_another() -> None:
-    method = Teleoperation().bind(HUMAN, ALLEGRO)
+    method = BoundTeleoperation(Teleoperation(), HUMAN, ALLEGRO)
     count = len(method.pair.fingers)
     shortest = method.aims(np.zeros(len(method.aim_slopes)))
     longest = method.aims(np.full(len(method.aim_slopes), 1.0))
@@ -492,11 +496,12 @@ def test_no_finger_is_asked_for_more_than_its_reach_and_no_pad_into_another() ->
 
 @pytest.mark.parametrize("gain", [0.0, 0.5, 1.0])
 def test_a_residual_counts_in_the_proportion_of_the_hands(gain: float) -> None:
-    method = Teleoperation(residual_gain=gain).bind(HUMAN, ALLEGRO)
+    method = BoundTeleoperation(Teleoperation(residual_gain=gain), HUMAN, ALLEGRO)
     pair = method.pair
     still = method.estimator.estimate(pair.human_rest[pair.shape_points])
     posture = RobotPosture(ALLEGRO.rest, method.robot.points(ALLEGRO.rest), np.eye(4))
-    mapped = method.start(HumanPose(HUMAN.points(HUMAN.rest), np.eye(4)), posture)
+    sample = HumanPose(HUMAN.points(HUMAN.rest), np.eye(4))
+    mapped = TeleoperationMap(method, sample, posture)
     bent = pair.human_rest.copy()
     bent[pair.partners[0]] += 0.01, -0.02, 0.03
     # T is the same in both, so only the residual of one point moves its partner.

@@ -30,7 +30,6 @@ from handmap_qp.mapping import (
     PalmMap,
     PalmMethod,
     Preset,
-    RobotPosture,
     Targets,
     bone_lengths,
     points_in_palm,
@@ -42,44 +41,30 @@ from handmap_qp.options import Positive
 from handmap_qp.se3 import Array, lengths
 
 
-class FingertipVectors(AlignedOptions, frozen=True):
-    """Map vectors to the fingertips.
+class FingertipVectorMap(PalmMap):
+    """From samples to targets; see `TargetMap`."""
 
-    Attributes:
-        scale: Factor on the vectors. If omitted, the ratio of the hands' sizes at rest for vectors
-            from the palm, and of each finger's reaches for those from its knuckle.
-        origin: Where the vectors begin: at the palm, or at each finger's own knuckle.
-    """
+    _method: BoundFingertipVectors
 
-    scale: Positive | None = None
-    origin: Literal["palm", "knuckle"] = "palm"
-
-    def bind(self, human: Hand, robot: Hand) -> BoundFingertipVectors:
-        """Find the partners of the robot's points; see `Method.bind`."""
-        return BoundFingertipVectors(self, human, robot)
-
-
-_WEAKNESS = "no T: the motion of a grasped object is not imposed; links may overlap"
-PRESETS = {
-    "fingertip-vectors": Preset(
-        FingertipVectors(),
-        FOLLOWING,
-        "to compare: vectors from the palm to the fingertips, scaled by the hands' sizes",
-        _WEAKNESS,
-    ),
-    "finger-vectors": Preset(
-        FingertipVectors(origin="knuckle"),
-        FOLLOWING,
-        "to compare: vectors along each finger, scaled by its own reach; straight stays straight",
-        f"pinches open; {_WEAKNESS}",
-    ),
-}
+    def targets(self, sample: HumanPose) -> Targets:
+        """Scale the vectors and lay them on the robot's origins."""
+        method = self._method
+        robot_points, human_points = method.pairs
+        _, palm, now = self.follow(sample)
+        origins = 0.0 if method.human_origins is None else now[method.human_origins]
+        vectors = now[human_points] - origins
+        # Points without a partner stay where they are in the palm.
+        points = self.robot_points.copy()
+        points[robot_points] = method.robot_origins + method.scales[:, None] * vectors
+        diagnostics = {"vectors": vectors, "scales": method.scales.copy()}
+        return Targets(*self.placed(palm, points), diagnostics)
 
 
 class BoundFingertipVectors(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
     needs_wrist = "vectors in palm axes"
+    map_type = FingertipVectorMap
 
     def __init__(self, method: FingertipVectors, human: Hand, robot: Hand) -> None:
         super().__init__(method, human, robot)
@@ -101,10 +86,6 @@ class BoundFingertipVectors(PalmMethod):
         self.scales = np.full(
             len(pairs), ratios if method.scale is None else method.scale
         )
-
-    def start(self, sample: HumanPose, robot: RobotPosture) -> FingertipVectorMap:
-        """Count the palm's displacement from here; the fingers need no reference."""
-        return FingertipVectorMap(self, sample, robot)
 
     def _begin_at_knuckles(self) -> Array:
         """Take both hands' knuckles for origins; return the ratio of reaches of each finger."""
@@ -128,20 +109,32 @@ class BoundFingertipVectors(PalmMethod):
         return reaches / bone_lengths(human, leading)
 
 
-class FingertipVectorMap(PalmMap):
-    """From samples to targets; see `TargetMap`."""
+class FingertipVectors(AlignedOptions, frozen=True):
+    """Map vectors to the fingertips.
 
-    _method: BoundFingertipVectors
+    Attributes:
+        scale: Factor on the vectors. If omitted, the ratio of the hands' sizes at rest for vectors
+            from the palm, and of each finger's reaches for those from its knuckle.
+        origin: Where the vectors begin: at the palm, or at each finger's own knuckle.
+    """
 
-    def targets(self, sample: HumanPose) -> Targets:
-        """Scale the vectors and lay them on the robot's origins."""
-        method = self._method
-        robot_points, human_points = method.pairs
-        _, palm, now = self.follow(sample)
-        origins = 0.0 if method.human_origins is None else now[method.human_origins]
-        vectors = now[human_points] - origins
-        # Points without a partner stay where they are in the palm.
-        points = self.robot_points.copy()
-        points[robot_points] = method.robot_origins + method.scales[:, None] * vectors
-        diagnostics = {"vectors": vectors, "scales": method.scales.copy()}
-        return Targets(*self.placed(palm, points), diagnostics)
+    bound_type = BoundFingertipVectors
+    scale: Positive | None = None
+    origin: Literal["palm", "knuckle"] = "palm"
+
+
+_WEAKNESS = "no T: the motion of a grasped object is not imposed; links may overlap"
+PRESETS = {
+    "fingertip-vectors": Preset(
+        FingertipVectors(),
+        FOLLOWING,
+        "to compare: vectors from the palm to the fingertips, scaled by the hands' sizes",
+        _WEAKNESS,
+    ),
+    "finger-vectors": Preset(
+        FingertipVectors(origin="knuckle"),
+        FOLLOWING,
+        "to compare: vectors along each finger, scaled by its own reach; straight stays straight",
+        f"pinches open; {_WEAKNESS}",
+    ),
+}

@@ -40,169 +40,6 @@ from handmap_qp.options import NotNegative, Share, number
 from handmap_qp.se3 import Array, Arrays, affine, frozen, inverse_pose, transform_points
 
 
-class Homogeneous(AlignedOptions, frozen=True):
-    """The paper's mapping, and the choices that it leaves open: how T is estimated, split, imposed.
-
-    The defaults are the paper's, but for `ridge`: 0 is its least squares.
-
-    Attributes:
-        ridge: Pull of the estimated linear motion towards a rotation (eq. 6 with a ridge). 0 is the
-            paper's least squares.
-        rigid_from: Where the rigid part T_rb comes from. points: the polar factor of T (the paper).
-            wrist: the measured displacement of the wrist. none: the robot's wrist stays, and the
-            fingers take all of T.
-        pivot: The point about which rotation and deformation act: the centroid of each hand's
-            reference points, each hand's palm, a given point common to both worlds, or the origin
-            of the world (the paper's literal reading).
-        pivot_point: The point of pivot=point [m].
-        scale: Factor on translations.
-        reference: Configuration that T starts from. first: the sample that became the reference
-            (the paper). rest: both hands' rest postures, placed at that sample's wrists, so that
-            the posture of the first sample does not matter. previous: the sample before (Fig. 3).
-        residual_gain: Part of each human point's residual to the imposed motion that its partner on
-            the robot takes over; 0 is the paper.
-        deformation_gain: Exponent g of the stretch, U^g. 1 is the paper; 0 leaves the fingers
-            undeformed.
-        stretch_min: Smallest stretch that is imposed.
-        stretch_max: Largest stretch that is imposed.
-    """
-
-    ridge: NotNegative = 0.1
-    rigid_from: Literal["points", "wrist", "none"] = "points"
-    pivot: Literal["centroid", "palm", "point", "world"] = "centroid"
-    pivot_point: Row | None = None
-    scale: NotNegative = 1.0
-    reference: Literal["first", "rest", "previous"] = "first"
-    residual_gain: Share = 0.0
-    # The bound is chosen so that stretch**gain cannot overflow.
-    deformation_gain: Annotated[float, number(high=10.0)] = 1.0
-    stretch_min: Share = 0.2
-    stretch_max: Annotated[float, Meta(ge=1.0)] = 3.0
-
-    def check(self) -> None:
-        """Reject combinations without a meaning; see `Options.check`."""
-        super().check()
-        if (self.pivot == "point") != (self.pivot_point is not None):
-            raise InvalidOptionsError(
-                "goes together with pivot='point'",
-                option="pivot_point",
-                value=self.pivot_point,
-                advice="give both or neither",
-            )
-        if self.deformation_gain != 1.0 and self.stretch_min == 0.0:
-            raise InvalidOptionsError(
-                "needs positive stretches",
-                option="deformation_gain",
-                value=self.deformation_gain,
-                advice="give stretch_min > 0",
-            )
-
-    def bind(self, human: Hand, robot: Hand) -> BoundHomogeneous:
-        """Check the options against two hands; see `Method.bind`."""
-        return BoundHomogeneous(self, human, robot)
-
-
-MappingOptions = Homogeneous
-"""The same by the name of its options."""
-TELEMANIPULATION = Homogeneous(
-    rigid_from="wrist", pivot="palm", residual_gain=1.0, deformation_gain=0.5
-)
-"""Choices for a tracked wrist and a robot whose points name partners: the wrist goes where the
-human's does, and fingers follow fingers."""
-
-PRESETS = {
-    "paper": Preset(
-        Homogeneous(),
-        IkOptions(),
-        "eqs. (5)-(8) as published: rigid part and deformation from the points alone",
-        "gestures; closing the fingers turns the robot's wrist, by 24 deg for a half-closed hand",
-        rank=1,
-    ),
-    "object": Preset(
-        Homogeneous(rigid_from="wrist", pivot="palm", reference="rest"),
-        FOLLOWING,
-        "in-hand motion: the palm follows the wrist, and T deforms the fingers' grasp; no partners",
-        "gestures: T cannot tell a pointing finger from a fist",
-        rank=1,
-        suits=lambda _, robot: robot.has_moving_wrist,
-    ),
-    "fixed_wrist": Preset(
-        Homogeneous(
-            rigid_from="none", pivot="palm", reference="rest", alignment="palm"
-        ),
-        IkOptions(),
-        "in-hand motion on a hand whose wrist cannot move: all of T deforms the fingers' grasp",
-        "gestures; the motion of the human's own wrist goes to the fingers as well",
-        rank=1,
-        suits=lambda *_: True,
-    ),
-}
-
-
-_NEEDING_WRIST = [("pivot", "palm"), ("alignment", "palm"), ("reference", "rest")]
-"""Choices that need the wrist of the reference sample."""
-
-
-class BoundHomogeneous(PalmMethod):
-    """The method for two hands; see `BoundMethod`."""
-
-    def __init__(self, options: Homogeneous, human: Hand, robot: Hand) -> None:
-        super().__init__(options, human, robot)
-        self.options = options
-        self.renews_reference = options.reference == "previous"
-        self.needs_wrist = "rigid_from='wrist'" if options.rigid_from == "wrist" else ""
-        needs = [
-            f"{name}={value!r}"
-            for name, value in options.values.items()
-            if (name, value) in _NEEDING_WRIST
-        ]
-        self.reference_needs_wrist = " and ".join(needs)
-        if options.rigid_from != "none" and not robot.has_moving_wrist:
-            raise InvalidOptionsError(
-                f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
-                option="rigid_from",
-                value=options.rigid_from,
-                advice="give rigid_from='none', or load the robot with mount='floating'",
-            )
-        count = len(human.reference_points)
-        needed = 0 if self.needs_wrist else 3
-        if options.ridge == 0.0:
-            needed = 4
-        if count < needed:
-            raise InvalidOptionsError(
-                f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
-                option="ridge",
-                value=options.ridge,
-                advice="choose more points, or ridge > 0 with rigid_from='wrist'",
-            )
-        self.partners = (
-            require_partners(
-                human,
-                robot,
-                option="residual_gain",
-                value=options.residual_gain,
-                advice=", or give residual_gain=0",
-            )
-            if options.residual_gain > 0.0
-            else []
-        )
-
-    def start(self, sample: HumanPose, robot: RobotPosture) -> HomogeneousMap:
-        """Take both hands for the reference, as they are or at rest; see `BoundMethod.start`."""
-        if self.options.reference != "rest":
-            return HomogeneousMap(self, sample, robot)
-        if sample.wrist is None:
-            raise InvalidInputError(
-                "needed for reference='rest'", argument="wrist_pose"
-            )
-        hand = self.robot
-        points = self.human.points(self.human.rest, sample.wrist)
-        to_here = robot.wrist @ inverse_pose(hand.frame_pose("wrist", hand.rest))
-        placed = transform_points(to_here, hand.points(hand.rest))
-        posture = RobotPosture(hand.rest, placed, robot.wrist)
-        return HomogeneousMap(self, HumanPose(points, sample.wrist), posture)
-
-
 class HomogeneousMap(Compiled):
     """From samples to targets, counted from one reference of both hands; see `TargetMap`."""
 
@@ -350,3 +187,163 @@ def _residual_share(
     ratio = robot_size / human_size if human_size > 0.0 else 1.0
     share[robot_indices, human_indices] = gain * ratio
     return share
+
+
+_NEEDING_WRIST = [("pivot", "palm"), ("alignment", "palm"), ("reference", "rest")]
+"""Choices that need the wrist of the reference sample."""
+
+
+class BoundHomogeneous(PalmMethod):
+    """The method for two hands; see `BoundMethod`."""
+
+    def __init__(self, options: Homogeneous, human: Hand, robot: Hand) -> None:
+        super().__init__(options, human, robot)
+        self.options = options
+        self.renews_reference = options.reference == "previous"
+        self.needs_wrist = "rigid_from='wrist'" if options.rigid_from == "wrist" else ""
+        needs = [
+            f"{name}={value!r}"
+            for name, value in options.values.items()
+            if (name, value) in _NEEDING_WRIST
+        ]
+        self.reference_needs_wrist = " and ".join(needs)
+        if options.rigid_from != "none" and not robot.has_moving_wrist:
+            raise InvalidOptionsError(
+                f"{options.rigid_from!r} moves the wrist; that of {robot.name} is fixed",
+                option="rigid_from",
+                value=options.rigid_from,
+                advice="give rigid_from='none', or load the robot with mount='floating'",
+            )
+        count = len(human.reference_points)
+        needed = 0 if self.needs_wrist else 3
+        if options.ridge == 0.0:
+            needed = 4
+        if count < needed:
+            raise InvalidOptionsError(
+                f"{options.ridge:g} needs {needed} points; {human.name} has {count}",
+                option="ridge",
+                value=options.ridge,
+                advice="choose more points, or ridge > 0 with rigid_from='wrist'",
+            )
+        self.partners = (
+            require_partners(
+                human,
+                robot,
+                option="residual_gain",
+                value=options.residual_gain,
+                advice=", or give residual_gain=0",
+            )
+            if options.residual_gain > 0.0
+            else []
+        )
+
+    def start(self, sample: HumanPose, robot: RobotPosture) -> HomogeneousMap:
+        """Take both hands for the reference, as they are or at rest; see `BoundMethod.start`."""
+        if self.options.reference == "rest":
+            if sample.wrist is None:
+                raise InvalidInputError(
+                    "needed for reference='rest'", argument="wrist_pose"
+                )
+            hand = self.robot
+            points = self.human.points(self.human.rest, sample.wrist)
+            sample = HumanPose(points, sample.wrist)
+            to_here = robot.wrist @ inverse_pose(hand.frame_pose("wrist", hand.rest))
+            placed = transform_points(to_here, hand.points(hand.rest))
+            robot = RobotPosture(hand.rest, placed, robot.wrist)
+        return HomogeneousMap(self, sample, robot)
+
+
+class Homogeneous(AlignedOptions, frozen=True):
+    """The paper's mapping, and the choices that it leaves open: how T is estimated, split, imposed.
+
+    The defaults are the paper's, but for `ridge`: 0 is its least squares.
+
+    Attributes:
+        ridge: Pull of the estimated linear motion towards a rotation (eq. 6 with a ridge). 0 is the
+            paper's least squares.
+        rigid_from: Where the rigid part T_rb comes from. points: the polar factor of T (the paper).
+            wrist: the measured displacement of the wrist. none: the robot's wrist stays, and the
+            fingers take all of T.
+        pivot: The point about which rotation and deformation act: the centroid of each hand's
+            reference points, each hand's palm, a given point common to both worlds, or the origin
+            of the world (the paper's literal reading).
+        pivot_point: The point of pivot=point [m].
+        scale: Factor on translations.
+        reference: Configuration that T starts from. first: the sample that became the reference
+            (the paper). rest: both hands' rest postures, placed at that sample's wrists, so that
+            the posture of the first sample does not matter. previous: the sample before (Fig. 3).
+        residual_gain: Part of each human point's residual to the imposed motion that its partner on
+            the robot takes over; 0 is the paper.
+        deformation_gain: Exponent g of the stretch, U^g. 1 is the paper; 0 leaves the fingers
+            undeformed.
+        stretch_min: Smallest stretch that is imposed.
+        stretch_max: Largest stretch that is imposed.
+    """
+
+    bound_type = BoundHomogeneous
+    ridge: NotNegative = 0.1
+    rigid_from: Literal["points", "wrist", "none"] = "points"
+    pivot: Literal["centroid", "palm", "point", "world"] = "centroid"
+    pivot_point: Row | None = None
+    scale: NotNegative = 1.0
+    reference: Literal["first", "rest", "previous"] = "first"
+    residual_gain: Share = 0.0
+    # The bound is chosen so that stretch**gain cannot overflow.
+    deformation_gain: Annotated[float, number(high=10.0)] = 1.0
+    stretch_min: Share = 0.2
+    stretch_max: Annotated[float, Meta(ge=1.0)] = 3.0
+
+    def check(self) -> None:
+        """Reject combinations without a meaning; see `Options.check`."""
+        super().check()
+        if (self.pivot == "point") != (self.pivot_point is not None):
+            raise InvalidOptionsError(
+                "goes together with pivot='point'",
+                option="pivot_point",
+                value=self.pivot_point,
+                advice="give both or neither",
+            )
+        if self.deformation_gain != 1.0 and self.stretch_min == 0.0:
+            raise InvalidOptionsError(
+                "needs positive stretches",
+                option="deformation_gain",
+                value=self.deformation_gain,
+                advice="give stretch_min > 0",
+            )
+
+
+MappingOptions = Homogeneous
+"""The same by the name of its options."""
+TELEMANIPULATION = Homogeneous(
+    rigid_from="wrist", pivot="palm", residual_gain=1.0, deformation_gain=0.5
+)
+"""Choices for a tracked wrist and a robot whose points name partners: the wrist goes where the
+human's does, and fingers follow fingers."""
+
+PRESETS = {
+    "paper": Preset(
+        Homogeneous(),
+        IkOptions(),
+        "eqs. (5)-(8) as published: rigid part and deformation from the points alone",
+        "gestures; closing the fingers turns the robot's wrist, by 24 deg for a half-closed hand",
+        rank=1,
+    ),
+    "object": Preset(
+        Homogeneous(rigid_from="wrist", pivot="palm", reference="rest"),
+        FOLLOWING,
+        "in-hand motion: the palm follows the wrist, and T deforms the fingers' grasp; no partners",
+        "gestures: T cannot tell a pointing finger from a fist",
+        rank=1,
+        suits=lambda _, robot: robot.has_moving_wrist,
+    ),
+    "fixed_wrist": Preset(
+        Homogeneous(
+            rigid_from="none", pivot="palm", reference="rest", alignment="palm"
+        ),
+        IkOptions(),
+        "in-hand motion on a hand whose wrist cannot move: all of T deforms the fingers' grasp",
+        "gestures; the motion of the human's own wrist goes to the fingers as well",
+        rank=1,
+        suits=lambda *_: True,
+    ),
+}

@@ -47,7 +47,6 @@ from handmap_qp.mapping import (
     PalmMap,
     PalmMethod,
     Preset,
-    RobotPosture,
     Targets,
     points_in_palm,
     require_points,
@@ -64,24 +63,6 @@ _CURLING = 0.06
 _STRAIGHTENING = 0.0005
 # Cosine from which on two axes are parallel.
 _PARALLEL = 1.0 - 1e-9
-
-
-class JointToJoint(AlignedOptions, frozen=True):
-    """Map joint angles to joint angles, scaled by the ranges."""
-
-    def bind(self, human: Hand, robot: Hand) -> BoundJointToJoint:
-        """Find the joints that correspond; see `Method.bind`."""
-        return BoundJointToJoint(self, human, robot)
-
-
-PRESETS = {
-    "joint-to-joint": Preset(
-        JointToJoint(),
-        FOLLOWING,
-        "to compare: each robot joint takes the share of its range that the human's joint takes",
-        "pinches: small errors of angle add up at the tips",
-    )
-}
 
 
 class FingerAngles:
@@ -225,6 +206,25 @@ class JointPositions:
         )
 
 
+class JointMap(PalmMap):
+    """From samples to targets; see `TargetMap`."""
+
+    _method: BoundJointToJoint
+
+    def targets(self, sample: HumanPose) -> Targets:
+        """Measure the human's angles, and place the robot's points where its joints would."""
+        method = self._method
+        robot = method.robot
+        _, palm, now = self.follow(sample)
+        angles = method.angles.measure(now)
+        q = method.positions(angles)
+        return Targets(
+            *self.placed(palm, points_in_palm(robot, q)),
+            {"angles": angles, "q": q},
+            (JointPositions(robot, method.columns, q),),
+        )
+
+
 class BoundJointToJoint(PalmMethod):
     """The method for two hands; see `BoundMethod`.
 
@@ -233,6 +233,7 @@ class BoundJointToJoint(PalmMethod):
     """
 
     needs_wrist = "joint angles in palm axes"
+    map_type = JointMap
 
     def __init__(self, method: JointToJoint, human: Hand, robot: Hand) -> None:
         super().__init__(method, human, robot)
@@ -251,10 +252,6 @@ class BoundJointToJoint(PalmMethod):
             for link in self._links(self.chains[finger], leading)
         ]
         self.columns = np.unique([link.column for link in self.links])
-
-    def start(self, sample: HumanPose, robot: RobotPosture) -> JointMap:
-        """Count the palm's displacement from here; the joints need no reference."""
-        return JointMap(self, sample, robot)
 
     def positions(self, angles: Array) -> Array:
         """Return the joint positions (n,) for human angles (f, 4); the mean where fingers share."""
@@ -349,27 +346,24 @@ class BoundJointToJoint(PalmMethod):
         return start[column], is_upper, is_thumb
 
 
-class JointMap(PalmMap):
-    """From samples to targets; see `TargetMap`."""
-
-    _method: BoundJointToJoint
-
-    def targets(self, sample: HumanPose) -> Targets:
-        """Measure the human's angles, and place the robot's points where its joints would."""
-        method = self._method
-        robot = method.robot
-        _, palm, now = self.follow(sample)
-        angles = method.angles.measure(now)
-        q = method.positions(angles)
-        return Targets(
-            *self.placed(palm, points_in_palm(robot, q)),
-            {"angles": angles, "q": q},
-            (JointPositions(robot, method.columns, q),),
-        )
-
-
 def _leaders(place: int, count: int) -> list[int]:
     """Return which of a human finger's flexions (1 to 3) lead the robot's, counted outwards."""
     if count > 3:
         return [1 + place * 3 // count]
     return [1 + place] if place < count - 1 else list(range(1 + place, 4))
+
+
+class JointToJoint(AlignedOptions, frozen=True):
+    """Map joint angles to joint angles, scaled by the ranges."""
+
+    bound_type = BoundJointToJoint
+
+
+PRESETS = {
+    "joint-to-joint": Preset(
+        JointToJoint(),
+        FOLLOWING,
+        "to compare: each robot joint takes the share of its range that the human's joint takes",
+        "pinches: small errors of angle add up at the tips",
+    )
+}

@@ -56,68 +56,6 @@ _SQUEEZE = 0.003
 _CONTACT_MARGIN = 0.0005
 
 
-_Weight = Annotated[float, number(high=1e3)]
-
-
-class Teleoperation(AlignedOptions, frozen=True):
-    """Follow a tracked hand, finger by finger.
-
-    Attributes:
-        residual_gain: Part of each finger's residual to T that its partner takes over.
-        extension_weight: Weight of the fingers' extension, per 10 mm of knuckle-to-tip distance.
-        thumb_extension_weight: The same of the thumb, whose position says less: thumbs oppose from
-            different sides.
-        finger_direction: How far the targets of fingers are turned to the directions of the
-            person's, from the knuckle; not where they pinch.
-        thumb_direction: The same of a thumb that rests like the person's.
-        pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
-        contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
-            1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
-        ridge: Pull of T towards a rotation.
-        scale: Factor on the palm's translation, for arms that reach less far than a person's.
-        avoids_contact: Whether links of the robot are kept apart.
-    """
-
-    residual_gain: Share = 1.0
-    extension_weight: _Weight = 1.0
-    thumb_extension_weight: _Weight = 2.5
-    finger_direction: Share = 0.75
-    thumb_direction: Share = 1.0
-    pinch_weight: _Weight = 5.0
-    contact_gap: Annotated[float, number(high=0.04)] = CONTACT_GAP
-    ridge: Annotated[float, number(high=1e3, above=True)] = 0.1
-    scale: _Weight = 1.0
-    avoids_contact: bool = True
-
-    def fitted_to(self, human: Hand) -> Self:
-        """Return these options with the contact gap of a person's hand."""
-        return self.replaced(contact_gap=human.contact_gap)
-
-    def bind(self, human: Hand, robot: Hand) -> BoundTeleoperation:
-        """Measure both hands and match their postures; see `Method.bind`."""
-        return BoundTeleoperation(self, human, robot)
-
-
-def fingers_correspond(human: Hand, robot: Hand) -> bool:
-    """Return whether a robot has fingers, and a human hand the points of theirs."""
-    fingers = set(FINGERS) & {point.finger for point in robot.spec.points}
-    return bool(fingers) and set(finger_landmarks(fingers)) <= set(point_indices(human))
-
-
-PRESETS = {
-    "teleoperation": Preset(
-        Teleoperation(),
-        FOLLOWING.replaced(
-            rest_weight=0.7, damping=2.0, takes_detours=True, points_follow_wrist=True
-        ),
-        "gestures and pinches of a tracked hand: each robot finger does what the human's does",
-        "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
-        rank=0,
-        suits=fingers_correspond,
-    )
-}
-
-
 _KNOWN = "palm", "gaps", "pinching", "extensions"
 """Results that targets are made with: the human's palm, (4, 4); gaps from the thumb's tip to each
 finger's [m], and the share of each pinch row's weight, (p,) both; and shares of reach, (f,)."""
@@ -158,104 +96,6 @@ def _distances(robot: RobotFingers, pinched: tuple[str, ...]) -> PointDistances:
     pairs += [(first, k) for k in range(first + 1, len(places))]
     points = AttachedPoints(robot.with_points, places)
     return PointDistances(points, pairs, np.zeros(len(pairs)))
-
-
-class BoundTeleoperation(PalmMethod):
-    """The method for two hands; see `BoundMethod`."""
-
-    # Margin between thumb and finger: per human gap beyond where it begins, and most [m].
-    contact_slope = 0.25
-    contact_from = 0.018
-    contact_most = 0.005
-    pinch_over = _PINCH_OVER
-
-    def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
-        self.choices = choices
-        self.pair = hand_pair(human, robot)
-        pair = self.pair
-        super().__init__(choices, human, pair.robot)
-        self.contacts = pair.contacts if choices.avoids_contact else None
-        self.estimator = MotionEstimator(
-            pair.human_rest[pair.shape_points], ridge=choices.ridge
-        )
-        self.pinch_from = math.inf if pair.has_jaws else _PINCH_FROM
-        # The thumb comes first.
-        self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
-        self.pads = [pair.pads[f] for f in (THUMB, *self.pinched) if self.pinched]
-        self.distances = _distances(pair.measured, self.pinched)
-        self._prepare_aims()
-        self._prepare_margins()
-
-    def start_palm(self, sample: HumanPose) -> Array:
-        """Return the human's palm, moved so that the knuckles of both hands have one centre."""
-        palm = super().start_palm(sample)
-        palm[:3, 3] += palm[:3, :3] @ (
-            self.pair.human_knuckles - self.pair.robot_knuckles
-        )
-        return palm
-
-    def start(self, sample: HumanPose, robot: RobotPosture) -> TeleoperationMap:
-        """Count the palm's displacement from here; the fingers start from the matched posture."""
-        return TeleoperationMap(self, sample, robot)
-
-    def _prepare_aims(self) -> None:
-        """Make the wanted distance of each row a linear function of the human's, within bounds."""
-        pair = self.pair
-        choices = self.choices
-        human = self.pair.human_rest
-        at_rest = lengths(human[pair.tips] - human[pair.knuckles])
-        posture = pair.robot_extension - at_rest / pair.human_reach
-        # The robot's pads press on each other here.
-        touching = touching_distances(self.pads) - _SQUEEZE
-        # Between jaws, an object is as large as between the human's fingers.
-        ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
-        count = len(touching)
-        self.aim_slopes = np.append(pair.reach_ratios, np.full(count, ratio))
-        self.aim_offsets = np.append(
-            pair.robot_reach * posture, touching - ratio * choices.contact_gap
-        )
-        self.least_aims = np.append(np.zeros(len(pair.fingers)), touching)
-        self.largest_aims = np.append(pair.robot_reach, np.full(count, np.inf))
-        weights = choices.thumb_extension_weight, choices.extension_weight
-        self.extension_weights = np.where(np.array(pair.fingers) == THUMB, *weights)
-
-    def aims(self, distances: Array) -> Array:
-        """Return the wanted distance of each row for the human's, shape (k,) both."""
-        aims = self.aim_slopes * distances + self.aim_offsets
-        return np.clip(aims, self.least_aims, self.largest_aims)
-
-    def pinching(self, gaps: Array) -> Array:
-        """Return the share of its weight that each pinch row has at a gap, shape (p,) both.
-
-        It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
-        """
-        return smoothstep((self.pinch_from - gaps) / self.pinch_over)
-
-    def margins(self, gaps: Array) -> Array:
-        """Return the margin of every contact pair at the human's gaps [m], shape (k,).
-
-        That between thumb and finger widens with the gap, so that nothing touches.
-        """
-        wide = self.contact_slope * (gaps - self.contact_from)
-        wide = np.clip(wide, 0.0, self.contact_most)
-        margins = self.base_margins.copy()
-        margins[self.pinch_pairs] = self.pinch_margins + wide[self.pinch_of_pair]
-        return margins
-
-    def _prepare_margins(self) -> None:
-        """Say which contact pair belongs to which pinch."""
-        fingers = self.contacts.fingers if self.contacts else ()
-        self.base_margins = np.full(len(fingers), LINK_MARGIN)
-        closing = [
-            (k, self.pinched.index(f))
-            for k, f in enumerate(fingers)
-            if f in self.pinched
-        ]
-        self.pinch_pairs, self.pinch_of_pair = (
-            np.array(closing, dtype=int).reshape(-1, 2).T
-        )
-        covers = [self.pads[0].cover + pad.cover for pad in self.pads[1:]]
-        self.pinch_margins = _CONTACT_MARGIN + np.array(covers).take(self.pinch_of_pair)
 
 
 class TeleoperationMap(Compiled, PalmMap):
@@ -369,3 +209,157 @@ class TeleoperationMap(Compiled, PalmMap):
             + pair.finger_ratio * (shift - estimate.centroid_before)
             + self.gain * (now[pair.partners] - shift)
         )
+
+
+class BoundTeleoperation(PalmMethod):
+    """The method for two hands; see `BoundMethod`."""
+
+    map_type = TeleoperationMap
+    # Margin between thumb and finger: per human gap beyond where it begins, and most [m].
+    contact_slope = 0.25
+    contact_from = 0.018
+    contact_most = 0.005
+    pinch_over = _PINCH_OVER
+
+    def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
+        self.choices = choices
+        self.pair = hand_pair(human, robot)
+        pair = self.pair
+        super().__init__(choices, human, pair.robot)
+        self.contacts = pair.contacts if choices.avoids_contact else None
+        self.estimator = MotionEstimator(
+            pair.human_rest[pair.shape_points], ridge=choices.ridge
+        )
+        self.pinch_from = math.inf if pair.has_jaws else _PINCH_FROM
+        # The thumb comes first.
+        self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
+        self.pads = [pair.pads[f] for f in (THUMB, *self.pinched) if self.pinched]
+        self.distances = _distances(pair.measured, self.pinched)
+        self._prepare_aims()
+        self._prepare_margins()
+
+    def start_palm(self, sample: HumanPose) -> Array:
+        """Return the human's palm, moved so that the knuckles of both hands have one centre."""
+        palm = super().start_palm(sample)
+        palm[:3, 3] += palm[:3, :3] @ (
+            self.pair.human_knuckles - self.pair.robot_knuckles
+        )
+        return palm
+
+    def _prepare_aims(self) -> None:
+        """Make the wanted distance of each row a linear function of the human's, within bounds."""
+        pair = self.pair
+        choices = self.choices
+        human = self.pair.human_rest
+        at_rest = lengths(human[pair.tips] - human[pair.knuckles])
+        posture = pair.robot_extension - at_rest / pair.human_reach
+        # The robot's pads press on each other here.
+        touching = touching_distances(self.pads) - _SQUEEZE
+        # Between jaws, an object is as large as between the human's fingers.
+        ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
+        count = len(touching)
+        self.aim_slopes = np.append(pair.reach_ratios, np.full(count, ratio))
+        self.aim_offsets = np.append(
+            pair.robot_reach * posture, touching - ratio * choices.contact_gap
+        )
+        self.least_aims = np.append(np.zeros(len(pair.fingers)), touching)
+        self.largest_aims = np.append(pair.robot_reach, np.full(count, np.inf))
+        weights = choices.thumb_extension_weight, choices.extension_weight
+        self.extension_weights = np.where(np.array(pair.fingers) == THUMB, *weights)
+
+    def aims(self, distances: Array) -> Array:
+        """Return the wanted distance of each row for the human's, shape (k,) both."""
+        aims = self.aim_slopes * distances + self.aim_offsets
+        return np.clip(aims, self.least_aims, self.largest_aims)
+
+    def pinching(self, gaps: Array) -> Array:
+        """Return the share of its weight that each pinch row has at a gap, shape (p,) both.
+
+        It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
+        """
+        return smoothstep((self.pinch_from - gaps) / self.pinch_over)
+
+    def margins(self, gaps: Array) -> Array:
+        """Return the margin of every contact pair at the human's gaps [m], shape (k,).
+
+        That between thumb and finger widens with the gap, so that nothing touches.
+        """
+        wide = self.contact_slope * (gaps - self.contact_from)
+        wide = np.clip(wide, 0.0, self.contact_most)
+        margins = self.base_margins.copy()
+        margins[self.pinch_pairs] = self.pinch_margins + wide[self.pinch_of_pair]
+        return margins
+
+    def _prepare_margins(self) -> None:
+        """Say which contact pair belongs to which pinch."""
+        fingers = self.contacts.fingers if self.contacts else ()
+        self.base_margins = np.full(len(fingers), LINK_MARGIN)
+        closing = [
+            (k, self.pinched.index(f))
+            for k, f in enumerate(fingers)
+            if f in self.pinched
+        ]
+        self.pinch_pairs, self.pinch_of_pair = (
+            np.array(closing, dtype=int).reshape(-1, 2).T
+        )
+        covers = [self.pads[0].cover + pad.cover for pad in self.pads[1:]]
+        self.pinch_margins = _CONTACT_MARGIN + np.array(covers).take(self.pinch_of_pair)
+
+
+_Weight = Annotated[float, number(high=1e3)]
+
+
+class Teleoperation(AlignedOptions, frozen=True):
+    """Follow a tracked hand, finger by finger.
+
+    Attributes:
+        residual_gain: Part of each finger's residual to T that its partner takes over.
+        extension_weight: Weight of the fingers' extension, per 10 mm of knuckle-to-tip distance.
+        thumb_extension_weight: The same of the thumb, whose position says less: thumbs oppose from
+            different sides.
+        finger_direction: How far the targets of fingers are turned to the directions of the
+            person's, from the knuckle; not where they pinch.
+        thumb_direction: The same of a thumb that rests like the person's.
+        pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
+        contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
+            1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
+        ridge: Pull of T towards a rotation.
+        scale: Factor on the palm's translation, for arms that reach less far than a person's.
+        avoids_contact: Whether links of the robot are kept apart.
+    """
+
+    bound_type = BoundTeleoperation
+    residual_gain: Share = 1.0
+    extension_weight: _Weight = 1.0
+    thumb_extension_weight: _Weight = 2.5
+    finger_direction: Share = 0.75
+    thumb_direction: Share = 1.0
+    pinch_weight: _Weight = 5.0
+    contact_gap: Annotated[float, number(high=0.04)] = CONTACT_GAP
+    ridge: Annotated[float, number(high=1e3, above=True)] = 0.1
+    scale: _Weight = 1.0
+    avoids_contact: bool = True
+
+    def fitted_to(self, human: Hand) -> Self:
+        """Return these options with the contact gap of a person's hand."""
+        return self.replaced(contact_gap=human.contact_gap)
+
+
+def fingers_correspond(human: Hand, robot: Hand) -> bool:
+    """Return whether a robot has fingers, and a human hand the points of theirs."""
+    fingers = set(FINGERS) & {point.finger for point in robot.spec.points}
+    return bool(fingers) and set(finger_landmarks(fingers)) <= set(point_indices(human))
+
+
+PRESETS = {
+    "teleoperation": Preset(
+        Teleoperation(),
+        FOLLOWING.replaced(
+            rest_weight=0.7, damping=2.0, takes_detours=True, points_follow_wrist=True
+        ),
+        "gestures and pinches of a tracked hand: each robot finger does what the human's does",
+        "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
+        rank=0,
+        suits=fingers_correspond,
+    )
+}

@@ -67,66 +67,6 @@ _SETTLED = 1e-10
 _MOST_TURNS = 100
 
 
-class VirtualObject(AlignedOptions, frozen=True):
-    """Map the motion of an object that encloses the fingertips.
-
-    Attributes:
-        scale: k, the factor on the object's displacement; the ratio of the sizes at the reference
-            if omitted.
-    """
-
-    scale: Positive | None = None
-
-    def enclose(self, points: Array) -> Enclosing:
-        """Return the object around points [m], shape (n, 3)."""
-        raise NotImplementedError
-
-    def bind(self, human: Hand, robot: Hand) -> BoundVirtualObject:
-        """Choose the points of both hands; see `Method.bind`."""
-        return BoundVirtualObject(self, human, robot)
-
-
-class VirtualSphere(VirtualObject, frozen=True):
-    """Map the motion of the fingertips' enclosing ball."""
-
-    def enclose(self, points: Array) -> Enclosing:
-        """Return the smallest ball; its size is the radius [m]."""
-        centre, radius = enclosing_ball(points)
-        return Enclosing(points, centre, np.eye(3), radius, np.inf)
-
-
-class VirtualEllipsoid(VirtualObject, frozen=True):
-    """Map the motion of the fingertips' enclosing ellipsoid.
-
-    Attributes:
-        ridge: Pull of the three ratios towards their common one, as a share of the points' mean
-            square extent. 0 is the plain least squares; at infinity it is the sphere.
-    """
-
-    ridge: NotNegative = 0.1
-
-    def enclose(self, points: Array) -> Enclosing:
-        """Return the smallest ellipsoid; its size is the norm of its semi-axes [m]."""
-        centre, axes, semi_axes = enclosing_ellipsoid(points)
-        size = float(lengths(semi_axes))
-        return Enclosing(points, centre, axes, size, self.ridge)
-
-
-def _preset(method: VirtualObject, what: str) -> Preset:
-    return Preset(
-        method,
-        FOLLOWING,
-        f"to compare: the {what} around the fingertips moves, turns and grows; no partners",
-        "gestures: a virtual object cannot tell fingers apart",
-    )
-
-
-PRESETS = {
-    "virtual-sphere": _preset(VirtualSphere(), "ball"),
-    "virtual-ellipsoid": _preset(VirtualEllipsoid(), "ellipsoid"),
-}
-
-
 class ObjectMotion(NamedTuple):
     """Motion and deformation of an object since its reference.
 
@@ -191,31 +131,6 @@ class Enclosing:
         return ObjectMotion(shift, linear, ratios)
 
 
-class BoundVirtualObject(PalmMethod):
-    """A method of this kind for two hands; see `BoundMethod`.
-
-    Args:
-        options: What encloses the points, and k.
-        human: The hand that leads.
-        robot: The hand that follows.
-
-    Raises:
-        InvalidOptionsError: If the human has fewer than three points, or the robot fewer than two.
-    """
-
-    needs_wrist = "the motion of the fingertips in palm axes"
-
-    def __init__(self, options: VirtualObject, human: Hand, robot: Hand) -> None:
-        super().__init__(options, human, robot)
-        self.options = options
-        self.human_points = _tips(human, _FEWEST_HUMAN)
-        self.robot_points = _tips(robot, _FEWEST_ROBOT)
-
-    def start(self, sample: HumanPose, robot: RobotPosture) -> VirtualObjectMap:
-        """Enclose both hands' points as they are; see `BoundMethod.start`."""
-        return VirtualObjectMap(self, sample, robot)
-
-
 class VirtualObjectMap(PalmMap):
     """From samples to targets, counted from one reference; see `TargetMap`."""
 
@@ -251,6 +166,28 @@ class VirtualObjectMap(PalmMap):
         return Targets(
             *self.placed(palm, moved + self._ratio * motion.shift), diagnostics
         )
+
+
+class BoundVirtualObject(PalmMethod):
+    """A method of this kind for two hands; see `BoundMethod`.
+
+    Args:
+        options: What encloses the points, and k.
+        human: The hand that leads.
+        robot: The hand that follows.
+
+    Raises:
+        InvalidOptionsError: If the human has fewer than three points, or the robot fewer than two.
+    """
+
+    needs_wrist = "the motion of the fingertips in palm axes"
+    map_type = VirtualObjectMap
+
+    def __init__(self, options: VirtualObject, human: Hand, robot: Hand) -> None:
+        super().__init__(options, human, robot)
+        self.options = options
+        self.human_points = _tips(human, _FEWEST_HUMAN)
+        self.robot_points = _tips(robot, _FEWEST_ROBOT)
 
 
 def _tips(hand: Hand, fewest: int) -> Array:
@@ -354,3 +291,60 @@ def _ellipsoid_shares(points: Array) -> Array:
         shares = (1.0 - step) * shares
         shares[chosen] = max(shares[chosen] + step, 0.0)
     return shares / shares.sum()
+
+
+class VirtualObject(AlignedOptions, frozen=True):
+    """Map the motion of an object that encloses the fingertips.
+
+    Attributes:
+        scale: k, the factor on the object's displacement; the ratio of the sizes at the reference
+            if omitted.
+    """
+
+    bound_type = BoundVirtualObject
+    scale: Positive | None = None
+
+    def enclose(self, points: Array) -> Enclosing:
+        """Return the object around points [m], shape (n, 3)."""
+        raise NotImplementedError
+
+
+class VirtualSphere(VirtualObject, frozen=True):
+    """Map the motion of the fingertips' enclosing ball."""
+
+    def enclose(self, points: Array) -> Enclosing:
+        """Return the smallest ball; its size is the radius [m]."""
+        centre, radius = enclosing_ball(points)
+        return Enclosing(points, centre, np.eye(3), radius, np.inf)
+
+
+class VirtualEllipsoid(VirtualObject, frozen=True):
+    """Map the motion of the fingertips' enclosing ellipsoid.
+
+    Attributes:
+        ridge: Pull of the three ratios towards their common one, as a share of the points' mean
+            square extent. 0 is the plain least squares; at infinity it is the sphere.
+    """
+
+    ridge: NotNegative = 0.1
+
+    def enclose(self, points: Array) -> Enclosing:
+        """Return the smallest ellipsoid; its size is the norm of its semi-axes [m]."""
+        centre, axes, semi_axes = enclosing_ellipsoid(points)
+        size = float(lengths(semi_axes))
+        return Enclosing(points, centre, axes, size, self.ridge)
+
+
+def _preset(method: VirtualObject, what: str) -> Preset:
+    return Preset(
+        method,
+        FOLLOWING,
+        f"to compare: the {what} around the fingertips moves, turns and grows; no partners",
+        "gestures: a virtual object cannot tell fingers apart",
+    )
+
+
+PRESETS = {
+    "virtual-sphere": _preset(VirtualSphere(), "ball"),
+    "virtual-ellipsoid": _preset(VirtualEllipsoid(), "ellipsoid"),
+}
