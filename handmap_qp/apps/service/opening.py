@@ -328,18 +328,17 @@ def read_grip(request: Open) -> GripOptions:
     return _changed("grip", GripOptions(), request.grip or {})
 
 
-def _holding(follower: Any, request: Open) -> Any:
-    """Let a follower grip, or touch the object of a request, if it has one."""
+def _holding(follower: Any, request: Open) -> AnyFollower:
+    """Let a follower grip, or touch the object of a request, if it says so."""
     given = request.object
-    grips = request.grip is not None
-    if not grips and given is None:
+    if given is None and request.grip is None:
         return follower
-    field = "object" if given else "grip"
-    refuse_if(grips and given, "give grip or object, not both", field)
+    field = "grip" if given is None else "object"
     refuse_if(request.input != "landmarks", "needs input=landmarks", field)
     with naming_field(field):
-        if grips:
+        if given is None:
             return GripFollower(follower, read_grip(request))
+        refuse_if(request.grip is not None, "give grip or object, not both", field)
         is_named = isinstance(given, str)
         shape = parse_object(given, field) if is_named else MeshShape(np.array(given))
         return ObjectFollower(follower, shape)

@@ -289,7 +289,9 @@ class CommandedRobot(Gate):
         q: Array,
         wrist: Array | None,
         dt: float,
-        share: float | None = None,
+        share: float = 1.0,
+        *,
+        stops: bool = False,
     ) -> bool:
         """Move towards a posture as far as the gate admits.
 
@@ -304,8 +306,8 @@ class CommandedRobot(Gate):
             q: Target joint angles [rad], shape (n,).
             wrist: Target pose of the wrist, shape (4, 4); None keeps it. The first one places it.
             dt: Time since the last command [s].
-            share: Share of the speed limits to use on the way to a stop there; all of them without
-                a stop if omitted.
+            share: Share of the speed limits to use.
+            stops: Whether the robot must be able to stop there at once.
 
         Returns:
             Whether the posture is reached. If it is not finite, the robot brakes.
@@ -321,11 +323,11 @@ class CommandedRobot(Gate):
         self.hand.write_configuration(goal, q, wrist)
         dt = max(dt, SHORTEST_DT)
         change = pin.difference(self.hand.model, start, goal)[self.hand.active_columns]
-        lower, upper = self.bounds(dt, share or 1.0)
-        limit = self.limits.speeds * (dt * (share or 1.0))
+        lower, upper = self.bounds(dt, share)
+        limit = self.limits.speeds * (dt * share)
         slack = 1e-12 + 1e-9 * limit
         braking = self.limits.change(dt)
-        reach = limit if share is None else braking
+        reach = braking if stops else np.inf
         near = np.clip(np.clip(change, -reach, reach), lower, upper)
         is_there = (np.abs(change - near) <= slack).all()
         # The part of the way that the robot takes if it must stop at its end.

@@ -103,12 +103,14 @@ class SampleForm:
         self._request = request
         self._sides = [hand.side for hand in robot.parts]
         self._field = self._wanted = request.input
+        self._layout: Any = None
         name = request.layout
         if name is not None:
             refuse_if(self._field != "landmarks", "needs input=landmarks", "layout")
             # Only layouts of the package: a name must not open files of the server.
             message = f"no layout {name!r}; there are {', '.join(LAYOUTS)}"
             refuse_if(name not in LAYOUTS, message, "layout")
+            self._layout = LAYOUTS[name]
             self._field, self._wanted = "values", f"values of {name}"
 
     def each(self, sample: Step, work: Callable[[Side, Step], Any]) -> Humans:
@@ -144,17 +146,14 @@ class SampleForm:
             RefusedError: If the session was opened for another kind, with the field at fault.
             HandmapError: If the numbers are not of the layout.
         """
-        has_landmarks = self._request.input == "landmarks"
         given = {field for field in _FIELDS if getattr(sample, field) is not None}
-        is_lost = not (sample.valid or has_landmarks)
-        refuse_if(is_lost, "only landmarks may be invalid", "valid")
         if sample.valid or given:
-            message = f"this session was opened for {self._wanted}"
-            for field in sorted(given ^ {self._field}, key=_FIELDS.index):
-                raise RefusedError("invalid", message, field=field)
-        is_bare = self._field == "q" and sample.wrist is None
-        refuse_if(is_bare, "missing; it must come with q", "wrist")
-        if not has_landmarks:
+            wrong = min(given ^ {self._field}, key=_FIELDS.index, default="")
+            refuse_if(wrong, f"this session was opened for {self._wanted}", wrong)
+        if self._request.input != "landmarks":
+            refuse_if(not sample.valid, "only landmarks may be invalid", "valid")
+            is_bare = self._field == "q" and sample.wrist is None
+            refuse_if(is_bare, "missing; it must come with q", "wrist")
             return None
         common: Values = {
             "time": sample.time,
@@ -164,9 +163,7 @@ class SampleForm:
             "confidence": sample.confidence,
         }
         if sample.values is not None:
-            return LAYOUTS[self._request.layout or ""].read(
-                np.array(sample.values), **common
-            )
+            return self._layout.read(np.array(sample.values), **common)
         landmarks = UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
         # Messages were checked, except for their number of landmarks.
         is_hand = landmarks.shape == UNSEEN.shape
@@ -416,7 +413,7 @@ class Session:
         self._dt = self._clock.grant_tick(now)
         if self._state is SessionState.RETURNING:
             share = self.request.return_speed
-            self._commanded.advance(self.robot.rest, None, self._dt, share)
+            self._commanded.advance(self.robot.rest, None, self._dt, share, stops=True)
             self._effort = None
             # The posture of the mapper stays behind, even if the client has clutched meanwhile.
             self._mapper_state = MapperState.STALE
