@@ -19,15 +19,7 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import HandError
 from handmap_qp.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
 from .sources import find_mesh, urdf_path
-from .spec import (
-    ArmSpec,
-    HandSpec,
-    LimitSpec,
-    MimicSpec,
-    Positions,
-    Rules,
-    repeated,
-)
+from .spec import ArmSpec, HandSpec, LimitSpec, MimicSpec, Positions, Rules, repeated
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one coordinate."""
@@ -87,10 +79,7 @@ def parse_urdf(text: str | bytes) -> Element:
 
 
 def get_numbers(
-    element: Element,
-    key: str,
-    count: int,
-    default: str | None = None,
+    element: Element, key: str, count: int, default: str | None = None
 ) -> list[float]:
     """Read `count` numbers in an attribute.
 
@@ -581,10 +570,7 @@ def mirror(robot: Element) -> None:
 
 
 def _flip(
-    element: Element,
-    key: str,
-    signs: Sequence[float],
-    default: str | None = None,
+    element: Element, key: str, signs: Sequence[float], default: str | None = None
 ) -> None:
     numbers = get_numbers(element, key, len(signs), default)
     set_numbers(element, **{key: np.multiply(signs, numbers)})

@@ -226,11 +226,7 @@ class InputCheck(Compiled):
         return self._wrist.examine(landmarks, wrists)
 
     def _wrong_side(
-        self,
-        total: float,
-        fingers: float,
-        landmarks: Array,
-        wrists: Array | None,
+        self, total: float, fingers: float, landmarks: Array, wrists: Array | None
     ) -> Finding | None:
         """Tell whether the hand, or its fingers alone, bend to the other side of the palm."""
         # Fingers that were seen to curl are bent backwards by the person.
@@ -316,9 +312,7 @@ def check_recording(recording: Recording, *, name: str = "") -> None:
     finding = examine_recording(recording)
     if finding is not None:
         raise InvalidInputError(
-            finding.problem,
-            argument=name or recording.name,
-            advice=finding.advice,
+            finding.problem, argument=name or recording.name, advice=finding.advice
         )
 
 
@@ -344,11 +338,7 @@ _NOISY = 15.0  # what noise adds to both [1/m]
 _CONTRADICTION = 0.6
 
 
-def _find_order(
-    landmarks: Array,
-    sign: float,
-    own_evidence: float,
-) -> Finding | None:
+def _find_order(landmarks: Array, sign: float, own_evidence: float) -> Finding | None:
     """Look for another order that explains landmarks (T, 21, 3) much better than ours.
 
     The sign is 1 for a right hand; our order fits the palmar side by -5 to 5 (`own_evidence`).
@@ -433,10 +423,7 @@ def _find_time_unit(times: Array) -> Finding | None:
 
 
 def _find_length_unit(
-    landmarks: Array,
-    distances: Distances,
-    *,
-    is_hand: bool,
+    landmarks: Array, distances: Distances, *, is_hand: bool
 ) -> Finding | None:
     """Tell whether landmarks (T, 21, 3) are not in metres; None also if they are no hand at all.
 

@@ -217,12 +217,7 @@ class Layout(abc.ABC):
         """
 
     @abc.abstractmethod
-    def write_posture(
-        self,
-        human: Hand,
-        q: ArrayLike,
-        wrist: Array,
-    ) -> Array:
+    def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return values of the human hand in a posture.
 
         Args:
@@ -240,12 +235,7 @@ class Layout(abc.ABC):
         Raises:
             InvalidInputError: If the sample is not valid, or no hand.
         """
-        expect(
-            sample.valid,
-            "sample",
-            "a valid sample",
-            got="another",
-        )
+        expect(sample.valid, "sample", "a valid sample", got="another")
         fitter = LandmarkFitter(sample.side)
         q, wrist, _ = fitter.fit(sample.landmarks)
         return self.write_posture(fitter.human, q, wrist)
@@ -421,12 +411,7 @@ class Layout(abc.ABC):
             advice=f"that is the shape of {', '.join(others)}" if others else "",
         )
 
-    def _wrists_beside(
-        self,
-        values: Array,
-        side: Side,
-        seen: Array,
-    ) -> Array:
+    def _wrists_beside(self, values: Array, side: Side, seen: Array) -> Array:
         """Return poses that came beside the values, with our axes, of the samples seen."""
         table = self.wrist_table
         if table is None:
@@ -446,9 +431,7 @@ def layouts_of_shape(shape: tuple[int, ...]) -> list[str]:
 
 @lru_cache(maxsize=8)  # lengths hash by identity
 def sized_human(
-    side: Side,
-    lengths: HumanLengths | None = None,
-    points: Points = "landmarks",
+    side: Side, lengths: HumanLengths | None = None, points: Points = "landmarks"
 ) -> Hand:
     """Return the human hand of a person, or a typical one, its points the landmarks."""
     size = TYPICAL_LENGTH if lengths is None else None

@@ -23,14 +23,7 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
-from .base import (
-    Hands,
-    Layout,
-    LayoutTable,
-    Rows,
-    WristTable,
-    sized_human,
-)
+from .base import Hands, Layout, LayoutTable, Rows, WristTable, sized_human
 
 _FORMS = {3: (3,), 7: (7,), 16: (4, 4)}
 """Shapes of a joint, by how many numbers it has."""
@@ -164,34 +157,19 @@ class PointLayout(Layout):
 
     def write(self, sample: HumanSample) -> Array:
         """Return the joints of a sample; those between landmarks are placed on lines."""
-        expect(
-            sample.valid,
-            "sample",
-            "a valid sample",
-            got="another",
-        )
+        expect(sample.valid, "sample", "a valid sample", got="another")
         wrist = sample.wrist
         if wrist is None:
             palm = landmarks_at_rest(sized_human(sample.side))[PALM]
             wrist = rigid_fit(palm, sample.landmarks[PALM])
         return self._write(sample.landmarks, wrist, sample.side)
 
-    def write_posture(
-        self,
-        human: Hand,
-        q: ArrayLike,
-        wrist: Array,
-    ) -> Array:
+    def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return the joints of the human hand; see `Layout.write_posture`."""
         landmarks = human.with_points("landmarks").points(q)
         return self._write(transform_points(wrist, landmarks), wrist, human.side)
 
-    def _write(
-        self,
-        landmarks: Array,
-        wrist: Array,
-        side: Side,
-    ) -> Array:
+    def _write(self, landmarks: Array, wrist: Array, side: Side) -> Array:
         joints = np.tile(landmarks[0], (self.table.count, 1))
         joints[self.order(side)] = landmarks
         places = dict(zip(LANDMARK_NAMES, landmarks, strict=True))
