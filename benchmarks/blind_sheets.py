@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +54,7 @@ def draw(folder: Path, robots: list[str], seed: int) -> None:
             for column in places.T
         ]
         rows = sheet_rows(ends, {str(i): i for i in range(len(order))}, mixed)
-        rows = [replace(row, note="") for row in rows]
+        rows = [row._replace(note="") for row in rows]
         for first in range(0, len(rows), _ROWS):
             columns = [(letter, robot) for letter in "ABC"]
             figure = contact_sheet(columns, rows[first : first + _ROWS])

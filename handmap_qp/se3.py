@@ -18,6 +18,7 @@ import math
 import numbers
 from typing import Any, Literal
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
@@ -41,6 +42,10 @@ FARTHEST = 1e9
 
 No hand is there, and squares and differences of larger ones lose the digits that matter.
 """
+
+
+class ArrayStruct(msgspec.Struct, frozen=True, eq=False):
+    """Base of results that hold arrays: each is equal to itself only, and has a hash."""
 
 
 def frozen(array: Array) -> Array:

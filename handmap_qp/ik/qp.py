@@ -19,13 +19,12 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import daqp
-import msgspec
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp import ik
 from handmap_qp.hands import Configuration, Hand, Names
-from handmap_qp.se3 import Array, frozen, lengths, transform_points
+from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
 from .limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
 from .options import IkOptions
 from .tasks import Goal, Task, TaskRows, tasks_named
@@ -54,7 +53,7 @@ Status = Literal[
 ]
 
 
-class IkResult(msgspec.Struct, frozen=True, eq=False):
+class IkResult(ArrayStruct, frozen=True):
     """Result of the iterations of one sample.
 
     Attributes:

@@ -6,13 +6,13 @@ rows of `A` share one (n, 3) system, which depends only on the points before the
 products. With `ridge = 0` the solution is exactly the paper's.
 """
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import DegeneratePointsError, expect
 from handmap_qp.se3 import (
     Array,
+    ArrayStruct,
     affine,
     as_floats,
     as_points,
@@ -28,7 +28,7 @@ _RANK_TOLERANCE = 1e-9
 _SPREAD_TOLERANCE = 1e-14
 
 
-class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
+class MotionEstimate(ArrayStruct, frozen=True):
     """A motion fitted to point pairs, or one for each of many samples along leading axes.
 
     T and its residuals are computed on access.

@@ -32,7 +32,6 @@ from typing import (
     runtime_checkable,
 )
 
-import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError, did_you_mean
@@ -41,14 +40,14 @@ from handmap_qp.human import Finding, Rule, Verdict
 from handmap_qp.ik import WRIST_LEVERS, IkOptions, IkResult, Status, Task, wrist_error
 from handmap_qp.options import Options
 from handmap_qp.plugins import Plugins
-from handmap_qp.se3 import Array, Arrays, lengths, transform_points
+from handmap_qp.se3 import Array, Arrays, ArrayStruct, lengths, transform_points
 from . import methods
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
 
 
-class HumanPose(msgspec.Struct, frozen=True, eq=False):
+class HumanPose(ArrayStruct, frozen=True):
     """A human hand at one instant, in the human's world W.
 
     Attributes:
@@ -124,7 +123,7 @@ class Diagnostics(Mapping[str, Array]):
         return len(self._results)
 
 
-class Targets(msgspec.Struct, frozen=True, eq=False):
+class Targets(ArrayStruct, frozen=True):
     """The targets of a method for one sample.
 
     Attributes:
@@ -304,7 +303,7 @@ def arm_held_by(hand: Hand, at_speed_limit: Array, at_limit: Array) -> Array:
     return np.select(held, ["speed", "limit"], "reach")
 
 
-class RobotCommand(msgspec.Struct, frozen=True, eq=False):
+class RobotCommand(ArrayStruct, frozen=True):
     """Command for a robot driver.
 
     Attributes:
@@ -336,7 +335,7 @@ class StepSummary(NamedTuple):
     flags: Names
 
 
-class Stages(msgspec.Struct, frozen=True, eq=False):
+class Stages(ArrayStruct, frozen=True):
     """The stages of a step, which the compiled core makes when they are asked for.
 
     Attributes:
@@ -368,7 +367,7 @@ class Stages(msgspec.Struct, frozen=True, eq=False):
         )
 
 
-class MapStep(msgspec.Struct, frozen=True, eq=False):
+class MapStep(ArrayStruct, frozen=True):
     """One step of the mapping, stage by stage.
 
     Values of T raise InvalidOptionsError if the method has no T.

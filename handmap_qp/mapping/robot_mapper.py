@@ -180,7 +180,7 @@ def _moved_by(motion: Array, targets: Targets) -> Targets:
     return structs.replace(targets, points=points, wrist=motion @ targets.wrist)
 
 
-class RobotStep(MapStep, frozen=True, eq=False, kw_only=True):
+class RobotStep(MapStep, frozen=True, kw_only=True):
     """One step of a robot: that of one hand with the points of all, one after the other.
 
     `wrist` and its error are those of the first hand. It is held if all hands are, and has the rule

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -331,7 +331,7 @@ def _worst_row(folder: Path, line: Line, rank: int, measure: Metric) -> SheetRow
     name = line.name
     if len(name) > _LONGEST_NAME:
         name = f"...{name[3 - _LONGEST_NAME :]}"
-    return replace(row, note=f"{name}\n{measure.label}\n{row.note}")
+    return row._replace(note=f"{name}\n{measure.label}\n{row.note}")
 
 
 def _worst_sample(recording: Recording, columns: Arrays, measure: Metric) -> int:

@@ -10,10 +10,9 @@ landmarks, not as a model fitted to them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -85,8 +84,7 @@ _PALM_BONES = (*product((0,), _KNUCKLES), *pairwise(_KNUCKLES))
 _PALM_FACES = [(0, *pair[::way]) for pair in pairwise(_KNUCKLES) for way in (1, -1)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SheetRow:
+class SheetRow(NamedTuple):
     """One pose.
 
     Attributes:

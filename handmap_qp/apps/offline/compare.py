@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 from operator import itemgetter
 from pathlib import Path
@@ -411,7 +411,7 @@ def draw_poses(file: Path, comparison: Comparison) -> list[str]:
             motions = [q[method, take] for method in methods]
             (row,) = sheet_rows(recording, {pose: index}, motions)
             name = recording.name.replace("_", " ").removesuffix(f" {recording.side}")
-            rows.append(replace(row, note=f"{name}\n{row.note}"))
+            rows.append(row._replace(note=f"{name}\n{row.note}"))
         figure = contact_sheet(
             [(method, comparison.robot) for method in methods],
             rows,
