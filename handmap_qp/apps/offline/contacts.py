@@ -48,13 +48,13 @@ def contact_metrics(
     time = recording.time
     counts = recording.valid & np.isfinite(poses).all(axis=(1, 2))
     counts &= time >= time[0] + SETTLING
+    q, poses = q[counts], poses[counts]
     there = poses
     if not hand.is_floating:
         start = recording.valid.argmax()
         there = robot.palm[start] @ inverse_pose(human.palm[start]) @ poses
     names = [name for name in human.names if name in robot.names]
     human, robot = human.part(counts, names), robot.part(counts, names)
-    q, poses, there = q[counts], poses[counts], there[counts]
     ends = transform_points(inverse_pose(poses), human.points[..., TIP, :])
     touches = np.array([nearest(shape, points).distances for points in ends]) <= SKIN
     if not touches.any():
@@ -65,15 +65,19 @@ def contact_metrics(
     begins = np.diff(touches, axis=0, prepend=False) & touches
     rows = np.arange(len(q))[:, None] * begins
     first = np.maximum.accumulate(rows, axis=0), np.arange(len(names))
+
+    def since(places: Array) -> Array:
+        """Return how far places have moved since each touch began, shape (T, k, 3)."""
+        return places - places[first]
+
     here = transform_points(inverse_pose(there), robot.points[..., TIP, :])
-    slips = lengths(here - here[first] - (ends - ends[first]))[touches]
+    slips = lengths(since(here - ends))[touches]
     # What moves with fingers that stay at their places is carried.
-    stays = touches & (lengths(ends - ends[first]) < _MOVED)
+    stays = touches & (lengths(since(ends)) < _MOVED)
     in_palm = inverse_pose(human.palm) @ poses
-    before = transform_points(in_palm[first[0]], ends[first][:, :, None])[:, :, 0]
-    wanted = (transform_points(in_palm, ends[first]) - before)[stays]
-    tips = robot.local[..., TIP, :]
-    made = (tips - tips[first])[stays]
+    carried = transform_points(in_palm, ends[first])
+    wanted = (carried - human.local[..., TIP, :][first])[stays]
+    made = since(robot.local[..., TIP, :])[stays]
     size = (wanted**2).sum()
     is_moved = size > _MOVED**2 * len(wanted)
     return {
