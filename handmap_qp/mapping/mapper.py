@@ -52,7 +52,38 @@ from .method import (
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
 
-class HandMapper:
+class Mover:
+    """Base of what moves a robot by a solver, its `point_ik`."""
+
+    point_ik: PointIk
+    # A shallow copy would move the same robot.
+    __copy__ = deepcopy
+
+    @property
+    def ik(self) -> IkOptions:
+        """Weights and settings of the QP."""
+        return self.point_ik.options
+
+    @property
+    def motion(self) -> Motion:
+        """How the robot moves. Set it where something else has moved the robot."""
+        return self.point_ik.gate.motion
+
+    @motion.setter
+    def motion(self, motion: Motion) -> None:
+        self.point_ik.gate.motion = motion
+        self._was_moved()
+
+    def _was_moved(self) -> None:
+        """Go on from where something else has moved the robot."""
+
+    def release(self) -> None:
+        """Release the robot: it brakes and holds still until `clutch`, whatever the human does."""
+        self._is_released = True
+        self.core = None
+
+
+class HandMapper(Mover):
     """Turns the motion of a human hand into the motion of a robot hand.
 
     The first sample is the reference unless `reset` has given one. There the robot is at rest with
@@ -130,28 +161,13 @@ class HandMapper:
         self.tasks: tuple[Task, ...] = tuple(tasks)
         self.reset()
 
-    # A shallow copy would move the same robot.
-    __copy__ = deepcopy
-
     @property
     def robot(self) -> Hand:
         """The hand that follows, with the reference points that the method moves."""
         return self.bound.robot
 
-    @property
-    def ik(self) -> IkOptions:
-        """Weights and settings of the QP."""
-        return self.point_ik.options
-
-    @property
-    def motion(self) -> Motion:
-        """How the robot moves. Set it where something else has moved the robot."""
-        return self.point_ik.gate.motion
-
-    @motion.setter
-    def motion(self, motion: Motion) -> None:
+    def _was_moved(self) -> None:
         self._awaits_palm = False
-        self.point_ik.gate.motion = motion
 
     @property
     def reference(self) -> HumanPose | None:
@@ -427,11 +443,6 @@ class HandMapper:
         self._awaits_palm = awaits_palm
         self.clutch()
         self._reference = reference
-
-    def release(self) -> None:
-        """Release the robot: it brakes and holds still until `clutch`, whatever the human does."""
-        self._is_released = True
-        self.core = None
 
     def clutch(self) -> None:
         """Make the next sample the reference; the robot continues from its present posture."""

@@ -11,7 +11,6 @@ near each other, the robot's have their offset, too.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from copy import deepcopy
 from functools import lru_cache
 from operator import attrgetter
 from time import perf_counter
@@ -44,7 +43,7 @@ from handmap_qp.se3 import (
     smoothstep,
     transform_points,
 )
-from .mapper import HandMapper, check_dt, check_joints, posture_of, stages_of
+from .mapper import HandMapper, Mover, check_dt, check_joints, posture_of, stages_of
 from .method import HumanPose, MapStep, Method, Stages, TargetMap, Targets
 from .palm import PalmMap
 
@@ -199,7 +198,7 @@ class RobotStep(MapStep, frozen=True, kw_only=True):
         return next(filter(None, reasons), "")
 
 
-class RobotMapper:
+class RobotMapper(Mover):
     """Turns the motion of a person's hands into the motion of a robot.
 
     The first sample of each hand is its reference; the robot is at rest there. A copy continues
@@ -218,6 +217,7 @@ class RobotMapper:
         leaders: The mapping of each hand. Its reference and clutch are its own.
         point_ik: The robot's present posture and the QP. Read it only: changing it breaks the
             mapper.
+        core: The compiled core's `RobotMover`; None where Python has to look at the next samples.
 
     Raises:
         InvalidOptionsError: As of `HandMapper`.
@@ -252,9 +252,6 @@ class RobotMapper:
         self._join()
         self.reset()
 
-    # A shallow copy would move the same robot.
-    __copy__ = deepcopy
-
     @property
     def human(self) -> Hand:
         """The first hand that leads; joints and points of the others have the same names."""
@@ -265,19 +262,7 @@ class RobotMapper:
         """The robot as one hand, with the reference points of all that the methods move."""
         return self.point_ik.hand
 
-    @property
-    def ik(self) -> IkOptions:
-        """Weights and settings of the QP."""
-        return self.point_ik.options
-
-    @property
-    def motion(self) -> Motion:
-        """How the robot moves. Set it where something else has moved the robot."""
-        return self.point_ik.gate.motion
-
-    @motion.setter
-    def motion(self, motion: Motion) -> None:
-        self.point_ik.gate.motion = motion
+    def _was_moved(self) -> None:
         for leader in self.leaders.values():
             if leader.is_staying:
                 leader.stay()
@@ -346,7 +331,7 @@ class RobotMapper:
         dt: float | None,
     ) -> RobotStep:
         """Map samples as they come in, by the readers that leaders have under a name."""
-        core = self._core
+        core = self.core
         # None for samples that Python has to look at.
         step = core and core.map(reader, numbers, wrists, dt, self._worlds())
         if step:
@@ -428,10 +413,10 @@ class RobotMapper:
             )
             tasks = self._together([each.map for each in asked], targets, persons)
             return self._stages(asked, targets, self._solved(asked, targets, tasks, dt))
-        self._core = self._core or core.robot_mover(
+        self.core = self.core or core.robot_mover(
             self._pinching, self.leaders, self._turns_in
         )
-        return self._core.move(asked, times, worlds, dt)
+        return self.core.move(asked, times, worlds, dt)
 
     def _worlds(self) -> list[Array]:
         """Return where each hand's world is from the base; nothing if that has not moved."""
@@ -532,7 +517,7 @@ class RobotMapper:
         self.point_ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
         self._pinching = pinching
         self._own = whole.finger_joints
-        self._core: Any = None
+        self.core: Any = None
         for leader in leaders:
             leader.join(self.point_ik)
 
@@ -564,11 +549,6 @@ class RobotMapper:
             q = check_joints(whole, robot_q, "robot_q")[0]
         self.point_ik.place(whole.configuration_vector(q))
         self.clutch()
-
-    def release(self) -> None:
-        """Release the robot: it brakes and holds still until `clutch`, whatever the hands do."""
-        self._is_released = True
-        self._core = None
 
     def clutch(self) -> None:
         """Make the next sample of each hand its reference; the robot continues from here."""
