@@ -9,7 +9,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handmap_qp.hands import PARALLEL, Finger, Hand, PalmKinematics, ends_of, nearing
+from handmap_qp.hands import (
+    PARALLEL,
+    Finger,
+    Hand,
+    PalmKinematics,
+    ends_of,
+    nearing,
+)
 from handmap_qp.se3 import Array, lengths, unit
 
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
@@ -53,7 +60,10 @@ class HandFlexion:
     """
 
     def __init__(
-        self, robot: Hand, fingers: Sequence[Finger], palmar: Array = _UNKNOWN
+        self,
+        robot: Hand,
+        fingers: Sequence[Finger],
+        palmar: Array = _UNKNOWN,
     ) -> None:
         self._fingers = fingers
         self._view = PalmKinematics(robot)
