@@ -397,20 +397,18 @@ def check_pinches(hand: Hand) -> Found:
         yield advice("points", "no point is on a thumb: pinches are not mapped")
         return
     thumb = fingers.pop(THUMB)
-    gaps = [_gap(hand, finger, thumb, pads) for finger in fingers.values()]
-    touched = [*compress(fingers, np.array(gaps) < _TOUCHING)]
-    rows = [
-        {
-            "thumb and": name,
-            "nearest, mm between pads": round(1e3 * max(0.0, gap), 1),
-            "touch": "yes" if name in touched else "no",
-        }
-        for name, gap in zip(fingers, gaps, strict=True)
-    ]
-    yield "Pinches", rows
-    if touched:
+    gaps = np.array([_gap(hand, each, thumb, pads) for each in fingers.values()])
+    touches = gaps < _TOUCHING
+    columns = {
+        "thumb and": fingers,
+        "nearest, mm between pads": (1e3 * gaps).clip(0.0).round(1),
+        "touch": np.where(touches, "yes", "no"),
+    }
+    yield "Pinches", rows_of(columns)
+    if touches.any():
+        touched = compress(fingers, touches)
         yield fine("points", f"the thumb can touch {', '.join(touched)}")
-    elif gaps:
+    elif fingers:
         gap, nearest = min(zip(gaps, fingers, strict=True))
         what = f"the thumb touches no finger; nearest is the {nearest}, {1e3 * gap:.0f} mm away"
         finding = warning if gap > _OPPOSING else advice

@@ -85,11 +85,12 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     )
     count = len(links)
     indices: Any = table.get("target_link_human_indices")
-    if kind == "vector" and isinstance(indices, list) and len(indices) == 2:
+    match kind, indices:
         # It has two rows of indices: where vectors begin, and where they end.
-        indices = indices[1]
-    elif kind == "dexpilot":
-        indices = TIPS[:count].tolist()
+        case "vector", [_, ends]:
+            indices = ends
+        case "dexpilot", _:
+            indices = TIPS[:count].tolist()
     indices = setting(
         "target_link_human_indices",
         Annotated[list[_Index], Meta(min_length=count, max_length=count)],
