@@ -246,8 +246,7 @@ class Anatomy:
         steps = -np.diff([bases[label] for label in FINGERS if label in bases])
         # Names count if all steps are to one side, and none is too small to tell.
         named = np.sign(steps.sum())
-        if not (named * steps > 0.5 * _NARROW).all():
-            named = 0.0
+        named *= (named * steps > 0.5 * _NARROW).all()
         # Where the thumb's base and tip are on one side, in half widths of the palm.
         ends = np.zeros(2)
         if len(rest) > 1:
@@ -307,14 +306,13 @@ class Anatomy:
         elif declared:
             answer = declared
             why = f"the ranges of the joints suggest {found}"
-            turned = 0.4
-            sure = _DISPUTED
+            sure = 0.4
             if not is_clear:
                 why = "flexion is symmetric"
-                turned = min(_LIKELY, radial.confidence)
                 sure = 0.9 if given else min(_LIKELY, least)
             how = f"{source}; {why}"
             back = f"the back of a {declared} hand with its thumb there; {why}"
+            turned = min(_LIKELY, sure)
             dorsal = Clue("dorsal", -dorsal.answer + 0.0, back, turned, 0.0)
         return dorsal, Clue("side", answer, how, sure)
 
@@ -380,8 +378,7 @@ def _confirmed(dorsal: Clue) -> Clue:
     """Return a dorsal direction with which the side agrees."""
     if dorsal.sign <= 0.05:
         return dorsal
-    is_likely = dorsal.sign > 0.6 and dorsal.confidence >= _LIKELY
-    sure = max(dorsal.confidence, _CERTAIN if is_likely else _LIKELY)
+    sure = _CERTAIN if dorsal.confidence >= _LIKELY else _LIKELY
     return dorsal._replace(how=f"{dorsal.how}; the side agrees", confidence=sure)
 
 
