@@ -28,6 +28,7 @@ from handmap_qp.errors import (
     InvalidOptionsError,
     did_you_mean,
     expect,
+    warn,
 )
 
 
@@ -141,18 +142,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except HandmapError as error:
         if isinstance(error, InvalidInputError | InvalidOptionsError):
             error = in_words_of_the_command_line(error, words)
-        print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
+        warn(" ".join(str(error).split()))
         return 1 if isinstance(error, DiskFullError) else 2
     except ImportError as error:
         if not (problem := _missing_library(error)):
             raise
-        print(f"handmap: {problem}", file=sys.stderr)
+        warn(problem)
         return 2
     except BrokenPipeError:
         # The reader closed stdout (`| head`): end quietly, also when Python flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
-        print("handmap: interrupted, nothing was written", file=sys.stderr)
+        warn("interrupted, nothing was written")
         return 130
     return 0
 

@@ -8,6 +8,7 @@ one leaves its object as it was.
 import copyreg
 import difflib
 import importlib
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -238,6 +239,11 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
 def reason_of(error: Exception) -> str:
     """Return an error's text in one line, without the number and file name that `OSError` adds."""
     return " ".join((getattr(error, "strerror", None) or str(error)).split())
+
+
+def warn(text: str) -> None:
+    """Print a line for the user on stderr."""
+    print(f"handmap: {text}", file=sys.stderr)
 
 
 def describe_value(value: Any) -> str:

@@ -5,7 +5,6 @@ import os
 import re
 import resource
 import signal
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ from tyro.conf import Positional, arg
 from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_table, progress
-from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_qp.errors import InvalidInputError, RecordingError, expect, warn
 from handmap_qp.hands import Names, load_whole
 from handmap_qp.output_files import make_folder
 from handmap_qp.trackers import first_of
@@ -207,10 +206,7 @@ class Batch:
             print(f"wrote {written}")
         if not tally.is_complete:
             left = f"{len(plan.jobs) - len(tally.lines)} recordings are left"
-            print(
-                f"handmap: interrupted, {left}: run the same command to go on",
-                file=sys.stderr,
-            )
+            warn(f"interrupted, {left}: run the same command to go on")
 
 
 @dataclass(frozen=True)
@@ -385,8 +381,7 @@ def _cpu_time() -> float:
 def _warn(names: Sequence[object], what: str, problem: str) -> None:
     """Say in one line of stderr what is wrong with some of many, unless there are none."""
     if names:
-        shown = f"{len(names)} {what} {problem}: {first_of(names, 3)}"
-        print(f"handmap: {shown}", file=sys.stderr)
+        warn(f"{len(names)} {what} {problem}: {first_of(names, 3)}")
 
 
 def _shard(text: str | None) -> Shard:

@@ -1,6 +1,5 @@
 """`handmap compare`: from the words of the command line to tables, JSON and pictures."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
@@ -25,7 +24,7 @@ from handmap_qp.apps.arguments import (
 from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.tables import progress
-from handmap_qp.errors import expect
+from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Hand, Names, Values, load_hand
 from handmap_qp.human import Person, read_person
 from handmap_qp.output_files import make_folder, writing
@@ -262,7 +261,7 @@ def _takes(
         "RECORDING", [one.name for one in recordings], "files of different names"
     )
     if turned := [one.name for one in recordings if one.side != side]:
-        print(f"handmap: {_mirrored(robot)}: {', '.join(turned)}", file=sys.stderr)
+        warn(f"{_mirrored(robot)}: {', '.join(turned)}")
     takes = []
     for i, recording in enumerate(recordings):
         say(i, f"measuring the hand of {recording.name} ({i} of {len(recordings)})")
@@ -308,8 +307,7 @@ def _write(
         poses.unlink(missing_ok=True)
         missing = draw_poses(poses, comparison)
     if not poses.exists():
-        shown = f"handmap: no contact sheet; not shown: {', '.join(missing)}"
-        print(shown, file=sys.stderr)
+        warn(f"no contact sheet; not shown: {', '.join(missing)}")
         files.remove(poses)
     return files
 
