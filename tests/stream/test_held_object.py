@@ -462,6 +462,17 @@ def test_other_presets_map_the_hand_alone() -> None:
     assert one.object_pose is None
 
 
+def test_an_object_that_is_left_out_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["map", "held", "--robot", "allegro_right", "--out"]
+    assert cli.main([*words, str(tmp_path / "one.npz")]) == 0
+    assert "without the object" not in capsys.readouterr().err
+    other = [*words, str(tmp_path / "two.npz"), "--preset", "object"]
+    assert cli.main(other) == 0
+    assert "allegro_right is mapped without the object" in capsys.readouterr().err
+
+
 def test_a_recording_with_an_object_comes_with_the_package() -> None:
     recording = read_recording("held")
     assert recording.object_pose is not None

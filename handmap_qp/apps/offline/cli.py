@@ -20,7 +20,7 @@ from handmap_qp.apps.arguments import (
     read_robot,
 )
 from handmap_qp.apps.tables import print_table, progress
-from handmap_qp.errors import expect
+from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Hand, Values
 from handmap_qp.human import PALM, Recording, write_person
 from handmap_qp.mapping import alignment_from_gestures
@@ -29,6 +29,9 @@ from handmap_qp.stream import measure_person
 from handmap_qp.trackers import SIDES, save_npz
 from .look_ahead import map_hands
 from .summary import notes, summarise, table_rows
+
+_TOUCHES = "teleoperation of one hand, with a wrist that moves, at scale 1"
+"""What can map an object."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,8 @@ class Map:
             _, trajectory, method, _ = map_hands(
                 used, robot, person, self.arguments, advance
             )
+        if trajectory.object_pose is None and any(each.object_shape for each in used):
+            warn(f"{robot.name} is mapped without the object: {_TOUCHES} touches it")
         save_npz(out, trajectory.all_columns)
         return {
             "recording": " and ".join(each.name for each in used),
