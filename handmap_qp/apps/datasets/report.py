@@ -285,7 +285,7 @@ def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[P
                 [(robot.name, robot)], own, side=robot.side, title="worst episodes"
             )
             files.append(out / f"worst_{robot.name}.png")
-            figure.savefig(files[-1], dpi=100)
+            figure.savefig(files[-1])
     return files
 
 

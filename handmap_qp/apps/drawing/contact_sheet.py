@@ -276,7 +276,7 @@ def save_contact_sheet(
     figure = contact_sheet(
         columns, rows, side=recording.side, title=recording.name, footnote=footnote
     )
-    figure.savefig(file, dpi=_DPI)
+    figure.savefig(file)
     return Path(file)
 
 

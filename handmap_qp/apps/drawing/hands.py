@@ -234,30 +234,30 @@ def save_panels(
     """
     width, height = size
     share = 1.0 / len(panels)
+    inches = 0.01 * width / share, 0.01 * (height + _TITLE)
     figure = require("matplotlib.figure", "plot").Figure(
-        figsize=(0.01 * width / share, 0.01 * (height + _TITLE)), dpi=100
+        inches, dpi=100, facecolor="white"
     )
     for i, (caption, draw) in enumerate(panels.items()):
         axes = figure.add_axes((i * share, 0.0, share, height / (height + _TITLE)))
         draw(axes)
         axes.text(0.5 * width, 13, caption, ha="center", va="top", color="0.35")
     figure.text(0.5, 0.975, title, ha="center", va="center", fontsize=12)
-    save_picture(figure, path, facecolor="white")
+    save_picture(figure, path)
 
 
-def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
+def save_picture(figure: Figure, path: Path) -> None:
     """Write a figure into the file that `--picture` names.
 
     Args:
         figure: The figure.
         path: The file; its suffix names the format.
-        settings: Of `Figure.savefig`.
 
     Raises:
         InvalidInputError: If the file cannot be written.
     """
     try:
-        figure.savefig(path, **settings)
+        figure.savefig(path)
     except (OSError, ValueError) as error:
         raise InvalidInputError(
             f"cannot write {path}: {error}", argument="--picture", value=str(path)

@@ -135,7 +135,7 @@ def draw_match(match: Match, path: Path) -> None:
     rows = [SheetRow("human at rest", "", landmarks, (robot.rest, match.q))]
     columns = [(f"{robot.name}, rest", robot), (f"{robot.name}, matched", robot)]
     figure = contact_sheet(columns, rows, side=robot.side)
-    save_picture(figure, path, dpi=figure.dpi)
+    save_picture(figure, path)
 
 
 class _Scene:
