@@ -409,20 +409,20 @@ class ConvertedMjcf:
         size = model.geom_size[geom]
         pose = _pose(model.geom_pos[geom], model.geom_quat[geom])
         kind = mujoco.mjtGeom(int(model.geom_type[geom])).name
+        ball = set_numbers(Element("sphere"), radius=size[0])
         match kind := kind.removeprefix("mjGEOM_").lower():
             case "mesh" | "sdf":
                 yield pose, self._mesh(int(model.geom_dataid[geom]))
             case "box":
                 yield pose, set_numbers(Element("box"), size=2.0 * size)
             case "sphere":
-                yield pose, set_numbers(Element("sphere"), radius=size[0])
+                yield pose, ball
             case "cylinder" | "capsule":
                 cylinder = Element("cylinder")
                 yield pose, set_numbers(cylinder, radius=size[0], length=2.0 * size[1])
                 # URDF has no capsules.
                 for sign in (-1.0, 1.0) if kind == "capsule" else ():
-                    end = affine(np.eye(3), (0.0, 0.0, sign * size[1]))
-                    yield pose @ end, set_numbers(Element("sphere"), radius=size[0])
+                    yield pose @ affine(np.eye(3), (0.0, 0.0, sign * size[1])), ball
             case "ellipsoid":
                 file = f"{self._folder}/unit_sphere.stl"
                 self.meshes.setdefault(file, trimesh.creation.icosphere())

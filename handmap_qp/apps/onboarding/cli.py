@@ -334,9 +334,10 @@ class HandsInit:
         spec = replace(found.spec, urdf=source.reference, name=name)
         if (speed := self.speed) is not None:
             expect(speed > 0.0, "--speed", "a speed > 0", value=speed)
-            limits = {name: spec.limits.get(name, LimitSpec()) for name in spec.joints}
-            fast = {k: replace(own, velocity=speed) for k, own in limits.items()}
-            spec = replace(spec, limits=spec.limits | fast)
+            limits = dict.fromkeys(spec.joints, LimitSpec()) | spec.limits
+            for joint in spec.joints:
+                limits[joint] = replace(limits[joint], velocity=speed)
+            spec = replace(spec, limits=limits)
         found = found._replace(spec=spec, notes=(*source.notes, *found.notes))
         check_free(out, overwrite=self.overwrite)
         write_hand(found, out)
