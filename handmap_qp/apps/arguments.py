@@ -123,11 +123,9 @@ class InputArguments:
         try:
             recording = read_recording(path, self.side or wanted)
         except RecordingError as error:
-            hint = layout_hint(path)
-            if not hint:
-                raise
-            problem = f"{error.problem}; {hint}"
-            raise RecordingError(problem, file=error.file, array=error.array) from error
+            if hint := layout_hint(path):
+                error.problem += f"; {hint}"
+            raise
         if self.side is not None and recording.side != self.side:
             raise InvalidInputError(
                 f"{path} says that it is of a {recording.side} hand",
