@@ -205,7 +205,7 @@ def parse(arguments: Sequence[str]) -> Command:
     words = list(arguments)
     firsts = (" ".join(words[:2]), *words[:1])
     name = next(filter(COMMANDS.__contains__, firsts), None)
-    if name is None:
+    if not name:
         _answer_without_command(words)
     command = COMMANDS[name].load()
     # Options of a method had the name of one in front, before methods could be added.
@@ -223,7 +223,7 @@ def parse(arguments: Sequence[str]) -> Command:
             prog = f"handmap {name}"
             return tyro.cli(command, prog=prog, description=about, args=rest)
     except SystemExit as end:
-        if (cause := _cause(end)) is not None:
+        if cause := _cause(end):
             raise cause from None
         if end.code:
             _print_page(_without_types(message.getvalue()), sys.stderr)

@@ -117,7 +117,7 @@ class InputArguments:
                 like (`handmap_qp.trackers.plausibility`).
         """
         if self.layout is not None:
-            lengths = None if person is None else read_person(person).lengths
+            lengths = read_person(person).lengths if person else None
             layout = load_layout(self.layout)
             return read_with_layout(path, layout, self.side, lengths)
         try:
@@ -126,7 +126,7 @@ class InputArguments:
             if hint := layout_hint(path):
                 error.problem += f"; {hint}"
             raise
-        if self.side is not None and recording.side != self.side:
+        if self.side and recording.side != self.side:
             raise InvalidInputError(
                 f"{path} says that it is of a {recording.side} hand",
                 argument="--side",
@@ -167,7 +167,7 @@ class InputArguments:
 
 def person_of(recordings: Sequence[Recording], file: Path | None) -> Person:
     """Return the person of recordings: from a file, or measured if none is given."""
-    return measure_person(*recordings) if file is None else read_person(file)
+    return read_person(file) if file else measure_person(*recordings)
 
 
 def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
@@ -302,7 +302,7 @@ class MappingArguments:
         Raises:
             InvalidOptionsError: If an option is given that the preset does not have.
         """
-        saved = {} if self.options is None else read_options(self.options)
+        saved = read_options(self.options) if self.options else {}
         own = _given(self.method)
         calm = SMOOTH_IK if self.smooth else {}
         name = saved.pop("preset", None) if self.preset is None else self.preset

@@ -70,7 +70,7 @@ def extras() -> dict[str, str]:
     for requirement in metadata.requires(_PACKAGE) or []:
         parts = re.match(r"([\w.-]+).*extra == ['\"]([\w-]+)['\"]", requirement)
         # `all` repeats the others.
-        if parts is None or parts[2] == "all":
+        if not parts or parts[2] == "all":
             continue
         missing = found.setdefault(parts[2], [])
         if _version(parts[1]) == "not installed":

@@ -386,7 +386,7 @@ class CollisionLimit:
     ) -> None:
         spec = hand.spec.collision
         if pairs is None:
-            if spec is None:
+            if not spec:
                 raise InvalidOptionsError(
                     option="avoids_self_collision",
                     problem=f"{hand.name} names no links to keep apart",

@@ -556,7 +556,7 @@ class Gate:
 
     def _met_on(self, displacement: Array, times: Array, dt: float) -> NearPairs | None:
         """Return what meets in a displacement and the stop behind it; None if nothing does."""
-        if self.collisions is None:
+        if not self.collisions:
             return None
         whole = (1.0 + 0.5 * times / dt) * displacement
         whole = np.where(self.limits.together, whole, 0.0)

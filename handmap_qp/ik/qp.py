@@ -283,7 +283,7 @@ class PointIk:
         )
         self.core = ik.compiled.compile_ik(hand, options, self.gate)
         self._mover = self.core
-        if options.takes_detours and self.core is None:
+        if options.takes_detours and not self.core:
             self._mover = ik.collision.Detours(self, [()] * len(hand.hands))
 
     def __getstate__(self) -> tuple[Any, ...]:

@@ -519,7 +519,7 @@ class HandMapper(Mover):
         """Return what the next sample's wrist pose is needed for; empty if for nothing."""
         bound = self.bound
         needs = bound.needs_wrist
-        if self._reference is None or bound.renews_reference:
+        if not self._reference or bound.renews_reference:
             needs = needs or bound.reference_needs_wrist
         return needs or (_PLACING if self._awaits_palm else "")
 

@@ -166,11 +166,7 @@ class Batch:
     def _assemble(self, options: JobOptions, tally: "Tally") -> Path | None:
         """Write the data set, unless something is left for other shards or another run."""
         lines = [*tally.plan.done, *tally.done]
-        if (
-            self.format == "npz"
-            or self.shard is not None
-            or not (tally.is_complete and lines)
-        ):
+        if self.format == "npz" or self.shard or not (tally.is_complete and lines):
             return None
         robots = {side: options.load_robot(side) for side in options.robots}
         return assemble(lines, self.out, self.format, self.fps, robots)
@@ -202,7 +198,7 @@ class Batch:
         print_table(str(self.out), rows)
         for line in tally.failed[:10]:
             print(f"failed: {line.name}: {line.error}")
-        if written is not None:
+        if written:
             print(f"wrote {written}")
         if not tally.is_complete:
             left = f"{len(plan.jobs) - len(tally.lines)} recordings are left"
@@ -298,7 +294,7 @@ def plan_batch(
     left_alone = []
     for job in listed:
         line = state.get(job.line.key)
-        if line is None or line.version != job.line.version:
+        if not line or line.version != job.line.version:
             jobs.append(job)
         elif line.status == "done" and is_intact(folder, line):
             done.append(line)

@@ -91,7 +91,7 @@ def run_job(job: Job) -> Line:
 
 def _run(job: Job) -> Values:
     """Map one recording, write its episode, and return the results for its line."""
-    if job.source is None:
+    if not job.source:
         raise InvalidInputError(job.line.error)
     side = job.line.side
     options = job.options
@@ -161,11 +161,11 @@ def measure_episode(
         Values by the keys of `MEASURES`, rounded to six digits, the worse one where they differ
         between hands; None where a question does not arise.
     """
-    measure = _measured if core is None else core.measure_episode
+    measure = core.measure_episode if core else _measured
     found = []
     for recording, meter in meters.items():
         found.append(measure(recording, trajectory))
-        if meter is not None:
+        if meter:
             found[-1] |= _surfaces(recording, trajectory, contact_gap, meter)
     rounded = {}
     for each in MEASURES:

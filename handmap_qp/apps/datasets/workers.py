@@ -31,7 +31,7 @@ def start_worker() -> None:
 def _end_with_parent() -> None:
     """End this process when its parent has: it would wait for jobs for ever (CPython 111873)."""
     parent = multiprocessing.parent_process()
-    if parent is not None:
+    if parent:
         parent.join()
         os._exit(1)
 
@@ -66,7 +66,7 @@ def started_pool(count: int) -> Iterator[ProcessPoolExecutor]:
             )
             try:
                 # One that dies here has no recording to blame.
-                if pool.submit(os.getpid).exception() is None:
+                if not pool.submit(os.getpid).exception():
                     yield pool
                     return
             finally:

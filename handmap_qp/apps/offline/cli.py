@@ -127,7 +127,7 @@ class Map:
     def _out(self, recording: Recording, robot: Hand) -> Path:
         """Check the file to write."""
         out = Path(f"{recording.name}_{robot.name}.npz")
-        if self.out is not None:
+        if self.out:
             out = self.out / out if self.robots else self.out
         if self.robots:
             make_folder(out.parent, "--out")

@@ -122,15 +122,15 @@ class Compare:
         """
         expect(self.recordings, "RECORDING", "at least one file", got="none")
         robot = load_hand(self.robot)
-        person = None if self.person is None else read_person(self.person)
+        person = read_person(self.person) if self.person else None
         methods = _methods(self)
-        if self.out is not None:
+        if self.out:
             require_matplotlib()
             make_folder(self.out, "--out")
         with progress("comparing") as say:
             takes = _takes(self, robot, person, say)
             comparison = compare_methods(takes, robot, methods, say)
-            written = [] if self.out is None else _write(self.out, comparison, say)
+            written = _write(self.out, comparison, say) if self.out else []
         if self.json:
             print(msgspec.json.encode(results_of(comparison)).decode())
             return
@@ -198,7 +198,7 @@ def results_of(comparison: Comparison) -> Values:
     methods = {method: {"about": ""} for method in comparison.methods}
     runs = {take.name: {} for take in comparison.takes}
     for run in comparison.runs:
-        if run.motion is not None:
+        if run.motion:
             methods[run.method] = {"about": run.motion.about}
         runs[run.take.name][run.method] = {
             "values": run.values,

@@ -450,7 +450,7 @@ def _run(method: ComparedMethod, take: Take, robot: Hand, workspace: ByFinger) -
     )
     if motion.wrist is None:
         fidelity.values.update(palm_deg=np.nan, palm_mm=np.nan)
-    if take.shape is not None:
+    if take.shape:
         found = contact_metrics(
             take.trace, trace, take.recording, take.shape, robot, motion.q
         )

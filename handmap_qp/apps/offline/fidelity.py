@@ -132,10 +132,10 @@ def assess_fidelity(
         values |= compare(h, r)
     values["latency_ms"] = latency(h, r, time[counts])
     pinch_samples = 0
-    if gaps is not None:
+    if gaps:
         pinch_samples, found = gap_metrics(h, gaps, counts)
         values |= found | {"pinch_order": pinch_order(h, r)}
-    if hand is not None and q is not None:
+    if hand and q is not None:
         values |= joint_metrics(hand, q, time, counts, human_q)
     values["workspace"] = workspace_share(r, workspace or {})
     if step_time is not None:

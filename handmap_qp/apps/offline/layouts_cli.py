@@ -49,12 +49,12 @@ class Layouts:
             self._list()
             return
         layout = load_layout(self.layout)
-        if self.template is not None:
+        if self.template:
             out = check_output("--template", self.template, (".yaml", ".yml"))
             check_new("--template", out, advice="name another file")
             with replaced_file(out, "--template") as file:
                 file.write(table_text(self.layout).encode())
-        if self.picture is not None:
+        if self.picture:
             out = check_output("--picture", self.picture, (".png",))
             save_layout_picture(layout, out)
         facts = _facts(layout)
@@ -70,7 +70,7 @@ class Layouts:
     def _list(self) -> None:
         """Print all layouts."""
         for name in ("template", "picture"):
-            if getattr(self, name) is not None:
+            if getattr(self, name):
                 raise InvalidInputError(
                     "needs a layout",
                     argument=f"--{name}",
@@ -82,7 +82,7 @@ class Layouts:
 
 def _summary(layout: Layout) -> Values:
     """Return one row of the list."""
-    wrist = "none" if layout.wrist_table is None else "beside them"
+    wrist = "beside them" if layout.wrist_table else "none"
     if layout.has_wrist:
         wrist = "in the values"
     return {
@@ -108,14 +108,14 @@ def _facts(layout: Layout) -> Values:
         facts["left-handed"] = f"{table.mirror} is negated"
     wrist = layout.wrist_table
     facts["wrist pose"] = "fitted" if layout.has_wrist else "none; fitted to the palm"
-    if wrist is not None:
+    if wrist:
         own = f"of the joint {wrist.joint}"
         facts["wrist pose"] = [
             own if layout.has_wrist else "given beside the values",
             *(
                 f"{side}: fingers along {axes.distal}, back of the hand along {axes.dorsal}"
                 for side in ("right", "left")
-                if (axes := getattr(wrist, side)) is not None
+                if (axes := getattr(wrist, side))
             ),
         ]
         facts["quaternions"] = getattr(table, "quaternion", wrist.quaternion)

@@ -171,7 +171,7 @@ def map_hands(
     Raises:
         HandmapError: If a recording cannot be mapped.
     """
-    if smoother is not None:
+    if smoother:
         recordings = [look_ahead(recording, smoother) for recording in recordings]
     used = {recording.side: recording for recording in recordings}
     humans = {
@@ -183,7 +183,7 @@ def map_hands(
     first = recordings[0]
     human = humans[first.side]
     choice = arguments.preset_for(human, robot.hands[0], first.upright)
-    ik = choice.ik if smoother is None else choice.ik.replaced(**SMOOTH_IK)
+    ik = choice.ik.replaced(**SMOOTH_IK) if smoother else choice.ik
     if not robot.parts:
         mapper = HandMapper(human, robot, choice.method, ik=ik)
         trajectory = map_recording(mapper, first, progress)

@@ -106,7 +106,7 @@ class GapMeter:
     ) -> Array:
         """Measure the least distances, at most `most`, of g groups from `starts` on [m], (T, g)."""
         hand = self._hand
-        if (tree := core_tree(hand)) is not None:
+        if tree := core_tree(hand):
             pairs = pair_bounds(hand.model, geometry)
             return tree.smallest_distances(pairs.core, q, starts, most)
         groups = np.split(pair_distances(hand, geometry, q), starts[1:], axis=1)

@@ -187,10 +187,10 @@ def trajectory_of(
     objects = np.full((len(time), 4, 4), np.nan)
     for i in range(len(time)):
         started = thread_time()
-        if (step := next(mapped)) is not None:
+        if step := next(mapped):
             table.write(i, step, thread_time() - started)
             objects[i] = step.diagnostics.get("object_pose", np.nan)
-        if progress is not None:
+        if progress:
             progress(i + 1)
     made = _trajectory(robot, time, table)
     is_known = np.isfinite(objects[:, 0, 0])

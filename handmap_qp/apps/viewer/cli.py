@@ -104,17 +104,17 @@ class View:
         self._refuse_unused_options()
         if self.live is not None:
             self._show_live(self.live)
-        elif self.recording is not None:
+        elif self.recording:
             if self.robot is None:
                 raise InvalidInputError(
                     "missing",
                     argument="--robot",
                     advice="name a hand that `handmap hands list` prints",
                 )
-            if self.html is not None:
+            if self.html:
                 check_output("--html", self.html, (".html", ".htm"))
             replay = self.replay(self.recording, self.robot)
-            if self.html is None:
+            if not self.html:
                 with self._serving() as server:
                     run_frames(ReplayViewer(server, replay).tick)
                 return
@@ -129,7 +129,7 @@ class View:
         usual = vars(View())
         values = vars(self) | vars(self.inputs) | dict.fromkeys(changed, "given")
         problems = dict.fromkeys(("session", "keys"), "needs --live")
-        if self.html is not None:
+        if self.html:
             problems |= dict.fromkeys(
                 ("host", "port", "open"), "has no effect with --html"
             )
@@ -179,7 +179,7 @@ class View:
 
     def replay(self, file: Path, name: str) -> Replay:
         """Return a recording mapped to a robot, as the view shows it."""
-        files = [file] if self.other is None else [file, self.other]
+        files = [file, self.other] if self.other else [file]
         robot, recordings = read_robot(name, files, self)
         lengths = person_of(recordings, self.person).lengths
         motions = [fit_recording(each, lengths=lengths) for each in recordings]
@@ -198,6 +198,6 @@ class View:
         choice = self.arguments.preset_for(humans[0], robot.hands[0], upright)
         first, *others = zip(recordings, motions, strict=True)
         replay = Replay(*first, human, robot, choice, *others)
-        if compared is not None:
+        if compared:
             replay.compare(compared)
         return replay

@@ -161,7 +161,7 @@ class SteeringControls:
         )
         self._lists = {"preset": _Control(self.preset)}
         self.compare = self.keep = None
-        if compared is not None:
+        if compared:
             self.compare = gui.add_dropdown(
                 "compare with",
                 (NOTHING, *presets, KEPT),
@@ -265,7 +265,7 @@ class OptionControls:
             )
         if option.choices:
             return self._list(option, label)
-        if option.range is not None:
+        if option.range:
             return self._slider(option, label, *option.range)
         handle = self._gui.add_text(label, _as_text(option.default), hint=hint)
         return _Control(handle, _as_text, _from_text)

@@ -183,7 +183,7 @@ class Figure:
 
     def _room(self, sample: ViewSample) -> Array | None:
         """Return the room of one instant, as `room`; None if nothing is known."""
-        if (place := self.place_of(sample.parts[self.part])) is None:
+        if not (place := self.place_of(sample.parts[self.part])):
             return None
         centre, corners = place
         middle = self.axes @ centre
@@ -315,13 +315,13 @@ class HandFigure(Figure):
 
     def place_of(self, sample: ViewSample) -> tuple[Array, Array] | None:
         """Return the hand's centre and corners of its links' boxes, or those of its points."""
-        if (posture := self.posture(sample)) is None:
+        if not (posture := self.posture(sample)):
             return super().place_of(sample)
         return transform_points(posture[1], self._focus), self._boxes(*posture)
 
     def tips(self, sample: ViewSample) -> Array | None:
         """Return the tips of the posture."""
-        if (posture := self.posture(sample)) is None:
+        if not (posture := self.posture(sample)):
             return None
         return self._tips.points(posture[0], self._pose(posture[1]))
 
@@ -330,7 +330,7 @@ class HandFigure(Figure):
         super().draw(sample)
         posture = self.posture(sample)
         self._body.visible = posture is not None
-        if posture is not None and self._links:
+        if posture and self._links:
             # Links are placed relative to the first one: those that do not move in the hand are
             # sent once.
             q, wrist = posture
@@ -466,7 +466,7 @@ class RobotFigure(HandFigure):
         """Draw the hand, its points, targets and object, and write its name and state."""
         super().draw(sample)
         self._targets.move(sample.targets)
-        if self._solid is not None and sample.object_pose is not None:
+        if self._solid and sample.object_pose is not None:
             _place(self._solid, sample.object_pose)
         lines = self.hand.name, self.label, state_text(sample)
         self._label.text = "\n".join(filter(None, lines))

@@ -78,7 +78,7 @@ class InstantGauges:
         self.labels = [variant.label for variant in variants]
         self._robot = robot = variants[0].robot
         self._groups = joints_by_finger(robot)
-        self._contact_gap = CONTACT_GAP if human is None else human.contact_gap
+        self._contact_gap = human.contact_gap if human else CONTACT_GAP
         try:
             self._measures = [GapMeter(hand).pinches for hand in robot.hands]
         except HandError:

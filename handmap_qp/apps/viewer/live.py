@@ -105,7 +105,7 @@ class LiveViewer(Window):
         source = self._source
         if has_ended := self._reading.done():
             self._reading.result()
-        if self.steering is not None:
+        if self.steering:
             self._steer(self.steering)
         if source.choice != self._shown:
             # Another preset or options, whichever client chose them.

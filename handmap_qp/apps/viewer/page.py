@@ -85,7 +85,7 @@ def make_page(
 
 def _option_table(variant: Variant) -> str:
     """Return the options of a robot's method as HTML; those that are no defaults are marked."""
-    if variant.choice is None:
+    if not variant.choice:
         return ""
     parts = (variant.choice.method, variant.choice.ik)
     rows = "".join(

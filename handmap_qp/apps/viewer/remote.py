@@ -141,7 +141,7 @@ class ServiceSession:
                 except ServiceError:
                     # The service refused a sample of its client; the client gets the error.
                     continue
-                if command is None:
+                if not command:
                     continue
                 if not self._is_as_before(command):
                     self._update_status()
@@ -154,7 +154,7 @@ class ServiceSession:
                         argument="--robot",
                         value=self.robot.name,
                     )
-                if (sample := self._sample(command)) is not None:
+                if sample := self._sample(command):
                     yield sample
 
     @property

@@ -79,7 +79,7 @@ class HandScene:
         server.scene.add_grid("/floor", **_FLOOR)
         self.cameras = BrowserCameras(server)
         self._people: list[tuple[LandmarkFigure, HumanFigure]] = []
-        hands = () if human is None else human.hands
+        hands = human.hands if human else ()
         # From the right hand on, as they are seen.
         for place, hand in enumerate(reversed(hands), 1):
             whose = f"_{hand.side}" if hands[1:] else ""
@@ -146,7 +146,7 @@ class HandScene:
             for figure in row:
                 sample = samples[figure.variant].parts[figure.part]
                 figure.draw(sample)
-                if (place := figure.place_of(sample)) is None:
+                if not (place := figure.place_of(sample)):
                     continue
                 centre, _ = place
                 middle = figure.room[0].mean(axis=0)
