@@ -305,8 +305,8 @@ class MappingArguments:
         saved = read_options(self.options) if self.options else {}
         own = _given(self.method)
         calm = SMOOTH_IK if self.smooth else {}
-        name = saved.pop("preset", None) if self.preset is None else self.preset
-        chosen = preset_choice(name or preset_with(own, human, robot), human)
+        name = saved.pop("preset", preset_with(own, human, robot))
+        chosen = preset_choice(self.preset or name, human)
         saved = found_alignment(chosen.method, robot, upright) | saved
         return chosen.with_changes(saved | own | calm | _given(self.ik))
 

@@ -63,6 +63,9 @@ def test_the_command_line_counts_more_than_the_file(file: Path) -> None:
         {"pinch_weight": 2.0, "damping": 0.4, "rest_weight": 0.5}
     )
     assert replace(arguments, preset="teleoperation").preset_for(HUMAN, ROBOT) == choice
+    file.write_text("preset: teleoperation\nrest_weight: 0.5\n")
+    other = replace(arguments, preset="paper").preset_for(HUMAN, ROBOT)
+    assert (other.preset, other.ik.rest_weight) == ("paper", 0.5)
 
 
 def test_every_option_has_one_meaning_in_the_file() -> None:
