@@ -412,3 +412,18 @@ def test_what_a_measurement_contradicts_is_a_guess() -> None:
     assert clues["dorsal"].certainty.startswith("a guess")
     assert clues["dorsal"].how.endswith("but the fingers close elsewhere")
     assert clues["distal"] == next(c for c in found.clues if c.what == "distal")
+
+
+def test_names_of_all_fingers_decide_which_one_is_the_thumb() -> None:
+    made = next(
+        hand
+        for seed in range(50)
+        if (hand := make_hand(np.random.default_rng(seed))).has_names
+        and len(hand.tips) == 4
+    )
+    swapped = made.urdf.replace("thumb", "#").replace("middle", "thumb")
+    found = detect_text(swapped.replace("#", "middle"), Path("x.urdf"))
+    clues = {clue.what: clue for clue in found.clues}
+    assert "thumb" in clues["thumb"].answer
+    # The places say something else, so nobody is sure.
+    assert clues["thumb"].certainty == "likely"

@@ -20,6 +20,7 @@ _CERTAIN = 0.95
 _LIKELY = 0.75
 _DISPUTED = 0.5
 # Score margins of a clear answer, and of one; length of the mean unit vector of fingers that agree.
+_DECISIVE = 5.0
 _CLEAR = 0.3
 _VISIBLE = 0.1
 _AGREED = 0.85
@@ -129,11 +130,12 @@ class Anatomy:
         if count < 2:
             return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
         peaks = [_stands_out(part) for part in _differences(self._flexion)]
-        # The number of joints counts less than the others, a name as much as a clear margin.
+        # The number of joints counts less than the others, a name as much as a clear margin; where
+        # every finger has its own name, they decide.
         sizes = np.array([*map(len, names)])
         is_named = np.array(self._labels) == "thumb"
         scores = 0.5 * sum(peaks) + 0.15 * _stands_out(sizes[:, None] != sizes)
-        scores += _CLEAR * is_named
+        scores += (_DECISIVE if all(self._labels) else _CLEAR) * is_named
         best = int(np.argmax(scores))
         lead = np.diff(np.sort(scores))[-1]
         margin = lead if count > 2 else _CLEAR * is_named.sum()
