@@ -388,8 +388,8 @@ class CollisionLimit:
         if pairs is None:
             if not spec:
                 raise InvalidOptionsError(
+                    f"{hand.name} names no links to keep apart",
                     option="avoids_self_collision",
-                    problem=f"{hand.name} names no links to keep apart",
                     advice="add collision.pairs to its hand.yaml",
                 )
             pairs = named_pairs(hand, spec.pairs)

@@ -140,8 +140,8 @@ class HandMapper(Mover):
     ) -> None:
         if not human.is_floating:
             raise InvalidOptionsError(
+                f"{human.name} has a fixed wrist, and its pose comes with each sample",
                 option="human",
-                problem=f"{human.name} has a fixed wrist, and its pose comes with each sample",
                 advice="load it with mount='floating'",
             )
         one = "one hand; `RobotMapper` takes a robot"
@@ -237,9 +237,7 @@ class HandMapper(Mover):
         if wrist_pose is not None:
             wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         elif needs := self._needs_wrist():
-            raise InvalidInputError(
-                argument="wrist_pose", problem=f"needed for {needs}"
-            )
+            raise InvalidInputError(f"needed for {needs}", argument="wrist_pose")
         measured = as_points(points, "points", len(self.human.reference_points))
         return self.map(HumanPose(measured.copy(), wrist), dt, started=started)
 
@@ -410,8 +408,8 @@ class HandMapper(Mover):
         """
         if (human_q is None) != (wrist_pose is None):
             raise InvalidInputError(
+                "human_q and wrist_pose go together",
                 argument="wrist_pose" if wrist_pose is None else "human_q",
-                problem="human_q and wrist_pose go together",
                 advice="give both or neither",
             )
         robot = self.robot
@@ -422,8 +420,8 @@ class HandMapper(Mover):
         if robot_wrist is not None:
             if not robot.is_floating:
                 raise InvalidInputError(
+                    f"{robot.name} has a fixed wrist, which stays where it is",
                     argument="robot_wrist",
-                    problem=f"{robot.name} has a fixed wrist, which stays where it is",
                     advice="leave it out",
                 )
             wrist = check_pose(robot_wrist, "robot_wrist", self.quat_order)
@@ -540,8 +538,8 @@ class LandmarkReader(Compiled):
         names = [point.name for point in human.reference_points]
         if missing := [name for name in names if name not in LANDMARK_NAMES]:
             raise InvalidOptionsError(
+                f"{', '.join(missing)} cannot be read from landmarks",
                 option="human_points",
-                problem=f"{', '.join(missing)} cannot be read from landmarks",
                 advice="choose reference points among the landmarks, or call map_points",
             )
         self.used = np.array([*map(LANDMARK_NAMES.index, names)])
@@ -687,9 +685,9 @@ def check_joints(
     if not (excess <= tolerance).all():
         i = np.argmax(excess)
         raise InvalidInputError(
-            argument=f"{name}[{i}]",
-            problem=f"{hand.joint_names[i]} is {angles[i]:.6g} rad, expected within "
+            f"{hand.joint_names[i]} is {angles[i]:.6g} rad, expected within "
             f"[{lower[i] - tolerance:.6g}, {upper[i] + tolerance:.6g}]",
+            argument=f"{name}[{i}]",
             value=float(angles[i]),
         )
     return angles, excess

@@ -218,8 +218,8 @@ class MethodOptions(Options, frozen=True):
     def bind(self, human: Hand, robot: Hand) -> BoundMethod:
         """Check the method against two hands; see `Method.bind`."""
         raise InvalidOptionsError(
+            f"{type(self).__name__} has no `bind` for {robot.name}",
             option="method",
-            problem=f"{type(self).__name__} has no `bind` for {robot.name}",
         )
 
 
@@ -541,8 +541,8 @@ class MapStep(ArrayStruct, frozen=True):
         """Return a result of the method by its name in `diagnostics`."""
         if name not in self.diagnostics:
             raise InvalidOptionsError(
+                f"its diagnostics have no {name}",
                 option="method",
-                problem=f"its diagnostics have no {name}",
                 advice=f"there are {', '.join(self.diagnostics) or 'none'}",
             )
         return self.diagnostics[name]

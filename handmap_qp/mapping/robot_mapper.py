@@ -283,8 +283,8 @@ class RobotMapper(Mover):
     def base_pose(self, pose: PoseLike) -> None:
         if not self.robot.has_floating_base:
             raise InvalidOptionsError(
+                f"the base of {self._name} is fixed",
                 option="base_pose",
-                problem=f"the base of {self._name} is fixed",
                 advice="if it moves, say `base: floating` in robot.yaml",
             )
         self._base = check_pose(pose, "base_pose").copy()
