@@ -202,7 +202,7 @@ def parse(arguments: Sequence[str]) -> Command:
         SystemExit: After printing the help, the version, the completions or tyro's message about
             a mistake, which has the exit code 2.
     """
-    words = list(arguments)
+    words = arguments
     firsts = (" ".join(words[:2]), *words[:1])
     name = next(filter(COMMANDS.__contains__, firsts), None)
     if not name:
@@ -232,7 +232,7 @@ def parse(arguments: Sequence[str]) -> Command:
         raise
 
 
-def _answer_without_command(words: list[str]) -> NoReturn:
+def _answer_without_command(words: Sequence[str]) -> NoReturn:
     """Print the page that was asked for and exit, or name the mistake."""
     match words:
         case ["--version"]:

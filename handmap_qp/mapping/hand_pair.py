@@ -180,21 +180,21 @@ class HandPair:
             for chain in self.chains.values()
             for place in (chain.knuckle, chain.tip, chain.middle)
         ]
-        points = points_in_palm(self.robot, self.matched, places).reshape(-1, 3, 3)
-        self.robot_knuckles = frozen(points[self._others, 0].mean(axis=0))
-        self.robot_bases = frozen(points[:, 0])
+        points = points_in_palm(self.robot, self.matched, places)
+        knuckles, tips, middles = points.reshape(-1, 3, 3).swapaxes(0, 1)
+        vectors = tips - knuckles
+        self.robot_knuckles = frozen(knuckles[self._others].mean(axis=0))
+        self.robot_bases = frozen(knuckles)
         self.thumb_likeness = 0.0
         if self._usual:
             # It is the robot's, not a person's.
             self.thumb_likeness = self._usual.thumb_likeness
         elif THUMB in self.fingers and not self.has_jaws:
             resting = self.human_rest[self.tips[0]] - self.human_rest[self.knuckles[0]]
-            robots = points[0, 1] - points[0, 0]
-            cosine = unit(resting).dot(unit(robots))
+            cosine = unit(resting).dot(unit(vectors[0]))
             self.thumb_likeness = float(np.interp(cosine, _LIKE, (0.0, 1.0)))
-        self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
-        spans = lengths(points[:, 1] - points[:, 0])
-        self.robot_extension = frozen(spans / self.robot_reach)
+        self.robot_centre = frozen(0.5 * (tips + middles).mean(axis=0))
+        self.robot_extension = frozen(lengths(vectors) / self.robot_reach)
 
     def solve_matched(self) -> Array:
         """Solve the robot posture whose finger vectors are the resting human's, scaled.

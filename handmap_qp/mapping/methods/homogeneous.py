@@ -189,7 +189,7 @@ def _residual_share(
     return share
 
 
-_NEEDING_WRIST = [("pivot", "palm"), ("alignment", "palm"), ("reference", "rest")]
+_NEEDING_WRIST = [("pivot", "palm"), ("reference", "rest"), ("alignment", "palm")]
 """Choices that need the wrist of the reference sample."""
 
 
@@ -203,8 +203,8 @@ class BoundHomogeneous(PalmMethod):
         self.needs_wrist = "rigid_from='wrist'" if options.rigid_from == "wrist" else ""
         needs = [
             f"{name}={value!r}"
-            for name, value in options.values.items()
-            if (name, value) in _NEEDING_WRIST
+            for name, value in _NEEDING_WRIST
+            if getattr(options, name) == value
         ]
         self.reference_needs_wrist = " and ".join(needs)
         if options.rigid_from != "none" and not robot.has_moving_wrist:

@@ -326,7 +326,7 @@ class BoundJointToJoint(PalmMethod):
             if finger.reach - reaches.min() > _CURLING * finger.reach:
                 return straight[column], reaches[1] <= reaches[0], False
         else:
-            start = robot.zero.copy()
+            start = robot.zero
             if closing and (flexion := finger.flexion):
                 (straight,) = flexion.straight[flexion.columns == column]
                 return straight, closing > 0.0, False
