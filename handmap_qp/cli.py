@@ -202,15 +202,15 @@ def parse(arguments: Sequence[str]) -> Command:
         SystemExit: After printing the help, the version, the completions or tyro's message about
             a mistake, which has the exit code 2.
     """
-    words = arguments
-    firsts = (" ".join(words[:2]), *words[:1])
+    firsts = (" ".join(arguments[:2]), *arguments[:1])
     name = next(filter(COMMANDS.__contains__, firsts), None)
     if not name:
-        _answer_without_command(words)
+        _answer_without_command(arguments)
     command = COMMANDS[name].load()
     # Options of a method had the name of one in front, before methods could be added.
     rest = [
-        re.sub(r"^--teleoperation\.", "--", word) for word in words[len(name.split()) :]
+        re.sub(r"^--teleoperation\.", "--", word)
+        for word in arguments[len(name.split()) :]
     ]
     about = inspect.cleandoc(command.__doc__).partition("\nAttributes:")[0]
     page = _Page(sys.stdout)

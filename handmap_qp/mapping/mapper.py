@@ -151,14 +151,14 @@ class HandMapper(Mover):
         self.human = human
         self.dt = check_dt(dt)
         self.joint_tolerance = joint_tolerance
-        self.quat_order: QuatOrder | None = quat_order
+        self.quat_order = quat_order
         self._given_robot = robot
         if method is None and not options:
             method = default_preset(human, robot)
         self.method, weights = _method_of(method, options)
         self.bound = bound = self.method.bind(human, robot)
         self.point_ik = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
-        self.tasks: tuple[Task, ...] = tuple(tasks)
+        self.tasks = tuple(tasks)
         self.reset()
 
     @property

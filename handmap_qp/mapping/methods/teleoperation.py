@@ -250,7 +250,7 @@ class BoundTeleoperation(PalmMethod):
         """Make the wanted distance of each row a linear function of the human's, within bounds."""
         pair = self.pair
         choices = self.choices
-        human = self.pair.human_rest
+        human = pair.human_rest
         at_rest = lengths(human[pair.tips] - human[pair.knuckles])
         posture = pair.robot_extension - at_rest / pair.human_reach
         # The robot's pads press on each other here.
