@@ -1,8 +1,10 @@
 from . import (
     mjcf as mjcf,
 )
+from .collision_shapes import add_stand_ins as add_stand_ins
 from .collision_shapes import convex_hull as convex_hull
 from .collision_shapes import is_lost as is_lost
+from .collision_shapes import is_missing as is_missing
 from .collision_shapes import parse_with_meshes as parse_with_meshes
 from .collision_shapes import prism_around as prism_around
 from .collision_shapes import read_collision_shapes as read_collision_shapes
@@ -81,7 +83,6 @@ from .spec import read_document as read_document
 from .spec import read_hand_spec as read_hand_spec
 from .spec import read_yaml as read_yaml
 from .spec import typed as typed
-from .stand_ins import add_stand_ins as add_stand_ins
 from .urdf import MOVABLE as MOVABLE
 from .urdf import check_tree as check_tree
 from .urdf import child_of as child_of

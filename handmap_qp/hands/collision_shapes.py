@@ -1,5 +1,7 @@
 """The collision shapes of a hand's URDF, between which Pinocchio and coal measure distances."""
 
+from collections.abc import Callable
+from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -8,16 +10,26 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.se3 import Array
+from handmap_qp.se3 import Array, affine
 from .hand import Hand
 from .sources import urdf_path
-from .stand_ins import add_stand_ins
-from .urdf import get_numbers, parse_urdf, set_mesh_paths
+from .urdf import (
+    edges,
+    get_numbers,
+    origin_of,
+    parse_urdf,
+    set_mesh_paths,
+    set_numbers,
+    set_origin,
+)
 
+_OTHER = {"collision": "visual", "visual": "collision"}
 _PLACEHOLDER = "0.001"
 """Radius of the sphere in the place of a mesh [m]."""
 _SIZES = (5e-4, 2.0)
 """Sizes that a link's mesh may have [m]; others are in another unit."""
+_RADIUS = 0.006
+"""Radius of cylinders and balls in the place of a link's shapes [m]."""
 
 
 def parse_with_meshes(hand: Hand) -> Element:
@@ -59,12 +71,10 @@ def _read(hand: Hand) -> pin.GeometryModel:
     """
     robot = parse_with_meshes(hand)
     try:
-        add_stand_ins(robot, is_lost)
+        add_stand_ins(robot, "collision", is_lost)
         meshes = _take_meshes(robot)
         geometry = pin.buildGeomFromUrdfString(
-            hand.model,
-            tostring(robot, "unicode"),
-            pin.GeometryType.COLLISION,
+            hand.model, tostring(robot, "unicode"), pin.GeometryType.COLLISION
         )
     except (OSError, RuntimeError, ValueError) as error:
         reason = " ".join(str(error).split())
@@ -87,6 +97,50 @@ def _read(hand: Hand) -> pin.GeometryModel:
     return geometry
 
 
+def add_stand_ins(
+    robot: Element, kind: str, is_gone: Callable[[Element], bool]
+) -> None:
+    """Replace shapes whose mesh is gone: a hand can be mapped and drawn without its files.
+
+    A link that has none left of this kind gets those of the other kind. Without them, it gets
+    cylinders from its joint to those that it carries, or a ball.
+
+    Args:
+        robot: The URDF, changed in place.
+        kind: `collision` or `visual`.
+        is_gone: `is_lost` or `is_missing`.
+    """
+
+    def is_whole(shape: Element) -> bool:
+        return not any(map(is_gone, shape.iterfind("geometry/mesh")))
+
+    for link in robot.iterfind("link"):
+        lost = [shape for shape in link.iterfind(kind) if not is_whole(shape)]
+        for shape in lost:
+            link.remove(shape)
+        if lost and link.find(kind) is None:
+            name = link.get("name")
+            ends = [
+                origin_of(e)[:3, 3] for e, parent, _ in edges(robot) if parent == name
+            ]
+            others = deepcopy([*filter(is_whole, link.iterfind(_OTHER[kind]))])
+            for shape in others or map(_along, ends or [np.zeros(3)]):
+                shape.tag = kind
+                link.append(shape)
+
+
+def _along(end: Array) -> Element:
+    """Return a cylinder from a joint to another, shape (3,) [m]; a ball where they coincide."""
+    shape = Element("collision")
+    # A cylinder is along z.
+    turn = pin.Quaternion.FromTwoVectors(np.eye(3)[2], end)
+    set_origin(shape, affine(turn.matrix(), end / 2.0))
+    geometry = SubElement(shape, "geometry")
+    solid = SubElement(geometry, "cylinder" if end.any() else "sphere")
+    set_numbers(solid, radius=_RADIUS, length=np.linalg.norm(end))
+    return shape
+
+
 def _take_meshes(robot: Element) -> dict[str, Element]:
     """Replace meshes by spheres, and return each by its shape's name."""
     meshes = {}
@@ -102,6 +156,11 @@ def _take_meshes(robot: Element) -> dict[str, Element]:
 
 def _scale(mesh: Element) -> Array:
     return np.array(get_numbers(mesh, "scale", 3, "1 1 1"))
+
+
+def is_missing(mesh: Element) -> bool:
+    """Return whether the file of a `<mesh>`, an absolute path, does not exist."""
+    return not Path(mesh.get("filename", "")).is_file()
 
 
 def is_lost(mesh: Element) -> bool:

@@ -1,6 +1,5 @@
 """The shapes of a URDF's links as meshes of trimesh: `read_shapes`."""
 
-import os
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from handmap_qp.hands import (
     add_stand_ins,
     find_mesh,
     get_numbers,
+    is_missing,
     origin_of,
     parse_with_meshes,
     urdf_path,
@@ -42,7 +42,7 @@ def read_shapes(hand: Hand, kind: str) -> dict[str, list[LinkShape]]:
         # Every link gets a stand-in.
         for link in robot.iterfind("link"):
             ET.SubElement(ET.SubElement(ET.SubElement(link, kind), "geometry"), "mesh")
-    add_stand_ins(robot, lambda mesh: not os.path.isfile(mesh.get("filename", "")))
+    add_stand_ins(robot, kind, is_missing)
     folder = urdf_path(hand.spec).parent
     named = {each.get("name"): each for each in robot.iter("material") if len(each)}
     found = {}

@@ -22,6 +22,7 @@ from handmap_qp.hands import (
     carrier_of,
     find_fingers,
     is_lost,
+    is_missing,
     load_hand,
     named_pairs,
     parse_with_meshes,
@@ -268,16 +269,14 @@ def _check_tips(hand: Hand) -> Found:
 def _check_meshes(hand: Hand) -> Found:
     """Find meshes of which other shapes of a link, cylinders or balls take the place."""
     robot = parse_with_meshes(hand)
-    for tag, use in (
-        ("collision", "self-collision and pinches"),
-        ("visual", "pictures"),
+    for tag, is_gone, use in (
+        ("collision", is_lost, "self-collision and pinches"),
+        ("visual", is_missing, "pictures"),
     ):
         meshes = {
             mesh.get("filename", ""): mesh for mesh in robot.iterfind(f".//{tag}//mesh")
         }
-        lost = [Path(file) for file, mesh in meshes.items() if is_lost(mesh)]
-        if tag == "visual":
-            lost = [file for file in lost if not file.is_file()]
+        lost = [Path(file) for file, mesh in meshes.items() if is_gone(mesh)]
         if lost:
             shown = first_of([file.name for file in lost], MOST_NAMES)
             what = f"{len(lost)} of {len(meshes)} {tag} meshes are missing, unreadable, flat or "
