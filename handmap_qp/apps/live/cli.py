@@ -69,11 +69,11 @@ class Target:
         """
         where = "--to HOST, --record FILE.npz or both"
         expect(self.to or self.record, "", where, advice="samples need a place to go")
-        if self.to is None:
+        if not self.to:
             for name in ("robot", "session", "preset", "person", "keys"):
                 if getattr(self, name) is not None:
                     raise InvalidInputError("needs --to", argument=f"--{name}")
-        elif self.robot is None:
+        elif not self.robot:
             raise InvalidInputError(
                 "missing",
                 argument="--robot",
@@ -88,9 +88,9 @@ class Target:
                 sample, or the file cannot be written.
         """
         sinks: list[Sink] = []
-        if self.record is not None:
+        if self.record:
             sinks.append(Recorder(self.record, "--record", source.upright))
-        if self.to is not None and self.robot is not None:
+        if self.to and self.robot:
             sinks.append(
                 live.service.ServiceSink(
                     self.to,
@@ -98,7 +98,7 @@ class Target:
                     source.side,
                     session=self.session,
                     preset=self.preset,
-                    person=None if self.person is None else read_person(self.person),
+                    person=read_person(self.person) if self.person else None,
                     keys=self.keys,
                     upright=source.upright,
                 )

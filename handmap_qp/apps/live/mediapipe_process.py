@@ -173,7 +173,7 @@ def main() -> None:
     arguments = _parse()
     find = hand_finder(arguments)
     with contextlib.ExitStack() as closing:
-        emit = printed if arguments.to is None else sent(arguments, closing)
+        emit = sent(arguments, closing) if arguments.to else printed
         # Ctrl-C and a reader that has gone end this process without a traceback.
         with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
             for stamp, pixels in pictures(arguments):
@@ -204,7 +204,7 @@ def _parse() -> argparse.Namespace:
     )
     parser.add_argument("--robot", help="robot hand, for --to")
     arguments = parser.parse_args()
-    if arguments.to is not None and arguments.robot is None:
+    if arguments.to and not arguments.robot:
         _stop("--to needs --robot")
     if not 1.0 <= arguments.fov <= 170.0:
         _stop("--fov: expected 1 to 170 degrees")

@@ -135,7 +135,7 @@ class MediapipeSource:
     upright = ""
 
     def __post_init__(self) -> None:
-        self.name = f"camera {self.camera}" if self.video is None else self.video.stem
+        self.name = self.video.stem if self.video else f"camera {self.camera}"
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield a sample for each picture.
@@ -144,7 +144,7 @@ class MediapipeSource:
             InvalidInputError: If MediaPipe is not installed or fails, the camera or the file cannot
                 be read, or the field of view is out of its range.
         """
-        option = "--camera" if self.video is None else "--video"
+        option = "--video" if self.video else "--camera"
         source = str(self.video or self.camera)
         command = [str(environment_python()), "-u", str(_PROGRAM), option, source]
         command += ["--side", self.side, "--fov", str(self.fov)]

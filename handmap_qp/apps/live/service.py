@@ -57,7 +57,7 @@ class ServiceSink(Sink):
         keys: KeyFiles | None = None,
         upright: str = "",
     ) -> None:
-        measured = {} if person is None else person.session_fields()
+        measured = person.session_fields() if person else {}
         with connected("--to", host, keys, refused="--to") as self._client:
             self.session = self._client.open(
                 robot,
@@ -115,7 +115,7 @@ class ServiceSink(Sink):
         silence = monotonic() - self._heard
         if silence > _SILENCE:
             return f"{self._robot}: no answer for {silence:.0f} s"
-        if self.command is None:
+        if not self.command:
             return f"{self._robot}: {self._refusal or 'waiting'}"
         flags = f" ({', '.join(self.command.flags)})" if self.command.flags else ""
         pair = (self.command.detail or {}).get("held_by")
@@ -141,7 +141,7 @@ class ServiceSink(Sink):
             self._note_refusal(error)
             self._heard = monotonic()
             return
-        if command is None:
+        if not command:
             return
         self._heard = monotonic()
         self.command = command
@@ -225,10 +225,9 @@ class ServiceSource:
                 except ServiceError:
                     # The service refused a sample of the session's client.
                     continue
-                if command is not None:
+                if command:
                     heard = monotonic()
-                    landmarks = (command.detail or {}).get("landmarks")
-                    if landmarks is not None:
+                    if landmarks := (command.detail or {}).get("landmarks"):
                         yield HumanSample(command.time, self.side, np.array(landmarks))
                 elif monotonic() - heard > _WAIT:
                     try:

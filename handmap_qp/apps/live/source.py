@@ -173,7 +173,7 @@ class Recorder(Sink):
         """Write the file; an error if the hand was never seen, or it cannot be written."""
         samples = self._samples
         if not any(sample.valid for sample in samples):
-            if kind is not None:
+            if kind:
                 # The exception of the source comes before the complaint that nothing was seen.
                 return
             raise InvalidInputError(

@@ -153,7 +153,7 @@ class ConnectionGate:
     def find(self, message: Sequence[zmq.Frame]) -> "_Client | None":
         """Return the connection of a message from a ROUTER socket; None if it has ended."""
         identity = message[0].bytes
-        if (client := self._known.get(identity)) is None:
+        if not (client := self._known.get(identity)):
             # The socket's descriptor of a connection shows the name of the gate's end.
             with suppress(OSError, StopIteration):
                 descriptor = int(message[-1].get(zmq.SRCFD))
@@ -222,7 +222,7 @@ class _Client(SmallReads):
             )
         except OSError:
             end.close()
-        if self._inner is None or self.transport.is_closing():
+        if not self._inner or self.transport.is_closing():
             self.end()
         else:
             self.transport.resume_reading()
@@ -242,7 +242,7 @@ class _Client(SmallReads):
     def refund(self, cost: float) -> str:
         """Give credit back; return the address of the client."""
         self.heard = time.monotonic()
-        if self._credit.charge(-cost) > 0.0 and self._starving is not None:
+        if self._credit.charge(-cost) > 0.0 and self._starving:
             self._starving.cancel()
             self._starving = None
             self.transport.resume_reading()
@@ -260,10 +260,10 @@ class _Client(SmallReads):
     def end(self, reason: str = "") -> None:
         """End both connections, if by the gate with the reason."""
         self._gate.release(self, reason)
-        if self._starving is not None:
+        if self._starving:
             self._starving.cancel()
         for transport in (self.transport, self._inner):
-            if transport is not None:
+            if transport:
                 transport.abort()
 
 

@@ -102,7 +102,7 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
     except _UNREADABLE as error:
         return Error(code="invalid", message=f"not a message: {error}"[:200])
     is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
-    if request is None or is_newer:
+    if not request or is_newer:
         return Error(
             seq=head.number,
             code="protocol",
@@ -282,7 +282,7 @@ class Dispatcher:
         trips = session.counts["watchdog"]
         command = session.tick(now)
         self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
-        if command is not None:
+        if command:
             self._send(session, command)
 
     def _for_stream(self, sample: Sample) -> None:
@@ -300,7 +300,7 @@ class Dispatcher:
     def _subscribe(self, request: Subscribe, subscribe: Subscriber | None) -> None:
         """Subscribe a connection to the stream of a session, as everyone may."""
         self.sessions.named(request.name)
-        if subscribe is None:
+        if not subscribe:
             message = "connect a SUB socket to the stream's port instead"
             raise RefusedError("invalid", message, field="type")
         subscribe(request.name)
@@ -339,15 +339,16 @@ class Dispatcher:
     def _for_all(self, request: Status | Stop) -> AnyReply | None:
         """Answer a request about the server, or stop the robots of all sessions."""
         if isinstance(request, Status):
+            cache = self.sessions.cache
             return State(
                 seq=request.seq,
                 version=self._version,
                 uptime=self._uptime(),
                 names=self.sessions.names,
                 counts=dict(self._metrics.counts),
-                robots=self.sessions.cache.robots,
-                missing=self.sessions.cache.missing,
-                two_handed=self.sessions.cache.two_handed,
+                robots=cache.robots,
+                missing=cache.missing,
+                two_handed=cache.two_handed,
                 stream_port=self.stream_port,
             )
         self.sessions.audit.note("stop", self._by, **_changes(request))
@@ -407,10 +408,10 @@ class Dispatcher:
     def _receive_open(self, request: Open, payload: bytes, send: Send) -> None:
         """Open a session in a task; a repeated request gets the same answer."""
         session = self.sessions.by_secret.get(request.session)
-        if session is not None and payload == session.payload:
+        if session and payload == session.payload:
             send(session.answer)
             return
-        if (task := self._opening.get(payload)) is None:
+        if not (task := self._opening.get(payload)):
             opening = self._open(request, payload, self._by)
             task = asyncio.create_task(opening)
             self._opening[payload] = task

@@ -133,7 +133,7 @@ class AuditLog:
     def __init__(self, path: Path | None = None) -> None:
         self._file = -1
         self._throttle = Throttle(_RATE, _BURST)
-        if path is not None:
+        if path:
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
             with naming(path, "cannot be written"):
                 self._file = os.open(path, flags, 0o600)

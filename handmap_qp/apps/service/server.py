@@ -96,7 +96,7 @@ class Server:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings = settings.checked()
         keys = settings.keys
-        files = () if keys is None else (keys / "clients").glob("*.key")
+        files = (keys / "clients").glob("*.key") if keys else ()
         for name in set(settings.supervisor).difference(file.stem for file in files):
             raise InvalidOptionsError(
                 option="supervisor", expected="the name of a client in keys", value=name
@@ -106,7 +106,7 @@ class Server:
         self._closing = contextlib.AsyncExitStack()
         cache = HandCache(settings.hand)
         file = settings.web_token_file
-        self._token = None if file is None else read_token(file)
+        self._token = read_token(file) if file else None
         self._audit = AuditLog(settings.audit)
         self._closing.callback(self._audit.close)
         # Acquire the file lock last, after everything that can fail.
@@ -134,7 +134,7 @@ class Server:
         settings = self.settings
         context = zmq.asyncio.Context()
         self._closing.callback(context.term)
-        if settings.keys is not None:
+        if settings.keys:
             self._keys = read_server_keys(settings.keys)
             # Admit only clients whose public keys are in the folder at their handshake.
             folder = settings.keys / "clients"
@@ -228,7 +228,7 @@ class Server:
         # ROUTER reports replies that it cannot queue, so that they are counted. PUB keeps the
         # newest message per reader, whatever its topic.
         socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
-        if (keys := self._keys) is not None:
+        if keys := self._keys:
             socket.curve_publickey, socket.curve_secretkey = keys
             socket.curve_server = True
         return socket
@@ -260,13 +260,13 @@ class Server:
         client = self._gate.find(parts)
         *envelope, payload = (part.bytes for part in parts)
         if len(parts) > _MOST_PARTS or any(envelope[1:]):
-            if client is not None:
+            if client:
                 client.end("a message has too many parts")
             return
-        address = "" if client is None else client.refund(cost)
+        address = client.refund(cost) if client else ""
         keys = self._clients
         try:
-            key = "" if keys is None else keys.name_of(str(parts[-1].get("User-Id")))
+            key = keys.name_of(str(parts[-1].get("User-Id"))) if keys else ""
             by = Caller(address, key)
             self.dispatcher.receive(
                 payload, envelope[0], partial(self._reply, envelope), by=by

@@ -99,8 +99,7 @@ class Sessions:
         self._works = WeakSet[Future[Any]]()
         # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
-        limits = self.settings
-        self._opens = Bucket(limits.opens, limits.sessions, self.clock)
+        self._opens = Bucket(self.settings.opens, self.settings.sessions, self.clock)
         # Names of the sessions that are being opened, by their secrets.
         self._opening: dict[str, str] = {}
         self._ended: dict[str, str] = {}
@@ -125,7 +124,7 @@ class Sessions:
             RefusedError: `no_session` if there is none, `taken` if another client took it over.
         """
         session = self.by_secret.get(secret)
-        if session is not None:
+        if session:
             session.last_request = self.clock()
             return session
         is_taken = self._ended.get(secret) == "taken"
@@ -138,7 +137,7 @@ class Sessions:
         Raises:
             RefusedError: If there is none.
         """
-        if (session := self._find_named(name)) is None:
+        if not (session := self._find_named(name)):
             raise RefusedError("invalid", f"no session {name!r}", field="name")
         return session
 
@@ -167,7 +166,7 @@ class Sessions:
             running = self._find_named(name)
             former = None
             if request.restore:
-                if running is not None:
+                if running:
                     self.store.note(running.record)
                 former = self.store.find(name, robot.name, len(robot.joint_names))
                 refuse_if(
@@ -182,14 +181,14 @@ class Sessions:
                 self.clock(),
                 former=former,
                 owner=by.owner(request.session),
-                motion=None if running is None else running.motion,
+                motion=running.motion if running else None,
             )
         finally:
             del self._opening[request.session]
         # A stop also outlives a session that is not restored.
-        if (last := self.store.records.get(name)) is not None and last.stop:
+        if (last := self.store.records.get(name)) and last.stop:
             session.stop(last.stop)
-        if running is not None:
+        if running:
             self.end(running, "a client restored this session", by, "taken")
         self._last_heard.pop(name, None)
         self.by_secret[request.session] = session
@@ -290,7 +289,7 @@ class Sessions:
         opening = "a session with this secret is being opened"
         refuse_if(request.session in self._opening, opening, code="busy")
         refuse_if(
-            last is not None and not request.restore,
+            last and not request.restore,
             f"session {name!r} exists: restore=true takes it over",
             "name",
         )
@@ -321,7 +320,7 @@ class Sessions:
         )
         is_attended = self.clock() - heard <= LEASE
         # Without `restore`, a name is free after the lease.
-        if held is None or not (request.restore or is_attended):
+        if not held or not (request.restore or is_attended):
             return
         is_rival = running is not None and request.session not in self.by_secret
         client = by.owner(request.session)

@@ -61,9 +61,8 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def posture(self) -> Posture:
         """Where the robot was left."""
-        return np.array(self.q), None if self.wrist is None else np.array(
-            self.wrist
-        ).reshape(4, 4)
+        wrist = np.reshape(self.wrist, (4, 4)) if self.wrist else None
+        return np.array(self.q), wrist
 
 
 class PostureStore:
@@ -85,7 +84,7 @@ class PostureStore:
         self.is_persistent = path is not None
         self._database = None
         self._failures = Throttle()
-        if path is not None:
+        if path:
             try:
                 # Only the owner may read it.
                 os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
@@ -119,7 +118,7 @@ class PostureStore:
         evicted = [*self.records][:-MOST_SESSIONS]
         for name in evicted:
             del self.records[name]
-        if self._database is None:
+        if not self._database:
             return
         try:
             self._database.execute(
@@ -137,14 +136,14 @@ class PostureStore:
             RefusedError: If it is of another robot.
         """
         record = self.records.get(name)
-        if record is not None and (record.robot != robot or len(record.q) != joints):
+        if record and (record.robot != robot or len(record.q) != joints):
             message = f"the last session {name!r} moved {record.robot}, not {robot}"
             raise RefusedError("invalid", message, field="restore")
         return record
 
     def close(self) -> None:
         """Write the file and release its lock."""
-        if self._database is not None:
+        if self._database:
             self._database.close()
 
 

@@ -71,7 +71,7 @@ class WebSocketTransport:
         self._connections = set[_Outbox]()
         settings = self.settings
         tls = None
-        if settings.web_certificate is not None and settings.web_key is not None:
+        if settings.web_certificate and settings.web_key:
             tls = _read_tls(settings.web_certificate, settings.web_key)
         with naming(f"web {settings.web_host}:{settings.web_port}"):
             self._server = await serve(
@@ -104,10 +104,10 @@ class WebSocketTransport:
 
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return None to accept a handshake, else what rejects it, or the page for headsets."""
-        if (page := page_response(request)) is not None:
+        if page := page_response(request):
             return page
         asked = request.headers
-        if self.token is not None:
+        if self.token:
             # As a header, or among its subprotocols.
             offered = ",".join(asked.get_all("Sec-WebSocket-Protocol")).split(",")
             offered += asked.get_all("Authorization")
