@@ -380,8 +380,8 @@ class ConvertedMjcf:
         set_origin(element, _pose(model.body_ipos[body], model.body_iquat[body]))
         set_numbers(SubElement(element, "mass"), value=model.body_mass[body])
         xx, yy, zz = model.body_inertia[body]
-        numbers = {"ixx": xx, "ixy": 0, "ixz": 0, "iyy": yy, "iyz": 0, "izz": zz}
-        set_numbers(SubElement(element, "inertia"), **numbers)
+        inertia = SubElement(element, "inertia")
+        set_numbers(inertia, ixx=xx, ixy=0, ixz=0, iyy=yy, iyz=0, izz=zz)
 
     def _add_shapes(self, link: Element, body: int) -> None:
         """Add the geoms of a body to its `<link>`, whose frame is the body's.

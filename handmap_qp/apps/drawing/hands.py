@@ -82,8 +82,7 @@ class HandShape(NamedTuple):
 
     def without_arm(self) -> HandShape:
         """Return the shapes of the links that the wrist carries."""
-        model = self.hand.model
-        carried = model.subtrees[self.hand.wrist_frame.parentJoint]
+        carried = self.hand.model.subtrees[self.hand.wrist_frame.parentJoint]
         links = {
             k: v for k, v in self.links.items() if carrier_of(self.hand, k) in carried
         }

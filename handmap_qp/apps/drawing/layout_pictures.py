@@ -137,7 +137,6 @@ def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     if not isinstance(layout, PointLayout | MarkerLayout):
         expected = "points, angles or markers"
         raise InvalidInputError(argument="layout", expected=expected, value=layout)
-    side = human.side
     written = layout.write_posture(human, q, np.eye(4))
     # Rows are points, poses, or a position and a quaternion.
     read = written[:, :3, 3] if written.ndim == 3 else written[:, :3]
@@ -146,8 +145,8 @@ def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     if isinstance(layout, MarkerLayout):
         return places, index, index >= 0
     if layout.table.is_relative:
-        places = transform_points(np.linalg.inv(layout.wrist_axes(side)), read)
-    is_used = np.isin(index, layout.order(side))
+        places = transform_points(np.linalg.inv(layout.wrist_axes(human.side)), read)
+    is_used = np.isin(index, layout.order(human.side))
     is_between = np.isin(index, [*layout.table.between])
     shown = np.flatnonzero(is_used | is_between & (lengths(places) < _FARTHEST))
     return places[shown], shown, is_used[shown]

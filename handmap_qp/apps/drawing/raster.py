@@ -117,8 +117,7 @@ class Camera(NamedTuple):
         place = middle + distance * radius * backward
         world_to_camera = affine(rotation, -rotation @ place)
         seen = transform_points(world_to_camera, points)
-        tangents = seen[:, :2] / seen[:, 2:]
-        low, high = box_of(tangents)
+        low, high = box_of(seen[:, :2] / seen[:, 2:])
         room = np.array(size) - 2.0 * margin * min(size)
         focal_length = (room / np.maximum(high - low, 1e-9)).min()
         x, y = (0.5 * (size - focal_length * (low + high))).tolist()
@@ -181,11 +180,10 @@ def render(
     fine = camera.magnified(supersampling)
     picture, depth = _shaded(triangles, fine)
     picture[..., :3] *= 1.0 - _CREASE_DEPTH * _creases(depth, fine)[..., None]
-    if marks is not None:
+    if marks:
         shaded, place = _shaded(marks, fine)
-        seen = np.where(place > depth, _HIDDEN_MARK_OPACITY, 1.0)
-        opacity = seen * shaded[..., 3]
-        picture += opacity[..., None] * (shaded - picture)
+        seen = np.where(place > depth, _HIDDEN_MARK_OPACITY, 1.0)[..., None]
+        picture += seen * shaded[..., 3:] * (shaded - picture)
     width, height = camera.size
     blocks = picture.reshape(height, supersampling, width, supersampling, 4)
     picture = blocks.mean(axis=(1, 3))

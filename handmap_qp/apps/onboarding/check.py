@@ -128,12 +128,11 @@ def check_robot(robot: Hand, *, has_motion: bool = True) -> Report:
 
 def _list_joints(hand: Hand) -> Found:
     """List all joints of the URDF: role, limits of active joints, rest angle."""
-    ends = hand.limits.T
     # Followers, which come last, have no limits of their own.
     columns = {
         "joint": hand.all_joint_names,
         "role": hand.all_joint_roles,
-        "limits": [f"[{lower:.3g}, {upper:.3g}]" for lower, upper in ends],
+        "limits": [f"[{lower:.3g}, {upper:.3g}]" for lower, upper in hand.limits.T],
         "speed": [f"{speed:.3g}" for speed in hand.velocity_limits],
         "rest": hand.all_joints(hand.rest),
     }
@@ -163,16 +162,13 @@ def _check_limits(hand: Hand) -> Found:
     for limit, unit in ((_LARGEST_TURN, "degrees"), (_LARGEST_SLIDE, "millimetres")):
         wide = np.flatnonzero(is_wide & (largest == limit))
         if count := len(wide):
-            have = f"{count} joints have ranges" if count > 1 else "it has a range"
-            what = f"{have} of up to {width[wide].max():.3g}: in {unit}?"
-            where = f"limits.{names[wide[0]]}"
-            yield warning(where, what, "give limits in rad and m")
+            what = f"{count} joint(s) have ranges of up to {width[wide].max():.3g}: in {unit}?"
+            yield warning(f"limits.{names[wide[0]]}", what, "give limits in rad and m")
 
 
 def _check_speeds(hand: Hand) -> Found:
     """Find joints of the fingers that are too slow for a fist in half a second."""
-    stretched = hand.zero
-    travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
+    travel = np.abs(hand.limits - hand.zero).max(axis=0)
     times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
     times[hand.moves_wrist] = 0.0
     worst = np.argmax(times)
@@ -279,9 +275,9 @@ def _check_meshes(hand: Hand) -> Found:
         lost = [Path(file) for file, mesh in meshes.items() if is_gone(mesh)]
         if lost:
             shown = first_of([file.name for file in lost], MOST_NAMES)
-            what = f"{len(lost)} of {len(meshes)} {tag} meshes are missing, unreadable, flat or "
-            what += (
-                f"of no link's size: {shown}; {use} have simple shapes in their place"
+            what = (
+                f"{len(lost)} of {len(meshes)} {tag} meshes are missing, unreadable, flat or of "
+                f"no link's size: {shown}; {use} have simple shapes in their place"
             )
             change = f"put them where the URDF looks for them: {lost[0].parent}"
             yield warning("urdf", what, change)
@@ -290,8 +286,7 @@ def _check_meshes(hand: Hand) -> Found:
 def _check_wrist(hand: Hand) -> Found:
     """Find actuated wrist joints that the description leaves out."""
     spec = hand.spec
-    is_on_arm = hand.moves_wrist.any()
-    if spec.root is None or is_on_arm or urdf_path(spec).suffix != ".urdf":
+    if hand.moves_wrist.any() or spec.root is None or urdf_path(spec).suffix != ".urdf":
         return
     joints, base = left_out_wrist(Robot(read_urdf(spec), urdf_path(spec)), spec.root)
     if joints:

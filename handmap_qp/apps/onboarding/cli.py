@@ -287,8 +287,7 @@ class HandsInit:
     def run(self) -> None:
         """Find the hands, write and load their descriptions, and print how each part was found."""
         # Two hands are written to other files than that of the default.
-        is_default = self.out == HandsInit.out
-        check_free(self.out, overwrite=self.overwrite or is_default)
+        check_free(self.out, overwrite=self.overwrite or self.out == HandsInit.out)
         source = open_source(self.urdf, self.out.parent, overwrite=self.overwrite)
         hands = detect_hands(
             source.urdf,

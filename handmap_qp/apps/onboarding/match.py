@@ -80,8 +80,7 @@ def match_hand(
         same = recording if recording.side == robot.side else mirrored(recording)
         human = scaled_human(same, points="landmarks")
     q = np.round(HandPair(human, robot).solve_matched() * _SCALE)
-    lower = robot.lower_limits
-    upper = robot.upper_limits
+    lower, upper = robot.limits
     # Rounding must not leave the limits, which may have more decimals.
     q = np.clip(q, np.ceil(lower * _SCALE), np.floor(upper * _SCALE)) / _SCALE
     return Match(human, robot, np.clip(q, lower, upper))

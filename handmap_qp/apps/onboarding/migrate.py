@@ -74,8 +74,9 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         try:
             return msgspec.convert(given if value is None else value, kind)
         except msgspec.ValidationError as error:
-            problem = f"expected {what}"
-            raise HandError(problem, file=path, key=key, value=given) from error
+            raise HandError(
+                f"expected {what}", file=path, key=key, value=given
+            ) from error
 
     urdf = setting("urdf_path", str, "a path")
     kind = str(table.get("type")).lower()
