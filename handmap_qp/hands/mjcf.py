@@ -109,7 +109,7 @@ def _find_assets(spec: mujoco.MjSpec, folder: Path) -> Names:
     for asset in (*spec.materials, *spec.textures):
         spec.delete(asset)
     lost = set()
-    for mesh in filter(lambda mesh: mesh.file, list(spec.meshes)):
+    for mesh in [mesh for mesh in spec.meshes if mesh.file]:
         path = find_mesh(mesh.file, folder / spec.meshdir)
         if path.exists():
             mesh.file = str(path.resolve())

@@ -170,20 +170,19 @@ def find_mesh(name: str, folder: Path) -> Path:
     a ROS package is a folder of the package's name, or one that holds a `package.xml`. A file that
     is at none of these places is looked for by its name in the folders of meshes around the URDF.
     """
-    if not name.startswith((PACKAGE_SCHEME, "model://")):
-        file = folder / name.removeprefix("file://")
-        return file if file.exists() else _meshes_near(folder).get(file.name, file)
-    package, _, inside = name.partition("://")[2].partition("/")
-    try:
-        candidates = [package_folder(package) / inside]
-    except (MissingExtraError, MissingPackageError):
-        candidates = [folder / inside]
-    for above in (folder.resolve(), *folder.resolve().parents):
-        candidates.append(above / package / inside)
-        if (above / "package.xml").exists():
-            candidates.append(above / inside)
-    candidates += filter(None, [_meshes_near(folder).get(Path(inside).name)])
-    return next((path for path in candidates if path.exists()), candidates[0])
+    candidates = [folder / name.removeprefix("file://")]
+    if name.startswith((PACKAGE_SCHEME, "model://")):
+        package, _, inside = name.partition("://")[2].partition("/")
+        try:
+            candidates = [package_folder(package) / inside]
+        except (MissingExtraError, MissingPackageError):
+            candidates = [folder / inside]
+        for above in (folder.resolve(), *folder.resolve().parents):
+            candidates.append(above / package / inside)
+            if (above / "package.xml").exists():
+                candidates.append(above / inside)
+    found = next(filter(Path.exists, candidates), None)
+    return found or _meshes_near(folder).get(Path(name).name, candidates[0])
 
 
 @lru_cache(maxsize=8)
@@ -193,9 +192,9 @@ def _meshes_near(folder: Path) -> dict[str, Path]:
     Of files with one name, the shortest path counts.
     """
     near = [folder, *folder.glob("*"), *folder.parent.glob("*")]
-    named = [each for each in near if re.search("mesh|asset", each.name, re.IGNORECASE)]
+    named = [each for each in near if re.search("mesh|asset", each.name.lower())]
     files = [file for each in named for file in each.rglob("*.*")]
-    files.sort(key=lambda file: len(file.parts), reverse=True)
+    files.sort(key=lambda file: -len(file.parts))
     return {file.name: file for file in files}
 
 
