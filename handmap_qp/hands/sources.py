@@ -192,7 +192,9 @@ def _meshes_near(folder: Path) -> dict[str, Path]:
     Of files with one name, the shortest path counts.
     """
     near = [folder, *folder.glob("*"), *folder.parent.glob("*")]
-    named = [each for each in near if re.search("mesh|asset", each.name.lower())]
+    # Not what only has such a word in its name.
+    ending = re.compile(r"(mesh(es)?|assets?)$")
+    named = [each for each in near if ending.search(each.name.lower())]
     files = [file for each in named for file in each.rglob("*.*")]
     files.sort(key=lambda file: -len(file.parts))
     return {file.name: file for file in files}

@@ -24,9 +24,10 @@ def test_a_link_is_one_mesh_with_the_surface_and_colours_of_its_shapes(
     corner = trimesh.creation.box((0.1, 0.2, 0.3))
     corner.vertices += 0.5
     corner.export(tmp_path / "corner.stl")
-    monkeypatch.setattr(
-        "handmap_qp.apps.drawing.shapes.urdf_path", lambda _: tmp_path / "hand.urdf"
-    )
+    for module in ("apps.drawing.shapes", "hands.collision_shapes"):
+        monkeypatch.setattr(
+            f"handmap_qp.{module}.urdf_path", lambda _: tmp_path / "hand.urdf"
+        )
     # A visual may have the name of a link.
     box = SHAPE.format(
         name="b", xyz="1 0 0", shape='<box size="0.1 0.1 0.1"/>', rgba="1 0 0 1"
