@@ -33,7 +33,7 @@ def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
             folder.
     """
     expect(
-        path.suffix in suffixes,
+        path.name.endswith(suffixes),
         argument,
         f"a file that ends in {suffixes[0]}",
         value=str(path),

@@ -20,7 +20,8 @@ pytest.importorskip("rosbags")
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-NAMES = [name for name in FORMATS if name != "lerobot"]
+ONE_WAY = ("lerobot", "dexycb", "arctic")
+NAMES = [name for name in FORMATS if name not in ONE_WAY]
 
 
 @pytest.fixture(scope="module")

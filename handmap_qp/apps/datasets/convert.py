@@ -13,7 +13,7 @@ from handmap_qp.errors import expect
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers import (
     FORMATS,
-    ManoFormat,
+    HandModelFormat,
     Source,
     format_to_write,
     list_sources,
@@ -34,8 +34,10 @@ class Convert:
       egodex     HDF5 as of EgoDex, poses of joints; one of each hand
       mcap       ROS 2 bag, JointState and landmarks; one of each hand
       mano       npz of MANO's joints; reads parameters with your model
+      dexycb     folder of a camera or sequence of DexYCB; read, not written
+      arctic     ARCTIC's .mano.npy, by your model of MANO; read, not written
 
-    All but npz, csv and mano need the extra `handmap-qp[files]`.
+    Of these, lerobot, robomimic, egodex and mcap need `handmap-qp[files]`.
 
     Examples:
         handmap convert take.npz take.csv
@@ -95,8 +97,9 @@ class Convert:
 
     def _with_model(self, source: Source) -> Source:
         """Return a source with the model that the user named, if it needs one."""
-        is_mano = isinstance(source.format, ManoFormat)
-        return source._replace(format=ManoFormat(self.mano)) if is_mano else source
+        form = source.format
+        is_mano = isinstance(form, HandModelFormat)
+        return source._replace(format=type(form)(self.mano)) if is_mano else source
 
     def _report(self, **done: Any) -> None:
         """Print what was converted, and what was lost: not read, or not held by the format."""

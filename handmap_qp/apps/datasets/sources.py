@@ -222,7 +222,7 @@ def _paths_of(
     while waiting or links:
         path = (waiting or links).popleft()
         identity = _identity(path)
-        is_known = path.is_dir() or path.suffix.lower() in known_suffixes()
+        is_known = path.is_dir() or path.name.lower().endswith(known_suffixes())
         if identity == own or not (path is given or is_known):
             continue
         if identity in seen:

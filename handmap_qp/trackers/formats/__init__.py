@@ -25,6 +25,7 @@ from .hdf5 import EgoDexFormat, RobomimicFormat
 from .lerobot import LeRobotFormat
 from .mano import ManoFormat
 from .mcap import McapFormat
+from .objects import ArcticFormat, DexYcbFormat
 
 _KINDS = (
     NpzFormat,
@@ -33,6 +34,8 @@ _KINDS = (
     RobomimicFormat,
     EgoDexFormat,
     McapFormat,
+    DexYcbFormat,
+    ArcticFormat,
     ManoFormat,
 )
 
@@ -51,6 +54,13 @@ DEMO = "demo"
 DEMO_FILE = Path(__file__).parents[1] / "demo.npz"
 _OURS = {file.stem: file for file in DEMO_FILE.parent.glob("*.npz")}
 """Recordings that come with the package: `DEMO`, and `held`, of a hand with an object."""
+
+
+_REFUSED = {
+    ".pkl": "is a pickle, as those of OakInk2, which may run code and is not read; save pose or "
+    "joints, and object_pose, as an .npz of the form mano (docs/files.md)"
+}
+"""Why files with a suffix of no format are not read."""
 
 
 class Source(NamedTuple):
@@ -184,7 +194,8 @@ def format_of(path: Path) -> RecordingFormat:
         raise RecordingError("cannot be read: No such file or directory", file=path)
     is_folder = path.is_dir()
     suffix = path.suffix.lower()
-    forms = [form for form in FORMATS.values() if is_folder or suffix in form.suffixes]
+    name = path.name.lower()
+    forms = [f for f in FORMATS.values() if is_folder or name.endswith(f.suffixes)]
     for form in forms:
         if form.recognises(path):
             return form
@@ -192,7 +203,10 @@ def format_of(path: Path) -> RecordingFormat:
     if is_folder:
         problem = "cannot be read: is a folder of no known form"
     elif not forms:
-        problem = f"has the unknown suffix {suffix!r}; known are {', '.join(known_suffixes())}"
+        problem = _REFUSED.get(
+            suffix,
+            f"has the unknown suffix {suffix!r}; known are {', '.join(known_suffixes())}",
+        )
     raise RecordingError(problem, file=path)
 
 
@@ -214,8 +228,10 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
             value=name,
         )
         return FORMATS[name]
+    # A name without a suffix is that of a folder.
+    ending = path.name.lower() if path.suffix else "/"
     for form in FORMATS.values():
-        if path.suffix.lower() in (form.suffixes or ("",)):
+        if ending.endswith(form.suffixes or ("/",)):
             return form
     raise InvalidInputError(
         argument="OUT",

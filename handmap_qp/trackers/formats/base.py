@@ -140,14 +140,14 @@ class RecordingFormat(abc.ABC):
         lacks = (LOSSES[name] for name in self.lacks)
         return tuple(words for words, is_lost in lacks if any(map(is_lost, recordings)))
 
-    @abc.abstractmethod
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write recordings to one file; an earlier file stays as it was if this fails.
 
         Raises:
-            InvalidInputError: If the format cannot hold them together, or the file cannot be
-                written.
+            InvalidInputError: If the format cannot hold them together or is read only, or the file
+                cannot be written.
         """
+        raise InvalidInputError("is read and not written", argument=self.name)
 
     def check_one_per_hand(self, recordings: Sequence[Recording]) -> None:
         """Reject recordings that are not of one hand, or of a left and a right hand.

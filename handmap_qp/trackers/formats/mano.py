@@ -5,6 +5,7 @@ Embodied Hands, SIGGRAPH Asia 2017: linear blend skinning with shape and pose of
 joints and the five fingertips are computed.
 """
 
+import abc
 import io
 import os
 import pickle
@@ -15,20 +16,11 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_qp.hands import Names, Values
 from handmap_qp.human import LANDMARK_COUNT, Recording
 from handmap_qp.se3 import Array, Arrays, affine, as_floats, transform_points
-from .archive import (
-    member_names,
-    read_archive,
-    save_npz,
-)
-from .base import (
-    Entry,
-    RecordingFormat,
-    build_recording,
-    reading,
-    side_of,
-)
+from .archive import member_names, read_archive, save_npz
+from .base import Entry, RecordingFormat, build_recording, reading, side_of
 
 FROM_MANO = np.array(
     [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20]
@@ -38,47 +30,46 @@ FROM_MANO = np.array(
 That order is 16 joints (wrist; index, middle, little, ring and thumb, three each), then the tips
 from thumb to little.
 """
+HandArrays = dict[str, Values]
+"""Hands as arrays of `ManoFormat`, by the names of their entries."""
 _POSES = ("pose", "hand_pose")
 _KNOWN = {"joints", "side", "time", "fps", "valid", "betas", "transl", *_POSES}
-_KNOWN |= {"global_orient", "flat_hand_mean"}
+_KNOWN |= {"global_orient", "flat_hand_mean", "object_pose", "object_shape"}
 
 
-class ManoFormat(RecordingFormat):
-    """Arrays of MANO by name.
-
-    Needed: `side` (right or left), `time (T,)` [s] or `fps`, and either `joints (T, 21, 3)` [m] in
-    MANO's order (16 joints, then the tips from thumb to little), or parameters: `pose (T, 48)`, or
-    `global_orient (T, 3)` and `hand_pose (T, 45)` or fewer principal components, as rotation
-    vectors [rad]; `betas (10,)`; `transl (T, 3)` [m]; and `flat_hand_mean`, whether 0 is the flat
-    hand. Parameters need the user's copy of the licensed model.
+class HandModelFormat(RecordingFormat):
+    """Files whose hands are joints or parameters of MANO.
 
     Args:
         model: File of the model, or its folder; that of `HANDMAP_MANO` if omitted.
+
+    Attributes:
+        left_out: What its files hold besides what is read, in words.
     """
 
-    name = "mano"
-    suffixes = (".npz",)
-    lacks = ("wrist", "confidence", "source", "upright", "object_pose")
+    left_out: Names = ()
 
     def __init__(self, model: Path | None = None) -> None:
         self._model = model
 
-    def recognises(self, path: Path) -> bool:
-        """Tell whether the archive has joints or parameters."""
-        return path.is_file() and bool({"joints", *_POSES} & member_names(path))
+    @abc.abstractmethod
+    def hands(self, path: Path) -> HandArrays:
+        """Read each recording, by the name of its entry, as arrays of `ManoFormat`."""
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
-        """List the one hand."""
-        arrays = read_archive(path)
-        if "side" not in arrays:
-            raise InvalidInputError("has no array 'side': right or left")
-        main = next(arrays[name] for name in ("joints", *_POSES) if name in arrays)
-        side = side_of(arrays["side"], "side")
-        return (Entry("", side, len(np.atleast_1d(main))),)
+        """List the recordings."""
+        entries = []
+        for entry, arrays in self.hands(path).items():
+            if "side" not in arrays:
+                raise InvalidInputError("has no array 'side': right or left")
+            main = next(arrays[name] for name in ("joints", *_POSES) if name in arrays)
+            side = side_of(arrays["side"], "side")
+            entries.append(Entry(entry, side, len(np.atleast_1d(main))))
+        return tuple(entries)
 
     def read(self, path: Path, entry: Entry) -> Recording:
-        """Read the hand."""
-        arrays = read_archive(path)
+        """Read one recording."""
+        arrays = self.hands(path)[entry.name]
         with reading(path):
             if "joints" in arrays:
                 shape = ("T", LANDMARK_COUNT, 3)
@@ -104,10 +95,40 @@ class ManoFormat(RecordingFormat):
             time,
             joints[:, FROM_MANO],
             valid=arrays.get("valid"),
-            source="MANO",
+            source=self.name.upper(),
+            object_pose=arrays.get("object_pose"),
+            object_shape=str(arrays.get("object_shape", "")),
         )
 
-    def unread(self, path: Path) -> tuple[str, ...]:
+    def unread(self, path: Path) -> Names:
+        """Name what is left out."""
+        return self.left_out
+
+
+class ManoFormat(HandModelFormat):
+    """Arrays of MANO by name.
+
+    Needed: `side` (right or left), `time (T,)` [s] or `fps`, and either `joints (T, 21, 3)` [m] in
+    MANO's order (16 joints, then the tips from thumb to little), or parameters: `pose (T, 48)`, or
+    `global_orient (T, 3)` and `hand_pose (T, 45)` or fewer principal components, as rotation
+    vectors [rad]; `betas (10,)`; `transl (T, 3)` [m]; and `flat_hand_mean`, whether 0 is the flat
+    hand. Parameters need the user's copy of the licensed model. An object may have `object_pose
+    (T, 4, 4)`, in the same world, and `object_shape`.
+    """
+
+    name = "mano"
+    suffixes = (".npz",)
+    lacks = ("wrist", "confidence", "source", "upright", "object_pose")
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the archive has joints or parameters."""
+        return path.is_file() and bool({"joints", *_POSES} & member_names(path))
+
+    def hands(self, path: Path) -> HandArrays:
+        """Read the one hand."""
+        return {"": read_archive(path)}
+
+    def unread(self, path: Path) -> Names:
         """Name the arrays that a recording cannot hold."""
         return tuple(sorted(member_names(path) - _KNOWN))
 
@@ -126,7 +147,7 @@ class ManoFormat(RecordingFormat):
 
 def _joints_of_parameters(
     model: Arrays,
-    arrays: Arrays,
+    arrays: Values,
     count: int,
 ) -> Array:
     """Return the joints of parameters in MANO's order [m], shape (T, 21, 3)."""
@@ -190,12 +211,9 @@ def _posed_joints(
 
     Turns are rotation vectors of the joints, the wrist's first [rad], shape (T, 16, 3).
     """
-    from scipy.spatial.transform import Rotation
-
     vertices = model["v_template"] + model["shapedirs"] @ shape
     rest = model["J_regressor"] @ vertices
-    rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()
-    rotations = rotations.reshape(*turns.shape, 3)
+    rotations = rotations_of(turns)
     offsets = (rotations[:, 1:] - np.eye(3)).reshape(len(turns), -1)
     directions = model["posedirs"][TIP_VERTICES]
     tips = vertices[TIP_VERTICES] + np.einsum("vck,tk->tvc", directions, offsets)
@@ -207,6 +225,14 @@ def _posed_joints(
     carried = transform_points(poses, (tips[:, :, None] - rest).swapaxes(1, 2))
     skinned = np.einsum("vj,tjva->tva", model["weights"][TIP_VERTICES], carried)
     return np.hstack([poses[..., :3, 3], skinned])
+
+
+def rotations_of(turns: Array) -> Array:
+    """Return rotations, shape (..., 3, 3), of rotation vectors [rad], shape (..., 3)."""
+    from scipy.spatial.transform import Rotation
+
+    rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()
+    return rotations.reshape(*turns.shape, 3)
 
 
 def _load_model(side: str, given: Path | None) -> Arrays:
@@ -275,6 +301,17 @@ class _ArrayUnpickler(pickle.Unpickler):
         if place not in _ALLOWED:
             raise pickle.UnpicklingError(f"holds {place}, which is not read")
         return super().find_class(module, name)
+
+
+def read_table(stream: Any) -> Values:
+    """Read a table that numpy pickled as an array, from a stream in the form of `.npy`.
+
+    Raises:
+        UnpicklingError: If it holds something else than arrays, numbers, texts and tables.
+    """
+    # The header of the array is one line.
+    stream.readline()
+    return _ArrayUnpickler(stream).load().item()
 
 
 def _read_pickle(file: Path) -> dict[str, Any]:
