@@ -104,7 +104,9 @@ class MeshShape:
 Shape = Box | Sphere | Cylinder | MeshShape
 
 
-def parse_object(text: str, argument: str = "--object") -> Shape:
+def parse_object(
+    text: str, argument: str = "--object", is_centred: bool = False
+) -> Shape:
     """Read an object as the command line gives it.
 
     Args:
@@ -112,6 +114,8 @@ def parse_object(text: str, argument: str = "--object") -> Shape:
             (diameter and length, twice the diameter if omitted), or the path of a mesh file in
             metres.
         argument: What to call it in an error.
+        is_centred: Whether the origin of a mesh becomes its hull's centre of mass; it is that of
+            the file otherwise, as poses of tracked objects mean it.
 
     Raises:
         InvalidInputError: If it is none of these.
@@ -149,7 +153,7 @@ def parse_object(text: str, argument: str = "--object") -> Shape:
         raise InvalidInputError(
             f"{file}: cannot be read as a mesh ({error})", argument=argument
         ) from error
-    return MeshShape(hull.vertices - hull.center_mass)
+    return MeshShape(hull.vertices - is_centred * hull.center_mass)
 
 
 def surface(shape: Shape) -> Any:

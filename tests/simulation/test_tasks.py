@@ -376,12 +376,15 @@ def test_a_mesh_is_its_convex_hull_about_its_centre(tmp_path: Path) -> None:
     solid = trimesh.creation.box((0.02, 0.02, 0.06))
     solid.apply_translation((1.0, 2.0, 3.0))
     solid.export(file)
-    shape = parse_object(str(file))
+    shape = parse_object(str(file), is_centred=True)
     assert isinstance(shape, MeshShape)
     np.testing.assert_allclose(
         np.ptp(shape.points, axis=0), (0.02, 0.02, 0.06), atol=1e-6
     )
     np.testing.assert_allclose(shape.points.mean(axis=0), 0.0, atol=1e-6)
+    tracked = parse_object(str(file))
+    assert isinstance(tracked, MeshShape)
+    np.testing.assert_allclose(tracked.points.mean(axis=0), (1.0, 2.0, 3.0), atol=1e-6)
 
 
 @pytest.mark.parametrize(

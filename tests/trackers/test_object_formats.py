@@ -528,24 +528,26 @@ def test_a_folder_is_searched_for_data_sets(tmp_path: Path) -> None:
 
 
 def test_the_robot_touches_the_object_of_a_data_set(tmp_path: Path) -> None:
-    """`held` in the form of DexYCB is mapped as itself, but for the rounding of its numbers."""
+    """`held` in the form of DexYCB is mapped as itself, whatever the origin of its mesh."""
     trimesh = pytest.importorskip("trimesh")
     held = read_recording("held").part(slice(0, 90))
     assert held.object_pose is not None
     camera = tmp_path / "data" / "subject-01" / "sequence" / "836212060125"
     camera.mkdir(parents=True)
+    origin = affine(np.eye(3), (0.02, -0.03, 0.05))
+    poses = held.object_pose @ np.linalg.inv(origin)
     for i in range(len(held)):
         np.savez(
             camera / f"labels_{i:06d}.npz",
             joint_3d=held.landmarks[None, i],
-            pose_y=held.object_pose[None, i, :3],
+            pose_y=poses[None, i, :3],
         )
     (camera.parent / "meta.yml").write_text(
         "{mano_sides: [right], ycb_ids: [5], ycb_grasp_ind: 0}"
     )
     mesh = tmp_path / "data" / "models" / "006_mustard_bottle" / "textured_simple.obj"
     mesh.parent.mkdir(parents=True)
-    trimesh.creation.box((0.03, 0.06, 0.05)).export(mesh)
+    trimesh.creation.box((0.03, 0.06, 0.05), origin).export(mesh)
     out = tmp_path / "mapped.npz"
     command = ["map", str(camera.parent), "--robot", "allegro_right", "--out", str(out)]
     assert main(command) == 0

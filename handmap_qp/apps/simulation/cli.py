@@ -109,7 +109,8 @@ class Simulate:
 
     def run(self) -> None:
         """Simulate, print a table, and write the files."""
-        trial = PinchTrial(parse_object(self.object), self.mass, self.friction)
+        shape = parse_object(self.object, is_centred=True)
+        trial = PinchTrial(shape, self.mass, self.friction)
         self._check(trial)
         trials = [trial]
         if self.trials:
