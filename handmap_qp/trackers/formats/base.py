@@ -113,11 +113,13 @@ class RecordingFormat(abc.ABC):
         name: Short name, as of `handmap convert --format`.
         suffixes: Suffixes of its files, the usual one first; empty for folders.
         lacks: What of a recording it cannot hold: names of `LOSSES`.
+        left_out: What all its files hold besides what is read, in words.
     """
 
     name: str
     suffixes: Names
     lacks: ClassVar[Names] = ()
+    left_out: ClassVar[Names] = ()
 
     def recognises(self, path: Path) -> bool:
         """Tell whether an existing file with one of the suffixes, or a folder, is of this form."""
@@ -133,7 +135,7 @@ class RecordingFormat(abc.ABC):
 
     def unread(self, path: Path) -> Names:
         """Name what a file holds besides what `Recording` can hold."""
-        return ()
+        return self.left_out
 
     def losses(self, recordings: Sequence[Recording]) -> Names:
         """Name what of these recordings the format cannot hold."""

@@ -6,7 +6,6 @@ joints and the five fingertips are computed.
 """
 
 import abc
-import io
 import os
 import pickle
 from collections.abc import Sequence
@@ -42,12 +41,7 @@ class HandModelFormat(RecordingFormat):
 
     Args:
         model: File of the model, or its folder; that of `HANDMAP_MANO` if omitted.
-
-    Attributes:
-        left_out: What its files hold besides what is read, in words.
     """
-
-    left_out: Names = ()
 
     def __init__(self, model: Path | None = None) -> None:
         self._model = model
@@ -60,10 +54,8 @@ class HandModelFormat(RecordingFormat):
         """List the recordings."""
         entries = []
         for entry, arrays in self.hands(path).items():
-            if "side" not in arrays:
-                raise InvalidInputError("has no array 'side': right or left")
             main = next(arrays[name] for name in ("joints", *_POSES) if name in arrays)
-            side = side_of(arrays["side"], "side")
+            side = side_of(arrays.get("side"), "side")
             entries.append(Entry(entry, side, len(np.atleast_1d(main))))
         return tuple(entries)
 
@@ -81,13 +73,8 @@ class HandModelFormat(RecordingFormat):
             if time is None:
                 if "fps" not in arrays:
                     raise InvalidInputError("has neither 'time' nor 'fps'")
-                fps = float(as_floats(arrays["fps"], "fps", shape=(), is_finite=True))
-                expect(
-                    fps > 0.0,
-                    "fps",
-                    "a rate > 0",
-                    value=fps,
-                )
+                fps = as_floats(arrays["fps"], "fps", shape=(), is_finite=True)
+                expect(fps > 0.0, "fps", "a rate > 0", value=fps)
                 time = np.arange(len(joints)) / fps
         return build_recording(
             path,
@@ -99,10 +86,6 @@ class HandModelFormat(RecordingFormat):
             object_pose=arrays.get("object_pose"),
             object_shape=str(arrays.get("object_shape", "")),
         )
-
-    def unread(self, path: Path) -> Names:
-        """Name what is left out."""
-        return self.left_out
 
 
 class ManoFormat(HandModelFormat):
@@ -236,10 +219,7 @@ def rotations_of(turns: Array) -> Array:
 
 
 def _load_model(side: str, given: Path | None) -> Arrays:
-    """Load the arrays of `_MODEL` of the user's file, or folder; by `HANDMAP_MANO` if omitted.
-
-    A pickle is read without running code in it: it may hold arrays only.
-    """
+    """Load the arrays of `_MODEL` of the user's file, or folder; by `HANDMAP_MANO` if omitted."""
     name = f"MANO_{side.upper()}.pkl"
     found = given or os.environ.get(ENVIRONMENT)
     if not found:
@@ -250,7 +230,7 @@ def _load_model(side: str, given: Path | None) -> Arrays:
         )
     file = Path(found)
     file = file / name if file.is_dir() else file
-    values = read_archive(file) if file.suffix == ".npz" else _read_pickle(file)
+    values = read_archive(file) if file.suffix == ".npz" else read_table(file)
     with reading(file):
         arrays = {
             name: as_floats(_dense(values.get(name)), name, shape=shape)
@@ -303,21 +283,21 @@ class _ArrayUnpickler(pickle.Unpickler):
         return super().find_class(module, name)
 
 
-def read_table(stream: Any) -> Values:
-    """Read a table that numpy pickled as an array, from a stream in the form of `.npy`.
+def read_table(file: Path) -> Values:
+    """Read a pickled table without running code in it: it may hold arrays, numbers and texts only.
+
+    Args:
+        file: A pickle, or an array of numpy (`.npy`) whose one value is a table.
 
     Raises:
-        UnpicklingError: If it holds something else than arrays, numbers, texts and tables.
+        RecordingError: If it holds something else, or is no table.
     """
-    # The header of the array is one line.
-    stream.readline()
-    return _ArrayUnpickler(stream).load().item()
-
-
-def _read_pickle(file: Path) -> dict[str, Any]:
-    with reading(file, "cannot be read as a MANO model"):
-        content = io.BytesIO(file.read_bytes())
-        values = _ArrayUnpickler(content, encoding="latin1").load()
-        if not isinstance(values, dict):
+    with reading(file), file.open("rb") as stream:
+        if file.suffix == ".npy":
+            # The header of the array is one line; a pickle follows.
+            stream.readline()
+        found = _ArrayUnpickler(stream, encoding="latin1").load()
+        table = np.array(found, dtype=object).item()
+        if not isinstance(table, dict):
             raise TypeError("it is no table")
-        return values
+        return table

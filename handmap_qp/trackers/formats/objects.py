@@ -30,39 +30,8 @@ background
 """Names of the objects of DexYCB by their numbers."""
 
 
-def _holding(
-    hands: HandArrays,
-    thing: str,
-    poses: Array,
-    path: Path,
-    mesh: str = "",
-) -> HandArrays:
-    """Return hands with an object, at 30 frames a second if they do not say it.
-
-    Args:
-        hands: Arrays by side.
-        thing: Name of the object.
-        poses: Its poses, as `build_recording` takes them; NaN where it is not seen.
-        path: The file or folder that is read.
-        mesh: The object's mesh, in a folder above it; its shape is not known if there is none.
-    """
-    # An object that is never seen has no shape either.
-    files = [
-        str(folder / mesh)
-        for folder in path.absolute().parents
-        if np.isfinite(poses).any()
-    ]
-    shape = next(filter(os.path.isfile, files), "")
-    return {
-        f"{side}_{thing}": {
-            "side": side,
-            "fps": 30.0,
-            "object_pose": poses,
-            "object_shape": shape,
-            **arrays,
-        }
-        for side, arrays in hands.items()
-    }
+_RATE = 30.0
+"""Frames per second of all of them."""
 
 
 class DexYcbFormat(HandModelFormat):
@@ -77,14 +46,13 @@ class DexYcbFormat(HandModelFormat):
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the folder has labels, or folders with labels."""
-        return any([*path.glob("labels_*.npz"), *path.glob("*/labels_*.npz")])
+        return bool(_labels(path))
 
     def hands(self, path: Path) -> HandArrays:
         """Read the one hand, with the object that it grasps."""
-        files = sorted(path.glob("labels_*.npz"))
-        if not files:
-            return self.hands(min(path.glob("*/labels_*.npz")).parent)
-        meta = path.absolute().parent / "meta.yml"
+        files = _labels(path)
+        folders = files[0].absolute().parents
+        meta = folders[1] / "meta.yml"
         with reading(meta):
             given = msgspec.yaml.decode(meta.read_bytes())
             place = given["ycb_grasp_ind"]
@@ -93,17 +61,26 @@ class DexYcbFormat(HandModelFormat):
         joints, poses = [], []
         for file in files:
             with reading(file):
-                arrays = read_archive(file)
+                arrays = read_archive(file, ("joint_3d", "pose_y"))
                 joints.append(_seen(arrays["joint_3d"], 21, 3))
                 poses.append(_seen(arrays["pose_y"][place], 12))
-        hand = np.array(joints)[:, np.argsort(FROM_MANO)]
-        return _holding(
-            {side: {"joints": hand}},
-            thing,
-            np.array(poses),
-            path,
-            f"models/{thing}/textured_simple.obj",
-        )
+        arrays = {
+            "side": side,
+            "fps": _RATE,
+            "joints": np.array(joints)[:, np.argsort(FROM_MANO)],
+            "object_pose": np.array(poses),
+        }
+        # An object that is never seen has no shape either.
+        if np.isfinite(poses).any():
+            meshes = (f / "models" / thing / "textured_simple.obj" for f in folders)
+            arrays["object_shape"] = next(filter(os.path.isfile, meshes), "")
+        return {f"{side}_{thing}": arrays}
+
+
+def _labels(path: Path) -> list[Path]:
+    """Return the labels of a camera, the first one if the folder is that of a sequence."""
+    files = sorted(path.glob("labels_*.npz")) or sorted(path.glob("*/labels_*.npz"))
+    return [file for file in files if file.parent == files[0].parent]
 
 
 def _seen(values: Array, *shape: int) -> Array:
@@ -120,20 +97,21 @@ class ArcticFormat(HandModelFormat):
 
     def hands(self, path: Path) -> HandArrays:
         """Read each hand with the object, whose shape is not known."""
-        with path.open("rb") as stream:
-            tables = read_table(stream)
         file = path.with_suffix("").with_suffix(".object.npy")
         with reading(file):
             rows = as_floats(np.load(file), "", shape=("T", 7))
-        hands = {
-            side: {
+        poses = affine(rotations_of(rows[:, 1:4]), 1e-3 * rows[:, 4:])
+        thing, _, _ = path.name.partition("_")
+        return {
+            f"{side}_{thing}": {
+                "side": side,
+                "fps": _RATE,
                 "global_orient": own["rot"],
                 "hand_pose": own["pose"],
                 "transl": own["trans"],
-                "betas": np.reshape(own["shape"], (-1, 10))[0],
+                "betas": np.atleast_2d(own["shape"])[0],
                 "flat_hand_mean": False,
+                "object_pose": poses,
             }
-            for side, own in tables.items()
+            for side, own in read_table(path).items()
         }
-        pose = affine(rotations_of(rows[:, 1:4]), 1e-3 * rows[:, 4:])
-        return _holding(hands, path.name.partition("_")[0], pose, path)
