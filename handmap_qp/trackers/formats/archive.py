@@ -54,16 +54,16 @@ class NpzFormat(RecordingFormat):
         names = member_names(path)
         return "landmarks" in names or not {"pose", "hand_pose", "joints"} & names
 
-    def entries(self, path: Path) -> tuple[Entry, ...]:
+    def entries(self, path: Path) -> Sequence[Entry]:
         """List the one hand, or both."""
         names = member_names(path)
         sides = [side for side in SIDES if f"{side}_landmarks" in names]
         if not sides:
             arrays = _read(path, ("time", "handedness"))
             side = side_of(arrays["handedness"], "handedness")
-            return (Entry("", side, np.size(arrays["time"])),)
+            return [Entry("", side, np.size(arrays["time"]))]
         times = _read(path, [f"{side}_time" for side in sides])
-        return tuple(Entry(s, s, np.size(times[f"{s}_time"])) for s in sides)
+        return [Entry(s, s, np.size(times[f"{s}_time"])) for s in sides]
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand; samples with numbers that are not finite are not valid."""

@@ -126,7 +126,7 @@ class RecordingFormat(abc.ABC):
         return path.is_file()
 
     @abc.abstractmethod
-    def entries(self, path: Path) -> tuple[Entry, ...]:
+    def entries(self, path: Path) -> Sequence[Entry]:
         """List the recordings of a file, in its order."""
 
     @abc.abstractmethod

@@ -43,12 +43,12 @@ class CsvFormat(RecordingFormat):
     suffixes = (".csv",)
     lacks = ("source", "upright", "object_shape")
 
-    def entries(self, path: Path) -> tuple[Entry, ...]:
+    def entries(self, path: Path) -> Sequence[Entry]:
         """List the hands by their rows."""
         with opened_table(path) as (header, rows):
             counts = Counter(side for side, _ in _by_side(header, rows))
         is_one = len(counts) == 1
-        return tuple(Entry("" if is_one else s, s, counts[s]) for s in sorted(counts))
+        return [Entry("" if is_one else s, s, counts[s]) for s in sorted(counts)]
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the rows of one hand."""
@@ -123,7 +123,7 @@ def opened_table(
         RecordingError: If it is not a table in UTF-8, or for an error of the block, with its line.
     """
     problem = "is not a CSV table in UTF-8"
-    with reading(path), path.open(encoding="utf-8-sig", newline="") as file:
+    with path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(file)
         with reading(path, problem, table=reader):
             rows = _rows(reader, is_padded)

@@ -73,7 +73,7 @@ def numbers(
     name: str,
     shape: tuple[int, ...],
 ) -> Array:
-    """Read an array of numbers.
+    """Read an array of numbers, in the type that the file has.
 
     Args:
         group: The group that holds it.
@@ -102,7 +102,7 @@ def numbers(
         raise InvalidInputError(problem, argument=f"{group.name.rstrip('/')}/{name}")
     found = np.empty(size, item.dtype)
     item.read(h5py.h5s.ALL, h5py.h5s.ALL, found)
-    return found.astype(float, copy=False)
+    return found
 
 
 @contextmanager
@@ -164,7 +164,7 @@ class RobomimicFormat(_Hdf5Format):
     name = "robomimic"
     group = "data"
 
-    def entries(self, path: Path) -> tuple[Entry, ...]:
+    def entries(self, path: Path) -> Sequence[Entry]:
         """List the demonstrations by their numbers."""
         with opened(path) as file:
             entries = []
@@ -177,7 +177,7 @@ class RobomimicFormat(_Hdf5Format):
                     raise InvalidInputError(problem, argument=place)
                 side = side_of(demo.attrs.get("side"), place)
                 entries.append(Entry(name, side, len(demo["obs/landmarks"])))
-            return tuple(entries)
+            return entries
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one demonstration."""
@@ -247,7 +247,7 @@ class EgoDexFormat(_Hdf5Format):
         "no confidence",
     )
 
-    def entries(self, path: Path) -> tuple[Entry, ...]:
+    def entries(self, path: Path) -> Sequence[Entry]:
         """List the hands whose wrist the file has."""
         with opened(path) as file:
             group = file["transforms"]
@@ -255,7 +255,7 @@ class EgoDexFormat(_Hdf5Format):
             if not found:
                 problem = "has neither 'leftHand' nor 'rightHand'"
                 raise InvalidInputError(problem, argument="transforms")
-            return tuple(Entry(side, side, len(group[f"{side}Hand"])) for side in found)
+            return [Entry(side, side, len(group[f"{side}Hand"])) for side in found]
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand."""

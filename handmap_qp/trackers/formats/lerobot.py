@@ -75,7 +75,7 @@ class LeRobotFormat(RecordingFormat):
         """Tell whether the folder has the description of a data set."""
         return (path / "meta" / "info.json").is_file()
 
-    def entries(self, path: Path) -> tuple[Entry, ...]:
+    def entries(self, path: Path) -> Sequence[Entry]:
         """Refuse: no data set is read."""
         problem = "is a LeRobot data set, which is written and not read"
         advice = "read the recordings that it was made from"

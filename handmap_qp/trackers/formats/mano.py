@@ -21,9 +21,7 @@ from handmap_qp.se3 import Array, Arrays, affine, as_floats, transform_points
 from .archive import member_names, read_archive, save_npz
 from .base import Entry, RecordingFormat, build_recording, reading, side_of
 
-FROM_MANO = np.array(
-    [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20]
-)
+FROM_MANO = np.r_[0, 13:17, 1:4, 17, 4:7, 18, 10:13, 19, 7:10, 20]
 """Index in MANO's order of each landmark.
 
 That order is 16 joints (wrist; index, middle, little, ring and thumb, three each), then the tips
@@ -50,32 +48,31 @@ class HandModelFormat(RecordingFormat):
     def hands(self, path: Path) -> HandArrays:
         """Read each recording, by the name of its entry, as arrays of `ManoFormat`."""
 
-    def entries(self, path: Path) -> tuple[Entry, ...]:
+    def entries(self, path: Path) -> Sequence[Entry]:
         """List the recordings."""
         entries = []
         for entry, arrays in self.hands(path).items():
             main = next(arrays[name] for name in ("joints", *_POSES) if name in arrays)
             side = side_of(arrays.get("side"), "side")
             entries.append(Entry(entry, side, len(np.atleast_1d(main))))
-        return tuple(entries)
+        return entries
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one recording."""
         arrays = self.hands(path)[entry.name]
-        with reading(path):
-            if "joints" in arrays:
-                shape = ("T", LANDMARK_COUNT, 3)
-                joints = as_floats(arrays["joints"], "joints", shape=shape)
-            else:
-                model = _load_model(entry.side, self._model)
-                joints = _joints_of_parameters(model, arrays, entry.samples)
-            time = arrays.get("time")
-            if time is None:
-                if "fps" not in arrays:
-                    raise InvalidInputError("has neither 'time' nor 'fps'")
-                fps = as_floats(arrays["fps"], "fps", shape=(), is_finite=True)
-                expect(fps > 0.0, "fps", "a rate > 0", value=fps)
-                time = np.arange(len(joints)) / fps
+        if "joints" in arrays:
+            shape = ("T", LANDMARK_COUNT, 3)
+            joints = as_floats(arrays["joints"], "joints", shape=shape)
+        else:
+            model = _load_model(entry.side, self._model)
+            joints = _joints_of_parameters(model, arrays, entry.samples)
+        time = arrays.get("time")
+        if time is None:
+            if "fps" not in arrays:
+                raise InvalidInputError("has neither 'time' nor 'fps'")
+            fps = as_floats(arrays["fps"], "fps", shape=(), is_finite=True)
+            expect(fps > 0.0, "fps", "a rate > 0", value=fps)
+            time = np.arange(len(joints)) / fps
         return build_recording(
             path,
             entry,

@@ -73,13 +73,13 @@ class McapFormat(RecordingFormat):
         """Tell whether it is a file, or the folder of a bag."""
         return path.is_file() or (path / "metadata.yaml").is_file()
 
-    def entries(self, path: Path) -> tuple[Entry, ...]:
+    def entries(self, path: Path) -> Sequence[Entry]:
         """List the hands that have landmarks or joint states."""
         with _opened(path) as bag:
-            return tuple(
+            return [
                 Entry(side, side, bag.topics[_main(topics)].msgcount)
                 for side, topics in _hands(bag).items()
-            )
+            ]
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand."""
