@@ -203,8 +203,7 @@ def mirrored(recording: Recording) -> Recording:
         InvalidInputError: If it has an object that is no box, ball or cylinder.
     """
     shape = recording.object_shape
-    # Before the colon of a path there is one letter, if any.
-    is_plain = shape == "" or len(shape.partition(":")[0]) not in (1, len(shape))
+    is_plain = re.match("box:|sphere:|cylinder:|$", shape)
     expect(is_plain, "object_shape", "a shape that its mirror image is", value=shape)
     kept = recording.upright or "yz"
     mirror = np.diag([1.0 if axis in kept else -1.0 for axis in "xyz"])
@@ -252,7 +251,7 @@ def sample_columns(
     """
     valid = recording.valid
     shares = recording.confidence
-    shares = np.ones(len(recording)) if shares is None else shares
+    shares = 1.0 if shares is None else shares
     confidence = np.where(valid | (shares == 1.0), shares, 0.0)
     columns = recording.time, recording.landmarks, valid, confidence, wrist_poses
     return SampleColumns(recording.side, *columns)

@@ -166,7 +166,7 @@ def carried_fingers(landmarks: Array) -> Array:
     changing = (np.abs(np.diff(away, axis=0)) > _STEP).any(axis=(2, 3)).mean(axis=0)
     bones = unit(np.diff(chains[-1], axis=1))
     bends = np.vecdot(bones[:, 1:], bones[:, :-1])
-    is_inside = ((bends > _INSIDE[0]) & (bends < _INSIDE[1])).any(axis=1)
+    is_inside = (bends == np.clip(bends, *_INSIDE)).any(axis=1)
     return (ranges < _CARRIED) & is_inside & (median(changing) > _OTHERS_CHANGE)
 
 

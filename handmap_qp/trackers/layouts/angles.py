@@ -74,16 +74,15 @@ class AngleLayout(Layout):
                 advice=did_you_mean(entry.joint, HUMAN_JOINTS),
             )
             expect(entry.scale != 0.0, f"{entry.joint}.scale", "not 0", value=0.0)
+            self.aliases[entry.name] = entry.aliases
+            if entry.default is not None:
+                self.defaults[entry.name] = entry.default
         expect(table.unit in ("deg", "rad"), "unit", "deg or rad", value=table.unit)
         self._joints = [*map(HUMAN_JOINTS.index, joints)]
         self._scales = np.array([entry.scale for entry in table.angles])
         self._offsets = np.array([entry.offset for entry in table.angles])
         self.shapes = ((len(joints),),)
         self.columns = tuple(entry.name for entry in table.angles)
-        for entry in table.angles:
-            self.aliases[entry.name] = entry.aliases
-            if entry.default is not None:
-                self.defaults[entry.name] = entry.default
 
     def rows(self) -> Rows:
         """Describe every angle."""

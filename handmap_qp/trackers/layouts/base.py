@@ -6,7 +6,7 @@ how the wrist's pose is obtained, and what the tracker does not give.
 """
 
 import abc
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
@@ -339,7 +339,7 @@ class Layout(abc.ABC):
                 poses[seen] = found
         return landmarks, poses, seen
 
-    def find_columns(self, names: Sequence[str], side: Side) -> dict[str, str]:
+    def find_columns(self, names: Collection[str], side: Side) -> dict[str, str]:
         """Find the numbers of one sample among named ones.
 
         A name may have more before it, such as `RightFinger`, where it names no other side.
@@ -384,7 +384,7 @@ class Layout(abc.ABC):
         Raises:
             InvalidInputError: If one is missing.
         """
-        found = self.find_columns(tuple(given), side)
+        found = self.find_columns(given, side)
         by_column = self.defaults | {c: given[name] for c, name in found.items()}
         ordered = [by_column[column] for column in self.columns]
         return np.stack(np.broadcast_arrays(*ordered), axis=-1)

@@ -185,7 +185,7 @@ def _read_columns(
     """Return the columns of a CSV file by the names that an `.npz` file has for them."""
     with opened_table(file, is_padded=True) as (header, rows):
         hand = side or _named_side(" ".join(header).lower())
-        own = layout.find_columns(tuple(header), hand or "right").values()
+        own = layout.find_columns(header, hand or "right").values()
         times = [name for name in _time_units(layout) if name in header][:1]
         places = {name: header[name] for name in (*times, *own)}
         columns = dict(zip(places, numbers(rows, places).T, strict=True))
