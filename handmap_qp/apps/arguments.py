@@ -14,15 +14,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands import (
-    FINGERS,
-    Hand,
-    Names,
-    Side,
-    Values,
-    load_hand,
-    load_whole,
-)
+from handmap_qp.hands import FINGERS, Hand, Names, Side, Values, load_hand, load_whole
 from handmap_qp.human import Person, Recording, mirrored, read_person
 from handmap_qp.mapping import (
     PRESETS,
@@ -47,10 +39,7 @@ from handmap_qp.trackers import (
 
 
 def check_names(
-    argument: str,
-    names: Sequence[str],
-    expected: str = "different names",
-    **more: str,
+    argument: str, names: Sequence[str], expected: str = "different names", **more: str
 ) -> None:
     """Reject an empty list and a name that occurs twice."""
     expect(names, argument, "at least one", got="none")

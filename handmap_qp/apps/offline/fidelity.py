@@ -240,9 +240,7 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
 
 
 def gap_metrics(
-    human: HandTrace,
-    gaps: SurfaceGaps,
-    counts: Array,
+    human: HandTrace, gaps: SurfaceGaps, counts: Array
 ) -> tuple[int, Values]:
     """Return how many samples of pairs the human pinches, and metrics of the robot's surfaces."""
     wanted = pinch_gaps(human)
@@ -268,11 +266,7 @@ def gap_metrics(
 
 
 def joint_metrics(
-    hand: Hand,
-    q: Array,
-    time: Array,
-    counts: Array,
-    human_q: Array | None,
+    hand: Hand, q: Array, time: Array, counts: Array, human_q: Array | None
 ) -> Values:
     """Compare joints with their limits, and their jerk with the fitted human's."""
     outside = np.abs(q - np.clip(q, *hand.limits)).max(axis=1)
@@ -289,11 +283,7 @@ def joint_metrics(
     return found
 
 
-def latency(
-    human: HandTrace,
-    robot: HandTrace,
-    time: Array,
-) -> float:
+def latency(human: HandTrace, robot: HandTrace, time: Array) -> float:
     """Lag of the robot's fingertips behind the human's, both in palm frames.
 
     The cross-correlation of all coordinates together, over all lags up to 0.3 s, is refined by a

@@ -85,12 +85,7 @@ def look_ahead(recording: Recording, options: LookAhead = LookAhead()) -> Record
     )
 
 
-def smooth_poses(
-    time: Array,
-    poses: Array,
-    valid: Array,
-    options: LookAhead,
-) -> Array:
+def smooth_poses(time: Array, poses: Array, valid: Array, options: LookAhead) -> Array:
     """Smooth poses forwards and backwards in time.
 
     Args:
@@ -108,12 +103,7 @@ def smooth_poses(
     return affine(rotation_from_quat_wxyz(smooth[:, :4], "poses"), smooth[:, 4:])
 
 
-def whittaker(
-    time: Array,
-    values: Array,
-    weight: Array,
-    cutoff: float,
-) -> Array:
+def whittaker(time: Array, values: Array, weight: Array, cutoff: float) -> Array:
     """Smooth columns by a penalty on their second derivative.
 
     Args:

@@ -164,10 +164,7 @@ def map_recording(
 
 
 def trajectory_of(
-    robot: Hand,
-    time: Array,
-    mapped: Iterator[MapStep | None],
-    progress: Told = None,
+    robot: Hand, time: Array, mapped: Iterator[MapStep | None], progress: Told = None
 ) -> Trajectory:
     """Collect the steps of samples; None stands for one that is not valid.
 
@@ -199,11 +196,7 @@ def trajectory_of(
     return replace(made, object_pose=objects[held_samples(is_known)])
 
 
-def _trajectory(
-    robot: Hand,
-    time: Array,
-    table: StepTable,
-) -> Trajectory:
+def _trajectory(robot: Hand, time: Array, table: StepTable) -> Trajectory:
     """Fill the samples without a step, and measure; see `trajectory_of`."""
     status, rule, is_held, consistency, confidence, step_cpu = table.columns[6:]
     rule = np.array(RULE_NAMES)[rule.astype(int)]
@@ -253,13 +246,7 @@ def stretches(flags: Array) -> list[slice]:
     return np.ma.clump_masked(np.ma.array(flags, mask=flags))
 
 
-def rms_derivative(
-    values: Array,
-    time: Array,
-    valid: Array,
-    *,
-    order: int,
-) -> float:
+def rms_derivative(values: Array, time: Array, valid: Array, *, order: int) -> float:
     """RMS of a time derivative, by divided differences, which allow uneven sampling.
 
     Args:
