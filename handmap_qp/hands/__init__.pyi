@@ -84,6 +84,7 @@ from .spec import read_hand_spec as read_hand_spec
 from .spec import read_yaml as read_yaml
 from .spec import typed as typed
 from .urdf import MOVABLE as MOVABLE
+from .urdf import USUAL_SPEEDS as USUAL_SPEEDS
 from .urdf import check_tree as check_tree
 from .urdf import child_of as child_of
 from .urdf import cut_subtree as cut_subtree

@@ -28,7 +28,7 @@ from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
 from .sources import find_mesh, root_tag
 from .spec import Names
-from .urdf import set_numbers, set_origin
+from .urdf import USUAL_SPEEDS, set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -39,7 +39,7 @@ _LAST_SHOWN_GROUP = 2
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
-_CONVERSION = 5
+_CONVERSION = 6
 # Radius of a ball in the place of a lost mesh [m].
 _RADIUS = 0.006
 # A range of this size in radians is one of pi in degrees [rad].
@@ -145,10 +145,8 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float
     """
     model = converted.model
     random = np.random.default_rng(0)
-    # MuJoCo has no speed limits, without which Pinocchio does not read a joint.
-    text = converted.text.replace("<limit ", '<limit velocity="0" ')
     data = mujoco.MjData(model)
-    robot = pin.buildModelFromXML(text)
+    robot = pin.buildModelFromXML(converted.text)
     robot_data = robot.createData()
     worst = 0.0
     for _ in range(postures):
@@ -245,7 +243,8 @@ class ConvertedMjcf:
         self._data.qpos[model.jnt_qposadr[[*self.joints]]] = 0.0
         mujoco.mj_kinematics(model, self._data)
         self._rules, more = read_couplings(model, self.joints)
-        self.notes += tuple(more)
+        speeds = "{revolute:g} rad/s and {prismatic:g} m/s".format(**USUAL_SPEEDS)
+        self.notes += (f"MuJoCo has no speed limits: {speeds} are written", *more)
         # Kinds of geoms that have no counterpart in URDF.
         self._omitted = set[str]()
         self.text = self._described(name)
@@ -350,9 +349,11 @@ class ConvertedMjcf:
             # MuJoCo's range of a ball is [0, largest angle].
             ends = {"lower": -high if kind == _BALL else low, "upper": high}
         turning = "revolute" if ends else "continuous"
-        element.set("type", "prismatic" if kind == _SLIDE else turning)
+        turning = "prismatic" if kind == _SLIDE else turning
+        element.set("type", turning)
         set_numbers(SubElement(element, "axis"), xyz=np.round(direction, 14))
-        set_numbers(SubElement(element, "limit"), **ends, effort=self._effort(joint))
+        ends |= {"effort": self._effort(joint), "velocity": USUAL_SPEEDS[turning]}
+        set_numbers(SubElement(element, "limit"), **ends)
         dof = model.jnt_dofadr[joint]
         damping = np.ravel(model.dof_damping[dof])[:1]
         friction = model.dof_frictionloss[dof]

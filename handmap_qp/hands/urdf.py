@@ -23,6 +23,8 @@ from .spec import ArmSpec, HandSpec, LimitSpec, MimicSpec, Positions, Rules, rep
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one coordinate."""
+USUAL_SPEEDS = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
+"""Speeds of joints whose file gives none, by their type [rad/s or m/s]."""
 _FREE = ("planar", "floating")
 _KINDS = (*MOVABLE, "fixed", *_FREE)
 _DEFAULT_AXIS = "1 0 0"

@@ -101,7 +101,7 @@ def test_a_ball_joint_turns_as_three_hinges(claw: tuple[ConvertedMjcf, Path]) ->
     data, address = mujoco.MjData(model), model.joint("socket").qposadr[0]
     mujoco.mju_mat2Quat(data.qpos[address : address + 4], rotation.ravel())
     mujoco.mj_kinematics(model, data)
-    text = claw[0].text.replace("<limit ", '<limit velocity="0" ')
+    text = claw[0].text
     robot = pin.buildModelFromXML(text)
     robot_data, q = robot.createData(), pin.neutral(robot)
     for letter, angle in zip("xyz", angles, strict=True):

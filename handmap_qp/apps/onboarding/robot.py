@@ -20,6 +20,7 @@ from handmap_qp.apps.drawing import shape_meshes
 from handmap_qp.errors import HandError
 from handmap_qp.hands import (
     MOVABLE,
+    USUAL_SPEEDS,
     Hand,
     HandSpec,
     LimitSpec,
@@ -39,13 +40,12 @@ from handmap_qp.hands import (
 from handmap_qp.se3 import Array, inverse_pose, transform_points
 from handmap_qp.trackers import first_of
 
-# Assumed ranges [rad or m] and speeds [per s] of joints without limits in the URDF.
+# Assumed ranges [rad or m] of joints without limits in the URDF.
 _ASSUMED_RANGE = {
     "revolute": (-math.pi / 2, math.pi / 2),
     "continuous": (-math.pi, math.pi),
     "prismatic": (0.0, 0.04),
 }
-_ASSUMED_SPEED = {"revolute": 5.0, "continuous": 5.0, "prismatic": 0.1}
 # A larger range is in degrees; joints of arms turn twice [rad].
 _LARGEST_TURN = 4.0 * math.pi + 0.01
 # Most names in one note.
@@ -246,7 +246,7 @@ class Robot(Hand):
                     for other in given.values()
                     if other.kind == one.kind and other.speed
                 ]
-                speed = np.median(usual or _ASSUMED_SPEED[one.kind])
+                speed = np.median(usual or USUAL_SPEEDS[one.kind])
                 self._remark(
                     name, f"has no speed limit in the URDF: {speed:.4g} is assumed"
                 )
