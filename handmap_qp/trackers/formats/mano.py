@@ -136,16 +136,15 @@ def _joints_of_parameters(
             "has no array 'flat_hand_mean', which says whether a pose of 0 is the flat hand"
         )
 
-    def given(name: str, *shape: int | str, default: Any = None) -> Array:
-        return as_floats(arrays.get(name, default), name, shape=shape, is_finite=True)
+    def given(name: str, *shape: int | str) -> Array:
+        return as_floats(arrays.get(name), name, shape=shape, is_finite=True)
 
     if "pose" in arrays:
         root, fingers = np.split(given("pose", count, 48), [3], axis=1)
     else:
         root = given("global_orient", count, 3)
         fingers = given("hand_pose", count, "k")
-    shape = given("betas", _SHAPES, default=np.zeros(_SHAPES))
-    shift = given("transl", count, 3, default=np.zeros((count, 3)))
+    shape = given("betas", _SHAPES) if "betas" in arrays else np.zeros(_SHAPES)
     components = fingers.shape[1]
     expect(
         components <= _TURNS,
@@ -158,7 +157,10 @@ def _joints_of_parameters(
     if not arrays["flat_hand_mean"]:
         fingers = fingers + model["hands_mean"]
     turns = np.hstack([root, fingers]).reshape(count, _JOINTS, 3)
-    return _posed_joints(model, turns, shape) + shift[:, None]
+    joints = _posed_joints(model, turns, shape)
+    if "transl" in arrays:
+        joints += given("transl", count, 3)[:, None]
+    return joints
 
 
 ENVIRONMENT = "HANDMAP_MANO"
@@ -202,7 +204,7 @@ def _posed_joints(
     for joint, up in enumerate(parents, start=1):
         poses[:, joint] = poses[:, up] @ poses[:, joint]
     # Skin the tips: each joint carries the vertex from its place at rest to its place now.
-    carried = transform_points(poses, (tips[:, :, None] - rest).swapaxes(1, 2))
+    carried = transform_points(poses, tips[:, None] - rest[:, None])
     skinned = np.einsum("vj,tjva->tva", model["weights"][TIP_VERTICES], carried)
     return np.hstack([poses[..., :3, 3], skinned])
 

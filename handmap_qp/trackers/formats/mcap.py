@@ -250,10 +250,9 @@ def _write_hand(writer: Any, recording: Recording) -> None:
     }
 
     def pose(position: Array, quat_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0)) -> Any:
-        w, x, y, z = quat_wxyz
         return types["geometry_msgs/msg/Pose"](
             types["geometry_msgs/msg/Point"](*position.tolist()),
-            types["geometry_msgs/msg/Quaternion"](x, y, z, w),
+            types["geometry_msgs/msg/Quaternion"](*quat_wxyz[1:], quat_wxyz[0]),
         )
 
     def put(stamp: int, kind: str, *values: Any) -> None:

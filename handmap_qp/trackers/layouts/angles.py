@@ -79,8 +79,8 @@ class AngleLayout(Layout):
                 self.defaults[entry.name] = entry.default
         expect(table.unit in ("deg", "rad"), "unit", "deg or rad", value=table.unit)
         self._joints = [*map(HUMAN_JOINTS.index, joints)]
-        self._scales = np.array([entry.scale for entry in table.angles])
-        self._offsets = np.array([entry.offset for entry in table.angles])
+        factors = np.array([(entry.scale, entry.offset) for entry in table.angles])
+        self._scales, self._offsets = UNITS[table.unit] * factors.T  # to radians
         self.shapes = ((len(joints),),)
         self.columns = tuple(entry.name for entry in table.angles)
 
@@ -110,8 +110,7 @@ class AngleLayout(Layout):
         """
         human = sized_human(side, lengths)
         postures = np.zeros((len(values), len(HUMAN_JOINTS)))
-        angles = self._scales * values + self._offsets
-        postures[:, self._joints] = UNITS[self.table.unit] * angles
+        postures[:, self._joints] = self._scales * values + self._offsets
         self._check(values, postures)
         postures = np.clip(postures, *human.limits)
         landmarks = np.array([human.points(q) for q in postures])
@@ -121,7 +120,7 @@ class AngleLayout(Layout):
 
     def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return the angles of a posture; see `Layout.write_posture`."""
-        own = np.asarray(q, dtype=float)[self._joints] / UNITS[self.table.unit]
+        own = np.asarray(q, dtype=float)[self._joints]
         return (own - self._offsets) / self._scales
 
     def _check(self, values: Array, q: Array) -> None:

@@ -358,9 +358,9 @@ class Layout(abc.ABC):
         own = [name for name in names if other not in name.lower()]
         found = {}
         for column in self.columns:
-            exact = [n for n in (column, *self.aliases.get(column, ())) if n in names]
             longer = [n for n in own if n.lower().endswith(column.lower())]
-            fitting = [*exact, *longer]
+            likely = (column, *self.aliases.get(column, ()), *longer)
+            fitting = [name for name in likely if name in names]
             if fitting:
                 found[column] = fitting[0]
             elif column not in self.defaults:

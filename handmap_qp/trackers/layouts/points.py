@@ -94,7 +94,7 @@ class PointLayout(Layout):
             "some of 3, 7 and 16",
             value=table.poses,
         )
-        joint = None if table.wrist is None else table.wrist.joint
+        joint = table.wrist and table.wrist.joint
         names = {name: index for index, name in table.names.items()}
         expect(
             joint is None or joint in names,
@@ -129,8 +129,7 @@ class PointLayout(Layout):
         return [
             {"index": i, "joint": self.joint_name(i)}
             | {title: names.get(i, "") for title, names in landmarks.items()}
-            for i in range(self.table.count)
-            if i in known
+            for i in sorted(known)
         ]
 
     def hands(
