@@ -187,22 +187,13 @@ def _parse() -> argparse.Namespace:
         "--camera", type=int, default=0, help="number of the camera (default: 0)"
     )
     source.add_argument("--video", type=Path, help="video file in place of a camera")
-    parser.add_argument(
-        "--side", choices=("right", "left"), default="right", help="hand to track"
-    )
-    parser.add_argument(
-        "--fov", type=float, default=65.0, help="horizontal field of view [deg]"
-    )
-    parser.add_argument(
-        "--mirrored", action="store_true", help="pictures are mirrored (selfie)"
-    )
-    parser.add_argument(
-        "--paced", action="store_true", help="play a video at its own speed"
-    )
-    parser.add_argument(
-        "--to", help="service to send to, tcp://HOST:PORT; else print JSON lines"
-    )
-    parser.add_argument("--robot", help="robot hand, for --to")
+    add = parser.add_argument
+    add("--side", choices=("right", "left"), default="right", help="hand to track")
+    add("--fov", type=float, default=65.0, help="horizontal field of view [deg]")
+    add("--mirrored", action="store_true", help="pictures are mirrored (selfie)")
+    add("--paced", action="store_true", help="play a video at its own speed")
+    add("--to", help="service to send to, tcp://HOST:PORT; else print JSON lines")
+    add("--robot", help="robot hand, for --to")
     arguments = parser.parse_args()
     if arguments.to and not arguments.robot:
         _stop("--to needs --robot")

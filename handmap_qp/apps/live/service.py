@@ -115,12 +115,12 @@ class ServiceSink(Sink):
         silence = monotonic() - self._heard
         if silence > _SILENCE:
             return f"{self._robot}: no answer for {silence:.0f} s"
-        if not self.command:
+        if not (command := self.command):
             return f"{self._robot}: {self._refusal or 'waiting'}"
-        flags = f" ({', '.join(self.command.flags)})" if self.command.flags else ""
-        pair = (self.command.detail or {}).get("held_by")
+        flags = f" ({', '.join(command.flags)})" if command.flags else ""
+        pair = (command.detail or {}).get("held_by")
         held = f", held by {' and '.join(pair)}" if pair else ""
-        return f"{self._robot}: {self.command.status}{flags}{held}"
+        return f"{self._robot}: {command.status}{flags}{held}"
 
     def summary(self) -> Values:
         """Return counts of samples, commands, their states and flags, and refusals."""

@@ -134,7 +134,7 @@ class AuditLog:
         self._file = -1
         self._throttle = Throttle(_RATE, _BURST)
         if path:
-            flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
+            flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
             with naming(path, "cannot be written"):
                 self._file = os.open(path, flags, 0o600)
 

@@ -123,8 +123,7 @@ class Sessions:
         Raises:
             RefusedError: `no_session` if there is none, `taken` if another client took it over.
         """
-        session = self.by_secret.get(secret)
-        if session:
+        if session := self.by_secret.get(secret):
             session.last_request = self.clock()
             return session
         is_taken = self._ended.get(secret) == "taken"

@@ -6,7 +6,6 @@ and a power cut may damage the file. A server does not start with a damaged file
 overlooks that emergency stops are lost.
 """
 
-import os
 import sqlite3
 from contextlib import suppress
 from logging import ERROR, WARNING
@@ -87,7 +86,7 @@ class PostureStore:
         if path:
             try:
                 # Only the owner may read it.
-                os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+                path.touch(0o600)
                 self._database = database = sqlite3.connect(
                     path, timeout=0.0, isolation_level=None, check_same_thread=False
                 )
