@@ -378,7 +378,8 @@ class ConvertedMjcf:
             return
         element = SubElement(link, "inertial")
         # Along the principal axes, in which the inertia is diagonal.
-        set_origin(element, _pose(model.body_ipos[body], model.body_iquat[body]))
+        turn = rotation_from_quat_wxyz(model.body_iquat[body])
+        set_origin(element, affine(turn, model.body_ipos[body]))
         set_numbers(SubElement(element, "mass"), value=model.body_mass[body])
         xx, yy, zz = model.body_inertia[body]
         inertia = SubElement(element, "inertia")
@@ -408,7 +409,8 @@ class ConvertedMjcf:
         """Iterate over the URDF geometries of a geom, with their poses in the link."""
         model = self.model
         size = model.geom_size[geom]
-        pose = _pose(model.geom_pos[geom], model.geom_quat[geom])
+        turn = rotation_from_quat_wxyz(model.geom_quat[geom])
+        pose = affine(turn, model.geom_pos[geom])
         kind = mujoco.mjtGeom(int(model.geom_type[geom])).name
         ball = set_numbers(Element("sphere"), radius=size[0])
         match kind := kind.removeprefix("mjGEOM_").lower():
@@ -438,10 +440,6 @@ class ConvertedMjcf:
         file = f"{self._folder}/{self._files[mesh]}.stl"
         self.meshes[file] = trimesh.Trimesh(vertices, faces, process=False)
         return Element("mesh", filename=file)
-
-
-def _pose(position: Array, quaternion: Array) -> Array:
-    return affine(rotation_from_quat_wxyz(quaternion), position)
 
 
 def _body_pose(data: mujoco.MjData, body: int) -> Array:

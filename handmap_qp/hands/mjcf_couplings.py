@@ -100,7 +100,7 @@ def _tendon_notes(
 ) -> list[str]:
     """Name the independent joints that fixed tendons couple, and count the other tendons."""
     notes = []
-    tendons = [*map(partial(_fixed_tendon, model), range(model.ntendon))]
+    tendons = [_fixed_tendon(model, i) for i in range(model.ntendon)]
     coupled = []
     for i, factors in enumerate(tendons):
         leaders = {rules[j].leader if j in rules else j for j in factors}
@@ -145,9 +145,9 @@ class _Constraints:
         rows, dofs = np.nonzero(is_moved)
         touches = np.zeros((model.neq, model.njnt))
         touches[data.efc_id[rows], model.dof_jntid[dofs]] = 1.0
-        _, labels = connected_components(touches.T @ touches)
+        count, labels = connected_components(touches.T @ touches)
         groups = []
-        for label in np.unique(labels):
+        for label in range(count):
             joints = np.flatnonzero(labels == label)
             constraints = np.flatnonzero(touches[:, joints].any(axis=1)).tolist()
             if constraints:

@@ -228,7 +228,7 @@ def pose_pictures(
             len(row.q) == len(columns),
             f"rows[{i}].q",
             f"joint angles of {len(columns)} columns",
-            got=str(len(row.q)),
+            value=len(row.q),
         )
     human = _pictures(
         [_human_triangles(row.landmarks) for row in rows], side, _HUMAN_BACKGROUND

@@ -19,6 +19,8 @@ from handmap_qp.se3 import Array, affine, box_of, lengths, transform_points, uni
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
 _NEAR = 1e-3
+# Distance of a camera from what it frames, in radii of that: larger ones give less perspective.
+_DISTANCE = 5.0
 # Relative difference of distances that rounding makes.
 _ROUNDING = 1e-9
 # Rows of triangles, twice, to look at in one go; bounds the memory of a picture.
@@ -92,7 +94,6 @@ class Camera(NamedTuple):
         azimuth: float = -60.0,
         elevation: float = 25.0,
         margin: float = 0.04,
-        distance: float = 5.0,
     ) -> Camera:
         """Return the camera that fills a picture with given points.
 
@@ -103,8 +104,6 @@ class Camera(NamedTuple):
                 [deg].
             elevation: Angle of that direction above the horizontal plane [deg], in (-90, 90).
             margin: Margin on every side, as a fraction of the smaller of width and height.
-            distance: Distance from the points' centre, in units of their radius; larger values give
-                less perspective.
 
         Returns:
             The camera.
@@ -114,7 +113,7 @@ class Camera(NamedTuple):
         turn = Rotation.from_euler("ZY", (azimuth, -elevation), degrees=True)
         backward, right, up = turn.as_matrix().T
         rotation = np.array([right, -up, -backward])
-        place = middle + distance * radius * backward
+        place = middle + _DISTANCE * radius * backward
         world_to_camera = affine(rotation, -rotation @ place)
         seen = transform_points(world_to_camera, points)
         low, high = box_of(seen[:, :2] / seen[:, 2:])
@@ -206,8 +205,7 @@ def _rasterise(vertices: Array, camera: Camera) -> tuple[Array, ...]:
     flat = corners.copy()
     flat[..., 2] = 1.0
     # y points down, so a counter-clockwise triangle has a negative area in the picture.
-    is_seen = np.linalg.det(flat) < 0.0
-    seen = np.flatnonzero(is_seen & (depths > _NEAR).all(axis=1))
+    seen = np.flatnonzero((np.linalg.det(flat) < 0.0) & (depths > _NEAR).all(axis=1))
     planes = np.linalg.inv(flat[seen]).mT
     nearness = np.vecmat(1.0 / depths[seen], planes)
     nearest = np.zeros(width * height)

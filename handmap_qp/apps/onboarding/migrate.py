@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
+from msgspec.structs import replace
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands import Names, PointSpec, read_yaml
@@ -102,11 +103,8 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     named = {
         LANDMARK_NAMES[i]: link for i, link in zip(indices, links, strict=True) if i
     }
-    notes = (
-        f"{name} is not used: {_ELSEWHERE[name]}"
-        for name in _ELSEWHERE
-        if name in table
-    )
+    unused = [name for name in _ELSEWHERE if name in table]
+    notes = (f"{name} is not used: {_ELSEWHERE[name]}" for name in unused)
     return DexConfiguration(path, urdf, named, tuple(notes))
 
 
@@ -141,13 +139,11 @@ def migrate(
     for point in found.spec.points:
         if finger := names.get(point.finger or ""):
             own = f"{finger}_{point.name.rpartition('_')[2]}"
-            points[own] = msgspec.structs.replace(
-                point, name=own, finger=finger, partner=None
-            )
+            points[own] = replace(point, name=own, finger=finger, partner=None)
     for landmark, link in links.items():
         points[landmark] = PointSpec(landmark, link, finger=landmark.partition("_")[0])
     every, sets = point_sets(points.values())
-    spec = msgspec.structs.replace(found.spec, points=every, sets=sets)
+    spec = replace(found.spec, points=every, sets=sets)
     intro = f"reference points are those of {configuration.file.name}"
     return found._replace(spec=spec, notes=(intro, *configuration.notes, *found.notes))
 
