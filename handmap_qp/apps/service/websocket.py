@@ -109,12 +109,14 @@ class WebSocketTransport:
         asked = request.headers
         if self.token:
             # As a header, or among its subprotocols.
-            given = asked.get_all("Sec-WebSocket-Protocol")
-            words = re.findall(
-                r"[\w-]+", " ".join(given + asked.get_all("Authorization"))
-            )
+            offered = ",".join(asked.get_all("Sec-WebSocket-Protocol")).split(",")
+            offered += asked.get_all("Authorization")
+            given = [
+                each.strip().removeprefix("bearer.").removeprefix("Bearer ")
+                for each in offered
+            ]
             token = self.token.encode()
-            is_admitted = any(hmac.compare_digest(w.encode(), token) for w in words)
+            is_admitted = any(hmac.compare_digest(v.encode(), token) for v in given)
             refusal = http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n"
         else:
             is_admitted = all(
