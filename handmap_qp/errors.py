@@ -30,13 +30,9 @@ class HandmapError(Exception):
 
 @dataclass(eq=False, repr=False)
 class _ProblemError(HandmapError, ValueError):
-    """An error whose evidence are its fields.
+    """An error whose evidence are its fields."""
 
-    Attributes:
-        problem: What is wrong.
-    """
-
-    problem: str = ""
+    problem: str = ""  # what is wrong
 
     def __post_init__(self) -> None:
         super().__init__(self.problem)

@@ -90,17 +90,11 @@ class _HeldJoints(NamedTuple):
 
 
 class _PadPair(NamedTuple):
-    """The pads of the thumb and a finger.
+    """The pads of the thumb and a finger."""
 
-    Attributes:
-        points: The middles of both.
-        radii: Their radii [m], shape (2,).
-        columns: Columns of q that move both fingers, shape (c,).
-    """
-
-    points: AttachedPoints
-    radii: Array
-    columns: Array
+    points: AttachedPoints  # the middles of both
+    radii: Array  # their radii [m], shape (2,)
+    columns: Array  # columns of q that move both fingers, shape (c,)
 
     def gap(self, hand: Configuration) -> float:
         """Return the distance between their surfaces, < 0 for pads in each other [m]."""
@@ -122,21 +116,13 @@ class _PadPair(NamedTuple):
 
 
 class _ClosingPads(NamedTuple):
-    """Keeps two pads apart, and by their own joints the middle between them at a place.
+    """Keeps two pads apart, and by their own joints the middle between them at a place."""
 
-    Attributes:
-        pads: The pads.
-        own: Whether each column of the velocity moves one of both fingers, shape (nv,).
-        centre: The place [m], shape (3,).
-        least: The least gap [m].
-        share: Share of the weights.
-    """
-
-    pads: _PadPair
-    own: Array
-    centre: Array
-    least: float
-    share: float
+    pads: _PadPair  # the pads
+    own: Array  # whether each column of the velocity moves one of both fingers, shape (nv,)
+    centre: Array  # the place [m], shape (3,)
+    least: float  # the least gap [m]
+    share: float  # share of the weights
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return three rows of the middle, and one of the gap; see `Task.linearise`."""
@@ -150,27 +136,18 @@ class _ClosingPads(NamedTuple):
 
 
 class _Grip(NamedTuple):
-    """What is held.
+    """What is held."""
 
-    Attributes:
-        finger: Number of the finger, in the order of the pinches.
-        columns: Columns of q that move thumb and finger, shape (c,).
-        posture: Measured joint positions at the touch [rad], shape (n,).
-        levers: Torque of each joint for one newton between the pads [m], shape (n,).
-        force: Force that the command had there [N].
-        gap: Smallest gap of the person's fingers since then [m].
-        time: Time since then [s].
-        opening: Share of the way out, from 0 to 1.
-    """
-
-    finger: int
-    columns: Array
-    posture: Array
-    levers: Array
-    force: float
-    gap: float
-    time: float = 0.0
-    opening: float = 0.0
+    finger: int  # number of the finger, in the order of the pinches
+    columns: Array  # columns of q that move thumb and finger, shape (c,)
+    posture: Array  # measured joint positions at the touch [rad], shape (n,)
+    levers: (
+        Array  # torque of each joint for one newton between the pads [m], shape (n,)
+    )
+    force: float  # force that the command had there [N]
+    gap: float  # smallest gap of the person's fingers since then [m]
+    time: float = 0.0  # time since then [s]
+    opening: float = 0.0  # share of the way out, from 0 to 1
 
 
 class GripFollower:

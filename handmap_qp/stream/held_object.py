@@ -84,25 +84,15 @@ class ObjectOptions(Options, frozen=True):
 
 
 class _Touch(NamedTuple):
-    """Takes pads to places of an object, and pushes links out of it.
+    """Takes pads to places of an object, and pushes links out of it."""
 
-    Attributes:
-        hand: The hand.
-        shape: The object's shape.
-        pose: Its pose in the robot's world, shape (4, 4).
-        points: The middles of f pads.
-        places: Where they belong in the robot's world [m], shape (f, 3).
-        shares: Shares of the weight of each, shape (f,).
-        share: Share of all weights.
-    """
-
-    hand: Hand
-    shape: Shape
-    pose: Array
-    points: AttachedPoints
-    places: Array
-    shares: Array
-    share: float
+    hand: Hand  # the hand
+    shape: Shape  # the object's shape
+    pose: Array  # its pose in the robot's world, shape (4, 4)
+    points: AttachedPoints  # the middles of f pads
+    places: Array  # where they belong in the robot's world [m], shape (f, 3)
+    shares: Array  # shares of the weight of each, shape (f,)
+    share: float  # share of all weights
 
     def links(self, placed: Configuration) -> tuple[Array, Array]:
         """Return the distance of each shape [m], (s,), and its slopes, shape (s, nv)."""
