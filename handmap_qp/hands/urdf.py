@@ -312,7 +312,7 @@ def _checked_kind(joint: Element) -> str:
 def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
     """Keep the part from `root` outwards, and write mimic rules, locked joints and limits into it.
 
-    A leader's speed is that of its followers, too, unless they are given their own.
+    Where a leader is given a speed, it is bound by none of its followers' but given ones.
 
     Args:
         robot: The `<robot>` element, changed in place.
@@ -345,15 +345,13 @@ def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
 
 
 def _followed(name: str, rules: Rules, limits: Mapping[str, LimitSpec]) -> LimitSpec:
-    """Return the speed of a joint whose leader is given another one than the file's."""
-    scale = 1.0
+    """Return no speed, 0, for a joint whose leader is given one; else no limits."""
     # Rules that lead in a circle are rejected later.
     for _ in rules:
         if rule := rules.get(name):
-            scale *= abs(rule.multiplier)
             name = rule.joint
-        if speed := limits.get(name, LimitSpec()).velocity:
-            return LimitSpec(velocity=scale * speed)
+        if limits.get(name, LimitSpec()).velocity:
+            return LimitSpec(velocity=0.0)
     return LimitSpec()
 
 
