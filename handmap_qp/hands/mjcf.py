@@ -397,7 +397,7 @@ class ConvertedMjcf:
         collides = (model.geom_contype | model.geom_conaffinity)[geoms] != 0
         is_mesh = model.geom_type[geoms] == _MESH
         is_seen = ~collides | (is_mesh & (model.geom_group[geoms] <= _LAST_SHOWN_GROUP))
-        shown = geoms[is_seen] if not collides.all() else geoms
+        shown = geoms[is_seen | collides.all()]
         for tag, chosen in (("visual", shown), ("collision", geoms[collides])):
             for geom in chosen:
                 for pose, geometry in self._geometries(geom):

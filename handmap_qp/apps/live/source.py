@@ -133,7 +133,7 @@ class Replay:
         recording = self._recording
         offset = -float(recording.time[0])
         start = time.monotonic()
-        duration = recording.time[-1] - recording.time[0] + np.median(recording.steps)
+        duration = np.ptp(recording.time) + np.median(recording.steps)
         while True:
             for sample in recording_samples(recording):
                 due = start + (sample.time + offset) / self._speed

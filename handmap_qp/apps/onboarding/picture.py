@@ -199,10 +199,10 @@ class _Scene:
         # The points' names are at the panel's edges, each with a line to its point.
         places = camera.project(self.points)[:, :2]
         across = places[:, 0]
+        order = np.argsort(places[:, 1])
         is_right = across > 0.5 * (across.min() + across.max())
         for side, edge in ((is_right, _PANEL[0] - 8), (~is_right, 8)):
-            chosen = np.flatnonzero(side)
-            chosen = chosen[np.argsort(places[chosen, 1])]
+            chosen = order[side[order]]
             # At least this far apart [pixel], and inside the panel if they fit.
             steps = 24.0 * np.arange(len(chosen))
             heights = np.maximum.accumulate(places[chosen, 1] - steps) + steps
