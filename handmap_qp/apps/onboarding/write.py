@@ -86,12 +86,7 @@ class RobotSource(NamedTuple):
     written: tuple[Path, ...] = ()
 
 
-def open_source(
-    robot: Path,
-    folder: Path,
-    *,
-    overwrite: bool = False,
-) -> RobotSource:
+def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotSource:
     """Find the URDF of a robot, and convert an MJCF file to one.
 
     Args:
@@ -195,11 +190,7 @@ def _comments(detection: Detection) -> dict[str, str]:
     return above
 
 
-def _lines(
-    values: Any,
-    path: str,
-    above: Mapping[str, str],
-) -> Iterator[str]:
+def _lines(values: Any, path: str, above: Mapping[str, str]) -> Iterator[str]:
     """Yield the lines of a mapping, struct or list, with comments by the paths of keys."""
     values = _given(values)
     is_list = isinstance(values, tuple)
