@@ -583,9 +583,8 @@ class Command(Reply):
             nothing.
         hands: Each hand of a robot with two, by side. A hand whose sample makes no sense is `held`
             by itself; the robot is `held` if all are.
-        effort: Torques with which a grip presses [N m], in the order of `q`, for drivers that take
-            them: `q` lies so far behind the surface that position control presses as much. Empty
-            without a grip.
+        effort: Torques of a grip [N m] in the order of `q`, by which position control presses, too;
+            empty without one.
     """
 
     name: str

@@ -181,11 +181,7 @@ def _hull_of(mesh: Element) -> coal.Convex | None:
 # The meshes of a hand are those of all its sessions, as long as the file does not change.
 @lru_cache(maxsize=256)
 def _hull_in(file: str, scale: tuple[float, ...], *_: int) -> coal.Convex | None:
-    """Read a file as its convex hull; None if it is flat, or not as large as links are.
-
-    A mesh is a surface without an inside: an object within it would not be noticed, and an overlap
-    would have no depth.
-    """
+    """Read a file as its convex hull, which has an inside; None if it is flat or no link's size."""
     corners = _stl_vertices(file)
     if corners is None:
         corners = np.array(coal.MeshLoader().load(file, np.ones(3)).vertices())

@@ -62,9 +62,8 @@ def convert_mjcf(file: Path, meshes: str = "meshes") -> ConvertedMjcf:
 def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
     """Return a compiled file, its name, and a note if its unit of angles was guessed.
 
-    MuJoCo's default unit of angles is the degree. Parts of robots that other files include often
-    rely on their `compiler` element for radians: where every hinge would move by a few degrees at
-    most, angles are taken as radians.
+    Parts of robots often rely on the `compiler` element of files that include them for radians:
+    where every hinge would move by a few degrees at most, angles are taken as radians.
     """
     try:
         if root_tag(file.read_bytes()) == "mujocoinclude":
@@ -99,11 +98,7 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
 
 
 def _find_assets(spec: mujoco.MjSpec, folder: Path) -> Names:
-    """Find meshes by their names, put balls in the place of lost ones, and drop what only colours.
-
-    Returns:
-        A note if there are lost ones.
-    """
+    """Find meshes by their names, with balls for lost ones, which are noted; drop what colours."""
     for element in (*spec.geoms, *spec.sites, *spec.tendons):
         element.material = ""
     for asset in (*spec.materials, *spec.textures):

@@ -161,11 +161,7 @@ class _Constraints:
         return [self._kinds[i] for i in others]
 
     def solve(self, coupled: set[int], constraints: list[int]) -> _Solution | None:
-        """Solve a group.
-
-        Returns None if other joints belong to it, it has more than one degree of freedom, it does
-        not close, or it is not near lines.
-        """
+        """Solve a group; None with other joints or freedoms, or if it is open or not near lines."""
         if not coupled <= self._names.keys():
             return None
         leader = self._leader(coupled, constraints)

@@ -345,10 +345,7 @@ def _levers(model: pin.Model, shape: pin.GeometryObject) -> Array:
 
 
 def _extent(shape: pin.GeometryObject) -> tuple[Array, float]:
-    """Return points and a radius about them within which a shape is, in its joint's frame.
-
-    The corners of its bounding box, or the centre of its bounding ball if that is smaller.
-    """
+    """Return corners of a box, or the middle and radius of a ball, about a shape in its joint."""
     geometry = shape.geometry
     geometry.computeLocalAABB()
     box = geometry.aabb_local

@@ -195,8 +195,7 @@ def render(
 def _rasterise(vertices: Array, camera: Camera) -> tuple[Array, ...]:
     """Find the triangle in front at every pixel's centre; cull those seen from behind.
 
-    Returns:
-        The k covered pixels, their triangles and barycentric coordinates, (k, 3); and all depths.
+    The k covered pixels, their triangles and barycentric coordinates, (k, 3); and all depths.
     """
     width, height = camera.size
     corners = camera.project(vertices)

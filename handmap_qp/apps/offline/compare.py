@@ -101,11 +101,13 @@ class Compare:
     recordings: Recordings
     robot: HandName
     methods: Annotated[
-        Names, hinted("METHOD...", "(default: every preset, and the first one +smooth)")
+        Names,
+        hinted("METHOD...", "(default: every preset, and the first one +smooth)"),
     ] = ()
     peers: bool = False
     peers_from: Annotated[
-        Path | None, hinted("FOLDER", "(default: benchmarks/peers of the checkout)")
+        Path | None,
+        hinted("FOLDER", "(default: benchmarks/peers of the checkout)"),
     ] = None
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     person: PersonFile = None
@@ -243,7 +245,10 @@ def _methods(request: Compare) -> list[ComparedMethod]:
 
 
 def _takes(
-    request: Compare, robot: Hand, person: Person | None, say: Progress
+    request: Compare,
+    robot: Hand,
+    person: Person | None,
+    say: Progress,
 ) -> list[Take]:
     """Read all recordings before any is prepared."""
     side = robot.side
@@ -284,7 +289,11 @@ def _print_tables(comparison: Comparison) -> None:
         console.print()
 
 
-def _write(out: Path, comparison: Comparison, say: Progress) -> list[Path]:
+def _write(
+    out: Path,
+    comparison: Comparison,
+    say: Progress,
+) -> list[Path]:
     """Write all files, and return those that were written."""
     files = [out / name for name in FILES]
     table, results, metrics, poses = files
@@ -313,7 +322,11 @@ def _tables(values: dict[str, Values]) -> list[str]:
     return [_table(*group, values) for group in arising(values.values())]
 
 
-def _table(title: str, metrics: Sequence[Metric], values: dict[str, Values]) -> str:
+def _table(
+    title: str,
+    metrics: Sequence[Metric],
+    values: dict[str, Values],
+) -> str:
     """Return a table with a row for every method."""
     columns = [(title, *values)]
     for metric in metrics:
@@ -352,7 +365,7 @@ def draw_metrics(file: Path, comparison: Comparison) -> None:
             _draw_panel(panel, metric, comparison, has_names=i % _COLUMNS == 0)
         figure.suptitle(
             f"{comparison.robot.name}: mean over {len(comparison.takes)} recordings (large dots) "
-            "and each recording (small dots); filled: best. Arrows: beyond the panel."
+            "and each recording (small dots); filled: best. Arrows: beyond the panel.",
         )
         figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.985))
         figure.savefig(file)
@@ -430,7 +443,11 @@ def _clearest(comparison: Comparison) -> dict[str, tuple[Take, int]]:
 
 
 def _draw_panel(
-    panel: Any, metric: Metric, comparison: Comparison, *, has_names: bool
+    panel: Any,
+    metric: Metric,
+    comparison: Comparison,
+    *,
+    has_names: bool,
 ) -> None:
     """Draw one metric: methods from top to bottom."""
     methods = comparison.methods

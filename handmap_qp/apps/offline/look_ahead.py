@@ -103,7 +103,12 @@ def smooth_poses(time: Array, poses: Array, valid: Array, options: LookAhead) ->
     return affine(rotation_from_quat_wxyz(smooth[:, :4], "poses"), smooth[:, 4:])
 
 
-def whittaker(time: Array, values: Array, weight: Array, cutoff: float) -> Array:
+def whittaker(
+    time: Array,
+    values: Array,
+    weight: Array,
+    cutoff: float,
+) -> Array:
     """Smooth columns by a penalty on their second derivative.
 
     Args:

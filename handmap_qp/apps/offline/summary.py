@@ -155,10 +155,7 @@ def table_rows(summary: Values) -> dict[str, str]:
 
 
 def _arm(trajectory: Trajectory) -> Values | None:
-    """Measure how far a motion leaves the reach of an arm; None if the arm follows.
-
-    The scale is the largest one at which every target is as near to the start as the wrist got.
-    """
+    """Measure how far a motion leaves an arm's reach, and what scale fits; None if it does not."""
     robot = trajectory.robot
     places = trajectory.wrist[trajectory.valid, :3, 3]
     errors = trajectory.wrist_error[trajectory.valid]

@@ -118,8 +118,7 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
 def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
     """Return what msgspec complains of, in words that help a client, and the path of the value.
 
-    msgspec only has a text, such as "Expected `float`, got `str` - at `$.q[1]`", or for a field of
-    the message itself "Object missing required field `time`".
+    msgspec only has a text, such as "Expected `float`, got `str` - at `$.q[1]`".
     """
     message, *places = str(error).rsplit(" - at `$", 1)
     path = "".join(places).rstrip("`").lstrip(".")

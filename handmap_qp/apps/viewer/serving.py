@@ -65,8 +65,7 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[ViserServer]:
 def _own_pages_only(host: str) -> Iterator[None]:
     """Make a viser server that starts in this block accept its own page only.
 
-    Any page in the user's browser could press the view's buttons, and viser accepts all: wrap the
-    `serve` function of websockets that it calls.
+    Any page in the browser could press the view's buttons: wrap the `serve` that viser calls.
     """
     from websockets.asyncio import server as websocket_server
 

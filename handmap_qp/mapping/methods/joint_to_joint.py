@@ -309,9 +309,8 @@ class BoundJointToJoint(PalmMethod):
     ) -> tuple[float, bool, bool]:
         """Find where a robot's joint goes, which a human's joint leads with a sense.
 
-        Returns:
-            Position where the human's angle counts as none [rad or m], whether the human's largest
-            angle is at the upper limit, and whether that angle counts from rest instead of zero.
+        It is the position where the human's angle counts as none [rad or m], whether its largest is
+        at the upper limit, and whether it counts from rest instead of zero.
         """
         robot = self.robot
         view = PalmKinematics(robot)
