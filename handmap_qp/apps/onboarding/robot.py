@@ -91,7 +91,7 @@ class Robot(Hand):
         root: str | None = None,
     ) -> None:
         self.file = file
-        self._remarks = dict[str, list[str]]()
+        self._remarks = dict[str, dict[str, None]]()
         self.surface = cache(self._surface)
         try:
             robot = parse_urdf(text)
@@ -162,7 +162,7 @@ class Robot(Hand):
         found = []
         for what, subjects in self._remarks.items():
             each = f" ({len(subjects)}): each" * (len(subjects) > 1)
-            found.append(f"{first_of(subjects, _MOST_NAMES)}{each} {what}")
+            found.append(f"{first_of([*subjects], _MOST_NAMES)}{each} {what}")
         return [*found, *self.notes]
 
     def error(self, problem: str, value: object = None) -> HandError:
@@ -170,7 +170,7 @@ class Robot(Hand):
         return HandError(problem, file=self.file, value=value)
 
     def _remark(self, subject: str, what: str) -> None:
-        self._remarks.setdefault(what, []).append(subject)
+        self._remarks.setdefault(what, {})[subject] = None
 
     # -- structure
 
@@ -209,7 +209,9 @@ class Robot(Hand):
 
     def _points(self, link: str, kind: str) -> list[Array]:
         """Return points of each shape of a link in its frame, at most some of each mesh."""
-        miss = partial(self._remark, what="is a mesh that cannot be read")
+        miss = partial(
+            self._remark, what="is a lost mesh: a simple shape stands for it"
+        )
         return [
             np.array(mesh.vertices[:: max(1, len(mesh.vertices) // _MOST_POINTS)])
             for shape in self.elements[link].iterfind(kind)
