@@ -339,10 +339,7 @@ _CONTRADICTION = 0.6
 
 
 def _find_order(landmarks: Array, sign: float, own_evidence: float) -> Finding | None:
-    """Look for another order that explains landmarks (T, 21, 3) much better than ours.
-
-    The sign is 1 for a right hand; our order fits the palmar side by -5 to 5 (`own_evidence`).
-    """
+    """Look for an order that explains landmarks much better than ours, of evidence -5 to 5."""
     names, orders = _known_orders()
     distances = own_distances(landmarks[:, orders])
     misfits = misfit(distances)
@@ -425,10 +422,7 @@ def _find_time_unit(times: Array) -> Finding | None:
 def _find_length_unit(
     landmarks: Array, distances: Distances, *, is_hand: bool
 ) -> Finding | None:
-    """Tell whether landmarks (T, 21, 3) are not in metres; None also if they are no hand at all.
-
-    Distances are of `own_distances`; `is_hand` is whether they have the proportions of a hand.
-    """
+    """Tell whether landmarks, which are a hand or in another order, are not in metres."""
     low, high = HAND_LENGTHS
     wrist = landmarks[:, 0]
     length = distances.hand_length

@@ -155,13 +155,11 @@ _ROLLS = {
 
 
 def _usual_mistake(palms: Array, rotations: Array) -> str:
-    """Return the usual mistake of a reader that explains the rotations; empty if none does.
-
-    A layout may have turned the wrist's axes to ours afterwards, so undo that for every convention.
-    """
+    """Return the usual mistake of a reader that explains the rotations; empty if none does."""
     from scipy.spatial.transform import Rotation
 
     tried = []
+    # A layout may have turned the wrist's axes to ours afterwards.
     for convention in CONVENTIONS:
         xyzw = Rotation.from_matrix(rotations @ convention).as_quat()
         for name, roll in _ROLLS.items():

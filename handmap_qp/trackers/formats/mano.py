@@ -189,10 +189,7 @@ def _posed_joints(
     turns: Array,
     shape: Array,
 ) -> Array:
-    """Return 16 joints in MANO's order, then tips from thumb to little [m], shape (T, 21, 3).
-
-    Turns are rotation vectors of the joints, the wrist's first [rad], shape (T, 16, 3).
-    """
+    """Return joints in MANO's order [m], (T, 21, 3), of rotation vectors [rad], (T, 16, 3)."""
     vertices = model["v_template"] + model["shapedirs"] @ shape
     rest = model["J_regressor"] @ vertices
     rotations = rotations_of(turns)
