@@ -103,6 +103,16 @@ def test_a_mapping_that_knows_the_object_touches_it_where_the_person_does() -> N
     assert aware["object_depth_mm"] < 2.0
 
 
+@pytest.mark.parametrize("ending", ["+look-ahead", "+smooth"])
+def test_smoother_mappings_touch_the_object_too(ending: str) -> None:
+    method = own_method(f"teleoperation{ending}")
+    (run,) = compare_methods([take()], ALLEGRO, [method]).runs
+    plain = runs()["teleoperation"].values
+    for key in HELD:
+        assert run.values[key] == pytest.approx(plain[key], rel=0.2, abs=0.5)
+    assert run.values["contact_recall"] > 0.7
+
+
 def test_an_object_that_is_far_or_not_seen_asks_no_question() -> None:
     recording = take().recording
     poses = np.array(recording.object_pose)
