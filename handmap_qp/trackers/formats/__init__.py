@@ -145,7 +145,7 @@ def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
         sorted(sides) == ["left", "right"],
         "RECORDING",
         "one recording of the left and one of the right hand",
-        got=", ".join(sides) if len(sides) < 5 else f"{len(sides)} recordings",
+        got=first_of(sides, 4),
     )
     return {source.entry.side: source.read() for source in sources}
 

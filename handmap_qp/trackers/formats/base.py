@@ -158,12 +158,11 @@ class RecordingFormat(abc.ABC):
             InvalidInputError: If there is none, or a hand occurs twice.
         """
         sides = [recording.side for recording in recordings]
-        got = ", ".join(sides) or "none"
         expect(
             sides and len(set(sides)) == len(sides),
             "recordings",
             f"one recording of each hand in a file of the form {self.name}",
-            got=got if len(got) < 40 else f"{len(sides)} recordings",
+            got=first_of(sides, 4) or "none",
             advice="use lerobot, robomimic, or one file for each",
         )
 

@@ -289,8 +289,8 @@ class EgoDexFormat(_Hdf5Format):
     def unread(self, path: Path) -> Names:
         """Name the joints and groups that a recording cannot hold."""
         with opened(path) as file:
-            known = {name for side in SIDES for name in joint_names(side)}
-            others = len(set(file["transforms"]) - known)
+            known = map(joint_names, SIDES)
+            others = len(set(file["transforms"]).difference(*known))
             rest = sorted(set(file) - {"transforms", "confidences", "time"})
         poses = (f"{others} other poses",) if others else ()
         return (*poses, *rest, "orientations of the fingers' joints")

@@ -172,9 +172,7 @@ class LeRobotWriter:
         self._episode_count = self._frame_count = self._file_index = self._file_size = 0
         self._open: Values = {}
 
-    def add(
-        self, columns: Arrays, task: str, about: Mapping[str, Any] | None = None
-    ) -> None:
+    def add(self, columns: Arrays, task: str, about: Mapping[str, Any]) -> None:
         """Add an episode.
 
         Args:
@@ -216,7 +214,7 @@ class LeRobotWriter:
             "dataset_to_index": self._frame_count,
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
-            **(about or {}),
+            **about,
         }
         for name, array in values.items():
             own = episode_stats(array)

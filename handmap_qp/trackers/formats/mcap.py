@@ -227,7 +227,7 @@ def _forward(
         for name in HUMAN_JOINTS:
             if name not in angles:
                 raise InvalidInputError(f"a message has no position of joint {name!r}")
-        q = np.array([angles[name] for name in HUMAN_JOINTS])
+        q = [angles[name] for name in HUMAN_JOINTS]
         pose = pose_from_xyz_quat(wrists[i], "wxyz", "wrist") if has_pose[i] else None
         # Where the bag has wrists, a hand without one is nowhere.
         if np.isfinite(q).all() and has_pose[i] == has_pose.any():

@@ -66,13 +66,12 @@ def read_with_layout(
         )
         is_table = suffix == ".csv"
         arrays = _read_columns(file, layout, side) if is_table else read_archive(file)
-        said = arrays.get("handedness")
-        found = None if said is None else side_of(said, "handedness")
-        hand = side or found
-        if hand is None:
+        said = arrays.get("handedness", side)
+        if said is None:
             raise InvalidInputError("does not say which hand it is of: give --side")
-        if found not in (None, hand):
-            raise InvalidInputError(f"is of a {found} hand, not of a {hand} one")
+        hand = side_of(said, "handedness")
+        if side not in (None, hand):
+            raise InvalidInputError(f"is of a {hand} hand, not of a {side} one")
         time = _time(arrays, layout)
         values = arrays[_values_name(arrays, layout, side, len(time))]
         recording = layout.record(

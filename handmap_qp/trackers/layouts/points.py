@@ -165,8 +165,8 @@ class PointLayout(Layout):
 
     def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return the joints of the human hand; see `Layout.write_posture`."""
-        landmarks = human.with_points("landmarks").points(q)
-        return self._write(transform_points(wrist, landmarks), wrist, human.side)
+        landmarks = human.with_points("landmarks").points(q, wrist)
+        return self._write(landmarks, wrist, human.side)
 
     def _write(self, landmarks: Array, wrist: Array, side: Side) -> Array:
         joints = np.tile(landmarks[0], (self.table.count, 1))
