@@ -222,6 +222,20 @@ def test_a_contradiction_is_an_exit_code(
     assert said["findings"][0]["level"] == "warning"
 
 
+def test_a_pad_that_is_larger_than_its_phalanx_is_said(
+    made: MadeHand, tmp_path: Path
+) -> None:
+    tip = made.tips["index"]
+    ball = '<collision><geometry><sphere radius="0.2"/></geometry></collision>'
+    link = f'<link name="{tip}"'
+    text = made.urdf.replace(f"{link}/>", f"{link}>{ball}</link>")
+    file = described(tmp_path, made.urdf)
+    assert "points.index" not in warnings_of(check(file))
+    (tmp_path / "hand.urdf").write_text(text)
+    said = warnings_of(check(file))["points.index"]
+    assert "too much for its phalanx" in said
+
+
 def test_a_mesh_in_millimetres_is_said_and_not_used(
     made: MadeHand, tmp_path: Path
 ) -> None:

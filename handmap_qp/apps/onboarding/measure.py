@@ -71,8 +71,9 @@ _STARTS = 6
 _TOUCHING = 0.002
 # A thumb whose pad stays farther than this from every other opposes none of them [m].
 _OPPOSING = 0.015
-# Radius of a pad without shapes [m].
+# Radius of a pad without shapes [m], and a share of the last phalanx that no pad has.
 _RADIUS = 0.006
+_LARGEST_PAD = 0.8
 
 
 def check_reach(hand: Hand) -> Found:
@@ -393,6 +394,10 @@ def check_pinches(hand: Hand) -> Found:
         for finger, pad in pads.items()
     ]
     yield "Pads", rows
+    for finger, pad in pads.items():
+        if pad.radius > _LARGEST_PAD * lengths(fingers[finger].tip[1]):
+            what = f"the pad has a radius of {1e3 * pad.radius:.0f} mm, too much for its phalanx"
+            yield warning(f"points.{finger}", what, "check the shapes of its last link")
     if THUMB not in fingers:
         yield advice("points", "no point is on a thumb: pinches are not mapped")
         return
