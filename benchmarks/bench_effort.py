@@ -230,14 +230,7 @@ def main(words: Sequence[str] | None = None) -> None:
                 done()
     to_stderr = arguments.json == "-"
     for keys in (("object",), ("robot", "object"), ("recording", "object")):
-        groups = dict.fromkeys(tuple(each[key] for key in keys) for each in found)
-        rows = [
-            row(
-                ", ".join(group),
-                [e for e in found if tuple(e[key] for key in keys) == group],
-            )
-            for group in groups
-        ]
+        rows = common.rows_by(found, keys, row)
         title = f"By {' and '.join(keys)}, seed {arguments.seed}"
         common.print_table(title, rows, to_stderr=to_stderr)
     tried_ones = [each for each in found if each["held"] is not None]

@@ -103,21 +103,9 @@ def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     """Return tables by their titles: by robot and mapping, recording, and object."""
-
-    def by(*keys: str) -> list[dict[str, Any]]:
-        groups = dict.fromkeys(tuple(each[key] for key in keys) for each in found)
-        return [
-            row(
-                ", ".join(group),
-                [e for e in found if tuple(e[key] for key in keys) == group],
-            )
-            for group in groups
-        ]
-
     return {
-        "By robot and mapping": by("robot", "mapping"),
-        "By recording and mapping": by("recording", "mapping"),
-        "By object and mapping": by("object", "mapping"),
+        f"By {key} and mapping": common.rows_by(found, (key, "mapping"), row)
+        for key in ("robot", "recording", "object")
     }
 
 

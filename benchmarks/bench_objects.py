@@ -195,14 +195,7 @@ def main(words: Sequence[str] | None = None) -> None:
     every = ("mapping",)
     by = [every, *((key, *every) for key in ("robot", "object", "motion"))]
     for keys in by:
-        groups = dict.fromkeys(tuple(each[key] for key in keys) for each in found)
-        rows = [
-            row(
-                ", ".join(group),
-                [e for e in found if tuple(e[key] for key in keys) == group],
-            )
-            for group in groups
-        ]
+        rows = common.rows_by(found, keys, row)
         common.print_table(f"By {' and '.join(keys)}", rows, to_stderr=to_stderr)
     common.save_picture(arguments.picture, lambda: draw_places(found))
     results = {"seed": arguments.seed, "motions": found}

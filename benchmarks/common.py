@@ -188,6 +188,24 @@ def progress(what: str, total: int | None) -> Iterator[Callable[[], None]]:
         yield lambda: bar.advance(task)
 
 
+def rows_by(
+    found: Sequence[dict[str, Any]],
+    keys: Sequence[str],
+    row: Callable[[str, Sequence[dict[str, Any]]], dict[str, Any]],
+) -> list[dict[str, Any]]:
+    """Return a row of each group of results that agree in some keys.
+
+    Args:
+        found: The results.
+        keys: The keys, whose values are text.
+        row: Makes a row of a group's title and results.
+    """
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for each in found:
+        groups.setdefault(tuple(each[key] for key in keys), []).append(each)
+    return [row(", ".join(group), own) for group, own in groups.items()]
+
+
 def print_table(
     title: str,
     rows: Sequence[dict[str, Any]],
