@@ -141,9 +141,7 @@ class _Grip(NamedTuple):
     finger: int  # number of the finger, in the order of the pinches
     columns: Array  # columns of q that move thumb and finger, shape (c,)
     posture: Array  # measured joint positions at the touch [rad], shape (n,)
-    levers: (
-        Array  # torque of each joint for one newton between the pads [m], shape (n,)
-    )
+    levers: Array  # torque of each joint for 1 N between the pads [m], shape (n,)
     force: float  # force that the command had there [N]
     gap: float  # smallest gap of the person's fingers since then [m]
     time: float = 0.0  # time since then [s]
