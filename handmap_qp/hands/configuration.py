@@ -37,17 +37,16 @@ class Configuration:
     Args:
         model: Pinocchio model.
         wrists: Frame of each hand's wrist.
-        points: Frames of the m reference points, one hand after the other. No other frame of the
-            model has the name of any.
+        points: Frames of the m reference points, one hand after the other.
         counts: Number of reference points of each hand.
         spread: From the active coordinates to the model's tangent space, shape (model.nv, k).
 
     Attributes:
-        model: A copy of the model with these frames.
+        model: As given.
         data: Its Pinocchio data. Read the joint Jacobian from `joint_jacobian`, not from here.
-        q: Configuration last placed, shape (nq,); a read-only view that follows every placement.
+        q: Configuration last placed, shape (nq,), read-only; a new array with every placement.
         points: Reference points in the world [m], shape (m, 3), likewise.
-        wrists: Wrist frame of each hand, a `pinocchio.SE3` view that follows every placement.
+        wrists: Wrist frame of each hand, likewise.
         parts: Where the points of each hand are among all.
     """
 
@@ -60,25 +59,18 @@ class Configuration:
         spread: Array,
     ) -> None:
         self._given = model, wrists, points, counts, spread
-        self.model = pin.Model(model)
+        self.model = model
         self.spread = spread
-        self._wrists = [*map(self.model.addFrame, wrists)]
-        self._frames = [*map(self.model.addFrame, points)]
-        self.data = self.model.createData()
-        self._q = pin.neutral(model)
-        self.q = frozen(self._q.view())
+        self._wrists = wrists
+        self._points = points
+        self.data = model.createData()
         ends = [*accumulate(counts)]
         self.parts = [*map(slice, [0, *ends], ends)]
-        # Pinocchio's arrays follow every placing, so they are fetched once.
-        self._translations = [self.data.oMf[i].translation for i in self._frames]
-        self._points = np.array(self._translations)
-        self.points = frozen(self._points.view())
-        self.wrists = [self.data.oMf[wrist] for wrist in self._wrists]
-        self.place(self._q)
+        self.place(pin.neutral(model))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Build a copy anew: the workspace is views of Pinocchio's memory."""
-        return type(self), self._given, self._q
+        """Build a copy anew, with data of its own."""
+        return type(self), self._given, self.q
 
     @property
     def wrist(self) -> pin.SE3:
@@ -107,15 +99,19 @@ class Configuration:
                 expected=f"a Pinocchio configuration of shape ({self.model.nq},)",
                 value=q,
             ) from error
-        pin.updateFramePlacements(self.model, self.data)
-        self._q[:] = q
-        self._points[:] = self._translations
+        self.q = frozen(np.array(q))
+        self.wrists = [*map(self._placed, self._wrists)]
+        points = [self._placed(frame).translation for frame in self._points]
+        self.points = frozen(np.array(points))
 
     __setstate__ = place
 
+    def _placed(self, frame: pin.Frame) -> pin.SE3:
+        return self.data.oMi[frame.parentJoint] * frame.placement
+
     def frame_pose(self, frame: pin.Frame) -> Array:
         """Return the pose of any frame on the joints in the world, shape (4, 4); a new array."""
-        return (self.data.oMi[frame.parentJoint] * frame.placement).homogeneous
+        return self._placed(frame).homogeneous
 
     def displace(self, start: Array, displacement: Array) -> None:
         """Go from a configuration by a displacement; Jacobians become valid.
@@ -144,11 +140,12 @@ class Configuration:
 
     def full_point_jacobian(self) -> Array:
         """Jacobian as of `point_jacobian`, by all coordinates of the model, (3 m, model.nv)."""
-        rows = [
-            pin.getFrameJacobian(self.model, self.data, i, pin.LOCAL_WORLD_ALIGNED)[:3]
-            for i in self._frames
-        ]
+        rows = [self._jacobian(f, pin.LOCAL_WORLD_ALIGNED)[:3] for f in self._points]
         return np.vstack(rows)
+
+    def _jacobian(self, frame: pin.Frame, axes: pin.ReferenceFrame) -> Array:
+        place = frame.parentJoint, frame.placement
+        return pin.getFrameJacobian(self.model, self.data, *place, axes)
 
     def wrist_jacobian(self, error_jacobian: Array, part: int = 0) -> Array:
         """Body Jacobian of a wrist in the active coordinates.
@@ -160,17 +157,16 @@ class Configuration:
         Returns:
             `error_jacobian @ J_wrist`, shape (6, k); a new array.
         """
-        frame = self._wrists[part]
-        wrist = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL)
+        wrist = self._jacobian(self._wrists[part], pin.LOCAL)
         return self.contracted(error_jacobian @ wrist)
 
     def contracted(self, jacobian: Array) -> Array:
         """Take a Jacobian over the model's tangent space to the active coordinates.
 
         Args:
-            jacobian: Shape (r, model.nv).
+            jacobian: Shape (..., model.nv).
 
         Returns:
-            Jacobian, shape (r, k); the same array if all coordinates are active.
+            Jacobian, shape (..., k); the same array if all coordinates are active.
         """
         return jacobian if self.nv == self.model.nv else jacobian.dot(self.spread)

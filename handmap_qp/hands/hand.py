@@ -203,10 +203,9 @@ class Hand:
     @cached_property
     def point_frames(self) -> tuple[pin.Frame, ...]:
         """Pinocchio frames of the reference points, which the model does not have."""
-        # Pinocchio does not add a frame of a name that another one has, so they have their number.
         return tuple(
             self._frame(
-                f"/{i}/{point.name}",
+                point.name,
                 point.link,
                 f"points[{i}].link",
                 affine(np.eye(3), point.xyz),

@@ -307,8 +307,7 @@ class PointIk:
     @property
     def configuration(self) -> Configuration:
         """The present posture; `place` puts the hand somewhere else."""
-        if self._configuration.q.tobytes() != self.gate.motion.q.tobytes():
-            self._configuration.place(self.gate.motion.q)
+        self._configuration.place(self.gate.motion.q)
         return self._configuration
 
     def with_options(self, options: IkOptions) -> PointIk:
@@ -431,7 +430,7 @@ class PointIk:
             dt: Time since the last sample [s].
         """
         displacement = self.gate.brake(dt)
-        points = self.configuration.points.copy()
+        points = self.configuration.points
         active = np.zeros(len(displacement), dtype=np.int8)
         return self._result("released", points, displacement, active, 0, 0.0)
 

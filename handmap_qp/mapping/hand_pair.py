@@ -459,7 +459,7 @@ def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> Array:
     hand = ik.hand
     ik.place(hand.configuration_vector(hand.rest))
     placed = ik.configuration
-    targets = placed.points.copy()
+    targets = placed.points
     wrist = placed.wrist.homogeneous
     for _ in range(steps):
         ik.solve(targets, wrist, _UNHURRIED, tasks=[task])

@@ -664,7 +664,7 @@ def posture_of(robot: Hand, vector: Array) -> RobotPosture:
         return RobotPosture(q, *tree.posture(vector, robot.reference_points))
     placed = robot.configuration()
     placed.place(vector)
-    return RobotPosture(q, placed.points.copy(), placed.wrist.homogeneous)
+    return RobotPosture(q, placed.points, placed.wrist.homogeneous)
 
 
 def stages_of(pose: HumanPose, asked: Targets, result: IkResult) -> Stages:
