@@ -134,8 +134,6 @@ class PairBounds(Compiled):
         geometry: As given.
         first: Index of the first shape of each pair, shape (k,).
         second: Index of the second one.
-        centres: Centres of the shapes' bounding balls in their axes [m], shape (s, 3).
-        radii: Sum of both balls' radii of each pair [m], shape (k,).
         levers: Bound of the change of each pair's distance per change of each velocity coordinate
             [m/rad, or 1 for sliding joints], shape (k, nv); 0 for coordinates that move both shapes
             of a pair or neither.
@@ -154,11 +152,6 @@ class PairBounds(Compiled):
         shapes = geometry.geometryObjects
         levers = [_levers(model, shape) for shape in shapes]
         levers = np.reshape(levers, (-1, model.nv))
-        # Known from here on, because levers are bounded by boxes and balls around the shapes.
-        centres = [shape.geometry.aabb_center for shape in shapes]
-        self.centres = np.reshape(centres, (-1, 3))
-        radii = np.array([shape.geometry.aabb_radius for shape in shapes])
-        self.radii = radii[self.first] + radii[self.second]
         moved = moved_by(model, [shape.parentJoint for shape in shapes])
         self.signs = moved[self.first] - moved[self.second]
         is_between = self.signs != 0.0
@@ -209,16 +202,9 @@ class ShapeDistances:
             q: Pinocchio configuration, shape (nq,).
             horizon: Largest distance [m], of each pair or one for all.
         """
-        bounds = self.bounds
-        horizons = np.full(len(bounds.levers), horizon)
-        poses = self._place(q)
-        centres = transform_points(poses, bounds.centres[:, None])[:, 0]
-        apart = lengths(centres[bounds.first] - centres[bounds.second])
-        # The distances of the bounding balls.
-        pairs = np.flatnonzero(apart - bounds.radii <= horizons)
-        found = self._found_at(q, pairs)
-        is_near = found[:, 0] <= horizons[pairs]
-        return NearPairs(pairs[is_near], found[is_near])
+        found = self._found_at(q, np.arange(len(self.bounds.levers)))
+        is_near = found[:, 0] <= horizon
+        return NearPairs(np.flatnonzero(is_near), found[is_near])
 
     def _found_at(self, q: Array, pairs: Array) -> Array:
         """Return what is found of some pairs in a posture; as of `NearPairs`, shape (r, 7)."""
