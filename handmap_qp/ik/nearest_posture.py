@@ -8,7 +8,6 @@ points' paths too: the second derivative of a point by the joints i and j, i nea
 the axis of i times the point's derivative by j. Each step solves a QP with the joint limits.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -98,9 +97,12 @@ class _Distance:
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()
         self.free = np.flatnonzero(~hand.moves_wrist)
-        spread, self._is_ancestor = _coordinates(hand)
         # From the free joints to the model's tangent space.
-        self._spread = spread[:, self.free]
+        self._spread = hand.joint_motion[:, self.free]
+        # For each coordinate of the model, those that it carries.
+        model = hand.model
+        carriers = np.repeat(np.arange(model.njoints), model.nvs)
+        self._is_ancestor = moved_by(model, carriers.tolist()).T
         self._rest = hand.rest[self.free]
 
     def whole(self, x: Array) -> Array:
@@ -130,14 +132,6 @@ class _Distance:
         )
         value = 0.5 * ((forces * errors).sum() + self._rest_cost * away.dot(away))
         return _Terms(value, gradient, hessian)
-
-
-@lru_cache(maxsize=16)
-def _coordinates(hand: Hand) -> tuple[Array, Array]:
-    """Return `Hand.joint_motion`, and for each coordinate of the model those it carries, or 0."""
-    model = hand.model
-    carriers = np.repeat(np.arange(model.njoints), model.nvs)
-    return hand.joint_motion, moved_by(model, carriers.tolist()).T
 
 
 def _convex(hessian: Array) -> Array:

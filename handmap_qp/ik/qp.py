@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import daqp
@@ -99,12 +99,6 @@ class IkResult(ArrayStruct, frozen=True):
         return self.targets - self.points
 
 
-@lru_cache(maxsize=16)
-def _costs(hand: Hand, options: IkOptions) -> Array:
-    """Return the costs of points and wrist by their coordinates, shape (3 m + 6,), read-only."""
-    return frozen(np.repeat([*options.point_costs(hand), *options.wrist_costs], 3))
-
-
 def point_rows(
     configuration: Configuration,
     targets: Array,
@@ -165,7 +159,8 @@ def cost_rows(
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
     """
-    costs = _costs(hand, options)
+    # Of points and wrist, by their coordinates.
+    costs = np.repeat([*options.point_costs(hand), *options.wrist_costs], 3)
     blocks = []
     for part, own in enumerate(configuration.parts):
         wrist = None if goal.wrists is None else pin.SE3(goal.wrists[part])
@@ -368,46 +363,44 @@ class PointIk:
         start = gate.motion.q
         lower, upper = gate.bounds(dt, speed)
         linear = gate.rows(configuration, dt, margins)
-        rows = None
-        total = first = np.zeros(len(lower))
+        total = first = step = np.zeros(len(lower))
         iterations = 0
         last_step = math.inf
-        has_failed = False
+
+        def go_on(so_far: Array) -> tuple[Array, Array | None]:
+            """Solve one QP; return the displacement with its step, and the step, if any."""
+            nonlocal iterations
+            iterations += 1
+            # Leave later iterations the rest of the bounds, which hold for the whole sample.
+            rest = lower - so_far, upper - so_far
+            rows = linear and feasible(
+                linear, *rest, stopping=gate.stopping(dt), so_far=so_far
+            )
+            step = self._step(goal, *rest, rows)
+            # Clip exactly: solvers hold the box up to their tolerance. On failure, bring joints
+            # outside their limits back all the same: the box excludes zero there.
+            return np.clip(0.0 if step is None else so_far + step, lower, upper), step
 
         def around(met: NearPairs) -> Array:
             """Solve from the start again, and keep apart the points that met."""
-            nonlocal linear, iterations
+            nonlocal linear
             assert linear
             configuration.place(start)
             linear = gate.joined(linear, configuration, met)
-            rows = feasible(linear, lower, upper, stopping=gate.stopping(dt))
-            step = self._step(goal, lower, upper, rows)
-            iterations += 1
-            return np.clip(0.0 if step is None else step, lower, upper)
+            return go_on(np.zeros(len(lower)))[0]
 
         while (
             last_step > self.options.step_tolerance
             and iterations < self.options.max_iterations
         ):
-            # Leave later iterations the rest of the bounds, which hold for the whole sample.
-            least = lower - total
-            most = upper - total
-            if linear:
-                stopping = gate.stopping(dt)
-                rows = feasible(linear, least, most, stopping=stopping, so_far=total)
-            step = self._step(goal, least, most, rows)
-            iterations += 1
-            has_failed = step is None
-            # Clip exactly: solvers hold the box up to their tolerance. On failure, bring joints
-            # outside their limits back all the same: the box excludes zero there.
-            total = np.clip(0.0 if step is None else total + step, lower, upper)
+            total, step = go_on(total)
             last_step = 0.0 if step is None else math.sqrt(step.dot(step))
             first = total if iterations == 1 else first
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
         total = gate.admit(total, first, dt, around)
-        status = "failed" if has_failed else "solved"
+        status = "failed" if step is None else "solved"
         targets, off = goal.points.copy(), 0.0
         placed = self.configuration
         on = zip(
