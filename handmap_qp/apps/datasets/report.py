@@ -14,7 +14,7 @@ from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.metrics import Metric
-from handmap_qp.apps.tables import csv_text, markdown_table, print_result
+from handmap_qp.apps.tables import Row, csv_text, markdown_table, print_result
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands import load_whole
 from handmap_qp.human import Recording
@@ -26,7 +26,6 @@ from .manifest import Line, read_manifests
 
 FOLDER = "report"
 """Folder of the report, below that of the batch."""
-_SUMMARY = "measure", "median", "worst 5 %", "worst", "episodes"
 _MOST_DRAWN, _MOST_FAILED = 8, 50
 _COLUMNS, _BINS = 4, 40
 _LONGEST_NAME = 21  # characters beside a picture
@@ -97,12 +96,12 @@ class Report:
             {
                 "episode": line.key,
                 "file": line.out,
-                "kept": int(is_kept),
+                "kept": int(place >= quality.left_out),
                 "badness": f"{badness:.4f}",
                 "frames": line.frames,
                 **{measure.key: line.metrics.get(measure.key) for measure in MEASURES},
             }
-            for line, badness, _, is_kept in quality.episodes
+            for place, (line, badness, _) in enumerate(quality.episodes)
         ]
         kept = sorted(f"{row['file']}\n" for row in rows if row["kept"])
         texts = {
@@ -124,13 +123,11 @@ class Ranked(NamedTuple):
         badness: The worst of its ranks among the measures, from 0 (best in everything) to 1 (worst
             in something).
         worst: The measure in which it is worst.
-        is_kept: Whether the filter keeps it.
     """
 
     line: Line
     badness: float
     worst: Metric
-    is_kept: bool
 
 
 class Quality(NamedTuple):
@@ -138,18 +135,20 @@ class Quality(NamedTuple):
 
     Attributes:
         episodes: The episodes, the worst first.
+        left_out: How many of the first ones the filter leaves out.
         failed: Lines of the recordings that failed.
         values: Values of every measure, NaN where a question does not arise, shape (E,).
     """
 
     episodes: Sequence[Ranked]
+    left_out: int
     failed: Sequence[Line]
     values: dict[Metric, Array]
 
     @property
     def kept(self) -> int:
         """Number of episodes that the filter keeps."""
-        return sum(episode.is_kept for episode in self.episodes)
+        return len(self.episodes) - self.left_out
 
 
 def assess(folder: Path, keep: float = 0.95) -> Quality:
@@ -178,12 +177,9 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     badness = ranks.max(axis=1)
     order = np.lexsort((-ranks.mean(axis=1), -badness))
     worst = ranks.argmax(axis=1)
-    left_out = round((1.0 - keep) * len(lines))
     return Quality(
-        episodes=[
-            Ranked(lines[i], badness[i], MEASURES[worst[i]], place >= left_out)
-            for place, i in enumerate(order)
-        ],
+        episodes=[Ranked(lines[i], badness[i], MEASURES[worst[i]]) for i in order],
+        left_out=round((1.0 - keep) * len(lines)),
         failed=[line for _, line in state if line.status != "done"],
         values=dict(zip(MEASURES, values[order].T, strict=True)),
     )
@@ -199,20 +195,27 @@ def _ranks(values: Array) -> Array:
     return np.nan_to_num(better / others)
 
 
-def summary_rows(quality: Quality) -> list[dict[str, str]]:
+def summary_rows(quality: Quality) -> list[Row]:
     """Return a table: of every measure the median, the worst 5 %, and the worst."""
     rows = []
     for measure, column in quality.values.items():
         known = column[np.isfinite(column)]
         if len(known):
             shares = (50, 95, 100) if measure.better == "low" else (50, 5, 0)
-            numbers = map(_text, np.percentile(known, shares))
-            cells = (measure.label, *numbers, str(len(known)))
-            rows.append(dict(zip(_SUMMARY, cells, strict=True)))
+            typical, poor, worst = map(_text, np.percentile(known, shares))
+            rows.append(
+                {
+                    "measure": measure.label,
+                    "median": typical,
+                    "worst 5 %": poor,
+                    "worst": worst,
+                    "episodes": str(len(known)),
+                }
+            )
     return rows
 
 
-def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
+def worst_rows(quality: Quality, count: int) -> list[Row]:
     """Return a table of the worst episodes, with the measure in which they are worst."""
     return [
         {
@@ -222,7 +225,7 @@ def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
             "value": _text(quality.values[worst][rank - 1]),
             "samples": str(line.frames),
         }
-        for rank, (line, _, worst, _) in enumerate(quality.episodes[:count], start=1)
+        for rank, (line, _, worst) in enumerate(quality.episodes[:count], start=1)
     ]
 
 
@@ -272,7 +275,7 @@ def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[P
     with require_matplotlib().rc_context(fname=_STYLE):
         _draw_distributions(files[0], quality)
     rows: dict[str, list[SheetRow]] = {}
-    for rank, (line, _, worst, _) in enumerate(quality.episodes, start=1):
+    for rank, (line, _, worst) in enumerate(quality.episodes, start=1):
         own = rows.setdefault(line.robot, [])
         if len(own) < count:
             # ValueError: of another length, or with hands at other instants.
@@ -296,7 +299,7 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     shown = {
         m: found for m, found in quality.values.items() if np.isfinite(found).any()
     }
-    is_kept = np.array([episode.is_kept for episode in quality.episodes])
+    left_out = quality.left_out
     rows = -(-len(shown) // _COLUMNS)
     figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained")
     for i, (measure, values) in enumerate(shown.items()):
@@ -305,7 +308,7 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
         high = np.nanmax(values)
         # NaN is in no bin.
         axes.hist(
-            [values[is_kept], values[~is_kept]],
+            [values[left_out:], values[:left_out]],
             bins=_BINS,
             range=(low, high) if high > low else (min(0.0, low), max(1.0, low)),
             stacked=True,
@@ -315,7 +318,6 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
         axes.locator_params("y", integer=True)
         # Numbers that are nearly the same have long labels.
         axes.locator_params("x", nbins=4)
-    left_out = len(is_kept) - quality.kept
     figure.supylabel("episodes")
     figure.suptitle(f"{quality.kept} episodes kept, {left_out} left out (red)")
     figure.savefig(file)
