@@ -116,7 +116,7 @@ def measure(hand: Hand, takes: list[Take]) -> dict[str, Any]:
     """Map all takes to one hand, and return its row."""
     method = default_preset(load_hand("human", points="landmarks"), hand)
     comparison = compare_methods(takes, hand, [own_method(method)])
-    overall = comparison.overall(comparison.methods[0])
+    overall = comparison.overall[comparison.methods[0]]
     failed = [run for run in comparison.runs if run.problem]
     report = Report(hand.name)
     report.add(check_pinches(hand))

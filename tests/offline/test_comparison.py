@@ -154,10 +154,10 @@ def test_methods_are_measured_on_the_same_samples(take: Take, robot: Hand) -> No
     (note,) = result.notes()
     assert note.startswith("still: the wrist is not moved")
     # A wrist fixed at the origin has the whole motion of the human as error.
-    assert result.overall("moving")["palm_deg"] > 5.0
-    assert result.overall("moving")["palm_mm"] > 50.0
-    assert result.overall("paper")["speed_ratio"] <= 1.0 + 1e-6
-    assert result.overall("paper")["outside_limits"] == 0.0
+    assert result.overall["moving"]["palm_deg"] > 5.0
+    assert result.overall["moving"]["palm_mm"] > 50.0
+    assert result.overall["paper"]["speed_ratio"] <= 1.0 + 1e-6
+    assert result.overall["paper"]["outside_limits"] == 0.0
 
 
 def test_method_that_fails_says_so(take: Take, robot: Hand) -> None:
@@ -165,7 +165,7 @@ def test_method_that_fails_says_so(take: Take, robot: Hand) -> None:
     (run,) = result.of_method("failing")
     assert run.problem == "cannot map closing"
     assert run.motion is None
-    assert all(np.isnan(value) for value in result.overall("failing").values())
+    assert all(np.isnan(value) for value in result.overall["failing"].values())
     assert result.notes() == ["failing: cannot map closing"]
 
 
@@ -191,7 +191,7 @@ def test_overall_is_the_mean_over_recordings(
     )
     values = [run.values["tip_error_mm"] for run in result.of_method("still")]
     assert values[0] != values[1]
-    assert result.overall("still")["tip_error_mm"] == pytest.approx(np.mean(values))
+    assert result.overall["still"]["tip_error_mm"] == pytest.approx(np.mean(values))
 
 
 def test_bad_comparisons_are_rejected(take: Take, robot: Hand, tmp_path: Path) -> None:
@@ -313,9 +313,9 @@ def test_peers_run(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
     assert {"dex-vector", "dexi-dexpilot"} <= methods.keys()
     chosen = [methods["dexi-vector-unfiltered"], methods["dexi-position"]]
     result = compare_methods([take], robot, chosen)
-    values = result.overall("dexi-vector-unfiltered")
+    values = result.overall["dexi-vector-unfiltered"]
     assert values["extension_correlation"] > 0.5
     assert np.isnan(values["palm_deg"])
     # The position method moves a free root.
-    assert np.isfinite(result.overall("dexi-position")["palm_deg"])
+    assert np.isfinite(result.overall["dexi-position"]["palm_deg"])
     assert json.dumps(result.notes()).count("dexi-position") == 0

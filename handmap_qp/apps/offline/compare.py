@@ -143,7 +143,7 @@ class Compare:
 
 def markdown(comparison: Comparison) -> str:
     """Return all tables as Markdown: overall, then every recording."""
-    overall = {method: comparison.overall(method) for method in comparison.methods}
+    overall = comparison.overall
     short = [metric for metric in METRICS if metric.in_short]
     parts = [
         f"# Methods on {comparison.robot.name}",
@@ -222,7 +222,7 @@ def results_of(comparison: Comparison) -> Values:
             for take in comparison.takes
         ],
         "methods": methods,
-        "overall": {name: comparison.overall(name) for name in methods},
+        "overall": comparison.overall,
         "runs": runs,
         "notes": notes_of(comparison),
     }
@@ -275,7 +275,7 @@ def _print_tables(comparison: Comparison) -> None:
     from rich.table import Table
 
     console = Console()
-    overall = {method: comparison.overall(method) for method in comparison.methods}
+    overall = comparison.overall
     for group, metrics in arising(overall.values()):
         table = Table(box=None, header_style="bold")
         table.add_column("method", no_wrap=True)
@@ -451,7 +451,7 @@ def _draw_panel(
 ) -> None:
     """Draw one metric: methods from top to bottom."""
     methods = comparison.methods
-    means = [comparison.overall(method)[metric.key] for method in methods]
+    means = [row[metric.key] for row in comparison.overall.values()]
     best = metric.best(means)
     low, high = _range(metric, means)
     for y, method in enumerate(methods):

@@ -180,9 +180,13 @@ class Comparison(NamedTuple):
         """Return the runs of a method, a take each."""
         return [run for run in self.runs if run.method == method]
 
-    def overall(self, method: str) -> Values:
-        """Return each metric's mean over the takes in which it is not NaN."""
-        return mean_values([run.values for run in self.of_method(method)])
+    @property
+    def overall(self) -> dict[str, Values]:
+        """By method, each metric's mean over the takes in which it is not NaN."""
+        return {
+            method: mean_values([run.values for run in self.of_method(method)])
+            for method in self.methods
+        }
 
     def notes(self) -> list[str]:
         """Return a line for everything that a method did not do."""
