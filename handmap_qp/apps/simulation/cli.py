@@ -1,17 +1,16 @@
 """The command `handmap simulate`."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import arg
 
 from handmap_qp.apps.arguments import HandName, Recordings, hinted
 from handmap_qp.apps.offline.comparison import own_methods
-from handmap_qp.apps.tables import print_rows, progress
+from handmap_qp.apps.tables import print_result, progress
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import is_robot, load_whole
+from handmap_qp.hands import Names, Values, is_robot, load_whole
 from handmap_qp.mapping import parse_object
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers import save_npz
@@ -31,6 +30,8 @@ from .pinch import (
 )
 from .simulator import Episode
 
+Outcomes = dict[str, dict[int, PinchOutcome]]
+"""By the mapping's name and the trial's index; objects that overlap its hand are left out."""
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 _FILES = {
     "out": (".npz",),
@@ -87,9 +88,7 @@ class Simulate:
 
     recordings: Recordings
     robot: HandName = "three_finger"
-    methods: Annotated[
-        tuple[str, ...], hinted("METHOD...", "(default: the first preset)")
-    ] = ()
+    methods: Annotated[Names, hinted("METHOD...", "(default: the first preset)")] = ()
     peers: Annotated[Path | None, hinted("FOLDER")] = None
     grip: Literal["grip", "grip+place"] | None = None
     object: Annotated[str, arg(metavar="OBJECT")] = "box:0.03"
@@ -116,7 +115,7 @@ class Simulate:
         if self.trials:
             trials = random_trials(self.trials, self.seed, self.objects, trial)
         outcomes = self._simulate(trials)
-        found: dict[str, Any] = {"robot": self.robot, "seed": self.seed}
+        found: Values = {"robot": self.robot, "seed": self.seed}
         if self.trials:
             found["rows"] = [
                 trial_row(name, [*made.values()]) | {"refused": len(trials) - len(made)}
@@ -131,12 +130,9 @@ class Simulate:
                 outcome_row(name, made[0]) for name, made in outcomes.items()
             ]
             self._write({name: made[0].episode for name, made in outcomes.items()})
-        if self.json:
-            print(json.dumps(found))
-            return
-        print_rows(f"{self.robot}: simulated", found["rows"])
-        for path in filter(None, map(vars(self).get, _FILES)):
-            print(f"wrote {path}")
+        files = filter(None, map(vars(self).get, _FILES))
+        tables = {f"{self.robot}: simulated": found["rows"]}
+        print_result(found, tables, files, as_json=self.json)
 
     def _check(self, trial: PinchTrial) -> None:
         """Reject options that contradict each other, before any work is done."""
@@ -166,11 +162,11 @@ class Simulate:
             gravity=(x, y, z),
         )
 
-    def _simulate(self, trials: list[PinchTrial]) -> dict[str, dict[int, PinchOutcome]]:
-        """Pinch every object by every mapping; objects that overlap its hand are left out."""
+    def _simulate(self, trials: list[PinchTrial]) -> Outcomes:
+        """Pinch every object by every mapping."""
         methods = chosen_methods(self.methods, self.peers, self.robot)
         robot = load_whole(self.robot)
-        outcomes: dict[str, dict[int, PinchOutcome]] = {}
+        outcomes: Outcomes = {}
         physics = self._physics()
         mapped, window = map_pinch(methods, robot, self.recordings)
         scenes = {
@@ -207,9 +203,7 @@ class Simulate:
             write_page(self.html, episodes, f"{self.robot}, simulated")
 
 
-def _by_whom(
-    outcomes: dict[str, dict[int, PinchOutcome]], trial: int
-) -> dict[str, list[str]]:
+def _by_whom(outcomes: Outcomes, trial: int) -> dict[str, list[str]]:
     """Return which mappings tried an object, and which held it."""
     tried = [name for name in outcomes if trial in outcomes[name]]
     held = [name for name in tried if outcomes[name][trial].is_held]

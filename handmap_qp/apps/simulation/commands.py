@@ -23,9 +23,9 @@ from handmap_qp.apps.offline.comparison import (
 from handmap_qp.apps.offline.look_ahead import LookAhead, map_hands
 from handmap_qp.apps.offline.trajectory import stretches
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, Side, joined
-from handmap_qp.human import PALM, Recording
-from handmap_qp.se3 import Array, lengths, rigid_fit
+from handmap_qp.hands import Hand, Names, Side, joined
+from handmap_qp.human import PALM, Recording, tip_gaps
+from handmap_qp.se3 import Array, rigid_fit
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import read_hands, read_recording
 
@@ -78,7 +78,7 @@ class PinchWindow(NamedTuple):
 
 
 def chosen_methods(
-    names: tuple[str, ...], peers: Path | None, robot: str
+    names: Names, peers: Path | None, robot: str
 ) -> list[ComparedMethod]:
     """Return mappings by name, of this package and of an outside program; one preset if none.
 
@@ -157,8 +157,7 @@ def find_pinch(*recordings: Recording) -> PinchWindow:
     pinches = [(0.0, 0, 0, np.zeros(0), recordings[0])]
     for recording in recordings:
         time = recording.time
-        landmarks = recording.landmarks
-        gap = lengths(landmarks[:, 4] - landmarks[:, 8])
+        gap = tip_gaps(recording.landmarks)[:, 0]
         # Samples without landmarks interrupt nothing.
         for run in stretches(~(gap > _OPEN)):
             shut = run.start + np.flatnonzero(gap[run] < _CLOSED)

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands import Hand, read_collision_shapes
+from handmap_qp.hands import Hand, Values, read_collision_shapes
 from handmap_qp.mapping import Cylinder, geometry_of
-from handmap_qp.se3 import Array, mirror_sign, quat_wxyz_from_rotation
+from handmap_qp.se3 import Arrays, mirror_sign, quat_wxyz_from_rotation
 from .physics import Body, Physics
 
 OBJECT = "/object"
@@ -160,7 +160,7 @@ def _set_inertia(
     body.inertia = values
 
 
-def _shape(spec: Any, shape: Any) -> dict[str, Any]:
+def _shape(spec: Any, shape: Any) -> Values:
     """Return what makes a geom of a cylinder or of a shape of coal; of a mesh, its convex hull."""
     kind = type(shape).__name__.upper()
     match shape:
@@ -200,6 +200,6 @@ def _add_equality(spec: Any, kind: str, of: str, one: str, other: str) -> Any:
     )
 
 
-def _placed(pose: pin.SE3) -> dict[str, Array]:
+def _placed(pose: pin.SE3) -> Arrays:
     """Return a pose as what MuJoCo calls it."""
     return {"pos": pose.translation, "quat": quat_wxyz_from_rotation(pose.rotation)}

@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 
 from handmap_qp.apps.tables import Row
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import THUMB, Hand
+from handmap_qp.hands import THUMB, Hand, Vector
 from handmap_qp.mapping import KINDS, Box, Shape, Sphere, parse_object, robot_fingers
 from handmap_qp.se3 import (
     Array,
@@ -130,7 +130,7 @@ class PinchTrial(NamedTuple):
     shape: Shape = CUBE
     mass: float = 0.05
     friction: float = 0.8
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset: Vector = (0.0, 0.0, 0.0)
     yaw: float = 0.0
 
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from handmap_qp.hands import Hand
-from handmap_qp.se3 import Array, affine, check_pose, quat_wxyz_from_rotation
+from handmap_qp.se3 import Array, Arrays, affine, check_pose, quat_wxyz_from_rotation
 from .model import OBJECT, WRIST, build_model
 from .physics import Body, Physics
 
@@ -71,7 +71,7 @@ class Episode(NamedTuple):
         return cls(simulator.hand, simulator.body, at, simulator.physics.up)
 
     @property
-    def columns(self) -> dict[str, Array]:
+    def columns(self) -> Arrays:
         """Plain arrays by name, as written to a file."""
         return {
             **self.at._asdict(),
