@@ -63,4 +63,4 @@ class GripScene(PinchScene):
             command = grip.map_sample(sample, simulator.q, place).command
             wrist = command.wrist if self.commands.hand.is_floating else None
             simulator.follow(command.q, wrist, time[i] - time[i - 1])
-            yield float(time[i])
+            yield time[i]

@@ -219,7 +219,7 @@ class PinchScene:
         instants = []
         away = []
         # Index at which the stand lets go, and the time until which there was no grip.
-        freed, loose = -1, float(self.commands.time[start])
+        freed, loose = -1, self.commands.time[start]
         for i, time in enumerate(self._play(simulator, start)):
             instants.append(simulator.instant())
             off = simulator.object_pose[:3, 3] - pads.middle(pads.places(simulator))
@@ -287,7 +287,7 @@ class PinchScene:
         time = self.commands.time
         for i in range(start + 1, self.window.end + 1):
             simulator.follow(*self.commands.at(i), time[i] - time[i - 1])
-            yield float(time[i])
+            yield time[i]
 
 
 def _outcome(episode: Episode, away: Array, freed: int, width: float) -> PinchOutcome:
@@ -299,12 +299,12 @@ def _outcome(episode: Episode, away: Array, freed: int, width: float) -> PinchOu
     turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
     return PinchOutcome(
         is_held=not len(lost)
-        and bool(free.links_touching[-1] >= 2)
+        and free.links_touching[-1] >= 2
         and np.ptp(free.time) >= _GRIPPED,
         held_time=np.ptp(kept.time),
         pinch_time=np.ptp(free.time),
         slip=lengths(poses[:, :3, 3] - poses[0, :3, 3]).max(),
-        rotation=float(turn),
+        rotation=turn,
         force=kept.normal_force.mean(),
         torque=np.abs(kept.torque[:, ~episode.hand.moves_wrist]).max(),
         episode=episode,
@@ -315,7 +315,7 @@ def random_trials(
     count: int,
     seed: int,
     objects: Objects = "varied",
-    nominal: PinchTrial | None = None,
+    nominal: PinchTrial = PinchTrial(),
 ) -> list[PinchTrial]:
     """Draw objects and places.
 
@@ -329,14 +329,13 @@ def random_trials(
         objects: Which objects.
         nominal: The object of `nominal` trials; the cube of `PinchTrial` if omitted.
     """
-    fixed = nominal or PinchTrial()
     expect(count >= 1, "trials", "an integer >= 1", value=count)
     expect(seed >= 0, "seed", "an integer >= 0", value=seed)
     random = np.random.default_rng(seed)
     trials = []
     for _ in range(count):
         x, y, z = random.normal(0.0, _PLACE, 3).tolist()
-        trial = fixed._replace(offset=(x, y, z), yaw=random.uniform(-_YAW, _YAW))
+        trial = nominal._replace(offset=(x, y, z), yaw=random.uniform(-_YAW, _YAW))
         if objects == "varied":
             kind = random.choice(KINDS)
             trial = trial._replace(

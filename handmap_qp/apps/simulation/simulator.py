@@ -101,10 +101,10 @@ class Simulator:
         HandError: If the hand has no collision shapes.
     """
 
-    def __init__(self, hand: Hand, body: Body, physics: Physics | None = None) -> None:
+    def __init__(self, hand: Hand, body: Body, physics: Physics = Physics()) -> None:
         self.hand = hand
         self.body = body
-        self.physics = physics or Physics()
+        self.physics = physics
         self.model = build_model(hand, body, self.physics)
         self.data = mujoco.MjData(self.model)
         self.target: tuple[Array, Array | None] = (hand.rest, None)
@@ -237,7 +237,7 @@ class Simulator:
                 mujoco.mj_contactForce(model, self.data, row, force)
                 (link,) = contact.geom[contact.geom != held]
                 name = model.body(model.geom_bodyid[link]).name
-                found[name] = found.get(name, 0.0) + float(force[0])
+                found[name] = found.get(name, 0.0) + force[0]
         return found
 
     def clearance(self, bodies: Sequence[str] = ()) -> float:
