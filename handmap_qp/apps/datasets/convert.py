@@ -64,9 +64,13 @@ class Convert:
 
     def run(self) -> None:
         """Read, write, and say what was lost."""
-        inputs = self.paths[:-1]
-        expect(inputs, "IN OUT", "a file to read and one to write", got="one path")
-        out = self.paths[-1]
+        expect(
+            len(self.paths) > 1,
+            "IN OUT",
+            "a file to read and one to write",
+            got="one path",
+        )
+        *inputs, out = self.paths
         form = format_to_write(out, self.format)
         has_files = bool(form.suffixes) and not out.suffix
         if form.suffixes and not has_files:

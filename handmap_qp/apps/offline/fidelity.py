@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
+from handmap_qp.apps.tables import rows_of
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Hand, Values
 from handmap_qp.mapping import MotionEstimator, polar
@@ -140,10 +141,7 @@ def assess_fidelity(
     values["workspace"] = workspace_share(r, workspace or {})
     if step_time is not None:
         values["step_time_ms"] = 1e3 * step_time[counts].mean()
-    by_finger = {
-        name: {key: column[i] for key, column in fingers.items()}
-        for i, name in enumerate(shared)
-    }
+    by_finger = dict(zip(shared, rows_of(fingers), strict=True))
     return Fidelity(values, by_finger, pinch_samples)
 
 

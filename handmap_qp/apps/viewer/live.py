@@ -107,24 +107,23 @@ class LiveViewer(Window):
             self._reading.result()
         if self.steering:
             self._steer(self.steering)
+        variant = self._variant()
         if source.choice != self._shown:
             # Another preset or options, whichever client chose them.
             self._shown = source.choice
-            newest = self._variant()._replace(samples=[self.sample])
-            self.set_variants([newest])
+            self.set_variants([variant._replace(samples=[self.sample])])
         self._stop_number = source.stop_number
         self.clear.visible = self._stop_number != 0 and source.is_shared
-        variant = self._variant()
         self.scene.make_room(variant.samples[-1])
         self.draw([variant], -1)
+        latest = variant.samples[-_RATE_SAMPLES:]
+        rate = (len(latest) - 1) / max(latest[-1].time - latest[0].time, 1e-6)
+        text = f"{rate:.0f} samples per second"
         if has_ended:
-            self.status_text.content = "**The source has ended.**"
+            text = "**The source has ended.**"
         elif time.monotonic() - self._last_arrival > _SILENCE:
-            self.status_text.content = "**No sample arrives.**"
-        else:
-            latest = variant.samples[-_RATE_SAMPLES:]
-            rate = (len(latest) - 1) / max(latest[-1].time - latest[0].time, 1e-6)
-            self.status_text.content = f"{rate:.0f} samples per second"
+            text = "**No sample arrives.**"
+        self.status_text.content = text
 
     def close(self) -> None:
         """Stop reading the source."""

@@ -27,7 +27,7 @@ def make_page(
     human: Hand | None,
     variants: Sequence[Variant],
     *,
-    display: Display | None = None,
+    display: Display = Display(),
 ) -> bytes:
     """Return one HTML file that plays samples in real time, without a server or the network.
 
@@ -38,7 +38,7 @@ def make_page(
         human: The human hand; None for robots alone.
         variants: The robots, with as many samples as each other at the same times; at most 30
             samples of each second are written.
-        display: What the page shows, and how; as of a new `HandScene` if omitted.
+        display: What the page shows, and how.
 
     Returns:
         The file's content.
@@ -46,7 +46,7 @@ def make_page(
     instants = list(zip(*(variant.samples for variant in variants), strict=True))
     with serving() as server:
         scene = HandScene(server, human, variants)
-        scene.display = display or scene.display
+        scene.display = display
         scene.draw(instants[0])
         serializer = server.get_scene_serializer()
         for before, samples in pairwise(_at_rate(instants, _RATE)):

@@ -59,7 +59,7 @@ class ViewSample:
     status: str = ""
     held_by: Sequence[str] = ()
     rule: str = ""
-    duration: float = float("nan")
+    duration: float = np.nan
     is_seen: bool = True
     note: str = ""
     hands: Sequence["ViewSample"] = ()

@@ -215,9 +215,8 @@ class RobomimicFormat(_Hdf5Format):
                 demo.attrs["num_samples"] = len(recording)
                 for key in ("name", "side", *WORDS):
                     demo.attrs[key] = getattr(recording, key)
-                obs = demo.create_group("obs")
                 for name in known_columns(recording):
-                    obs[name] = column(recording, name)
+                    demo[f"obs/{name}"] = column(recording, name)
 
 
 def joint_names(side: Side) -> Names:

@@ -10,7 +10,6 @@ from collections.abc import Collection, Mapping
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -117,7 +116,7 @@ class LayoutTable(Document, frozen=True, tag_field="kind"):
     upright: Upright = ""
     mirror: Literal["x", "y", "z"] | None = None
     arrays: Names = ()
-    time: dict[str, float] = msgspec.field(default_factory=dict)
+    time: dict[str, float] = {}
 
 
 class Hands(NamedTuple):

@@ -1,6 +1,5 @@
 """Layouts of joints as points or poses: headsets, cameras, parametric hand models."""
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -62,12 +61,12 @@ class PointTable(LayoutTable, frozen=True, tag="points", kw_only=True):
     count: int
     landmarks: tuple[int, ...]
     left_landmarks: tuple[int, ...] | None = None
-    names: dict[int, str] = msgspec.field(default_factory=dict)
+    names: dict[int, str] = {}
     poses: tuple[int, ...] = (3,)
     quaternion: QuatOrder = "xyzw"
     wrist: WristTable | None = None
     is_relative: bool = False
-    between: dict[int, BetweenTable] = msgspec.field(default_factory=dict)
+    between: dict[int, BetweenTable] = {}
 
 
 class PointLayout(Layout):
