@@ -148,7 +148,7 @@ def measure_episode(
     meters: Mapping[Recording, GapMeter | None],
     trajectory: Trajectory,
     contact_gap: float,
-) -> dict[str, float | None]:
+) -> Values:
     """Measure an episode.
 
     Args:
@@ -200,7 +200,7 @@ def _measured(recording: Recording, trajectory: Trajectory) -> Values:
 
 def _surfaces(
     recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter
-) -> dict[str, float]:
+) -> Values:
     """Measure pinches and self-penetration in some of the samples."""
     count = len(trajectory.time)
     newest = np.searchsorted(recording.time, trajectory.time, "right") - 1

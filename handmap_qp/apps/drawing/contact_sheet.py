@@ -22,8 +22,8 @@ from handmap_qp.human import (
     FIRST_JOINTS,
     LANDMARK_COUNT,
     PALM,
-    TIPS,
     Recording,
+    finger_chains,
     measure_hand,
 )
 from handmap_qp.se3 import (
@@ -307,8 +307,9 @@ def _human_triangles(landmarks: Array) -> Triangles:
         spheres(points[PALM], _JOINT, _PALM_COLOUR),
     ]
     parts += [tube(points[[*pair]], _PALM_BONE, _PALM_COLOUR) for pair in _PALM_BONES]
-    for tip, colour in zip(TIPS, FINGER_COLOURS.values(), strict=True):
-        finger = points[tip - 3 : tip + 1]
+    for finger, colour in zip(
+        finger_chains(points), FINGER_COLOURS.values(), strict=True
+    ):
         parts += [tube(bone, _BONE, colour) for bone in pairwise(finger)]
         parts += [
             spheres(finger[1:3], _JOINT, colour),

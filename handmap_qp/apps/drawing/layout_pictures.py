@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import FINGERS, HUMAN_JOINTS, Hand, Side, Values
+from handmap_qp.hands import HUMAN_JOINTS, Hand, Side, Values
 from handmap_qp.se3 import Array, lengths, transform_points, unit
 from handmap_qp.trackers import (
     SIDES,
@@ -118,9 +118,8 @@ def _halo() -> Values:
 def _open_posture(human: Hand) -> Array:
     """Return an open hand with spread fingers, so that indices do not cover one another."""
     q = 0.25 * human.rest
-    for finger, spread in zip(FINGERS, _SPREADS, strict=True):
-        joint = "TM" if finger == "thumb" else "MCP"
-        q[HUMAN_JOINTS.index(f"{finger}_{joint}_abduction")] = spread
+    # Abduction is the first of a finger's four joints.
+    q[::4] = _SPREADS
     return np.clip(q, *human.limits)
 
 

@@ -11,6 +11,7 @@ from handmap_qp.apps.offline.comparison import own_methods
 from handmap_qp.apps.tables import print_result, progress
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Names, Values, is_robot, load_whole
+from handmap_qp.human import axis_direction
 from handmap_qp.mapping import parse_object
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers import save_npz
@@ -153,8 +154,8 @@ class Simulate:
 
     def _physics(self) -> Physics:
         up = self.up or ("z" if is_robot(self.robot) else "y")
-        sign = 9.81 if up.startswith("-") else -9.81
-        x, y, z = (sign * (up[-1] == name) + 0.0 for name in "xyz")
+        # An axis without a sign is the positive one.
+        x, y, z = (0.0 - 9.81 * axis_direction(f"{up:+>2}")).tolist()
         return Physics(
             friction=self.friction,
             joint_stiffness=self.stiffness,

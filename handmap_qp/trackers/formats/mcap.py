@@ -47,6 +47,10 @@ _NUMBERS_OF = attrgetter(
 """Returns the numbers of a pose: position, then quaternion."""
 
 
+Topics = dict[str, str]
+"""Topics of a hand, by what they are of `_KINDS`."""
+
+
 class McapFormat(RecordingFormat):
     """A bag with topics below a namespace that has `left` or `right` in its name.
 
@@ -163,9 +167,9 @@ def _store() -> Any:
     return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 
 
-def _hands(bag: Any) -> dict[Side, dict[str, str]]:
+def _hands(bag: Any) -> dict[Side, Topics]:
     """Find the topics of each hand by their types and names: the first of each of `_KINDS`."""
-    found: dict[Side, dict[str, str]] = {}
+    found: dict[Side, Topics] = {}
     for side in SIDES:
         topics = {
             what: topic
@@ -182,7 +186,7 @@ def _hands(bag: Any) -> dict[Side, dict[str, str]]:
     return found
 
 
-def _main(topics: dict[str, str]) -> str:
+def _main(topics: Topics) -> str:
     """Return the topic that has the samples of a hand."""
     return topics.get("landmarks") or topics["joint_states"]
 
@@ -190,7 +194,9 @@ def _main(topics: dict[str, str]) -> str:
 def _messages(bag: Any, topic: str | None) -> Iterator[tuple[int, Any]]:
     """Yield the messages of a topic with the times at which they were logged [ns]."""
     store = _store()
-    for own in [own for own in bag.connections if own.topic == topic]:
+    for own in bag.connections:
+        if own.topic != topic:
+            continue
         for connection, log, raw in bag.messages(connections=[own]):
             yield log, store.deserialize_cdr(raw, connection.msgtype)
 
