@@ -274,9 +274,7 @@ class Open(Request):
     grip: Options | None = None
     object: Solid | Places | None = None
 
-    def __post_init__(self) -> None:
-        """Take options by their former names."""
-        _rename_options(self)
+    __post_init__ = _rename_options
 
 
 FORMER = [field.name for field in fields(Open) if field.type is Former]
@@ -420,9 +418,7 @@ class Configure(Named):
     has_detail: bool | None = None
     grip: Options = {}
 
-    def __post_init__(self) -> None:
-        """Take options by their former names."""
-        _rename_options(self)
+    __post_init__ = _rename_options
 
 
 class Reset(Request):
