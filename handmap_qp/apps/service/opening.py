@@ -104,8 +104,8 @@ AnyFollower = Follower | RobotFollower | GripFollower | ObjectFollower
 Defer = Callable[[Callable[[], "Hands"]], Future["Hands"]]
 
 
-def refused(error: HandmapError, field: str = "") -> RefusedError:
-    """Return an error of the library as a refusal.
+def refused(error: Exception, field: str = "") -> RefusedError:
+    """Return an error of the library, or of a computation, as a refusal.
 
     Args:
         error: The error; its attributes name the argument or option at fault.
@@ -122,6 +122,8 @@ def refused(error: HandmapError, field: str = "") -> RefusedError:
         if own := _field_of(named):
             field = own
             message = message.removeprefix(f"{named}: ")
+    elif not isinstance(error, HandmapError):
+        message = f"cannot be used: {error}"
     message = " ".join(message.split())[:_LONGEST_MESSAGE]
     return RefusedError("invalid", message, field=field)
 
@@ -143,11 +145,8 @@ def naming_field(field: str) -> Iterator[None]:
     """
     try:
         yield
-    except HandmapError as error:
+    except (HandmapError, ValueError, ArithmeticError) as error:
         raise refused(error, field) from error
-    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-        message = f"cannot be used: {error}"[:_LONGEST_MESSAGE]
-        raise RefusedError("invalid", message, field=field) from error
 
 
 @contextmanager
@@ -285,10 +284,8 @@ def prepare_hands(
             refuse_if(getattr(request, field) != only, message, field)
         hands = robot.by_side
     first, hand = next(iter(hands.items()))
-    lengths = next(iter(measured.values()), None)
-    if lengths is None:
-        with naming_field("lengths"):
-            lengths = _human_lengths(request)
+    with naming_field("lengths"):
+        lengths = next(iter(measured.values()), _human_lengths(request))
     points = request.human_points
 
     def load(side: Side) -> Hand:
@@ -314,9 +311,8 @@ def prepare_hands(
     with suppress(HandmapError):
         for side in humans:
             hand_pair(humans[side], hands[side])
-    rejoins = request.resume == "clutch"
-    follower = following(mapper, rejoin="clutch" if rejoins else "glide")
-    follower = _holding(follower, request)
+    rejoin = "clutch" if request.resume == "clutch" else "glide"
+    follower = _holding(following(mapper, rejoin=rejoin), request)
     calibration = None
     if has_landmarks and lengths is None and defer is not None:
         calibration = Calibration(request, cache, defer)
