@@ -23,7 +23,7 @@ import numpy as np
 from checker import Checker
 
 from handmap_qp.apps.service.opening import HandCache, Hands, prepare_hands
-from handmap_qp.apps.service.session import Session, to_matrix
+from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import (
     PROTOCOL,
@@ -226,8 +226,9 @@ class Judge:
             self.checker.start(self._q)
             run.stands = False
         for command, limit in zip(run.commands, run.limits, strict=True):
-            wrist = to_matrix(command.wrist)
-            q = self._vector(np.array(command.q), wrist)
+            wrist = command.wrist
+            matrix = None if wrist is None else wrist.matrix
+            q = self._vector(np.array(command.q), matrix)
             if command.epoch != self._epoch:
                 self._epoch = command.epoch
                 self.checker.start(q)

@@ -24,7 +24,7 @@ from service_tools import (
 
 from handmap_qp.apps.service.dispatch import decode_request
 from handmap_qp.apps.service.opening import prepare_hands
-from handmap_qp.apps.service.session import Session, to_matrix, to_pose
+from handmap_qp.apps.service.session import Session, to_pose
 from handmap_qp.client import ServiceError
 from handmap_qp.client.messages import PROTOCOL, Error, Step
 from handmap_qp.errors import RefusedError
@@ -110,9 +110,9 @@ def test_a_wrist_beside_the_values_is_in_the_axes_of_the_layout() -> None:
     values = values_of(layout, landmarks_at(0.0))
     command = session.step(Sampler()(0.0, wrist=to_pose(theirs), values=values), 0.0)
     assert command.detail is not None
-    found = to_matrix(command.detail.human_wrist)
+    found = command.detail.human_wrist
     assert found is not None
-    np.testing.assert_allclose(found, pose, atol=1e-9)
+    np.testing.assert_allclose(found.matrix, pose, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,7 @@ class SampleForm:
         common: Values = {
             "time": sample.time,
             "side": side,
-            "wrist": to_matrix(sample.wrist),
+            "wrist": sample.wrist and sample.wrist.matrix,
             "valid": sample.valid,
             "confidence": sample.confidence,
         }
@@ -181,9 +181,9 @@ class SampleForm:
             value = getattr(sample, field)
             if getattr(self._request, of) is not None:
                 given[field] = value.matrix if isinstance(value, Pose) else value
-            elif value is not None:
+            else:
                 message = f"this session was opened without {of}"
-                raise RefusedError("invalid", message, field=field)
+                refuse_if(value is not None, message, field)
         is_bare = given.get("measured_q", ()) is None
         refuse_if(is_bare, "missing; it must come with a grip", "measured_q")
         return given
@@ -370,7 +370,6 @@ class Session:
             raise
         self._effort = step.command.effort
         status = step.status
-        said = self._trust(step, humans)
         flags += [step.rule] * bool(step.rule)
         if step.is_held:
             # The sample makes no sense: the robot holds, and the watchdog ignores the sample.
@@ -387,7 +386,7 @@ class Session:
             flags += step.stages.summary.flags
             if self._state.is_stopped:
                 status = self._state.mode
-            said |= self._diagnostics(step, sample, humans)
+        said = self._diagnostics(step, sample, humans)
         return self._command(now, status, flags, sample, **said)
 
     def tick(self, now: float) -> Command | None:
@@ -543,7 +542,9 @@ class Session:
         kind = self.request.input
         if kind != "landmarks":
             work = mapper.map_step if kind == "q" else mapper.map_points
-            return work(getattr(sample, kind), to_matrix(sample.wrist), **held)
+            return work(
+                getattr(sample, kind), sample.wrist and sample.wrist.matrix, **held
+            )
         held["arrival"] = now if self.request.time_from == "server" else None
         if self.robot.parts:
             return follower.map_samples(humans, **held)
@@ -559,8 +560,8 @@ class Session:
     ) -> Command:
         """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
         added = self._form.each(sample, lambda side, _: calibration.add(humans[side]))
-        rules = [*added.values()]
-        rule = rules[0] if all(rules) else ""
+        first, *others = added.values()
+        rule = first if all(others) else ""
         hands = calibration.result()
         self.counts["held"] += bool(rule)
         flags = [rule] if rule else self._accept(now)
@@ -664,9 +665,29 @@ class Session:
         self._mapper_state = MapperState.SLEWING
 
     def _diagnostics(self, step: MapStep, sample: Step, humans: Humans) -> Values:
-        """Return the fields of a command that describe the mapping."""
+        """Return the fields of a command that say what a sample is worth and where it led."""
+        consistency = step.consistency
+        hands: dict[Side, MapStep] = getattr(step, "hands", {})
+        trust: Values = {
+            "rule": step.rule,
+            "consistency": None if math.isnan(consistency) else consistency,
+            "confidence": step.confidence,
+            "hands": {
+                side: HandState(
+                    each.status,
+                    each.rule,
+                    Pose.from_matrix(each.command.wrist),
+                    to_row(each.wrist_error),
+                    each.arm_held_by,
+                    self._detail(each, humans[side]) if side in humans else None,
+                )
+                for side, each in hands.items()
+            },
+        }
+        if step.is_held:
+            return trust
         error, at_bound, residual, _ = step.stages.summary
-        return {
+        return trust | {
             "point_error": tuple(error),
             "residual": residual,
             "at_limit": tuple(compress(self.robot.joint_names, at_bound)),
@@ -691,27 +712,6 @@ class Session:
             pivot=step.diagnostics["pivot_image"].tolist(),
             **arrays,
         )
-
-    def _trust(self, step: MapStep, humans: Humans) -> Values:
-        """Return the fields of a command that say how much a sample is to be trusted."""
-        consistency = step.consistency
-        hands: dict[Side, MapStep] = getattr(step, "hands", {})
-        return {
-            "rule": step.rule,
-            "consistency": None if math.isnan(consistency) else consistency,
-            "confidence": step.confidence,
-            "hands": {
-                side: HandState(
-                    each.status,
-                    each.rule,
-                    Pose.from_matrix(each.command.wrist),
-                    to_row(each.wrist_error),
-                    each.arm_held_by,
-                    self._detail(each, humans[side]) if side in humans else None,
-                )
-                for side, each in hands.items()
-            },
-        }
 
     def _command(
         self,
@@ -757,8 +757,3 @@ def to_row(values: Array) -> tuple[float, ...]:
 def to_pose(matrix: Array | None) -> Pose | None:
     """Convert a pose (4, 4), if there is one, to position and quaternion."""
     return None if matrix is None else Pose.from_matrix(matrix)
-
-
-def to_matrix(pose: Pose | None) -> Array | None:
-    """Convert a pose of a message, if there is one, to (4, 4)."""
-    return None if pose is None else pose.matrix
