@@ -17,6 +17,7 @@ describes all fields. Use one client per thread or per event loop.
 
 import asyncio
 import math
+import re
 import secrets
 from collections import defaultdict
 from collections.abc import Awaitable, Callable, Coroutine
@@ -131,7 +132,7 @@ class _Core:
         attempts: int = 2,
         keys: KeyFiles | None = None,
     ) -> None:
-        if "://" not in address or not address.rpartition(":")[2].isdigit():
+        if not re.fullmatch(r".*://.*:\d+", address):
             raise ValueError(f"expected an address such as {ADDRESS}, got {address!r}")
         self.address = address
         self.timeout = timeout
@@ -200,15 +201,10 @@ class _Core:
         # Another task may replace the stream by opening a session, or end it by closing.
         while "stream" in self._sockets:
             reply = await self._read("stream", until)
-            if reply is not None:
-                if isinstance(reply, Error) and reply.code not in (
-                    "no_session",
-                    "taken",
-                ):
-                    raise ServiceError(reply)
+            if isinstance(reply, Error) and reply.code not in ("no_session", "taken"):
+                raise ServiceError(reply)
+            if reply or monotonic() >= until:
                 return reply if isinstance(reply, Command) else None
-            if monotonic() >= until:
-                break
         return None
 
     async def _watch(self, name: str) -> State:
@@ -259,10 +255,7 @@ class _Core:
             now = monotonic()
             until = now + (deadline - now) / left
             is_sent = await self._io("requests", payload, until) is not None
-            while is_sent:
-                reply = await self._read("requests", until)
-                if reply is None:
-                    break
+            while is_sent and (reply := await self._read("requests", until)):
                 # An error with number 0 says that the server did not read the request. Other
                 # numbers are of requests that timed out before.
                 if reply.seq == request["seq"] or (
@@ -580,8 +573,6 @@ class Client(_Core):
                 call.send(None)
         except StopIteration as end:
             return end.value
-        finally:
-            call.close()
 
 
 class AsyncClient(_Core):
