@@ -52,7 +52,7 @@ def test_a_replay_moves_the_robot(
 ) -> None:
     recording = moving_hand()
     sink = ServiceSink(
-        address_of(server), "allegro_right", "right", session="chain", person=person
+        address_of(server), "allegro_right", "right", name="chain", person=person
     )
     with client_of(server) as watcher:
         watcher.watch("chain")
@@ -126,7 +126,7 @@ def test_a_session_is_recorded_from_the_service(
 ) -> None:
     recording = moving_hand(90)
     choices: dict[str, Any] = {
-        "session": "recorded",
+        "name": "recorded",
         "person": person,
         "upright": "+y up, -z forward",
     }

@@ -96,11 +96,12 @@ class Target:
                     self.to,
                     self.robot,
                     source.side,
-                    session=self.session,
-                    preset=self.preset,
                     person=read_person(self.person) if self.person else None,
                     keys=self.keys,
-                    upright=source.upright,
+                    name=self.session,
+                    preset=self.preset,
+                    # Servers before this field refuse it.
+                    upright=source.upright or None,
                 )
             )
         summary = _lead(source, sinks, is_json=self.json)

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from time import monotonic
+from typing import Any
 
 import numpy as np
 
@@ -32,11 +33,9 @@ class ServiceSink(Sink):
         host: `HOST`, `HOST:PORT` or `tcp://HOST:PORT` of the service's requests.
         robot: Name of a robot hand on the service.
         side: The human hand.
-        session: Public name of the session; the service makes one if omitted.
-        preset: What the mapping is for; the service decides if omitted.
         person: The measured person; the service measures the first samples if omitted.
         keys: Files `NAME.key_secret` and `server.key` of an encrypted service.
-        upright: Axes of the samples' world, as of `Recording`.
+        **choices: Further arguments of `Client.open`, such as `name` and `preset`.
 
     Attributes:
         command: The newest command; None before the first.
@@ -51,24 +50,19 @@ class ServiceSink(Sink):
         robot: str,
         side: Side,
         *,
-        session: str | None = None,
-        preset: str | None = None,
         person: Person | None = None,
         keys: KeyFiles | None = None,
-        upright: str = "",
+        **choices: Any,
     ) -> None:
         measured = person.session_fields() if person else {}
         with connected("--to", host, keys, refused="--to") as self._client:
             self.session = self._client.open(
                 robot,
-                name=session,
                 input="landmarks",
                 side=side,
-                preset=preset,
                 has_detail=True,
-                # Servers before this field refuse it.
-                upright=upright or None,
                 **measured,
+                **choices,
             ).name
         self._robot = robot
         self._counts = Counter(
