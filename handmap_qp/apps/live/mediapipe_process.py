@@ -140,14 +140,14 @@ def _read(capture: Any, is_file: bool) -> Iterator[np.ndarray]:
             yield picture
 
 
-def printed(stamp: float, hand: Hand) -> None:
+def printed(sample: Hand) -> None:
     """Print a sample as one line of JSON."""
-    print(json.dumps({"time": stamp, "valid": bool(hand), **hand}), flush=True)
+    print(json.dumps(sample), flush=True)
 
 
 def sent(
     arguments: argparse.Namespace, closing: contextlib.ExitStack
-) -> Callable[[float, Hand], None]:
+) -> Callable[[Hand], None]:
     """Open a session of the service until `closing`; return a function that sends samples to it."""
     client = _client_module()
     session = closing.enter_context(client.Client(arguments.to))
@@ -159,9 +159,9 @@ def sent(
     except failures as error:
         _stop(str(error))
 
-    def send(stamp: float, hand: Hand) -> None:
+    def send(sample: Hand) -> None:
         try:
-            session.send(time=stamp, valid=bool(hand), **hand)
+            session.send(**sample)
         except failures as error:
             print(f"mediapipe_process: {error}", file=sys.stderr)
 
@@ -177,7 +177,8 @@ def main() -> None:
         # Ctrl-C and a reader that has gone end this process without a traceback.
         with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
             for stamp, pixels in pictures(arguments):
-                emit(stamp, find(pixels))
+                hand = find(pixels)
+                emit({"time": stamp, "valid": bool(hand), **hand})
 
 
 def _parse() -> argparse.Namespace:
