@@ -186,10 +186,15 @@ def options_of(kind: type[Options]) -> tuple[Option, ...]:
     """Return the options of a kind, in their order."""
     plain = get_type_hints(kind)
     said = _documented(kind)
-    fields = {field.name: field for field in msgspec.structs.fields(kind)}
     return tuple(
-        Option(name, field.type, plain[name], field.default, said.get(name, ""))
-        for name, field in fields.items()
+        Option(
+            field.name,
+            field.type,
+            plain[field.name],
+            field.default,
+            said.get(field.name, ""),
+        )
+        for field in msgspec.structs.fields(kind)
     )
 
 

@@ -95,7 +95,7 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
     """
     for name in clients:
         expect(
-            name.replace("-", "").replace("_", "").isalnum() and name != "server",
+            re.fullmatch(r"[\w-]*[^\W_][\w-]*", name) and name != "server",
             "client",
             "a name of letters, digits, - and _ that is not 'server'",
             value=name,
