@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Suppress, arg
 
@@ -75,11 +75,9 @@ def install_environment(report: Callable[[str], object]) -> Path:
     python = _find_python()
     report(f"making {folder}")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    _run(
-        [python, "-m", "venv", "--clear", str(folder)], "the environment cannot be made"
-    )
+    _run([python, "-m", "venv", "--clear", folder], "the environment cannot be made")
     report(f"installing {' '.join(REQUIREMENTS)} (about 1 GB)")
-    pip = [str(folder / "bin" / "python"), "-m", "pip", "--disable-pip-version-check"]
+    pip = [folder / "bin" / "python", "-m", "pip", "--disable-pip-version-check"]
     try:
         _run([*pip, "install", "-q", *REQUIREMENTS], "pip cannot install MediaPipe")
     except InvalidInputError:
@@ -99,7 +97,7 @@ def _find_python() -> str:
     )
 
 
-def _run(command: list[str], problem: str) -> None:
+def _run(command: list[Any], problem: str) -> None:
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         line = _last_line(done.stderr.strip() or done.stdout.strip(), "ERROR:")
@@ -146,7 +144,7 @@ class MediapipeSource:
         """
         option = "--video" if self.video else "--camera"
         source = str(self.video or self.camera)
-        command = [str(environment_python()), "-u", str(_PROGRAM), option, source]
+        command = [environment_python(), "-u", _PROGRAM, option, source]
         command += ["--side", self.side, "--fov", str(self.fov)]
         command += ["--mirrored"] * self.is_mirrored + ["--paced"] * self.is_paced
         with (

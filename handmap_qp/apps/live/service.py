@@ -122,7 +122,7 @@ class ServiceSink(Sink):
             "robot": self._robot,
             "session": self.session,
             **self._counts,
-            **{name: dict(counts) for name, counts in self._said.items()},
+            **self._said,
             "last_refusal": self._refusal,
             "reopened": self._client.reopened,
         }

@@ -72,8 +72,7 @@ class JsonLines(logging.Formatter):
             "time": round(record.created, 6),
             "level": record.levelname.lower(),
             "event": record.getMessage(),
-        }
-        line.update(getattr(record, "data", {}))
+        } | getattr(record, "data", {})
         if record.exc_info:
             line["error"] = repr(record.exc_info[1])
             line["traceback"] = self.formatException(record.exc_info)

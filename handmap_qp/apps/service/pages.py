@@ -98,7 +98,7 @@ def _files() -> dict[str, tuple[bytes, str]]:
     """Return content and type of every file of the page, by its path in requests."""
     files = {
         f"/{file.name}": (file.read_bytes(), f"{_TYPES[file.suffix]}; charset=utf-8")
-        for file in sorted(_FOLDER.iterdir())
+        for file in _FOLDER.iterdir()
         if file.suffix in _TYPES
     }
     return files | {"/": files["/index.html"]}

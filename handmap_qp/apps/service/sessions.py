@@ -236,7 +236,7 @@ class Sessions:
         )
         event: Values = {"session": session.name, "reason": reason}
         self.audit.note("closed", by, **event)
-        report(INFO, "closed", **event, counts=dict(session.counts))
+        report(INFO, "closed", **event, counts=session.counts)
 
     def send(self, name: str, payload: bytes) -> None:
         """Publish a message in the stream of a session."""
