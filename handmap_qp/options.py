@@ -89,8 +89,12 @@ class Option(NamedTuple):
     @property
     def choices(self) -> tuple[str, ...]:
         """The words that it takes; empty if there are none."""
-        kinds = [bare for bare, _ in _parts(self.type) if get_origin(bare) is Literal]
-        return tuple(word for kind in kinds for word in get_args(kind))
+        return tuple(
+            word
+            for bare, _ in _parts(self.type)
+            if get_origin(bare) is Literal
+            for word in get_args(bare)
+        )
 
     @property
     def range(self) -> tuple[float, float] | None:

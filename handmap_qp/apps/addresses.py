@@ -49,7 +49,7 @@ def bare_host(name: str, host: str) -> str:
 
 
 def _unbracketed(host: str) -> str:
-    return host[1:-1] if host.startswith("[") and host.endswith("]") else host
+    return re.sub(r"^\[(.*)\]\Z", r"\1", host)
 
 
 def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
