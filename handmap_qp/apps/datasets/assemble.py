@@ -117,10 +117,9 @@ def _write_lerobot(
         argument="--out",
         overwrite=True,
     ) as writer:
-        for episode in episodes:
-            arrays = episode.state, episode.action, episode.valid
+        for sources, task, *arrays in episodes:
             columns = dict(zip(features, arrays, strict=True))
-            writer.add(columns, episode.task, {"source": episode.sources})
+            writer.add(columns, task, {"source": sources})
     return root
 
 

@@ -1,6 +1,6 @@
 """The gauges: numbers of the instant, plots over time, and joints between their limits."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from html import escape
 from itertools import cycle
 
@@ -9,7 +9,7 @@ import numpy as np
 from handmap_qp.apps.drawing import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.errors import HandError
-from handmap_qp.hands import CONTACT_GAP, FINGERS, Hand, find_fingers
+from handmap_qp.hands import CONTACT_GAP, FINGERS, Hand, Values, find_fingers
 from handmap_qp.human import tip_gaps
 from handmap_qp.ik import wrist_error
 from handmap_qp.se3 import Array
@@ -101,7 +101,7 @@ class InstantGauges:
         wrist = np.max(wrists or [(np.nan, np.nan)], axis=0)
         return np.array([points.mean(), points.max(), *wrist])
 
-    def pinches(self, sample: ViewSample, hand: int = 0) -> dict[str, float]:
+    def pinches(self, sample: ViewSample, hand: int = 0) -> Values:
         """Return a robot's gap between thumb and each other finger [m], by the finger's name.
 
         It is measured between the surfaces of the last links, and negative where they overlap.
@@ -109,7 +109,7 @@ class InstantGauges:
         gaps = self._measures[hand](sample.robot_q[None])
         return {finger: gap[0] for finger, gap in gaps.items()}
 
-    def human_pinches(self, sample: ViewSample) -> dict[str, float]:
+    def human_pinches(self, sample: ViewSample) -> Values:
         """Return the human's gap between thumb and each other finger [m], by the finger's name.
 
         The contact gap is subtracted, so that a touch reads zero.
@@ -193,7 +193,7 @@ def _joint_bar(name: str, q: float, shares: Array, colour: str) -> str:
     )
 
 
-def _pinch_bars(whose: str, tables: Sequence[Mapping[str, float]]) -> str:
+def _pinch_bars(whose: str, tables: Sequence[Values]) -> str:
     """Return the gaps of one hand of the human and the robots, by finger, as bars and numbers."""
     rows = []
     for finger in tables[1]:

@@ -49,16 +49,16 @@ def _is_apart(recording: Recording) -> bool:
     if recording.wrist is None:
         return False
     apart = recording.wrist[:, :3, 3] != recording.landmarks[:, 0]
-    return bool(apart[recording.valid].any())
+    return apart[recording.valid].any()
 
 
-LOSSES: dict[str, tuple[str, Callable[[Recording], bool]]] = {
+LOSSES: dict[str, tuple[str, Callable[[Recording], object]]] = {
     "wrist": ("the wrist's orientation", lambda r: r.wrist is not None),
     "confidence": ("the confidence", lambda r: r.confidence is not None),
-    "source": ("the words about the source", lambda r: r.source != ""),
-    "upright": ("which axes are up and forward", lambda r: r.upright != ""),
+    "source": ("the words about the source", lambda r: r.source),
+    "upright": ("which axes are up and forward", lambda r: r.upright),
     "object_pose": ("the object", lambda r: r.object_pose is not None),
-    "object_shape": ("the object's shape", lambda r: r.object_shape != ""),
+    "object_shape": ("the object's shape", lambda r: r.object_shape),
     "no wrist": (
         "that the wrist's orientation is unknown",
         lambda r: r.wrist is None,
@@ -309,8 +309,8 @@ def column(recording: Recording, name: str) -> Array:
 
 def _if_known(values: Any, name: str) -> Array | None:
     """Return an array; None if there is none, or all of it is NaN."""
-    numbers = np.nan if values is None else as_floats(values, name)
-    return None if np.isnan(numbers).all() else np.asarray(numbers)
+    numbers = as_floats(np.nan if values is None else values, name)
+    return None if np.isnan(numbers).all() else numbers
 
 
 def _poses(values: Any, name: str) -> Array | None:
