@@ -72,7 +72,8 @@ def make_replay(
 def _mapped(robot: str, preset: str, changes: tuple[tuple[str, Any], ...]) -> Replay:
     motion = closing_motion()
     choice = preset_choice(preset).with_changes(dict(changes))
-    return Replay(closing_recording(), motion, motion.human, _robot(robot), choice)
+    seen = closing_recording(), motion
+    return Replay(motion.human, _robot(robot), choice, seen)
 
 
 _robot = cache(load_hand)

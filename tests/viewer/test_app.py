@@ -86,9 +86,8 @@ def seek(viewer: ReplayViewer, index: int) -> None:
 
 
 def replay_of(motion: HumanMotion, choice: Choice = PAPER) -> Replay:
-    return Replay(
-        closing_recording(), motion, motion.human, load_hand("three_finger"), choice
-    )
+    seen = closing_recording(), motion
+    return Replay(motion.human, load_hand("three_finger"), choice, seen)
 
 
 @pytest.mark.parametrize("preset", ["paper", "teleoperation", "joint-to-joint"])
@@ -116,7 +115,7 @@ def test_every_preset_of_a_replay_is_aligned_as_the_first_one() -> None:
     robot = load_hand("ur5_allegro")
     for name in ("teleoperation", "object"):
         choice = preset_choice(name, motion.human)
-        replay = Replay(recording, motion, motion.human, robot, choice)
+        replay = Replay(motion.human, robot, choice, (recording, motion))
         assert replay.preset(name).method.values["alignment"] == "y-up"
 
 
@@ -124,7 +123,8 @@ def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
     valid = np.arange(COUNT) >= 7
     motion = replace(closing_motion(), valid=valid)
     recording = replace(closing_recording(), valid=valid)
-    replay = Replay(recording, motion, motion.human, load_hand("three_finger"), PAPER)
+    robot = load_hand("three_finger")
+    replay = Replay(motion.human, robot, PAPER, (recording, motion))
     for sample in replay.samples[:7]:
         np.testing.assert_allclose(
             sample.robot_q, replay.samples[7].robot_q, atol=1e-12
@@ -464,11 +464,10 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(
 def test_the_measured_contact_gap_is_that_of_a_preset_chosen_later(server: Any) -> None:
     motion = closing_motion()
     replay = Replay(
-        closing_recording(),
-        motion,
         motion.human.with_contact_gap(0.018),
         load_hand("three_finger"),
         PAPER,
+        (closing_recording(), motion),
     )
     viewer = ReplayViewer(server, replay)
     viewer.steering.preset.value = "teleoperation"

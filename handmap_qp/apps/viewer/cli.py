@@ -196,8 +196,7 @@ class View:
         )
         upright = recordings[0].upright
         choice = self.arguments.preset_for(humans[0], robot.hands[0], upright)
-        first, *others = zip(recordings, motions, strict=True)
-        replay = Replay(*first, human, robot, choice, *others)
+        replay = Replay(human, robot, choice, *zip(recordings, motions, strict=True))
         if compared:
             replay.compare(compared)
         return replay

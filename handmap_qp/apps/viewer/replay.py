@@ -34,13 +34,12 @@ class Replay:
     Landmarks are mapped as they were measured. Joint angles are fitted for drawing only.
 
     Args:
-        recording: The recording; for a robot with several hands, of its first one.
-        motion: Joint angles and wrist poses fitted to it (`fit_recording`).
         human: The human hand, scaled to the person, with the reference points to use; for several,
             as one (`joined`).
         robot: The robot hand; for a robot with several, likewise.
         choice: Preset and options.
-        *others: Recording and motion of the robot's other hands, in its order.
+        *seen: A recording, and the joint angles and wrist poses fitted to it (`fit_recording`); for
+            a robot with several hands, those of each in its order.
 
     Attributes:
         human: The human hand.
@@ -52,26 +51,24 @@ class Replay:
         compared: The preset of `other`, or `KEPT`; `NOTHING` if nothing is compared.
 
     Raises:
-        InvalidInputError: If no sample of the motion is valid.
+        InvalidInputError: If no sample of the first motion is valid.
         HandmapError: If the options do not fit the hands.
     """
 
     def __init__(
         self,
-        recording: Recording,
-        motion: HumanMotion,
         human: Hand,
         robot: Hand,
         choice: Choice,
-        *others: tuple[Recording, HumanMotion],
+        *seen: tuple[Recording, HumanMotion],
     ) -> None:
+        self._recording, motion = seen[0]
         if not motion.valid.any():
             raise InvalidInputError(
                 "no sample is valid, there is nothing to show", argument="motion"
             )
         self.human = human
-        self._recording = recording
-        self._seen = (recording, motion), *others
+        self._seen = seen
         self._time = max((each.time for each, _ in self._seen), key=len)
         self.time = self._time - self._time[0]
         self.switches: dict[int, bool] = {}
