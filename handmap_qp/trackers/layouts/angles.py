@@ -9,7 +9,10 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands import HUMAN_JOINTS, Document, Hand, HumanLengths, Names, Side
 from handmap_qp.se3 import Array, transform_points
-from .base import UNITS, Hands, Layout, LayoutTable, Rows, WristTable, sized_human
+from .base import Hands, Layout, LayoutTable, Rows, WristTable, sized_human
+
+_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
+"""Size of a unit of angle [rad]."""
 
 # No joint of a hand turns farther, so larger numbers are in degrees; and no hand is so straight
 # that all its angles are smaller, so smaller ones are in radians.
@@ -77,10 +80,10 @@ class AngleLayout(Layout):
             self.aliases[entry.name] = entry.aliases
             if entry.default is not None:
                 self.defaults[entry.name] = entry.default
-        expect(table.unit in ("deg", "rad"), "unit", "deg or rad", value=table.unit)
+        expect(table.unit in _UNITS, "unit", "deg or rad", value=table.unit)
         self._joints = [*map(HUMAN_JOINTS.index, joints)]
         factors = np.array([(entry.scale, entry.offset) for entry in table.angles])
-        self._scales, self._offsets = UNITS[table.unit] * factors.T  # to radians
+        self._scales, self._offsets = _UNITS[table.unit] * factors.T  # to radians
         self.shapes = ((len(joints),),)
         self.columns = tuple(entry.name for entry in table.angles)
 

@@ -48,14 +48,8 @@ from . import LAYOUTS
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-UNITS: dict[str, float] = {
-    "m": 1.0,
-    "cm": 0.01,
-    "mm": 0.001,
-    "rad": 1.0,
-    "deg": np.pi / 180.0,
-}
-"""Size of a unit in metres or radians."""
+_LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Size of a unit of length [m]."""
 TYPICAL_LENGTH = 0.19
 """Length of the hand that angles and markers are read with where no person was measured [m]."""
 
@@ -168,7 +162,8 @@ class Layout(abc.ABC):
         self.wrist_table: WristTable | None = getattr(table, "wrist", None)
         self.aliases: dict[str, Names] = {}
         self.defaults: dict[str, float] = {}
-        length = 1.0 if table.unit in ("deg", "rad") else UNITS[table.unit]
+        # Angles come without lengths.
+        length = _LENGTHS.get(table.unit, 1.0)
         scales = [-length if axis == table.mirror else length for axis in "xyz"]
         self.world = np.diag([*scales, 1.0])
 
