@@ -31,6 +31,8 @@ from .base import (
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
+OF_MANO = ("joints", "pose", "hand_pose")
+"""Arrays of which an archive of the MANO hand model has one for each sample."""
 _KNOWN = (*COLUMNS, *WORDS, "wrist_pose")
 
 
@@ -52,7 +54,7 @@ class NpzFormat(RecordingFormat):
         if not path.is_file():
             return False
         names = member_names(path)
-        return "landmarks" in names or not {"pose", "hand_pose", "joints"} & names
+        return "landmarks" in names or names.isdisjoint(OF_MANO)
 
     def entries(self, path: Path) -> Sequence[Entry]:
         """List the one hand, or both."""

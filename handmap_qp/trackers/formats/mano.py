@@ -18,7 +18,7 @@ from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import Names, Values
 from handmap_qp.human import LANDMARK_COUNT, Recording
 from handmap_qp.se3 import Array, Arrays, affine, as_floats, transform_points
-from .archive import member_names, read_archive, save_npz
+from .archive import OF_MANO, member_names, read_archive, save_npz
 from .base import Entry, RecordingFormat, build_recording, reading, side_of
 
 FROM_MANO = np.r_[0, 13:17, 1:4, 17, 4:7, 18, 10:13, 19, 7:10, 20]
@@ -29,8 +29,7 @@ from thumb to little.
 """
 HandArrays = dict[str, Values]
 """Hands as arrays of `ManoFormat`, by the names of their entries."""
-_POSES = ("pose", "hand_pose")
-_KNOWN = {"joints", "side", "time", "fps", "valid", "betas", "transl", *_POSES}
+_KNOWN = {"side", "time", "fps", "valid", "betas", "transl", *OF_MANO}
 _KNOWN |= {"global_orient", "flat_hand_mean", "object_pose", "object_shape"}
 
 
@@ -52,7 +51,7 @@ class HandModelFormat(RecordingFormat):
         """List the recordings."""
         entries = []
         for entry, arrays in self.hands(path).items():
-            main = next(arrays[name] for name in ("joints", *_POSES) if name in arrays)
+            main = next(arrays[name] for name in OF_MANO if name in arrays)
             side = side_of(arrays.get("side"), "side")
             entries.append(Entry(entry, side, len(np.atleast_1d(main))))
         return entries
@@ -102,7 +101,7 @@ class ManoFormat(HandModelFormat):
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the archive has joints or parameters."""
-        return path.is_file() and bool({"joints", *_POSES} & member_names(path))
+        return path.is_file() and not member_names(path).isdisjoint(OF_MANO)
 
     def hands(self, path: Path) -> HandArrays:
         """Read the one hand."""
