@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
-from operator import or_
+from operator import itemgetter, or_
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -37,7 +37,7 @@ _STATUS_PERIOD = 1.0
 # Longest wait for a command, and so the longest delay of a request [s].
 _WAIT = 0.02
 # Session properties that determine the view's hands and whether it can steer.
-_HANDS = (
+_HANDS = itemgetter(
     "robot",
     "side",
     "input",
@@ -111,7 +111,7 @@ class ServiceSession:
                     "the session does not send enough detail to be shown",
                     "open it with has_detail=True or is_shared=True",
                 )
-            self._about = {name: about[name] for name in _HANDS}
+            self._about = _HANDS(about)
             self.choice = _choice(about)
             robot = str(robot or about["robot"])
             if robot == about["robot"] and robot not in hand_files() | robot_files():
@@ -201,7 +201,7 @@ class ServiceSession:
             about = state.about or {}
             if self.is_shared and about["is_shared"] and not about["has_detail"]:
                 self._client.configure(has_detail=True)
-            self.is_outdated = {name: about[name] for name in _HANDS} != self._about
+            self.is_outdated = _HANDS(about) != self._about
             before = self.choice
             self.choice = _choice(about)
             if type(before.method) is not type(self.choice.method):

@@ -18,6 +18,7 @@ from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import Array
 from .base import (
     COLUMNS,
+    WORDS,
     Entry,
     RecordingFormat,
     build_recording,
@@ -41,7 +42,7 @@ class CsvFormat(RecordingFormat):
 
     name = "csv"
     suffixes = (".csv",)
-    lacks = ("source", "upright", "object_shape")
+    lacks = WORDS
 
     def entries(self, path: Path) -> Sequence[Entry]:
         """List the hands by their rows."""
