@@ -263,7 +263,7 @@ def test_outside_program_is_asked_and_run(
 ) -> None:
     (tmp_path / "compare.py").write_text(PROGRAM, encoding="utf-8")
     assert len(robot.joint_names) == 8
-    theirs, broken = outside_methods(tmp_path, "three_finger")
+    theirs, broken = outside_methods(tmp_path, "three_finger").values()
     motion = theirs.map_take(take, robot)
     assert motion.q.shape == (len(take.recording), 8)
     assert motion.wrist is not None
@@ -307,9 +307,7 @@ def test_peers_run(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
             f"{', '.join(missing)} not built in {build.peers_folder()}: make peers"
         )
     robot = load_hand("allegro_right")
-    methods = {
-        method.name: method for method in outside_methods(PEERS, "allegro_right")
-    }
+    methods = outside_methods(PEERS, "allegro_right")
     assert {"dex-vector", "dexi-dexpilot"} <= methods.keys()
     chosen = [methods["dexi-vector-unfiltered"], methods["dexi-position"]]
     result = compare_methods([take], robot, chosen)

@@ -235,8 +235,7 @@ def _methods(request: Compare) -> list[ComparedMethod]:
     if request.peers:
         checkout = Path(handmap_qp.__file__).parents[1]
         folder = request.peers_from or checkout / "benchmarks" / "peers"
-        found = outside_methods(folder, request.robot)
-        outside = {method.name: method for method in found}
+        outside = outside_methods(folder, request.robot)
     first, *others = own_methods()
     names = request.methods or (first, first + SMOOTH, *others)
     if outside.keys().isdisjoint(names):

@@ -350,8 +350,8 @@ class _Listed(msgspec.Struct):
     about: str = ""
 
 
-def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
-    """Ask the outside program in a folder for its methods for a hand, given by name or path.
+def outside_methods(folder: Path, hand: str) -> dict[str, ComparedMethod]:
+    """Ask the outside program in a folder for its methods, by name, for a hand, by name or path.
 
     Raises:
         OutsideError: If there is no such program, or it cannot run.
@@ -367,10 +367,10 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
     except msgspec.DecodeError as error:
         problem = f"{program}: expected a JSON list of methods: {error}"
         raise OutsideError(problem) from error
-    return [
-        ComparedMethod(one.name, partial(_map_outside, program, one, hand))
+    return {
+        one.name: ComparedMethod(one.name, partial(_map_outside, program, one, hand))
         for one in listed
-    ]
+    }
 
 
 def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:

@@ -85,8 +85,7 @@ def chosen_methods(
     Raises:
         InvalidInputError: If there is no such mapping.
     """
-    found = outside_methods(peers, robot) if peers else []
-    outside = {method.name: method for method in found}
+    outside = outside_methods(peers, robot) if peers else {}
     names = names or own_methods()[:1]
     return [outside.get(name) or own_method(name) for name in names]
 
