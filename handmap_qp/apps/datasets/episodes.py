@@ -5,7 +5,7 @@ process, in any order.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from hashlib import file_digest, sha256
 from io import BytesIO
@@ -118,10 +118,7 @@ def _run(job: Job) -> Values:
         trajectory = dataclasses.replace(trajectory, valid=at_once)
         wrists = [[h.frame_pose("wrist", q) for h in robot.hands] for q in trajectory.q]
         columns |= {"valid": valid, "wrist": np.array(wrists)}
-    measured = {
-        recording: _meter(robot.by_side[recording.side]) for recording in recordings
-    }
-    metrics = measure_episode(measured, trajectory, person.contact_gap)
+    metrics = measure_episode(recordings, robot, trajectory, person.contact_gap)
     return {
         "status": "done",
         "frames": len(trajectory.time),
@@ -145,15 +142,16 @@ def _meter(robot: Hand) -> GapMeter | None:
 
 
 def measure_episode(
-    meters: Mapping[Recording, GapMeter | None],
+    recordings: Sequence[Recording],
+    robot: Hand,
     trajectory: Trajectory,
     contact_gap: float,
 ) -> Values:
     """Measure an episode.
 
     Args:
-        meters: What each hand of the human did, with the surfaces of the robot's hand that
-            follows it; None where it has none.
+        recordings: What each hand of the human did.
+        robot: The robot whose hands follow them.
         trajectory: What the robot does, valid where it follows all of them.
         contact_gap: Gap of tip landmarks where the skin touches [m].
 
@@ -163,9 +161,9 @@ def measure_episode(
     """
     measure = core.measure_episode if core else _measured
     found = []
-    for recording, meter in meters.items():
+    for recording in recordings:
         found.append(measure(recording, trajectory))
-        if meter:
+        if meter := _meter(robot.by_side[recording.side]):
             found[-1] |= _surfaces(recording, trajectory, contact_gap, meter)
     rounded = {}
     for each in MEASURES:
