@@ -3,15 +3,20 @@
 It offers what `mink.build_ik` reads from a configuration, too (`model.nv`, `nv`, `q`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.se3 import Array, frozen
+
+if TYPE_CHECKING:
+    from .hand import Hand
 
 
 def moved_by(model: pin.Model, joints: Sequence[int]) -> Array:
@@ -35,14 +40,11 @@ class Configuration:
     `place` and `displace` put it somewhere else.
 
     Args:
-        model: Pinocchio model.
-        wrists: Frame of each hand's wrist.
-        points: Frames of the m reference points, one hand after the other.
-        counts: Number of reference points of each hand.
-        spread: From the active coordinates to the model's tangent space, shape (model.nv, k).
+        hand: The hand, or the hands of a robot as one.
 
     Attributes:
-        model: As given.
+        model: The hand's model.
+        spread: `Hand.spread`.
         data: Its Pinocchio data. Read the joint Jacobian from `joint_jacobian`, not from here.
         q: Configuration last placed, shape (nq,), read-only; a new array with every placement.
         points: Reference points in the world [m], shape (m, 3), likewise.
@@ -50,27 +52,20 @@ class Configuration:
         parts: Where the points of each hand are among all.
     """
 
-    def __init__(
-        self,
-        model: pin.Model,
-        wrists: Sequence[pin.Frame],
-        points: Sequence[pin.Frame],
-        counts: Sequence[int],
-        spread: Array,
-    ) -> None:
-        self._given = model, wrists, points, counts, spread
-        self.model = model
-        self.spread = spread
-        self._wrists = wrists
-        self._points = points
-        self.data = model.createData()
-        ends = [*accumulate(counts)]
+    def __init__(self, hand: Hand) -> None:
+        self._hand = hand
+        self.model = hand.model
+        self.spread = hand.spread
+        self._wrists = [each.wrist_frame for each in hand.hands]
+        self._points = hand.point_frames
+        self.data = self.model.createData()
+        ends = [*accumulate(len(each.reference_points) for each in hand.hands)]
         self.parts = [*map(slice, [0, *ends], ends)]
-        self.place(pin.neutral(model))
+        self.place(pin.neutral(self.model))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Build a copy anew, with data of its own."""
-        return type(self), self._given, self.q
+        return type(self), (self._hand,), self.q
 
     @property
     def wrist(self) -> pin.SE3:

@@ -332,13 +332,7 @@ class Hand:
 
     def configuration(self) -> Configuration:
         """Return a new workspace for this hand, for one user at a time."""
-        return Configuration(
-            self.model,
-            [hand.wrist_frame for hand in self.hands],
-            self.point_frames,
-            [len(hand.reference_points) for hand in self.hands],
-            self.spread,
-        )
+        return Configuration(self)
 
     def configuration_vector(
         self, q: ArrayLike, wrist_pose: PoseLike | None = None

@@ -100,7 +100,7 @@ class ContactGapMeter:
 
     def __init__(self, gap: float) -> None:
         self.gap = gap
-        self._recent: deque[tuple[float, list[float]]] = deque()
+        self._recent: deque[tuple[float, Array]] = deque()
         self._touches: deque[float] = deque(maxlen=_TOUCHES[1])
         self._least = math.inf
         self._is_due = False
@@ -115,15 +115,14 @@ class ContactGapMeter:
         Returns:
             Whether `gap` has changed.
         """
-        self._recent.append((time, tip_gaps(landmarks).tolist()))
+        self._recent.append((time, tip_gaps(landmarks)))
         while not 0.0 <= time - self._recent[0][0] <= _MEDIAN_TIME:
             self._recent.popleft()
         if len(self._recent) < 3:
             return False
-        columns = zip(*(gaps for _, gaps in self._recent), strict=True)
-        half = len(self._recent) // 2
-        # For few numbers, medians of numpy and `statistics` take several times longer.
-        smallest = 0.5 * min(gaps[half] + gaps[~half] for gaps in map(sorted, columns))
+        ordered = np.sort([gaps for _, gaps in self._recent], axis=0)
+        half = len(ordered) // 2
+        smallest = 0.5 * (ordered[half] + ordered[~half]).min()
         if smallest < TOUCH_GAP:
             self._least = min(self._least, smallest)
         if smallest > self._least + _RELEASE:

@@ -23,7 +23,6 @@ from .mapper import check_dt as check_dt
 from .mapper import check_joints as check_joints
 from .method import FOLLOWING as FOLLOWING
 from .method import PRESETS as PRESETS
-from .method import Diagnostics as Diagnostics
 from .method import HumanPose as HumanPose
 from .method import MapStep as MapStep
 from .method import Preset as Preset

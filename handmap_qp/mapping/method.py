@@ -17,14 +17,11 @@ entry points of the group `handmap_qp.presets` name.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import (
     TYPE_CHECKING,
-    Any,
     Literal,
     NamedTuple,
     Protocol,
@@ -40,7 +37,7 @@ from handmap_qp.human import Finding, Rule, Verdict
 from handmap_qp.ik import WRIST_LEVERS, IkOptions, IkResult, Status, Task, wrist_error
 from handmap_qp.options import Options
 from handmap_qp.plugins import Plugins
-from handmap_qp.se3 import Array, Arrays, ArrayStruct, lengths, transform_points
+from handmap_qp.se3 import Array, ArrayStruct, lengths, transform_points
 from . import methods
 
 if TYPE_CHECKING:
@@ -85,11 +82,10 @@ class RobotPosture(NamedTuple):
     wrist: Array
 
 
-@dataclass(eq=False)
-class Diagnostics(Mapping[str, Array]):
-    """Intermediate results of a method for one sample: arrays by name, computed when asked for.
+class Targets(ArrayStruct, frozen=True):
+    """The targets of a method for one sample.
 
-    These names mean the same in every method that has them:
+    These names of diagnostics mean the same in every method that has them:
 
         motion              T from the reference to now, in the human's world, shape (4, 4)
         motion_rigid        T_rb, shape (4, 4)
@@ -97,34 +93,6 @@ class Diagnostics(Mapping[str, Array]):
         stretches           stretches of T before clamping, shape (3,)
         pivot_image         where T takes the point that T_def acts about [m], shape (3,)
         residual_norms      distance of human points from where T takes them [m], shape (n,)
-
-    Attributes:
-        compute: Returns all results by name but those that are known.
-        parts: Its arguments.
-        known: Results that take no time.
-    """
-
-    compute: Callable[..., Arrays]
-    parts: Sequence[Any]
-    known: Arrays = field(default_factory=dict)
-
-    @cached_property
-    def _results(self) -> Arrays:
-        return self.compute(*self.parts) | self.known
-
-    def __getitem__(self, name: str) -> Array:
-        """Return one result."""
-        return self.known[name] if name in self.known else self._results[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._results)
-
-    def __len__(self) -> int:
-        return len(self._results)
-
-
-class Targets(ArrayStruct, frozen=True):
-    """The targets of a method for one sample.
 
     Attributes:
         points: Targets of the robot's reference points [m], shape (n_r, 3).
@@ -440,7 +408,7 @@ class MapStep(ArrayStruct, frozen=True):
 
     @property
     def diagnostics(self) -> Mapping[str, Array]:
-        """Intermediate results of the method, by name; see `Diagnostics`."""
+        """Intermediate results of the method, by name; see `Targets`."""
         return self.asked.diagnostics
 
     @property

@@ -125,9 +125,8 @@ class PalmMap:
         if self.is_still:
             return human, self.start, points
         origin = transform_points(human, self.origin) + self.offset
-        if self.further:
-            moved = transform_points(human, self.human_anchor) - self.human_start
-            origin += self.further * moved
+        moved = transform_points(human, self.human_anchor) - self.human_start
+        origin += self.further * moved
         Q = self.alignment
         palm = affine(Q @ human[:3, :3] @ self.rotation, Q @ origin)
         return human, palm, points

@@ -488,7 +488,7 @@ class RobotMapper(Mover):
         for leading, each, hand in zip(maps, targets, self.robot.hands, strict=True):
             anchor = leading.robot_anchor
             ends.append(transform_points(each.wrist @ hand.wrist_to_palm, anchor))
-            palm = hand.model.frames[hand.palm_frame_id]
+            palm = hand.palm_frame
             places.append((palm.parentJoint, palm.placement.act(anchor)))
         own = ends[1] - ends[0]
         aim = own + share * (apart - own)

@@ -22,7 +22,6 @@ from handmap_qp.ik import Compiled, IkOptions, Parts
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
-    Diagnostics,
     HumanPose,
     MotionEstimate,
     MotionEstimator,
@@ -128,7 +127,7 @@ class HomogeneousMap(Compiled):
         return Targets(
             points,
             wrist,
-            Diagnostics(_results, (estimate, self.pivot, *results)),
+            _results(estimate, self.pivot, *results),
             flags=("stretch_clamped",) if is_clamped else (),
         )
 
@@ -158,7 +157,7 @@ def _results(
     image: Array,
     stretches: Array,
 ) -> Arrays:
-    """Return the results of one sample; see `Diagnostics`. T_def has clamping and gain."""
+    """Return the results of one sample; see `Targets`. T_def has clamping and gain."""
     return {
         "motion": estimate.motion,
         "motion_rigid": about(rotation, pivot, rigid_image),

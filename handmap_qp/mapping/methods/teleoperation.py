@@ -20,7 +20,6 @@ from handmap_qp.ik import AttachedPoints, Compiled, Parts, PointDistances
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
-    Diagnostics,
     HumanPose,
     MotionEstimate,
     MotionEstimator,
@@ -64,7 +63,7 @@ finger's [m], and the share of each pinch row's weight, (p,) both; and shares of
 def _results(
     estimate: MotionEstimate, palm_before: Array, palm: Array
 ) -> dict[str, Array]:
-    """Return the results of one sample but `_KNOWN`; see `Diagnostics`.
+    """Return the results of one sample but `_KNOWN`; see `Targets`.
 
     T is estimated in palm axes, from the human's rest posture. In the world, that posture lies at
     the palm of the reference, T_rb is the motion of the palm, and T_def all the rest.
@@ -189,7 +188,7 @@ class TeleoperationMap(Compiled, PalmMap):
         return Targets(
             points,
             wrist,
-            Diagnostics(_results, (estimate, self.palm_before, known["palm"]), known),
+            _results(estimate, self.palm_before, known["palm"]) | known,
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
         )
