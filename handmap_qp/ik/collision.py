@@ -507,10 +507,9 @@ class Detours:
         before = self._before.detours if self._before else []
         return [*before, self.detour]
 
-    def solve(
-        self, goal: Goal, dt: float, margins: Array | None, speed: float
-    ) -> IkResult:
-        """Move the hand for one sample; arguments as of `PointIk.solve`."""
+    def solve(self, goal: Goal) -> IkResult:
+        """Move the hand for one sample."""
+        dt = goal.dt
         ik = self._ik
         before = ik.gate.motion
         via, points, known, left, wait = self.detour
@@ -518,11 +517,11 @@ class Detours:
             via = None
         try:
             pulled = goal if via is None else self._pulled(goal, via)
-            result = self._solve(pulled, dt, margins, speed)
+            result = self._solve(pulled)
             self._motion = ik.gate.motion
             self._detour = Detour(via, points, known, left - dt, wait - dt)
             if via is None:
-                self.look_ahead(goal, margins, result, dt * speed)
+                self.look_ahead(goal, result)
             elif left < dt or self._is_at(via):
                 self._detour = Detour(wait=_AGAIN)
         except BaseException:
@@ -531,50 +530,47 @@ class Detours:
             raise
         return result
 
-    def look_ahead(
-        self, goal: Goal, margins: Array | None, result: IkResult, time: float
-    ) -> None:
+    def look_ahead(self, goal: Goal, result: IkResult) -> None:
         """Take a detour if the hand is held away from its targets, and that leads nearer.
 
-        All is of the sample just solved; `time` is times its share of the speed limits [s].
+        Both are of the sample just solved.
         """
         wait = self.detour.wait
         if wait > 0.0:
             return
         here = self._errors(result)
         known = self.detour.known * (wait > -_FORGOTTEN)
-        most = ON_ITS_WAY * time * self._ik.gate.limits.speeds[self._fingers]
+        speeds = self._ik.gate.limits.speeds[self._fingers]
+        most = ON_ITS_WAY * (goal.dt * goal.speed) * speeds
         is_fast = np.abs(result.displacement[self._fingers]) > most
         is_held = ~self._moves.dot(is_fast)
         if not np.any(is_held & (here > AWAY) & (here > _GROWN * known)):
             return
         via = goal.postures[0][1]
-        errors, found = self._foresee(goal, margins, via)
+        errors, found = self._foresee(goal, via)
         ahead = here
         if _is_nearer(errors, here):
             # It may get there slowly by itself.
-            ahead, _ = self._foresee(goal, margins)
+            ahead, _ = self._foresee(goal)
         if not _is_nearer(errors, ahead):
             self._detour = Detour(known=ahead, wait=_LATER)
             return
-        if _is_nearer(self._foresee(goal, margins, found)[0], ahead):
+        if _is_nearer(self._foresee(goal, found)[0], ahead):
             via = found
         self._detour = Detour(via, goal.points, left=_LONGEST * _SAMPLE)
 
-    def _foresee(
-        self, goal: Goal, margins: Array | None, via: Array | None = None
-    ) -> tuple[Array, Array]:
+    def _foresee(self, goal: Goal, via: Array | None = None) -> tuple[Array, Array]:
         """Return errors of the points, shape (p,), and joints, shape (n,), where the hand ends."""
         ik = self._ik
         motion = ik.gate.motion
-        goal = goal._replace(postures=goal.postures[:1])
+        goal = goal._replace(postures=goal.postures[:1], dt=_SAMPLE, speed=1.0)
         if via is not None:
             for _ in range(_LONGEST):
-                ik.solve_once(self._pulled(goal, via), _SAMPLE, margins, 1.0)
+                ik.solve_once(self._pulled(goal, via))
                 if self._is_at(via):
                     break
         for _ in range(_SAMPLES):
-            result = ik.solve_once(goal, _SAMPLE, margins, 1.0)
+            result = ik.solve_once(goal)
             errors = self._errors(result)
             if errors.max() <= AWAY:
                 break

@@ -32,10 +32,8 @@ class CompiledIk:
         # Without the gate, which refers to the steps.
         self._result = partial(_result_of, hand, gate.links)
 
-    def solve(
-        self, goal: Goal, dt: float, margins: Array | None, speed: float
-    ) -> IkResult:
-        """Move the hand for one sample; arguments as of `PointIk.solve`."""
+    def solve(self, goal: Goal) -> IkResult:
+        """Move the hand for one sample."""
         distances, tasks = [], []
         for task in goal.tasks:
             if isinstance(task, PointDistances) and task.core:
@@ -46,9 +44,9 @@ class CompiledIk:
             self._gate,
             goal.points,
             goal.wrists,
-            dt,
-            speed,
-            margins,
+            goal.dt,
+            goal.speed,
+            goal.margins,
             goal.postures,
             distances,
             [],  # offsets, for which only the core's own `RobotMover` asks

@@ -14,7 +14,7 @@ keeps the Hessian near one, where solvers work best. `handmap_qp.ik.solvers` has
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -121,12 +121,6 @@ def point_rows(
         carrying = configuration.wrist_jacobian(np.eye(6), part).any(axis=0)
         jacobian[:, carrying] = 0.0
     return (configuration.points[own] - targets).ravel(), jacobian
-
-
-def carriers(options: IkOptions, goal: Goal) -> Iterable[Array]:
-    """Return the targets of the wrists if the points' targets go with them; else none."""
-    goes = options.points_follow_wrist and goal.wrists is not None
-    return goal.wrists if goes else ()
 
 
 def moved_along(here: pin.SE3, targets: Array, wrist: pin.SE3) -> Array:
@@ -349,20 +343,18 @@ class PointIk:
         dt = max(dt, SHORTEST_DT)
         tasks = *tasks, *self._tasks
         wrists = None if wrist_target is None else wrist_target.reshape(-1, 4, 4)
-        goal = Goal(point_targets, wrists, self.postures(dt, rest), tasks)
-        if self._mover:
-            return self._mover.solve(goal, dt, margins, speed)
-        return self.solve_once(goal, dt, margins, speed)
+        postures = self.postures(dt, rest)
+        goal = Goal(point_targets, wrists, postures, tasks, dt, margins, speed)
+        return self._mover.solve(goal) if self._mover else self.solve_once(goal)
 
-    def solve_once(
-        self, goal: Goal, dt: float, margins: Array | None, speed: float
-    ) -> IkResult:
-        """Move the hand straight towards its targets, in Python; arguments as of `solve`."""
+    def solve_once(self, goal: Goal) -> IkResult:
+        """Move the hand straight towards the targets of one sample, in Python."""
         gate = self.gate
         configuration = self.configuration
         start = gate.motion.q
-        lower, upper = gate.bounds(dt, speed)
-        linear = gate.rows(configuration, dt, margins)
+        dt = goal.dt
+        lower, upper = gate.bounds(dt, goal.speed)
+        linear = gate.rows(configuration, dt, goal.margins)
         total = first = step = np.zeros(len(lower))
         iterations = 0
         last_step = math.inf
@@ -403,10 +395,9 @@ class PointIk:
         status = "failed" if step is None else "solved"
         targets, off = goal.points.copy(), 0.0
         placed = self.configuration
-        on = zip(
-            placed.parts, placed.wrists, carriers(self.options, goal), strict=False
-        )
-        for own, here, wrist in on:
+        wrists = goal.wrists if self.options.points_follow_wrist else None
+        for k, wrist in enumerate(() if wrists is None else wrists):
+            own, here = placed.parts[k], placed.wrists[k]
             targets[own] = moved_along(here, targets[own], pin.SE3(wrist))
             error = wrist_error(here.homogeneous, wrist)
             off = max(off, *(error * WRIST_LEVERS))

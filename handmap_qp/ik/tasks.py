@@ -63,7 +63,7 @@ class Task(Protocol):
 
 
 class Goal(NamedTuple):
-    """What the cost of one sample asks for.
+    """What one sample asks for.
 
     Attributes:
         points: Targets of the reference points in the world [m], shape (m, 3).
@@ -71,12 +71,18 @@ class Goal(NamedTuple):
         postures: Weights, of each joint or one for all, each with the joint positions that it pulls
             to, shape (n,), in the order of `Hand.joint_names` [rad or m].
         tasks: Further terms.
+        dt: Time for it [s].
+        margins: Distance that each pair of shapes keeps [m], shape (k,); the hand's own if omitted.
+        speed: Share of the speed limits to use.
     """
 
     points: Array
     wrists: Array | None
     postures: Sequence[tuple[float | Array, Array]]
     tasks: Sequence[Task]
+    dt: float = 1.0
+    margins: Array | None = None
+    speed: float = 1.0
 
 
 TASKS: Mapping[str, Callable[[Hand], Task]] = Plugins(
