@@ -95,21 +95,19 @@ class HumanLengths:
         for name, shape in (("bases", (5, 3)), ("segments", (5, 3)), ("rolls", (5,))):
             given = as_floats(getattr(self, name), name, shape=shape, is_finite=True)
             object.__setattr__(self, name, frozen(given.copy()))
-        bones = self.segments.min()
-        knuckles = self.bases[1:, 1].min()
-        is_right = self.bases[1, 0] < self.bases[4, 0]
-        roll = np.abs(self.rolls).max()
-        right = "a right hand, with the index finger at the -x side of the little one"
+        bases, segments, rolls = self.bases, self.segments, self.rolls
+        bone = segments.min()
         whole = "bones that are all longer than 0"
+        expect(bone > 0.0, "segments", whole, value=segments, got=f"{bone:.6g} m")
+        knuckle = bases[1:, 1].min()
         distal = "MCP joints distal (+y) of the wrist"
+        expect(knuckle > 0.0, "bases", distal, value=bases, got=f"y = {knuckle:.6g} m")
+        is_right = bases[1, 0] < bases[4, 0]
+        right = "a right hand, with the index finger at the -x side of the little one"
+        expect(is_right, "bases", right, value=bases, got="a left one: mirror it")
+        roll = np.abs(rolls).max()
         small = "angles within 45 degrees of 0"
-        for name, is_valid, expected, got in (
-            ("segments", bones > 0.0, whole, f"{bones:.6g} m"),
-            ("bases", knuckles > 0.0, distal, f"y = {knuckles:.6g} m"),
-            ("bases", is_right, right, "a left one: mirror it"),
-            ("rolls", roll <= LARGEST_ROLL, small, f"{roll:.3g} rad"),
-        ):
-            expect(is_valid, name, expected, value=getattr(self, name), got=got)
+        expect(roll <= LARGEST_ROLL, "rolls", small, value=rolls, got=f"{roll:.3g} rad")
 
     def __reduce__(self) -> tuple[type[Self], tuple[Array | float, ...]]:
         return type(self), (self.bases, self.segments, self.rolls, self.contact_gap)

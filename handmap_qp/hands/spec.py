@@ -7,7 +7,6 @@ making a `Hand` checks it against its URDF.
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
@@ -396,23 +395,16 @@ def _values(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
             yield from _values(each, f"{key}[{i}]")
 
 
-# The hands of each recording are read again.
-@lru_cache(maxsize=64)
-def _parse_yaml(text: str) -> Any:
-    """Return the document in a text; do not change it."""
-    is_deep = sum(map(text.count, _LEVELS)) > _MOST_LEVELS
-    return yaml.load(text, Loader=yaml.SafeLoader if is_deep else _LOADER)
-
-
 def read_yaml(path: Path) -> Any:
-    """Return the document in a file, not to be changed; a `HandError` if it is not YAML."""
+    """Return the document in a file; a `HandError` if it is not YAML."""
     try:
         text = path.read_text(encoding="utf-8")
     # ValueError: not UTF-8, or a null character in the path.
     except (OSError, ValueError) as error:
         raise HandError(f"cannot be read: {reason_of(error)}", file=path) from error
     try:
-        return _parse_yaml(text)
+        is_deep = sum(map(text.count, _LEVELS)) > _MOST_LEVELS
+        return yaml.load(text, Loader=yaml.SafeLoader if is_deep else _LOADER)
     # ValueError: an impossible date.
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise HandError(f"is not valid YAML: {reason_of(error)}", file=path) from error

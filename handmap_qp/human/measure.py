@@ -1,7 +1,7 @@
 """A person's hand, measured in a recording, and the human hand scaled to it."""
 
 import math
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -67,12 +67,6 @@ def measure_hand(recording: Recording) -> HumanLengths:
     expect(
         isinstance(recording, Recording), "recording", "a Recording", value=recording
     )
-    return _measured_hand(recording)
-
-
-# A recording without faults is measured twice: before they are looked for, and after.
-@lru_cache(maxsize=2)
-def _measured_hand(recording: Recording) -> HumanLengths:
     landmarks = recording.landmarks[recording.valid]
     segments = check_length(landmarks)
     if recording.side == "left":
