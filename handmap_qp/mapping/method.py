@@ -37,7 +37,7 @@ from handmap_qp.human import Finding, Rule, Verdict
 from handmap_qp.ik import WRIST_LEVERS, IkOptions, IkResult, Status, Task, wrist_error
 from handmap_qp.options import Options
 from handmap_qp.plugins import Plugins
-from handmap_qp.se3 import Array, ArrayStruct, lengths, transform_points
+from handmap_qp.se3 import Array, ArrayStruct, lengths
 from . import methods
 
 if TYPE_CHECKING:
@@ -54,18 +54,6 @@ class HumanPose(ArrayStruct, frozen=True):
 
     points: Array
     wrist: Array | None
-
-    @property
-    def in_wrist(self) -> Array:
-        """Points in wrist axes, or in the world without a wrist [m], shape (n_h, 3)."""
-        if self.wrist is None:
-            return self.points.copy()
-        return (self.points - self.wrist[:3, 3]) @ self.wrist[:3, :3]
-
-    @classmethod
-    def placed(cls, points: Array, wrist: Array | None) -> HumanPose:
-        """Make a hand of its points in wrist axes (`in_wrist`) and the pose of its wrist."""
-        return cls(points if wrist is None else transform_points(wrist, points), wrist)
 
 
 class RobotPosture(NamedTuple):

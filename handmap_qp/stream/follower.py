@@ -22,7 +22,7 @@ from handmap_qp.human import HumanSample, SampleColumns, Verdict
 from handmap_qp.ik import SHORTEST_DT, Compiled, Task, in_core
 from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
 from handmap_qp.options import NotNegative, Options, Positive
-from handmap_qp.se3 import Array, affine, lengths
+from handmap_qp.se3 import Array, affine, lengths, transform_points
 from handmap_qp.trackers import change_rate, learnt_noise, noise_of
 from .guard import StreamGuard
 from .step_table import StepTable
@@ -70,8 +70,9 @@ class _Place(NamedTuple):
 
     def pose(self) -> HumanPose:
         """Return a sample there."""
-        wrist = affine(self.rotation, self.points[-1]) if self.has_wrist else None
-        return HumanPose.placed(self.points[:-1], wrist)
+        wrist = affine(self.rotation, self.points[-1])
+        points = transform_points(wrist, self.points[:-1])
+        return HumanPose(points, wrist if self.has_wrist else None)
 
     def to(self, other: _Place) -> Array:
         """Return the way to another place [m], with the turn in own axes behind it [rad]."""
