@@ -134,6 +134,7 @@ class PairBounds(Compiled):
         geometry: As given.
         first: Index of the first shape of each pair, shape (k,).
         second: Index of the second one.
+        reaches: How far the points of each shape are from its origin at most [m], shape (s,).
         levers: Bound of the change of each pair's distance per change of each velocity coordinate
             [m/rad, or 1 for sliding joints], shape (k, nv); 0 for coordinates that move both shapes
             of a pair or neither.
@@ -152,6 +153,10 @@ class PairBounds(Compiled):
         shapes = geometry.geometryObjects
         levers = [_levers(model, shape) for shape in shapes]
         levers = np.reshape(levers, (-1, model.nv))
+        # Known from here on, because levers are bounded by boxes and balls around the shapes.
+        solids = [shape.geometry for shape in shapes]
+        reaches = [lengths(each.aabb_center) + each.aabb_radius for each in solids]
+        self.reaches = np.array(reaches)
         moved = moved_by(model, [shape.parentJoint for shape in shapes])
         self.signs = moved[self.first] - moved[self.second]
         is_between = self.signs != 0.0
@@ -202,9 +207,15 @@ class ShapeDistances:
             q: Pinocchio configuration, shape (nq,).
             horizon: Largest distance [m], of each pair or one for all.
         """
-        found = self._found_at(q, np.arange(len(self.bounds.levers)))
-        is_near = found[:, 0] <= horizon
-        return NearPairs(np.flatnonzero(is_near), found[is_near])
+        bounds = self.bounds
+        origins = self._place(q)[:, :3, 3]
+        apart = lengths(origins[bounds.first] - origins[bounds.second])
+        apart -= bounds.reaches[bounds.first] + bounds.reaches[bounds.second]
+        horizons = np.full(len(apart), horizon)
+        pairs = np.flatnonzero(apart <= horizons)
+        found = self._found_at(q, pairs)
+        is_near = found[:, 0] <= horizons[pairs]
+        return NearPairs(pairs[is_near], found[is_near])
 
     def _found_at(self, q: Array, pairs: Array) -> Array:
         """Return what is found of some pairs in a posture; as of `NearPairs`, shape (r, 7)."""
