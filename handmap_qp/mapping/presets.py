@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import NamedTuple
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.ik import IkOptions
 from handmap_qp.options import Option, options_of
-from .method import PRESETS, MethodOptions, Preset, default_preset, get_preset
+from .method import PRESETS, MethodOptions, default_preset, get_preset
 
 
 def known_options() -> dict[str, list[tuple[str, Option]]]:
@@ -38,15 +39,12 @@ def preset_with(names: Iterable[str], human: Hand, robot: Hand) -> str:
 
 def possible_presets(human: Hand, robot: Hand) -> Names:
     """Return the presets that two hands can be mapped with."""
-
-    def fits(preset: Preset) -> bool:
-        try:
+    possible = []
+    for name, preset in PRESETS.items():
+        with suppress(HandmapError):
             preset.method.bind(human, robot)
-        except HandmapError:
-            return False
-        return True
-
-    return tuple(name for name, preset in PRESETS.items() if fits(preset))
+            possible.append(name)
+    return tuple(possible)
 
 
 class Choice(NamedTuple):
