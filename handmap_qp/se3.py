@@ -355,9 +355,9 @@ def as_points(value: Any, name: str, count: int | str = "n") -> Array:
     """
     points = as_floats(value, name, shape=(count, 3))
     # NaN is not near either.
-    is_near = len(points) and np.abs(points).max() <= FARTHEST
-    expected = f"finite coordinates within {FARTHEST:g} m, of one point or more"
-    expect(is_near, name, expected, value=points.tolist())
+    if not (len(points) and np.abs(points).max() <= FARTHEST):
+        expected = f"finite coordinates within {FARTHEST:g} m, of one point or more"
+        raise InvalidInputError(argument=name, expected=expected, value=points.tolist())
     return points
 
 

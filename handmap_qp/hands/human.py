@@ -95,7 +95,9 @@ class HumanLengths:
         for name, shape in (("bases", (5, 3)), ("segments", (5, 3)), ("rolls", (5,))):
             given = as_floats(getattr(self, name), name, shape=shape, is_finite=True)
             object.__setattr__(self, name, frozen(given.copy()))
-        bases, segments, rolls = self.bases, self.segments, self.rolls
+        bases = self.bases
+        segments = self.segments
+        rolls = self.rolls
         bone = segments.min()
         whole = "bones that are all longer than 0"
         expect(bone > 0.0, "segments", whole, value=segments, got=f"{bone:.6g} m")

@@ -140,14 +140,15 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
 
 def common_pairs(
     of: Sequence[ShapePairs],
-) -> tuple[ShapePairs, list[tuple[Array, Array]]]:
+) -> tuple[ShapePairs, list[Array]]:
     """Return the pairs that all hands of one robot keep apart.
 
     Args:
         of: The pairs of each hand, of the same shapes.
 
     Returns:
-        The pairs, and of each hand's pairs that pinch their indices there and among its own.
+        The pairs, and of each hand's r pairs that pinch their indices there and among its own, in
+        shape (2, r).
     """
     owns = [
         dict(zip(_ends(pairs.geometry), pairs.fingers, strict=True)) for pairs in of
@@ -159,8 +160,7 @@ def common_pairs(
     for own in owns:
         order = [*own]
         found = [(k, order.index(end)) for k, end in enumerate(common) if own[end]]
-        rows, places = np.array(found, dtype=int).reshape(-1, 2).T
-        pinching.append((rows, places))
+        pinching.append(np.array(found, dtype=int).reshape(-1, 2).T)
     return ShapePairs(_paired(of[0].geometry, common), fingers), pinching
 
 

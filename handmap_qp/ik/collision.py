@@ -134,7 +134,7 @@ class PairBounds(Compiled):
         geometry: As given.
         first: Index of the first shape of each pair, shape (k,).
         second: Index of the second one.
-        reaches: How far the points of each shape are from its origin at most [m], shape (s,).
+        reaches: Sum of how far both shapes of each pair reach from their origins [m], shape (k,).
         levers: Bound of the change of each pair's distance per change of each velocity coordinate
             [m/rad, or 1 for sliding joints], shape (k, nv); 0 for coordinates that move both shapes
             of a pair or neither.
@@ -154,9 +154,9 @@ class PairBounds(Compiled):
         levers = [_levers(model, shape) for shape in shapes]
         levers = np.reshape(levers, (-1, model.nv))
         # Known from here on, because levers are bounded by boxes and balls around the shapes.
-        solids = [shape.geometry for shape in shapes]
-        reaches = [lengths(each.aabb_center) + each.aabb_radius for each in solids]
-        self.reaches = np.array(reaches)
+        balls = [shape.geometry for shape in shapes]
+        reaches = [lengths(ball.aabb_center) + ball.aabb_radius for ball in balls]
+        self.reaches = np.take(reaches, [self.first, self.second]).sum(axis=0)
         moved = moved_by(model, [shape.parentJoint for shape in shapes])
         self.signs = moved[self.first] - moved[self.second]
         is_between = self.signs != 0.0
@@ -210,9 +210,8 @@ class ShapeDistances:
         bounds = self.bounds
         origins = self._place(q)[:, :3, 3]
         apart = lengths(origins[bounds.first] - origins[bounds.second])
-        apart -= bounds.reaches[bounds.first] + bounds.reaches[bounds.second]
         horizons = np.full(len(apart), horizon)
-        pairs = np.flatnonzero(apart <= horizons)
+        pairs = np.flatnonzero(apart - bounds.reaches <= horizons)
         found = self._found_at(q, pairs)
         is_near = found[:, 0] <= horizons[pairs]
         return NearPairs(pairs[is_near], found[is_near])

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import daqp
@@ -99,6 +99,12 @@ class IkResult(ArrayStruct, frozen=True):
         return self.targets - self.points
 
 
+@lru_cache(maxsize=16)
+def _costs(hand: Hand, options: IkOptions) -> Array:
+    """Return the costs of points and wrist by their coordinates, shape (3 m + 6,), read-only."""
+    return frozen(np.repeat([*options.point_costs(hand), *options.wrist_costs], 3))
+
+
 def point_rows(
     configuration: Configuration,
     targets: Array,
@@ -153,8 +159,7 @@ def cost_rows(
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
     """
-    # Of points and wrist, by their coordinates.
-    costs = np.repeat([*options.point_costs(hand), *options.wrist_costs], 3)
+    costs = _costs(hand, options)
     blocks = []
     for part, own in enumerate(configuration.parts):
         wrist = None if goal.wrists is None else pin.SE3(goal.wrists[part])
@@ -395,12 +400,12 @@ class PointIk:
         status = "failed" if step is None else "solved"
         targets, off = goal.points.copy(), 0.0
         placed = self.configuration
-        wrists = goal.wrists if self.options.points_follow_wrist else None
-        for k, wrist in enumerate(() if wrists is None else wrists):
-            own, here = placed.parts[k], placed.wrists[k]
-            targets[own] = moved_along(here, targets[own], pin.SE3(wrist))
-            error = wrist_error(here.homogeneous, wrist)
-            off = max(off, *(error * WRIST_LEVERS))
+        if self.options.points_follow_wrist and goal.wrists is not None:
+            hands = zip(placed.parts, placed.wrists, goal.wrists, strict=True)
+            for own, here, wrist in hands:
+                targets[own] = moved_along(here, targets[own], pin.SE3(wrist))
+                error = wrist_error(here.homogeneous, wrist)
+                off = max(off, *(error * WRIST_LEVERS))
         width = np.minimum(upper - lower, 1.0)
         is_high = upper - total <= _AT_BOUND * width
         is_low = total - lower <= _AT_BOUND * width

@@ -699,6 +699,6 @@ def check_dt(dt: float) -> float:
     Raises:
         InvalidInputError: With the argument `dt`.
     """
-    is_time = isinstance(dt, int | float) and 0.0 < dt < np.inf
-    expect(is_time, "dt", "a time > 0 s", value=dt)
+    if not (isinstance(dt, int | float) and 0.0 < dt < np.inf):
+        raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
     return dt
