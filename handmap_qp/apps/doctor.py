@@ -1,7 +1,6 @@
 """The command `handmap doctor`: the state of an installation, for users and bug reports."""
 
 import ctypes.util
-import json
 import os
 import platform
 import re
@@ -11,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 
 from handmap_qp.ik.core import description
-from .tables import print_table
+from .tables import print_result, table_rows
 
 _PACKAGE = "handmap-qp"
 __version__ = metadata.version(_PACKAGE)
@@ -42,11 +41,10 @@ class Doctor:
         """Examine the installation and print the result."""
         parts = versions, extras, solvers, folders, libraries
         report = {part.__name__: part() for part in parts}
-        if self.json:
-            print(json.dumps(report))
-            return
-        for title, rows in report.items():
-            print_table(title.capitalize(), rows)
+        tables = {
+            title.capitalize(): table_rows(rows) for title, rows in report.items()
+        }
+        print_result(report, tables, as_json=self.json)
 
 
 def versions() -> dict[str, str]:

@@ -1,6 +1,5 @@
 """`handmap track`: lead live samples of a human hand to the service or into a file."""
 
-import json
 import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from tyro.conf import Positional, arg
 
 from handmap_qp.apps import live
 from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
-from handmap_qp.apps.tables import print_table
+from handmap_qp.apps.tables import print_result, table_rows
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Values
 from handmap_qp.human import read_person
@@ -224,9 +223,6 @@ def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> Values:
             summary = run(source, sinks, line.update)
     finally:
         signal.signal(signal.SIGTERM, before)
-    if is_json:
-        print(json.dumps(summary))
-        return summary
     # Labels in words, counts by name in one line.
     rows = {
         name.replace("_", " "): ", ".join(
@@ -237,5 +233,5 @@ def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> Values:
         for name, value in summary.items()
         if value or name not in _RARE
     }
-    print_table(source.name, rows)
+    print_result(summary, {source.name: table_rows(rows)}, as_json=is_json)
     return summary

@@ -414,9 +414,7 @@ class Dispatcher:
             opening = self._open(request, payload, self._by)
             task = asyncio.create_task(opening)
             self._opening[payload] = task
-        task.add_done_callback(
-            lambda done: None if done.cancelled() else send(done.result())
-        )
+        task.add_done_callback(lambda done: done.cancelled() or send(done.result()))
 
     async def _open(self, request: Open, payload: bytes, by: Caller) -> AnyReply:
         """Open a session; return the answer."""
