@@ -158,7 +158,7 @@ class SampleForm:
         common: Values = {
             "time": sample.time,
             "side": side,
-            "wrist": sample.wrist and sample.wrist.matrix,
+            "wrist": getattr(sample.wrist, "matrix", None),
             "valid": sample.valid,
             "confidence": sample.confidence,
         }
