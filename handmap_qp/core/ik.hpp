@@ -156,10 +156,10 @@ class Ik {
       at.displace(motion.q.data(), total_.data());
     }
     // Solve from the start again, and keep apart the points that met.
-    const auto around = [&] {
+    const auto around = [&](bool by_margins) {
       double length2;
       at.copy(start_);
-      pairs->add_met(at, linear_);
+      pairs->add_met(at, by_margins, linear_);
       total_.assign(n, 0.0);
       feasible_.loosen(linear_, lower_, upper_, limits.stopping(motion, dt), total_, h_);
       least_ = lower_;
@@ -169,8 +169,17 @@ class Ik {
       for (int i = 0; i < n; ++i)
         total_[i] = clip(has_step ? qp_.x[i] : 0.0, lower_[i], upper_[i]);
     };
+    // See qp.PointIk.solve_once.
+    for (int look = 0; has_rows && look < kLooks; ++look) {
+      path_.resize(tree.nv);
+      tree.expand(total_.data(), path_.data());
+      if (!pairs->meets_at(start_, path_.data(), at)) break;
+      around(true);
+      first_ = total_;
+      at.displace(motion.q.data(), total_.data());
+    }
     has_stopped_ = false;
-    admit(total_, first_, dt, around);
+    admit(total_, first_, dt, [&] { around(false); });
     if (!has_stopped_) find_holding();
     at.place(motion.q.data());
     if (pairs) pairs->arrive(at, path_end_);

@@ -22,6 +22,7 @@ constexpr double kInside = 0.9;
 constexpr double kTight = 1e-7;
 constexpr double kPressing = 10.0;
 constexpr int kTries = 3;
+constexpr int kLooks = 3;
 constexpr double kShares[] = {1.0, 0.5, 0.25, 0.1};
 
 inline double clip(double value, double least, double most) {

@@ -15,6 +15,7 @@ namespace handmap {
 constexpr double kKept = 2e-4;
 constexpr int kMostPoints = 30;
 constexpr double kGain = 0.85;
+constexpr double kNearer = 1e-6;
 constexpr double kNear = 0.001, kApproach = 0.5;
 constexpr double kExpected = 0.25;
 constexpr double kCleared = 5e-4;
@@ -222,6 +223,20 @@ class Pairs {
     return is_clear && halve(at, step);
   }
 
+  // Whether the end of a path brings pairs that have rows nearer, and within their margin; see
+  // collision.ShapeDistances.met_at.
+  bool meets_at(const Placed& at, const double* step, const Placed& end) {
+    travel_along(step);
+    met_.clear();
+    for (const auto& [place, k] : near_) {
+      const double nearest = std::min(found_[k].distance, margins_[place]) - kNearer;
+      if (found_[k].distance - travel_of(k) > nearest) continue;
+      const Found after = found_at(end, k);
+      if (after.distance < nearest) meet(at, end, k, after);
+    }
+    return has_met();
+  }
+
   // What met on the last path, where it began: see collision.ShapeDistances.met_on.
   bool has_met() const { return !met_.empty(); }
 
@@ -236,8 +251,8 @@ class Pairs {
   // The pair of a row, as it came; -1 of none.
   int pair_of(int row) const { return row < 0 ? -1 : row_pairs_[row]; }
 
-  // Add the rows of what met; see limits.Gate.joined.
-  void add_met(const Placed& at, Rows& rows) {
+  // Add the rows of what met, kept apart by their margins or by `kCleared`; see limits.Gate.joined.
+  void add_met(const Placed& at, bool by_margins, Rows& rows) {
     const int n = tree_.size;
     std::sort(met_.begin(), met_.end(),
               [this](const Met& a, const Met& b) { return place(a.pair) < place(b.pair); });
@@ -246,7 +261,8 @@ class Pairs {
     for (const Met& met : met_) {
       linearise(at, met.pair, met.found.normal, met.found.point, row);
       row += n;
-      rows.h.push_back(kGain * (met.found.distance - kCleared));
+      const double kept = by_margins ? margins_[place(met.pair)] : kCleared;
+      rows.h.push_back(kGain * (met.found.distance - kept));
       row_pairs_.push_back(static_cast<int>(place(met.pair)));
     }
     rows.count = static_cast<int>(rows.h.size());

@@ -44,6 +44,11 @@ start,
 
     -n^T (J_b - J_a)(r) dq <= gain (n^T (r - p) - margin).
 
+For the same reason the end of the QP's step is measured before that. Pairs that have rows, and that
+the step brings nearer and within their margin, get such rows of the points there, with their
+margin, and the QP is solved again, a few times at most. Without them, links that are pressed flat
+on each other rock from corner to corner for ever.
+
 Rows may hold a finger behind others, or a folded one, far from its target though another posture is
 near: a QP finds the nearest minimum. Where a point is away from its target, and not on its way,
 the hand looks ahead by the same QPs (`Detours`): where would it end if it went by its rest posture?
@@ -76,6 +81,8 @@ not nearer than half of it between [m]."""
 _TOLERANCE = 1e-12
 # Points of a path that are measured, at most; a path that needs more counts as not clear.
 _MOST_POINTS = 30
+# A pair has come nearer if its distance is shorter by this [m].
+_NEARER = 1e-6
 # Part of the free distance that one step may use.
 _GAIN = 0.85
 # Where there is a horizon, pairs get rows that may be within their margin, this distance [m], and
@@ -261,8 +268,9 @@ class ShapeDistances:
         ends = ends[:, is_open]
         kept = np.full_like(travel, KEPT)
         kept[pairs] = np.minimum(ends[0, :, 0], KEPT)
-        if (meets := ends[1, :, 0] < kept[pairs]).any():
-            return self._meetings(q, there, pairs[meets], ends[1, meets])
+        met = self._meetings(q, there, pairs, ends[1], kept[pairs])
+        if len(met.pairs):
+            return met
         # Parts of the path that are not shown to be clear: pairs, and what was found at both ends.
         parts = [(0.0, 1.0, pairs, ends)]
         taken = 0
@@ -284,16 +292,34 @@ class ShapeDistances:
             middle = 0.5 * (low + high)
             there = pin.integrate(self._model, q, middle * step)
             between = self._found_at(there, pairs)
-            if (meets := between[:, 0] < kept[pairs]).any():
-                return self._meetings(q, there, pairs[meets], between[meets])
+            met = self._meetings(q, there, pairs, between, kept[pairs])
+            if len(met.pairs):
+                return met
             parts.append((low, middle, pairs, np.array([first, between])))
             parts.append((middle, high, pairs, np.array([between, last])))
         return None
 
+    def met_at(self, q: Array, step: Array, pairs: Array, least: Array) -> NearPairs:
+        """Return those of some pairs that are nearer than given where a path ends.
+
+        Args:
+            q: Pinocchio configuration where it begins, shape (nq,).
+            step: The path in the model's tangent space [rad or m], shape (nv,).
+            pairs: Indices of the pairs, shape (r,).
+            least: Their distances that are not too near [m], shape (r,).
+
+        Returns:
+            Their points where the path begins; as of `met_on`.
+        """
+        there = pin.integrate(self._model, q, step)
+        return self._meetings(q, there, pairs, self._found_at(there, pairs), least)
+
     def _meetings(
-        self, q: Array, there: Array, pairs: Array, found: Array
+        self, q: Array, there: Array, pairs: Array, found: Array, least: Array
     ) -> NearPairs:
-        """Return what was found in one posture, `there`, of the same points in another one."""
+        """Return what was found too near in one posture, `there`, of the same points in another."""
+        meets = found[:, 0] < least
+        pairs, found = pairs[meets], found[meets]
         moved = self._place(q) @ inverse_pose(self._place(there))
         first = moved[self.bounds.first[pairs], :3]
         second = moved[self.bounds.second[pairs], :3]
@@ -435,6 +461,18 @@ class CollisionLimit:
             displacement: Displacement in the active coordinates [rad or m], shape (n,).
         """
         return self.shape_distances.met_on(q, self._spread.dot(displacement))
+
+    def met_at(
+        self, q: Array, displacement: Array, near: NearPairs, margins: Array | None
+    ) -> NearPairs:
+        """Return the pairs that a path brings nearer, and within their margin, where it ends.
+
+        Arguments are as of `measure`, which found `near`, and `met_on`.
+        """
+        kept = self.margin if margins is None else margins[near.pairs]
+        least = np.minimum(near.found[:, 0], kept) - _NEARER
+        step = self._spread.dot(displacement)
+        return self.shape_distances.met_at(q, step, near.pairs, least)
 
     def rows(
         self,

@@ -364,6 +364,7 @@ class Gate:
         collisions: As given.
         was_set: Whether the motion was set since the compiled core last moved the robot.
         links: Links of each pair; at -1, there are none.
+        near: The pairs that have rows, where the robot is.
         held_by: Index of the pair that holds the robot back; -1 for none.
     """
 
@@ -441,14 +442,20 @@ class Gate:
         if not collisions:
             return None
         q, last, *_ = self.motion
-        near = collisions.measure(q, dt, margins, last)
+        self.near = near = collisions.measure(q, dt, margins, last)
         self._row_pairs = near.pairs
         return collisions.rows(placed, near, margins)
 
-    def joined(self, rows: Rows, placed: Configuration, met: NearPairs) -> Rows:
+    def joined(
+        self,
+        rows: Rows,
+        placed: Configuration,
+        met: NearPairs,
+        margins: Array | float | None = _CLEARED,
+    ) -> Rows:
         """Return rows, and those of points that met; arguments as of `rows` and `admit`."""
         assert self.collisions
-        G, h = self.collisions.rows(placed, met, _CLEARED)
+        G, h = self.collisions.rows(placed, met, margins)
         self._row_pairs = np.append(self._row_pairs, met.pairs)
         return np.vstack([rows[0], G]), np.append(rows[1], h)
 

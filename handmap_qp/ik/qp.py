@@ -42,6 +42,8 @@ _AT_REST = 1e-3
 # Count a displacement as at its bound within this tolerance, relative to min(bound width, 1 rad or
 # 1 m): the sum of iterations meets a bound up to rounding, clarabel and piqp up to 1e-7.
 _AT_BOUND = 1e-7
+# How often the step is solved again with the points that come too near where it ends.
+_LOOKS = 3
 # Leave out pairs of shapes that are farther apart than this beyond their margin [m].
 _HORIZON = 0.012
 
@@ -378,12 +380,12 @@ class PointIk:
             # outside their limits back all the same: the box excludes zero there.
             return np.clip(0.0 if step is None else so_far + step, lower, upper), step
 
-        def around(met: NearPairs) -> Array:
+        def around(met: NearPairs, *kept: Array | None) -> Array:
             """Solve from the start again, and keep apart the points that met."""
             nonlocal linear
             assert linear
             configuration.place(start)
-            linear = gate.joined(linear, configuration, met)
+            linear = gate.joined(linear, configuration, met, *kept)
             return go_on(np.zeros(len(lower)))[0]
 
         while (
@@ -396,6 +398,13 @@ class PointIk:
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
+        # Keep apart the points that come too near where the step ends: see `collision`.
+        for _ in range(_LOOKS if linear else 0):
+            assert gate.collisions
+            met = gate.collisions.met_at(start, total, gate.near, goal.margins)
+            if not len(met.pairs):
+                break
+            total = first = around(met, goal.margins)
         total = gate.admit(total, first, dt, around)
         status = "failed" if step is None else "solved"
         targets, off = goal.points.copy(), 0.0

@@ -213,18 +213,8 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(
     finger: str, cover: float
 ) -> None:
     robot = covered(ALLEGRO, cover) if cover else ALLEGRO
-    pair = hand_pair(HUMAN, HUMAN)
-    ends = AttachedPoints(HUMAN, [pair.chains[THUMB].tip, pair.chains[finger].tip])
-    ik = pair_solver(HUMAN)
-    ik.solve(
-        ik.configuration.points.copy(),
-        ik.configuration.wrist.homogeneous,
-        1e3,
-        tasks=[PointDistances(ends, [(0, 1)], [0.010], [10.0])],
-    )
-    q = ik.configuration.q[HUMAN.q_indices]
     mapper = HandMapper(HUMAN, robot, Teleoperation(contact_gap=0.013), ik=IK)
-    closed = settled(mapper, q)
+    closed = settled(mapper, pinched(finger, 0.010))
     assert closed.diagnostics["pinching"].max() == 1.0
     # Between the URDF's shapes are both covers; soft ones are pressed by 3 mm at most.
     gaps = measure_gaps(ALLEGRO, closed.command.q[None])
@@ -243,6 +233,36 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(
         opened.asked.margins == 0.001, closed.asked.margins == 0.001
     )
     assert apart.nearest[0] > 0.0
+
+
+def pinched(finger: str, gap: float) -> np.ndarray:
+    """A posture of the human in which the tips of thumb and finger are a gap [m] apart."""
+    pair = hand_pair(HUMAN, HUMAN)
+    ends = AttachedPoints(HUMAN, [pair.chains[THUMB].tip, pair.chains[finger].tip])
+    ik = pair_solver(HUMAN)
+    ik.solve(
+        ik.configuration.points.copy(),
+        ik.configuration.wrist.homogeneous,
+        1e3,
+        tasks=[PointDistances(ends, [(0, 1)], [gap], [10.0])],
+    )
+    return ik.configuration.q[HUMAN.q_indices]
+
+
+@pytest.mark.parametrize("formulation", ["compiled", "direct"])
+@pytest.mark.parametrize("gap", [0.005, 0.012])
+def test_a_pinch_that_is_held_stands_still(formulation: str, gap: float) -> None:
+    """Fingertips that are pressed flat on each other do not rock from corner to corner."""
+    robot = load_hand("hey5")
+    ik = IK.replaced(formulation=formulation)
+    mapper = HandMapper(HUMAN, robot, Teleoperation(contact_gap=0.013), ik=ik)
+    before = settled(mapper, q := pinched("index", gap))
+    for _ in range(5):
+        after = mapper.map_step(q, np.eye(4))
+        steps = after.command.q - before.command.q
+        assert np.abs(steps).max() < 2e-3
+        before = after
+    assert measure_gaps(robot, after.command.q[None]).pinches["index"][0] < 0.001
 
 
 def pair_solver(hand: Hand) -> Any:
