@@ -97,7 +97,7 @@ class PalmKinematics:
         """
         self._place(q)
         columns = [self._model.idx_vs[joint] for joint in joints]
-        turns = self._data.J[3:, columns].T @ self._palm.rotation
+        turns = self._jacobian[3:, columns].T @ self._palm.rotation
         points = np.array([self._point((joint, np.zeros(3))) for joint in joints])
         if near is not None:
             levers = self._point(near) - points
@@ -115,16 +115,18 @@ class PalmKinematics:
         # Columns of joints that move both are the same, and cancel.
         joints = [place[0], self.hand.palm_frame.parentJoint]
         moves, carries = moved_by(self._model, joints)
-        columns = (moves - carries) * self._data.J
+        columns = (moves - carries) * self._jacobian
         linear, turns = np.split(columns @ self.hand.joint_motion, 2)
         point = self._data.oMi[place[0]].act(place[1])
         linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
         return np.vstack(self._palm.rotation.T @ [linear, turns])
 
     def _place(self, q: Array) -> None:
-        pin.computeJointJacobians(
+        jacobian = pin.computeJointJacobians(
             self._model, self._data, self.hand.configuration_vector(q)
         )
+        # That of a single joint comes as a vector.
+        self._jacobian = jacobian.reshape(6, -1)
         frame = self.hand.palm_frame
         self._palm = self._data.oMi[frame.parentJoint] * frame.placement
 
@@ -194,8 +196,9 @@ class Finger:
         """Columns of q that move the finger, from the palm outwards, shape (c,)."""
         columns = np.flatnonzero(self._moves.any(axis=0))
         # In the order of the last joints that they move.
-        last = self._moves[::-1, columns].argmax(axis=0)
-        return columns[np.argsort(-last, kind="stable")]
+        order = np.arange(len(self.joints))[:, None]
+        last = (order * self._moves[:, columns]).max(axis=0, initial=0)
+        return columns[np.argsort(last, kind="stable")]
 
     @cached_property
     def bending(self) -> list[int]:
@@ -208,10 +211,11 @@ class Finger:
     def knuckle(self) -> Place:
         """The point of the first bending axis nearest to the tip, unless it is set.
 
-        A thumb's is the origin of its first joint.
+        A thumb's is the origin of its first joint, a finger's without joints the palm's.
         """
         if not self.joints:
-            return self.tip
+            frame = self.hand.palm_frame
+            return frame.parentJoint, frame.placement.translation
         if self.name == THUMB:
             return self._own[0], np.zeros(3)
         return self._on_axis(self.bending[0])
@@ -250,6 +254,8 @@ class Finger:
         joint among those beyond the knuckle. The point lies on the joint's axis, where the axis is
         nearest to the fingertip.
         """
+        if not self.joints:
+            return None
         view = self._view
         q = self._zero.copy()
         if flexion := self.flexion:
@@ -272,8 +278,8 @@ class Finger:
 
     @cached_property
     def reach(self) -> float:
-        """Largest distance from knuckle to tip within the joint limits [m]; NaN without joints."""
-        return self._length_at(self.stretched) if self.joints else math.nan
+        """Largest distance from knuckle to tip within the joint limits [m]."""
+        return self._length_at(self.stretched)
 
     def _length_at(self, q: Array) -> float:
         return math.dist(*self._view.points(q, [self.tip, self.knuckle]))

@@ -247,8 +247,12 @@ class RobotFingers:
         self.chains = find_fingers(robot)
         # In the order of FINGERS.
         self.used = {f: chain for f, chain in self.chains.items() if chain.joints}
-        self.names = tuple(self.used)
         are_jaws = all(chain.is_jaw for chain in self.used.values())
+        if len(self.used) == 1 and len(self.chains) == 2:
+            # A jaw closes on a fixed one.
+            are_jaws = True
+            self.used = self.chains
+        self.names = tuple(self.used)
         self.has_jaws = are_jaws and len(self.names) > 1 and THUMB in self.names
 
     @cached_property

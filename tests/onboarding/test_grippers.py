@@ -9,7 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from handmap_qp.apps.onboarding.detect import detect_text
+from handmap_qp import HandMapper
+from handmap_qp.apps.onboarding.detect import detect, detect_text
+from handmap_qp.apps.onboarding.measure import standard_postures
+from handmap_qp.apps.onboarding.write import write_hand
+from handmap_qp.errors import HandError
+from handmap_qp.hands import load_hand
 from handmap_qp.hands.mjcf import ConvertedMjcf, convert_mjcf
 
 RADIANS = '<compiler angle="radian"/>'
@@ -104,3 +109,75 @@ def test_a_loop_with_two_degrees_of_freedom_is_left_out(tmp_path: Path) -> None:
         in converted.notes
     )
     assert converted.text.count("<mimic") == 1
+
+
+def _one_jaw(jaw: str, *, has_shapes: bool) -> str:
+    """Return an arm whose last joint opens a jaw beside a fixed one."""
+    arm = ("lift", "elbow", "wrist", jaw)
+    links = "".join(f'<link name="{joint}_link"/>' for joint in arm[:-2])
+    joints = "".join(
+        f'<joint name="{joint}" type="revolute"><parent link="{parent}"/>'
+        f'<child link="{joint}_link"/><origin xyz="{place}"/><axis xyz="0 0 1"/>'
+        f'<limit lower="{lower}" upper="1.6" effort="1" velocity="3"/></joint>'
+        for joint, parent, place, lower in (
+            ("lift", "base", "0 0 0", -1.6),
+            ("elbow", "lift_link", ".2 0 0", -1.6),
+            ("wrist", "elbow_link", ".2 0 0", -1.6),
+            (jaw, "wrist_link", ".03 .02 0", 0.0),
+        )
+    )
+    ends = "".join(
+        f'<link name="{joint}_link"><visual><origin xyz="{place}"/><geometry>'
+        f'<box size="{size}"/></geometry></visual></link>'.replace(
+            "visual>", "visual>" if has_shapes else "note>"
+        )
+        for joint, place, size in (
+            ("wrist", ".06 -.01 0", ".12 .02 .02"),
+            (jaw, ".045 -.015 0", ".09 .01 .02"),
+        )
+    )
+    return f'<robot name="arm"><link name="base"/>{links}{ends}{joints}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("jaw", "has_shapes"), [("j4", True), ("gripper", True), ("gripper", False)]
+)
+def test_one_jaw_and_the_fixed_one_are_thumb_and_index(
+    tmp_path: Path, jaw: str, has_shapes: bool
+) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(_one_jaw(jaw, has_shapes=has_shapes), encoding="utf-8")
+    found = detect(file)
+    assert found.spec.joints == (jaw,)
+    assert {point.name: point.link for point in found.spec.points} == {
+        "thumb_tip": f"{jaw}_link",
+        "index_tip": "wrist_link",
+    }
+    sure = {clue.what: clue.certainty for clue in found.clues}
+    assert "certain" not in {sure["thumb"], sure["side"], sure["index_tip"]}
+    write_hand(found, tmp_path / "hand.yaml")
+    hand = load_hand(tmp_path / "hand.yaml")
+    opened, closed = (
+        float(np.linalg.norm(np.subtract(*hand.points(np.array([q])))))
+        for q in (1.6, 0.0)
+    )
+    assert closed < (0.01 if has_shapes else 1e-3)
+    assert opened > 0.04
+    human = load_hand("human")
+    mapper = HandMapper(human, hand, dt=0.02)
+    postures = standard_postures(mapper.human)
+    gaps = []
+    for posture in ("flat hand", "pinch"):
+        for _ in range(60):
+            step = mapper.map_step(postures[posture], np.eye(4))
+        gaps.append(np.linalg.norm(np.subtract(*hand.points(step.command.q))))
+    # Without shapes, pads are balls at the tips.
+    assert gaps[1] < (0.6 if has_shapes else 0.9) * gaps[0]
+
+
+def test_a_wrist_is_no_jaw(tmp_path: Path) -> None:
+    """Its end turns about its own axis, or nothing says that it closes on anything."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(_one_jaw("j4", has_shapes=False), encoding="utf-8")
+    with pytest.raises(HandError, match=r"one chain of .* or name the palm"):
+        detect(file)

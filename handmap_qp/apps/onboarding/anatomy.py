@@ -157,8 +157,9 @@ class Anatomy:
         """Find the direction of the stretched fingers."""
         flexion = self._flexion
         axis = self._axis
-        # Two jaws lean to opposite sides: take the middle of both.
-        chosen = self._rest if len(flexion.bases) > 2 else slice(None)
+        # Two jaws lean to opposite sides: take the middle of both, or the fixed one.
+        is_fixed = not flexion.moves[self._rest].any()
+        chosen = self._rest if len(flexion.bases) > 2 or is_fixed else slice(None)
         mean = flexion.directions[chosen].mean(axis=0)
         knuckles = flexion.bases[chosen]
         agreement = lengths(mean)

@@ -170,7 +170,9 @@ def detect_text(
             f"{len(others)} other joints are locked",
         ]
     chains = {
-        finger.name: (*finger.drivers, *finger.joint_names) for finger in hand.fingers
+        finger.name: (*finger.drivers, *finger.joint_names)
+        for finger in hand.fingers
+        if finger.joints
     }
     return Detection(spec, tuple(hand.clues), tuple(notes), chains)
 
@@ -330,7 +332,7 @@ class _FoundHand:
         if not len(cloud) or any(link.findall("collision") for link in links):
             return None
         centre, radius = ball_in(cloud, tip)
-        pose = robot.pose_in(finger.links[-1], finger.end.answer)
+        pose = robot.pose_in(robot.links[body][0], finger.end.answer)
         return PadSpec(round(radius, 4), _vector(transform_points(pose, centre), 4))
 
     def _palm_origin(self) -> Array:

@@ -44,7 +44,7 @@ class HandFlexion:
         q_closed: The same with every flexing joint at the end of its range where the finger is
             closed, shape (n,).
         sign: Sense in which each joint flexes or closes a finger, 0 if it does not, shape (n,).
-        slides: Which joints turn no fingertip, shape (n,).
+        slides: Which joints are those of jaws, or turn no fingertip, shape (n,).
         moves: Which joint moves which fingertip, shape (F, n).
         roots: Origin of each finger's first joint in the palm link's frame [m], shape (F, 3).
         bases: Knuckle of each finger: the point of the first flexing axis nearest to the tip, or
@@ -69,7 +69,9 @@ class HandFlexion:
         self._view = PalmKinematics(robot)
         self._tips = [finger.tip for finger in fingers]
         zero = robot.zero
-        _, self.roots = self._view.axes(zero, [each.joints[0] for each in fingers])
+        # A fixed jaw starts where the moving one does, which comes first.
+        first = [(each.joints or fingers[0].joints)[0] for each in fingers]
+        _, self.roots = self._view.axes(zero, first)
         self.bases = self.roots.copy()
         self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)
         straight = np.ma.masked_all(self.moves.shape)
@@ -96,6 +98,7 @@ class HandFlexion:
         self.ways = self._ways()
         self.axes *= np.sign(self._curls @ self.sign)[:, None]
         self._close_jaws()
+        self.slides |= (self.sign != 0.0) & ~self._curls.any(axis=0)
         self._sign_base_joints()
         start, self.q_closed = self._ends(self.sign)
         # A jaw is open at one end of its range, which need not be zero.
@@ -152,7 +155,7 @@ class HandFlexion:
     def _close_jaws(self) -> None:
         """Flex fingers without curling joints towards the other tips."""
         each = np.eye(len(self.sign))
-        for i in np.flatnonzero(self.certainty == 0.0):
+        for i in np.flatnonzero((self.certainty == 0.0) & self.moves.any(axis=1)):
             nearer = {j: self._nearing(i, each[j]) for j in self._fingers[i].columns}
             j = max(nearer, key=lambda column: abs(nearer[column]))
             if abs(nearer[j]) >= 1e-4:

@@ -5,6 +5,8 @@ with at least two finger-like branches. Bodies inside such branches that qualify
 metacarpal with two fingers, are not the palm.
 """
 
+import math
+import re
 from itertools import chain, compress
 from typing import NamedTuple
 
@@ -33,12 +35,17 @@ _LINKAGE_SLACK = 0.004
 # A bar turns this far about its pivot [rad], which is this share of its length off its joint.
 _LEAST_PIVOT = 0.1
 _PIVOT_SHARE = 0.4
+# A jaw is shorter than the first, opens by the second, and its tip closes to within the third [m].
+_LONGEST_JAW = 0.2
+_OPEN = 0.02
+_CLOSED = 0.015
+_JAW = re.compile("jaw|grip|claw|clamp|pinc", re.IGNORECASE)
 # Fingers of one hand start within this distance of each other [m].
 _APART = 0.16
 
 
 class RobotFinger(Finger):
-    """A chain of a robot's bodies from a palm to a leaf, which may be a finger.
+    """A chain of a robot's bodies from a palm to a leaf, which may be a finger, or a fixed jaw.
 
     Attributes:
         end: Link that carries its fingertip, and the evidence for it.
@@ -50,17 +57,23 @@ class RobotFinger(Finger):
         length: Length from its first joint to its tip at zero [m].
     """
 
-    def __init__(self, robot: Robot, leaf: int, palm: int) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        leaf: int,
+        palm: int,
+        fixed: tuple[Clue, Array] | None = None,
+    ) -> None:
         self.robot = robot
         supports = robot.model.supports
         joints = [*supports[leaf]][len(supports[palm]) :]
-        self.end, self.xyz = find_tip(robot, joints)
+        self.end, self.xyz = fixed or find_tip(robot, leaf)
         frame = robot.frames[self.end.answer]
         super().__init__(robot, joints, (leaf, frame.placement.act(self.xyz)))
         self.joint_names = [robot.model.names[joint] for joint in joints]
         self.drivers = [robot.joint_names[column] for column in self.columns]
         self.links = [robot.links[joint][0] for joint in joints]
-        link = robot.parents[self.links[0]]
+        link = robot.parents[self.links[0]] if joints else self.end.answer
         self.carriers = [link]
         while link := robot.parents.get(link):
             self.carriers.append(link)
@@ -88,7 +101,7 @@ def find_structure(robot: Robot) -> Structure:
     Raises:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
     """
-    palms = _branching(robot)
+    palms = _hands(robot)
     if len(palms) > 1:
         links = ", ".join(map(_palm_link, palms[:8]))
         problem = f"there are {len(palms)} possible palms: {links}"
@@ -100,7 +113,41 @@ def find_structure(robot: Robot) -> Structure:
 
 def find_palms(robot: Robot) -> list[str]:
     """Return the links of all palms of a robot from which at least two fingers branch."""
-    return [*map(_palm_link, _branching(robot))]
+    return [*map(_palm_link, _hands(robot))]
+
+
+def _hands(robot: Robot) -> list[list[RobotFinger]]:
+    """Return the finger-like chains of each palm, or else each moving and fixed jaw."""
+    jaws = (_jaws(robot, leaf) for leaf in robot.leaves(0))
+    return _branching(robot) or [*filter(None, jaws)]
+
+
+def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
+    """Return the jaw at the end of a chain, and the place on the body before it that it closes on.
+
+    A last body is a jaw by its name, or if its tip comes from afar to the other's surface. The
+    fixed tip is where the moving one is then. There are none of a finger by itself.
+    """
+    palm = robot.model.parents[leaf]
+    whole = RobotFinger(robot, leaf, 0)
+    jaw = RobotFinger(robot, leaf, palm)
+    tips = transform_points(_poses(jaw, palm), jaw.tip[1])[[0, -1]]
+    is_finger = whole.joints != jaw.joints and whole.length < LONGEST_FINGER
+    if is_finger or jaw.length > _LONGEST_JAW or math.dist(*tips) < _OPEN:
+        return []
+    gaps = np.zeros(2)
+    cloud = robot.surface(palm)
+    if len(cloud):
+        gaps = lengths(tips - tips.clip(*box_of(cloud)))
+    sure = 0.75 if gaps.min() < _CLOSED < gaps.max() else 0.3
+    if sure < 0.5 and not _JAW.search(jaw.joint_names[0] + jaw.links[0]):
+        return []
+    # Of ends that are equally near, the one nearer to zero is closed.
+    ends = np.abs(ends_of(robot, robot.rest, jaw.columns)).sum(axis=1)
+    closed = np.lexsort((ends, gaps))[0]
+    how = f"where the jaw {jaw.links[0]} closes"
+    tip = Clue("tip", robot.links[palm][0], how, sure)
+    return [jaw, RobotFinger(robot, palm, palm, (tip, tips[closed]))]
 
 
 def _branching(robot: Robot) -> list[list[RobotFinger]]:
@@ -129,6 +176,9 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
 def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
     """Return the hand of all chains that are fingers."""
     notes: list[str] = []
+    if not fingers[-1].joints:
+        how = "the link that the only jaw closes on"
+        return Structure(Clue("palm", _palm_link(fingers), how, 0.85), fingers, notes)
     for fault_of in (_idleness, _second_end, _linkage):
         faults = {finger: fault_of(finger, fingers) for finger in fingers}
         notes += [
@@ -201,13 +251,12 @@ def _palm_link(fingers: list[RobotFinger]) -> str:
     return next(link for link in first if all(link in way for way in others))
 
 
-def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
+def find_tip(robot: Robot, leaf: int) -> tuple[Clue, Array]:
     """Find the end of a finger: an end frame of its last body, or else the end of its surface.
 
     Returns:
         The link that carries it, with the evidence, and its position in the link's frame [m], (3,).
     """
-    leaf = joints[-1]
     link = robot.links[leaf][0]
     cloud = robot.surface(leaf)
     sizes = lengths(cloud)
@@ -234,11 +283,10 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
         how = f"the far end of the surface of {link}, {1e3 * size:.0f} mm from the last joint"
         return Clue("tip", link, how, 0.8), middle
     how = f"{link} has no surface and no end frame"
-    if len(joints) > 1:
-        before = robot.pose_in(robot.links[joints[-2]][0], link)[:3, 3]
-        if lengths(before) > _LEAST_TIP:
-            how += ": 0.8 of the previous link's length"
-            return Clue("tip", link, how, 0.3), -0.8 * before
+    before = robot.pose_in(robot.links[robot.model.parents[leaf]][0], link)[:3, 3]
+    if lengths(before) > _LEAST_TIP:
+        how += ": 0.8 of the previous link's length"
+        return Clue("tip", link, how, 0.3), -0.8 * before
     return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)
 
 
