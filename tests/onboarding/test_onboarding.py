@@ -317,8 +317,12 @@ def test_a_metacarpal_that_carries_two_fingers_is_no_palm() -> None:
     assert sum("arch0" in chain for chain in found.chains.values()) == 2
 
 
-def test_the_bar_of_a_linkage_is_no_finger() -> None:
-    """A parallelogram: the end of the bar stays at a fixed point of the finger on the crank."""
+@pytest.mark.parametrize("is_driven", [False, True])
+def test_the_bar_of_a_linkage_is_no_finger(is_driven: bool) -> None:
+    """A parallelogram: the end of the bar stays at a fixed point of the finger on the crank.
+
+    The finger may have a joint beyond the linkage that has a motor of its own.
+    """
     sides = [
         line
         for name, y, sign in (("a", 0.03, 1), ("b", -0.03, 1))
@@ -326,7 +330,9 @@ def test_the_bar_of_a_linkage_is_no_finger() -> None:
             f"{name}_crank palm {name}_1 0.02 {y} 0"
             + ("" if name == "a" else " a_crank 1"),
             f"{name}_finger {name}_1 {name}_2 0.05 0 0 a_crank -1",
-            f"end_{name} {name}_2 {name}_tip 0.03 0 0",
+            f"{name}_last {name}_2 {name}_5 0.03 0 0"
+            + ("" if is_driven else " a_crank 0.5"),
+            f"end_{name} {name}_5 {name}_tip 0.03 0 0",
             f"{name}_bar palm {name}_3 0.02 {y} {0.02 * sign} a_crank 1",
             f"end_{name}3 {name}_3 {name}_bar_end 0.05 0 0",
         )
@@ -334,6 +340,65 @@ def test_the_bar_of_a_linkage_is_no_finger() -> None:
     found = detect_text(urdf_of(*sides), DATA / "x.urdf")
     assert set(tips(found).values()) == {"a_tip", "b_tip"}
     assert sum("linkage" in note for note in found.notes) == 2
+
+
+def _fingers(palm: str, *roots: tuple[str, float]) -> list[str]:
+    return [
+        line
+        for name, y in roots
+        for line in (
+            f"{name}1 {palm} {name}_1 0.08 {y} 0",
+            f"{name}2 {name}_1 {name}_2 0.04 0 0",
+            f"end_{name} {name}_2 {name}_tip 0.03 0 0",
+        )
+    ]
+
+
+def test_two_hands_on_wrists_of_one_base_are_two_hands() -> None:
+    """The base, of which two short chains branch, is no palm with two fingers."""
+    text = urdf_of(
+        *[
+            line
+            for side, sign in (("left", -1), ("right", 1))
+            for line in (
+                f"{side}_x base {side}_wrist 0 {-0.2 * sign} 0",
+                f"{side}_y {side}_wrist {side}_palm 0 0 0",
+                *_fingers(
+                    f"{side}_palm",
+                    *[
+                        (f"{side}_{name}", sign * y)
+                        for name, y in (
+                            ("thumb", 0.05),
+                            ("index", 0.02),
+                            ("ring", -0.02),
+                        )
+                    ],
+                ),
+            )
+        ]
+    )
+    with pytest.raises(HandError, match="2 possible palms: left_palm, right_palm"):
+        detect_text(text, DATA / "x.urdf")
+    for side in ("left", "right"):
+        found = detect_text(text, DATA / "x.urdf", root=f"{side}_palm")
+        assert found.spec.side == side
+        assert len(tips(found)) == 3
+
+
+def test_a_head_is_no_palm() -> None:
+    eyes = (
+        f"{side}_eye head {side}_eye 0.05 {y} 0"
+        for side, y in (("l", 0.03), ("r", -0.03))
+    )
+    hand = _fingers("palm", ("a", 0.02), ("b", -0.02), ("c", 0.0))
+    text = urdf_of(
+        "neck base head 0.5 0 0",
+        *eyes,
+        "arm base elbow 0 0.2 0",
+        "elbow elbow palm 0 0.4 0",
+        *hand,
+    )
+    assert detect_text(text, DATA / "x.urdf").spec.palm.link == "palm"
 
 
 def test_a_urdf_in_millimetres_is_recognised() -> None:

@@ -40,6 +40,8 @@ _LONGEST_JAW = 0.2
 _OPEN = 0.02
 _CLOSED = 0.015
 _JAW = re.compile("jaw|grip|claw|clamp|pinc", re.IGNORECASE)
+# What branches from a neck.
+_HEAD = re.compile("head|neck|eye|camera|lidar|velodyne", re.IGNORECASE)
 # Fingers of one hand start within this distance of each other [m].
 _APART = 0.16
 
@@ -158,6 +160,11 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
         if (fingers := _fingerlike(robot, body))
     }
     subtrees = robot.model.subtrees
+    # A base whose branches all carry a hand of their own, on a wrist, is no palm.
+    hands = {body for body in found if len(robot.below(body)) > 2}
+    for body in [*found]:
+        if all(hands & {*subtrees[start]} for start in robot.below(body)):
+            del found[body]
     # Bodies inside the fingers of another palm are none, and neither is a base with wheels.
     inside = {
         part
@@ -242,7 +249,9 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
         is_wheel = first in robot.endless and not more
         if not is_wheel and max(one.length for one in branch) < LONGEST_FINGER:
             branches.append(branch)
-    return [*chain.from_iterable(branches)] if len(branches) > 1 else []
+    fingers = [*chain.from_iterable(branches)]
+    is_head = all(_HEAD.search(one.joint_names[0] + one.links[0]) for one in fingers)
+    return [] if is_head or len(branches) < 2 else fingers
 
 
 def _palm_link(fingers: list[RobotFinger]) -> str:
@@ -340,11 +349,11 @@ def _second_end(finger: RobotFinger, fingers: list[RobotFinger]) -> str:
 
 
 def _linkage(bar: RobotFinger, fingers: list[RobotFinger]) -> str:
-    """Return what is wrong with a bar: hinged to a finger that the same joint drives."""
+    """Return what is wrong with a bar: hinged to a finger that the same joints drive."""
     for host in fingers:
         if (
             len(host.joints) > len(bar.joints)
-            and {*host.columns} == {*bar.columns}
+            and {*host.columns} >= {*bar.columns}
             and any(_is_hinged(bar, _poses(bar, body)) for body in host.joints)
         ):
             return f"a bar of the linkage of the finger that ends at {host.links[-1]}"
