@@ -40,6 +40,7 @@ _LAST_SHOWN_GROUP = 2
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
 _CONVERSION = 6
+_UNKNOWN = re.compile(r"unrecognized attribute: '(\w+)'\s+Element '(\w+)'")
 # Radius of a ball in the place of a lost mesh [m].
 _RADIUS = 0.006
 # A range of this size in radians is one of pi in degrees [rad].
@@ -69,10 +70,10 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
         if root_tag(file.read_bytes()) == "mujocoinclude":
             problem = "is a part that other MJCF files include"
             raise HandError(f"{problem}: give the file that includes it", file=file)
-        spec = mujoco.MjSpec.from_file(str(file))
+        spec, notes = _parse(file)
         # Keep bodies without joints, and shapes that only show.
         spec.compiler.fusestatic = spec.compiler.discardvisual = False
-        notes = _find_assets(spec, file.parent)
+        notes += _find_assets(spec, file.parent)
         model = spec.compile()
         is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
         ranges = model.jnt_range[is_hinge & (model.jnt_limited != 0)]
@@ -95,6 +96,26 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
         raise HandError("no joint moves in the MJCF", file=file)
     is_unnamed = spec.modelname in ("", "MuJoCo Model")
     return model, file.stem if is_unnamed else spec.modelname, notes
+
+
+def _parse(
+    file: Path,
+    text: str = "",
+    dropped: Names = (),
+) -> tuple[mujoco.MjSpec, Names]:
+    """Parse a file, or its text without attributes that only older versions of MuJoCo know."""
+    parse = mujoco.MjSpec
+    try:
+        return parse.from_string(text) if text else parse.from_file(str(file)), dropped
+    except ValueError as error:
+        text = text or file.read_text()
+        known = text
+        for name, element in _UNKNOWN.findall(str(error)):
+            known = re.sub(rf"(<{element}\b[^>]*?)\s{name}=['\"].*?['\"]", r"\1", text)
+            dropped += (f"{name} of {element} is unknown to MuJoCo: it is left out",)
+        if known == text:
+            raise
+    return _parse(file, known, dropped)
 
 
 def _find_assets(spec: mujoco.MjSpec, folder: Path) -> Names:

@@ -330,6 +330,29 @@ def test_a_model_without_a_hand_is_one_line(
     assert str(file) in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "dropped"),
+    [
+        ("<mujoco><option apirate=\"200\" a='1'/>{}</mujoco>", {"apirate", "a"}),
+        ("<mujoco>{}<body a=/></mujoco>", None),
+    ],
+)
+def test_attributes_of_older_versions_are_left_out(
+    tmp_path: Path, text: str, dropped: set[str] | None
+) -> None:
+    body = '<body><joint name="j" axis="0 1 0" range="0 90"/><geom size=".01"/></body>'
+    file = tmp_path / "old.xml"
+    file.write_text(text.format(f"<worldbody>{body}</worldbody>"))
+    if dropped is None:
+        with pytest.raises(HandError, match="MuJoCo cannot compile the MJCF: XML"):
+            convert_mjcf(file)
+    else:
+        converted = convert_mjcf(file)
+        assert set(converted.joints.values()) == {"j"}
+        words = [note.split()[0] for note in converted.notes if "unknown" in note]
+        assert set(words) == dropped
+
+
 def test_the_root_tells_what_a_file_is(tmp_path: Path) -> None:
     assert (
         root_tag(b"<?xml version='1.0'?>\n<!-- <robot> --><mujoco model='a'>")
