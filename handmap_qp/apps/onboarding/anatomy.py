@@ -158,8 +158,8 @@ class Anatomy:
         flexion = self._flexion
         axis = self._axis
         # Two jaws lean to opposite sides: take the middle of both, or the fixed one.
-        is_fixed = not flexion.moves[self._rest].any()
-        chosen = self._rest if len(flexion.bases) > 2 or is_fixed else slice(None)
+        are_jaws = len(flexion.bases) == 2 and flexion.moves[self._rest].any()
+        chosen = slice(None) if are_jaws else self._rest
         mean = flexion.directions[chosen].mean(axis=0)
         knuckles = flexion.bases[chosen]
         agreement = lengths(mean)
@@ -171,8 +171,9 @@ class Anatomy:
         how = f"the mean direction of the straight fingers (agreement {agreement:.2f} of 1)"
         confidence = 0.4
         if agreement > _AGREED:
-            confidence = _CERTAIN
-            row = _widest(knuckles) if len(knuckles) > 2 and axis.any() else mean
+            # Jaws start anywhere: only with an axis of flexion is their direction exact.
+            confidence = _CERTAIN if axis.any() else _LIKELY
+            row = _widest(knuckles) if len(knuckles) > 2 else mean
             if angle_between(mean, middle) < _AGREEING:
                 how += "; the knuckles lie in this direction from the palm's origin"
             elif abs(mean @ row) < np.sin(np.radians(_AGREEING)):
