@@ -195,10 +195,8 @@ class Finger:
     def columns(self) -> Array:
         """Columns of q that move the finger, from the palm outwards, shape (c,)."""
         columns = np.flatnonzero(self._moves.any(axis=0))
-        # In the order of the last joints that they move.
-        order = np.arange(len(self.joints))[:, None]
-        last = (order * self._moves[:, columns]).max(axis=0, initial=0)
-        return columns[np.argsort(last, kind="stable")]
+        # In the order of the last joints that they move: the last key counts most.
+        return columns[np.lexsort([columns, *self._moves[:, columns]])]
 
     @cached_property
     def bending(self) -> list[int]:
@@ -254,8 +252,6 @@ class Finger:
         joint among those beyond the knuckle. The point lies on the joint's axis, where the axis is
         nearest to the fingertip.
         """
-        if not self.joints:
-            return None
         view = self._view
         q = self._zero.copy()
         if flexion := self.flexion:

@@ -102,6 +102,23 @@ def test_a_gripper_of_four_bars_has_two_fingers(tmp_path: Path) -> None:
     assert max(sure["thumb"], sure["fingers"]) < 0.6
 
 
+def test_jaws_have_no_exact_direction() -> None:
+    """Their joints may start anywhere: these beside each other, and the tips in one plane."""
+    jaws = "".join(
+        f'<link name="{name}"/><link name="{name}_end"/><joint name="{name}" type="prismatic">'
+        f'<parent link="base"/><child link="{name}"/><origin xyz="{x} .06 {z}"/>'
+        f'<axis xyz="{-x} 0 0"/><limit lower="0" upper=".02" effort="1" velocity="1"/></joint>'
+        f'<joint name="{name}_end" type="fixed"><parent link="{name}"/>'
+        f'<child link="{name}_end"/><origin xyz="{-x / 2} .04 {0.014 - z}"/></joint>'
+        for name, x, z in (("one", 0.04, 0.015), ("other", -0.04, -0.015))
+    )
+    found = detect_text(f'<robot name="x"><link name="base"/>{jaws}</robot>', Path("x"))
+    assert len(found.chains) == 2
+    assert "certain" not in {
+        clue.certainty for clue in found.clues if clue.what in ("distal", "dorsal")
+    }
+
+
 def test_a_loop_with_two_degrees_of_freedom_is_left_out(tmp_path: Path) -> None:
     converted = _converted(tmp_path, _gripper(elbow=ELBOW))
     assert (
@@ -112,7 +129,7 @@ def test_a_loop_with_two_degrees_of_freedom_is_left_out(tmp_path: Path) -> None:
 
 
 def _one_jaw(jaw: str, *, has_shapes: bool) -> str:
-    """Return an arm whose last joint opens a jaw beside a fixed one."""
+    """Return an arm whose last joint opens a jaw beside a fixed one, whose meshes may be lost."""
     arm = ("lift", "elbow", "wrist", jaw)
     links = "".join(f'<link name="{joint}_link"/>' for joint in arm[:-2])
     joints = "".join(
@@ -128,9 +145,8 @@ def _one_jaw(jaw: str, *, has_shapes: bool) -> str:
     )
     ends = "".join(
         f'<link name="{joint}_link"><visual><origin xyz="{place}"/><geometry>'
-        f'<box size="{size}"/></geometry></visual></link>'.replace(
-            "visual>", "visual>" if has_shapes else "note>"
-        )
+        + (f'<box size="{size}"/>' if has_shapes else '<mesh filename="lost.stl"/>')
+        + "</geometry></visual></link>"
         for joint, place, size in (
             ("wrist", ".06 -.01 0", ".12 .02 .02"),
             (jaw, ".045 -.015 0", ".09 .01 .02"),

@@ -146,8 +146,15 @@ def test_jaws_close_towards_each_other() -> None:
     assert max(sure(found, what) for what in ("thumb", "side", "fingers")) < 0.5
 
 
-def test_a_tip_without_a_link_is_the_end_of_the_surface() -> None:
-    found = detect(DATA / "one_finger.urdf")
+@pytest.mark.parametrize("stray", [None, 0.15, -0.15])
+def test_a_tip_without_a_link_is_the_end_of_the_surface(stray: float | None) -> None:
+    """A shape in a wrong place, far from its link's others, is no part of it."""
+    text = (DATA / "one_finger.urdf").read_text()
+    if stray:
+        box = f'<visual><origin xyz="{stray} 0 0"/><geometry><box size=".02 .02 .02"/>'
+        link = '<link name="one_l3">'
+        text = text.replace(link, f"{link}{box}</geometry></visual>")
+    found = detect_text(text, DATA / "one_finger.urdf")
     (tip,) = (point for point in found.spec.points if point.name == "index_tip")
     # The last bone is a box of 22 mm; the tip is inside its last slice, on its axis.
     np.testing.assert_allclose(tip.xyz, (0.022, 0.0, 0.0), atol=1e-6)
@@ -385,7 +392,7 @@ def test_two_hands_on_wrists_of_one_base_are_two_hands() -> None:
         assert len(tips(found)) == 3
 
 
-def test_a_head_is_no_palm() -> None:
+def test_a_head_is_no_palm_and_a_motor_no_finger() -> None:
     eyes = (
         f"{side}_eye head {side}_eye 0.05 {y} 0"
         for side, y in (("l", 0.03), ("r", -0.03))
@@ -397,8 +404,11 @@ def test_a_head_is_no_palm() -> None:
         "arm base elbow 0 0.2 0",
         "elbow elbow palm 0 0.4 0",
         *hand,
+        "motor palm tool 0.05 0.04 0.02",
     )
-    assert detect_text(text, DATA / "x.urdf").spec.palm.link == "palm"
+    found = detect_text(text, DATA / "x.urdf")
+    assert found.spec.palm.link == "palm"
+    assert set(tips(found).values()) == {"a_tip", "b_tip", "c_tip"}
 
 
 def test_a_urdf_in_millimetres_is_recognised() -> None:

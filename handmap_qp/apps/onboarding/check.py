@@ -256,7 +256,10 @@ def _check_tips(hand: Hand) -> Found:
             for shape in shapes
             if shape.parentJoint == joint
         ]
-        if _OFF_THE_TIP < (gap := min(gaps, default=0.0)) < _OFF_THE_LINK:
+        if (
+            chain.joints
+            and _OFF_THE_TIP < (gap := min(gaps, default=0.0)) < _OFF_THE_LINK
+        ):
             what = f"the fingertip is {1e3 * gap:.0f} mm outside the shapes of its link"
             change = "is one of them in a wrong place? `shapes` moves it"
             yield warning(f"points.{finger}", what, change)

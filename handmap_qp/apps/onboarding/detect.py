@@ -308,7 +308,7 @@ class _FoundHand:
         sure = min(end.confidence, sure)
         self.clues.append(end._replace(what=f"{finger.name}_tip", confidence=sure))
         places = {"tip": (end.answer, finger.xyz)}
-        if middle := finger.find_middle():
+        if finger.joints and (middle := finger.find_middle()):
             body, xyz = middle
             xyz = xyz if lengths(xyz) > _OFF_AXIS else np.zeros(3)
             places["ip" if is_thumb else "pip"] = self.robot.links[body][0], xyz

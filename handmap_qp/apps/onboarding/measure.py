@@ -110,7 +110,8 @@ def check_reach(hand: Hand) -> Found:
                 "manipulability": f"{motions.prod() * motions.any():.2e}",
             }
         )
-        if not len(motions):
+        # One of two may be a fixed jaw.
+        if not len(motions) and len(best) != 2:
             change = "put it on a link that moves, or leave it out"
             yield warning("points", f"no joint moves {point}", change)
     yield "Fingers", rows

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import cache, partial
+from itertools import compress
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, tostring
@@ -37,7 +38,7 @@ from handmap_qp.hands import (
     parse_urdf,
     root_links,
 )
-from handmap_qp.se3 import Array, inverse_pose, transform_points
+from handmap_qp.se3 import Array, box_of, inverse_pose, lengths, transform_points
 from handmap_qp.trackers import first_of
 
 # Assumed ranges [rad or m] of joints without limits in the URDF.
@@ -48,6 +49,8 @@ _ASSUMED_RANGE = {
 }
 # A larger range is in degrees; joints of arms turn twice [rad].
 _LARGEST_TURN = 4.0 * math.pi + 0.01
+# Shapes of one body are not farther apart than this [m].
+_STRAY = 0.02
 # Most names in one note.
 _MOST_NAMES = 12
 # Most surface points kept of one mesh.
@@ -199,13 +202,21 @@ class Robot(Hand):
     # -- surface
 
     def _surface(self, body: int) -> Array:
-        """Read what `surface` keeps."""
-        clouds = [np.zeros((0, 3))]
+        """Read what `surface` keeps: the shapes that hang together with the joint's nearest one."""
+        clouds = []
         for link in self.links[body]:
             placement = self.frames[link].placement.homogeneous
             points = self._points(link, "visual") or self._points(link, "collision")
             clouds += [transform_points(placement, cloud) for cloud in points]
-        return np.concatenate(clouds)
+        if not clouds:
+            return np.zeros((0, 3))
+        # A mesh far from all others is misplaced, and no part of its body.
+        boxes = np.array([*map(box_of, clouds)])
+        gaps = (boxes[:, None, 0] - boxes[:, 1]).max(axis=-1)
+        near = np.maximum(gaps, gaps.T) < _STRAY
+        first = np.argmin([lengths(cloud).min() for cloud in clouds])
+        is_joined = np.linalg.matrix_power(near.astype(float), len(clouds))[first]
+        return np.concatenate([*compress(clouds, is_joined)])
 
     def _points(self, link: str, kind: str) -> list[Array]:
         """Return points of each shape of a link in its frame, at most some of each mesh."""

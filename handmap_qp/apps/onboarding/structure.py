@@ -35,8 +35,7 @@ _LINKAGE_SLACK = 0.004
 # A bar turns this far about its pivot [rad], which is this share of its length off its joint.
 _LEAST_PIVOT = 0.1
 _PIVOT_SHARE = 0.4
-# A jaw is shorter than the first, opens by the second, and its tip closes to within the third [m].
-_LONGEST_JAW = 0.2
+# The tip of a jaw opens by the first, and closes to within the second [m].
 _OPEN = 0.02
 _CLOSED = 0.015
 _JAW = re.compile("jaw|grip|claw|clamp|pinc", re.IGNORECASE)
@@ -69,7 +68,7 @@ class RobotFinger(Finger):
         self.robot = robot
         supports = robot.model.supports
         joints = [*supports[leaf]][len(supports[palm]) :]
-        self.end, self.xyz = fixed or find_tip(robot, leaf)
+        self.end, self.xyz = fixed or find_tip(robot, joints)
         frame = robot.frames[self.end.answer]
         super().__init__(robot, joints, (leaf, frame.placement.act(self.xyz)))
         self.joint_names = [robot.model.names[joint] for joint in joints]
@@ -135,21 +134,19 @@ def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
     jaw = RobotFinger(robot, leaf, palm)
     tips = transform_points(_poses(jaw, palm), jaw.tip[1])[[0, -1]]
     is_finger = whole.joints != jaw.joints and whole.length < LONGEST_FINGER
-    if is_finger or jaw.length > _LONGEST_JAW or math.dist(*tips) < _OPEN:
+    if is_finger or jaw.length > LONGEST_FINGER or math.dist(*tips) < _OPEN:
         return []
-    gaps = np.zeros(2)
+    # Of ends that are equally near, the one nearer to zero is closed.
+    gaps = 1e-6 * np.abs(ends_of(robot, robot.rest, jaw.columns)).sum(axis=1)
     cloud = robot.surface(palm)
     if len(cloud):
-        gaps = lengths(tips - tips.clip(*box_of(cloud)))
+        gaps += lengths(tips - tips.clip(*box_of(cloud)))
     sure = 0.75 if gaps.min() < _CLOSED < gaps.max() else 0.3
     if sure < 0.5 and not _JAW.search(jaw.joint_names[0] + jaw.links[0]):
         return []
-    # Of ends that are equally near, the one nearer to zero is closed.
-    ends = np.abs(ends_of(robot, robot.rest, jaw.columns)).sum(axis=1)
-    closed = np.lexsort((ends, gaps))[0]
     how = f"where the jaw {jaw.links[0]} closes"
     tip = Clue("tip", robot.links[palm][0], how, sure)
-    return [jaw, RobotFinger(robot, palm, palm, (tip, tips[closed]))]
+    return [jaw, RobotFinger(robot, palm, palm, (tip, tips[gaps.argmin()]))]
 
 
 def _branching(robot: Robot) -> list[list[RobotFinger]]:
@@ -260,12 +257,13 @@ def _palm_link(fingers: list[RobotFinger]) -> str:
     return next(link for link in first if all(link in way for way in others))
 
 
-def find_tip(robot: Robot, leaf: int) -> tuple[Clue, Array]:
+def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     """Find the end of a finger: an end frame of its last body, or else the end of its surface.
 
     Returns:
         The link that carries it, with the evidence, and its position in the link's frame [m], (3,).
     """
+    leaf = joints[-1]
     link = robot.links[leaf][0]
     cloud = robot.surface(leaf)
     sizes = lengths(cloud)
@@ -293,7 +291,9 @@ def find_tip(robot: Robot, leaf: int) -> tuple[Clue, Array]:
         return Clue("tip", link, how, 0.8), middle
     how = f"{link} has no surface and no end frame"
     before = robot.pose_in(robot.links[robot.model.parents[leaf]][0], link)[:3, 3]
-    if lengths(before) > _LEAST_TIP:
+    # A first joint without shapes, and not with lost ones, is a motor.
+    is_part = len(joints) > 1 or robot.elements[link].find("visual") is not None
+    if is_part and lengths(before) > _LEAST_TIP:
         how += ": 0.8 of the previous link's length"
         return Clue("tip", link, how, 0.3), -0.8 * before
     return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)
