@@ -122,11 +122,10 @@ class PalmKinematics:
         return np.vstack(self._palm.rotation.T @ [linear, turns])
 
     def _place(self, q: Array) -> None:
-        jacobian = pin.computeJointJacobians(
-            self._model, self._data, self.hand.configuration_vector(q)
-        )
         # That of a single joint comes as a vector.
-        self._jacobian = jacobian.reshape(6, -1)
+        self._jacobian = pin.computeJointJacobians(
+            self._model, self._data, self.hand.configuration_vector(q)
+        ).reshape(6, -1)
         frame = self.hand.palm_frame
         self._palm = self._data.oMi[frame.parentJoint] * frame.placement
 

@@ -108,8 +108,7 @@ def _parse(
     try:
         return parse.from_string(text) if text else parse.from_file(str(file)), dropped
     except ValueError as error:
-        text = text or file.read_text()
-        known = text
+        known = text = text or file.read_text()
         for name, element in _UNKNOWN.findall(str(error)):
             known = re.sub(rf"(<{element}\b[^>]*?)\s{name}=['\"].*?['\"]", r"\1", text)
             dropped += (f"{name} of {element} is unknown to MuJoCo: it is left out",)

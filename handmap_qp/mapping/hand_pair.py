@@ -248,7 +248,7 @@ class RobotFingers:
         # In the order of FINGERS.
         self.used = {f: chain for f, chain in self.chains.items() if chain.joints}
         are_jaws = all(chain.is_jaw for chain in self.used.values())
-        if len(self.used) == 1 and len(self.chains) == 2:
+        if len(self.used) < len(self.chains) == 2:
             # A jaw closes on a fixed one.
             are_jaws = True
             self.used = self.chains

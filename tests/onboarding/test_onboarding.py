@@ -362,8 +362,10 @@ def _fingers(palm: str, *roots: tuple[str, float]) -> list[str]:
 
 
 def test_two_hands_on_wrists_of_one_base_are_two_hands() -> None:
-    """The base, of which two short chains branch, is no palm with two fingers."""
+    """The base, of which short chains branch, is no palm with two fingers and a leg."""
     text = urdf_of(
+        "hip base leg 0 0 -0.1",
+        "end_foot leg foot 0 0 -0.1",
         *[
             line
             for side, sign in (("left", -1), ("right", 1))
@@ -382,7 +384,7 @@ def test_two_hands_on_wrists_of_one_base_are_two_hands() -> None:
                     ],
                 ),
             )
-        ]
+        ],
     )
     with pytest.raises(HandError, match="2 possible palms: left_palm, right_palm"):
         detect_text(text, DATA / "x.urdf")

@@ -165,6 +165,9 @@ class Anatomy:
         agreement = lengths(mean)
         if agreement < 0.2:
             mean = (flexion.tips_closed - flexion.bases).mean(axis=0)
+        if lengths(mean) < 1e-6:
+            # Jaws without a length lie ahead of the palm's origin.
+            mean = flexion.tips_closed.mean(axis=0)
         beside = _beside(mean, axis)
         middle = knuckles.mean(axis=0)
         mean = _snapped(unit(beside if lengths(beside) > 0.2 else mean), middle, axis)
@@ -240,7 +243,7 @@ class Anatomy:
         if thumb is None or flexion.certainty[thumb] <= 0.6:
             return 0.0
         before = flexion.bases[self._rest].mean(axis=0) - flexion.tips_closed[thumb]
-        return float(before @ dorsal / flexion.reach[self._rest].mean())
+        return float(before @ dorsal / max(flexion.reach[self._rest].mean(), 1e-6))
 
     def _find_radial(self, across: Array) -> Clue:
         """Return the direction across the palm to the thumb; confidence 0 if that is central."""

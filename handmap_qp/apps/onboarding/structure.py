@@ -39,7 +39,7 @@ _PIVOT_SHARE = 0.4
 _OPEN = 0.02
 _CLOSED = 0.015
 _JAW = re.compile("jaw|grip|claw|clamp|pinc", re.IGNORECASE)
-# What branches from a neck.
+# Joints of a neck, and of what it carries.
 _HEAD = re.compile("head|neck|eye|camera|lidar|velodyne", re.IGNORECASE)
 # Fingers of one hand start within this distance of each other [m].
 _APART = 0.16
@@ -157,10 +157,11 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
         if (fingers := _fingerlike(robot, body))
     }
     subtrees = robot.model.subtrees
-    # A base whose branches all carry a hand of their own, on a wrist, is no palm.
+    # A base with two hands on wrists, or on the arms of a small robot, is no palm.
     hands = {body for body in found if len(robot.below(body)) > 2}
     for body in [*found]:
-        if all(hands & {*subtrees[start]} for start in robot.below(body)):
+        carried = (hands & {*subtrees[start]} for start in robot.below(body))
+        if sum(map(bool, carried)) > 1:
             del found[body]
     # Bodies inside the fingers of another palm are none, and neither is a base with wheels.
     inside = {
@@ -244,11 +245,11 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
         branch = [RobotFinger(robot, leaf, body) for leaf in robot.leaves(start)]
         first, *more = branch[0].joint_names
         is_wheel = first in robot.endless and not more
-        if not is_wheel and max(one.length for one in branch) < LONGEST_FINGER:
+        if is_wheel or _HEAD.search(first):
+            continue
+        if max(one.length for one in branch) < LONGEST_FINGER:
             branches.append(branch)
-    fingers = [*chain.from_iterable(branches)]
-    is_head = all(_HEAD.search(one.joint_names[0] + one.links[0]) for one in fingers)
-    return [] if is_head or len(branches) < 2 else fingers
+    return [*chain.from_iterable(branches)] if len(branches) > 1 else []
 
 
 def _palm_link(fingers: list[RobotFinger]) -> str:
@@ -293,7 +294,7 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     before = robot.pose_in(robot.links[robot.model.parents[leaf]][0], link)[:3, 3]
     # A first joint without shapes, and not with lost ones, is a motor.
     is_part = len(joints) > 1 or robot.elements[link].find("visual") is not None
-    if is_part and lengths(before) > _LEAST_TIP:
+    if is_part and _LEAST_TIP < lengths(before) < LONGEST_FINGER:
         how += ": 0.8 of the previous link's length"
         return Clue("tip", link, how, 0.3), -0.8 * before
     return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)
