@@ -394,6 +394,29 @@ def test_two_hands_on_wrists_of_one_base_are_two_hands() -> None:
         assert len(tips(found)) == 3
 
 
+@pytest.mark.parametrize(
+    ("on_wrist", "beside", "palm"),
+    [
+        # An object of a scene, and a hand whose fingers are all on its wrist.
+        ("abcde", "object", "inner"),
+        # A thumb, and the other fingers on a joint through the palm.
+        ("abcd", "thumb", "base"),
+    ],
+)
+def test_what_is_beside_a_whole_hand_is_no_finger(
+    on_wrist: str, beside: str, palm: str
+) -> None:
+    row = [(name, 0.02 * i) for i, name in enumerate(on_wrist)]
+    text = urdf_of(
+        "wrist base inner 0.02 0 0",
+        *_fingers("inner", *row),
+        *_fingers("base", (beside, -0.05)),
+    )
+    found = detect_text(text, DATA / "x.urdf")
+    assert found.spec.palm.link == palm
+    assert len(tips(found)) == 5
+
+
 def test_a_head_is_no_palm_and_a_motor_no_finger() -> None:
     eyes = (
         f"{side}_eye head {side}_eye 0.05 {y} 0"

@@ -333,10 +333,11 @@ class HandsInit:
         spec = replace(found.spec, urdf=source.reference, name=name)
         if (speed := self.speed) is not None:
             expect(speed > 0.0, "--speed", "a speed > 0", value=speed)
-            limits = dict.fromkeys(spec.joints, LimitSpec()) | spec.limits
-            for joint in spec.joints:
-                limits[joint] = replace(limits[joint], velocity=speed)
-            spec = replace(spec, limits=limits)
+            limits = {
+                joint: replace(spec.limits.get(joint, LimitSpec()), velocity=speed)
+                for joint in spec.joints
+            }
+            spec = replace(spec, limits=spec.limits | limits)
         found = found._replace(spec=spec, notes=(*source.notes, *found.notes))
         check_free(out, overwrite=self.overwrite)
         write_hand(found, out)

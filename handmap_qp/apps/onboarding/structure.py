@@ -157,11 +157,11 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
         if (fingers := _fingerlike(robot, body))
     }
     subtrees = robot.model.subtrees
-    # A base with two hands on wrists, or on the arms of a small robot, is no palm.
+    # A base that carries two hands, or one of five fingers beside something else, is no palm.
     hands = {body for body in found if len(robot.below(body)) > 2}
     for body in [*found]:
-        carried = (hands & {*subtrees[start]} for start in robot.below(body))
-        if sum(map(bool, carried)) > 1:
+        inner = hands & {*subtrees[body]} - {body}
+        if sum(len(robot.below(hand)) for hand in inner) > 4:
             del found[body]
     # Bodies inside the fingers of another palm are none, and neither is a base with wheels.
     inside = {
