@@ -299,6 +299,16 @@ def test_odd_urdfs_are_found_checked_and_drawn(
         assert len(_Scene(report.hand).points) == len(made.tips)
 
 
+def test_balls_without_a_size_are_drawn_as_nothing(
+    made: MadeHand, tmp_path: Path
+) -> None:
+    ball = "<visual><geometry><sphere radius='0'/></geometry></visual></link>"
+    text = re.sub(r'(<link name="[^"]+")/>', rf"\1>{ball}", made.urdf)
+    report = check(described(tmp_path, text))
+    assert report.hand is not None
+    assert len(_Scene(report.hand).points) == len(made.tips)
+
+
 def test_a_xacro_file_is_named_as_such(tmp_path: Path) -> None:
     (tmp_path / "hand.urdf").write_text(
         '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro">'

@@ -84,7 +84,9 @@ def _meshes(
         case "box":
             return [made.box(get_numbers(solid, "size", 3))]
         case "sphere":
-            return [made.icosphere(3, *get_numbers(solid, "radius", 1))]
+            (radius,) = get_numbers(solid, "radius", 1)
+            # One of no size has no surface.
+            return [made.icosphere(3, radius)] if radius > 0.0 else []
         case "cylinder":
             size = (get_numbers(solid, key, 1)[0] for key in ("radius", "length"))
             return [made.cylinder(*size, sections=40)]

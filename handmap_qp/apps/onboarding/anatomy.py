@@ -158,8 +158,9 @@ class Anatomy:
         flexion = self._flexion
         axis = self._axis
         # Two jaws lean to opposite sides: take the middle of both, or the fixed one.
-        are_jaws = len(flexion.bases) == 2 and flexion.moves[self._rest].any()
-        chosen = slice(None) if are_jaws else self._rest
+        chosen = self._rest
+        if len(flexion.bases) == 2 and flexion.moves[chosen].any():
+            chosen = slice(None)
         mean = flexion.directions[chosen].mean(axis=0)
         knuckles = flexion.bases[chosen]
         agreement = lengths(mean)

@@ -70,8 +70,9 @@ class HandFlexion:
         self._tips = [finger.tip for finger in fingers]
         zero = robot.zero
         # A fixed jaw starts where the moving one does, which comes first.
-        first = [(each.joints or fingers[0].joints)[0] for each in fingers]
-        _, self.roots = self._view.axes(zero, first)
+        _, self.roots = self._view.axes(
+            zero, [(each.joints or fingers[0].joints)[0] for each in fingers]
+        )
         self.bases = self.roots.copy()
         self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)
         straight = np.ma.masked_all(self.moves.shape)
