@@ -170,9 +170,7 @@ def detect_text(
             f"{len(others)} other joints are locked",
         ]
     chains = {
-        finger.name: (*finger.drivers, *finger.joint_names)
-        for finger in hand.fingers
-        if finger.joints
+        finger.name: (*finger.drivers, *finger.joint_names) for finger in hand.fingers
     }
     return Detection(spec, tuple(hand.clues), tuple(notes), chains)
 

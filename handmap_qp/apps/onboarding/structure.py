@@ -144,8 +144,8 @@ def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
     sure = 0.75 if gaps.min() < _CLOSED < gaps.max() else 0.3
     if sure < 0.5 and not _JAW.search(jaw.joint_names[0] + jaw.links[0]):
         return []
-    how = f"where the jaw {jaw.links[0]} closes"
-    tip = Clue("tip", robot.links[palm][0], how, sure)
+    link = robot.links[palm][0]
+    tip = Clue("tip", link, f"where the jaw {jaw.links[0]} closes", sure)
     return [jaw, RobotFinger(robot, palm, palm, (tip, tips[gaps.argmin()]))]
 
 
@@ -154,15 +154,9 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
     found = {
         body: fingers
         for body in range(robot.model.njoints)
-        if (fingers := _fingerlike(robot, body))
+        if (fingers := _fingerlike(robot, body)) and not _is_base(robot, body)
     }
     subtrees = robot.model.subtrees
-    # A base that carries two hands, or one of five fingers beside something else, is no palm.
-    hands = {body for body in found if len(robot.below(body)) > 2}
-    for body in [*found]:
-        inner = hands & {*subtrees[body]} - {body}
-        if sum(len(robot.below(hand)) for hand in inner) > 4:
-            del found[body]
     # Bodies inside the fingers of another palm are none, and neither is a base with wheels.
     inside = {
         part
@@ -176,6 +170,13 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
         for body in sorted(palms)
         if palms.isdisjoint({*subtrees[body]} - {body})
     ]
+
+
+def _is_base(robot: Robot, body: int) -> bool:
+    """Return whether a body carries two hands, or one of five fingers beside something else."""
+    inner = {*robot.model.subtrees[body]} - {body}
+    sizes = [len(robot.below(part)) for part in inner]
+    return sum(size for size in sizes if size > 2) > 4
 
 
 def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
@@ -293,8 +294,8 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     how = f"{link} has no surface and no end frame"
     before = robot.pose_in(robot.links[robot.model.parents[leaf]][0], link)[:3, 3]
     # A first joint without shapes, and not with lost ones, is a motor.
-    is_part = len(joints) > 1 or robot.elements[link].find("visual") is not None
-    if is_part and _LEAST_TIP < lengths(before) < LONGEST_FINGER:
+    parts = [*joints[1:], *robot.elements[link].iterfind("visual")]
+    if parts and _LEAST_TIP < lengths(before) < LONGEST_FINGER:
         how += ": 0.8 of the previous link's length"
         return Clue("tip", link, how, 0.3), -0.8 * before
     return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)

@@ -185,7 +185,8 @@ def _comments(detection: Detection) -> dict[str, str]:
         above[f"points.{i}"] = said.get(point.name, "")
     for finger, chain in detection.chains.items():
         moved = (i for i, joint in enumerate(detection.spec.joints) if joint in chain)
-        first = f"joints.{next(moved)}"
+        # A fixed jaw has none.
+        first = f"joints.{next(moved, '')}"
         above[first] = f"{above[first]} and {finger}" if first in above else finger
     return above
 
