@@ -42,11 +42,14 @@ _LATE = 0.07
 _BEHIND = 0.5
 # Pads so near an object close around it, and do so least at twice the distance [m].
 _NEAR = 0.05
+# Pads beside an object would push it away. Their gap is at least so many times the distance of
+# their middle from it, but no more than this [m], and less and less for this time [s].
+_FUNNEL = 4.0
+_WIDE = 0.06
+_PATIENCE = 0.4
 # Pads that move no faster than this for so long have met something [m/s, s].
 _STILL = 0.03
 _TOUCHED = 0.1
-# No finger, gap, least gap and time.
-_NOTHING = -1, 0.0, 0.0, 0.0
 # Time over which a force is raised, and a grip is let go [s].
 _RAISED = 0.1
 _LET_GO = 0.1
@@ -133,6 +136,16 @@ class _ClosingPads(NamedTuple):
         off = np.append(self.pads.middle(hand) - self.centre, min(more, 0.0))
         rows = np.vstack([middle * self.own, gap])
         return TaskRows(weights * off, weights[:, None] * rows)
+
+
+class _Closing(NamedTuple):
+    """Pads that close, and may meet something."""
+
+    finger: int = -1  # number of the finger, in the order of the pinches
+    gap: float = 0.0  # measured gap of the pads [m]
+    least: float = 0.0  # least gap that presses with no more than the force [m]
+    time: float = 0.0  # time since they began [s]
+    met: float = 0.0  # time since they have met something [s]
 
 
 class _Grip(NamedTuple):
@@ -242,9 +255,7 @@ class GripFollower:
     def _let_go(self) -> None:
         """Grip nothing."""
         self._grip: _Grip | None = None
-        # The finger that may meet something, its gap, the least one that is commanded, and for how
-        # long it has met something.
-        self._near = _NOTHING
+        self._closing = _Closing()
         # Whether the person's fingers have been apart since: only then they grip.
         self._is_apart = False
         self._reference = self._mapper.reference
@@ -278,40 +289,43 @@ class GripFollower:
         pinching = step.named("pinching")[finger]
         self._is_apart |= pinching <= _PINCHING
         if pinching <= 0.0:
-            self._near = _NOTHING
+            self._closing = _Closing()
             return
         pads = self._pairs[finger]
-        placed = self._placed_at(q)
+        command = step.command
+        placed = self._placed_at(q, command.wrist)
         gap = pads.gap(placed)
+        middle = pads.middle(placed)
         slopes, _ = pads.slopes(placed)
         levers = -slopes[self._hand.joint_columns]
         stiffness = self.options.stiffness
         # How far the command is in what the pads meet, where they press with the force.
         depth = self.options.force / stiffness * (levers @ levers)
-        commanded = pads.gap(self._placed_at(step.command.q))
-        before, last, least, time = self._near
-        if finger != before:
-            last, least, time = np.inf, commanded, 0.0
+        commanded = pads.gap(self._placed_at(command.q, command.wrist))
+        before = self._closing
+        if finger != before.finger:
+            before = _Closing(finger, np.inf, commanded)
         # Not at once: joints that are late would let it jump.
-        least = max(gap - depth, least - depth * dt / _LATE)
+        pressing = max(gap - depth, before.least - depth * dt / _LATE)
+        least = pressing if self.options.gentle else -np.inf
         behind = self.options.behind
         if self.options.gentle:
             behind = min(behind, _BEHIND * depth)
-        else:
-            least = -np.inf
         if centre is not None:
+            beside = min(_FUNNEL * lengths(middle - centre), _WIDE)
+            least = max(least, beside * (1.0 - before.time / _PATIENCE))
             share = min(pinching / _CLOSING, 1.0)
             self._terms = self._around(step, pads, centre, least, share)
         is_met = (
             pinching > _PINCHING
             and self._is_apart
-            and abs(gap - last) < _STILL * dt
+            and abs(gap - before.gap) < _STILL * dt
             and gap - commanded > behind
         )
-        time = time + dt if is_met else 0.0
-        self._near = finger, gap, least, time
-        if time >= _TOUCHED:
-            pressed = stiffness * levers @ (step.command.q - q)
+        met = before.met + dt if is_met else 0.0
+        self._closing = _Closing(finger, gap, pressing, before.time + dt, met)
+        if met >= _TOUCHED:
+            pressed = stiffness * levers @ (command.q - q)
             force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
             self._grip = _Grip(finger, pads.columns, q, levers, force, gaps[finger])
 
@@ -343,8 +357,8 @@ class GripFollower:
         force = grip.force + share * (self.options.force - grip.force)
         return (1.0 - grip.opening) * force * grip.levers
 
-    def _placed_at(self, q: Array) -> Configuration:
-        """Return the hand with its joints at q, and its wrist anywhere."""
-        wrist = np.eye(4) if self._hand.is_floating else None
-        self._placed.place(self._hand.configuration_vector(q, wrist))
+    def _placed_at(self, q: Array, wrist: Array) -> Configuration:
+        """Return the hand with its joints at q, and its wrist at a pose if it floats."""
+        pose = wrist if self._hand.is_floating else None
+        self._placed.place(self._hand.configuration_vector(q, pose))
         return self._placed

@@ -222,7 +222,7 @@ def test_what_is_touched_is_pressed_no_harder_than_with_the_force(
     grip = grip_follower(allegro, force=force, gentle=True)
     ran = list(run(grip, centre=meeting(allegro)))
     last, stopped = ran[-1]
-    slopes, _ = grip._pairs[0].slopes(grip._placed_at(stopped))
+    slopes, _ = grip._pairs[0].slopes(grip._placed_at(stopped, np.eye(4)))
     levers = slopes[allegro.joint_columns]
     # The gap that position control closes farther for one newton.
     compliance = levers @ levers / grip.options.stiffness
@@ -410,6 +410,26 @@ def test_pads_close_around_a_known_place(allegro: Hand) -> None:
     )
     q = np.array([step.command.q for step in steps])
     assert (np.abs(np.diff(q, axis=0)) * 60.0 <= allegro.velocity_limits + 1e-9).all()
+
+
+def test_pads_beside_a_place_wait_until_they_are_around_it(allegro: Hand) -> None:
+    """What one pad meets first is pushed away; a person who goes on closing is obeyed."""
+    centre = meeting(allegro)
+    grip = grip_follower(allegro, behind=1.0)
+    apart, gaps, pinching = [], [], []
+    for sample in samples():
+        # Joints that do not follow: the measured pads stay beside the place.
+        command = grip.map_sample(sample, allegro.rest, centre).command
+        middle = pads_middle(allegro, allegro.rest, command.wrist)
+        apart.append(np.linalg.norm(middle - centre))
+        gaps.append(gap_of(allegro, command.q))
+        pinching.append(grip._closing.time)
+    least = np.minimum(4.0 * np.array(apart), 0.06)
+    share = 1.0 - np.array(pinching) / 0.4
+    waits = (share > 0.2) & (share < 0.8)
+    assert waits.sum() > 5
+    assert (np.array(gaps)[waits] > (share * least)[waits] - 0.006).all()
+    assert gaps[-1] < 0.005
 
 
 def test_a_place_far_away_changes_nothing(allegro: Hand) -> None:
