@@ -236,8 +236,8 @@ class Open(Request):
         resume: After a hold: follow the human, or take a new reference.
         has_detail: Whether commands carry every stage of the mapping.
         is_shared: Whether others may release, clutch, configure and clear it by its name.
-        grip: Fields of GripOptions: what thumb and finger meet is held by a posture and a force;
-            samples have `measured_q`. Only with input=landmarks, as is `object`.
+        grip: Fields of GripOptions: thumb and finger hold what they meet, by `measured_q` of
+            samples, or all press on an `object`. Only with input=landmarks, as is that.
         object: The object that the person holds: `box:0.05`, `box:0.03x0.04x0.1`, `sphere:0.04`,
             `cylinder:0.04x0.1`, or the vertices of its convex hull [m]; samples have `object_pose`.
     """
@@ -319,9 +319,9 @@ class Step(Request):
         hands: One or both hands by side, in place of all fields above but `time`; for a robot with
             two hands. Without one of them, its side of the robot goes on to what it was asked for
             last, and holds after 0.25 s.
-        measured_q: Joint angles that the robot has now [rad]; required with `grip`.
+        measured_q: Joint angles that the robot has now [rad]; required with `grip` alone.
         object_centre: Middle of what the robot is to grip, in its world [m], if it is known: pads
-            that close near it meet around it; only with `grip`.
+            that close near it meet around it; only with `grip` alone.
         object_pose: Pose of the person's `object`, in the axes of the landmarks; if it is omitted,
             the object is not seen.
     """

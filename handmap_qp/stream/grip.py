@@ -168,20 +168,20 @@ class GripFollower:
 
     Args:
         follower: Follows the samples.
-        options: How what is gripped is held.
+        grip: How what is gripped is held.
 
     Attributes:
         follower: As given.
-        options: As given.
+        grip: As given.
 
     Raises:
         InvalidInputError: If it is for another preset, or the robot has no thumb that turns to a
             finger.
     """
 
-    def __init__(self, follower: Follower, options: GripOptions | None = None) -> None:
+    def __init__(self, follower: Follower, grip: GripOptions | None = None) -> None:
         self.follower = follower
-        self.options = options or GripOptions()
+        self.grip = grip or GripOptions()
         self._mapper = mapper = follower.mapper
         self._hand = hand = mapper.robot
         fingers = robot_fingers(hand)
@@ -276,7 +276,7 @@ class GripFollower:
         if grip.opening >= 1.0:
             self._let_go()
             return
-        positions = grip.posture + self._torques(grip) / self.options.stiffness
+        positions = grip.posture + self._torques(grip) / self.grip.stiffness
         weight = _HELD * (1.0 - grip.opening) ** 2
         held = _HeldJoints(self._hand, grip.columns, positions, weight)
         self._terms = (held,)
@@ -298,18 +298,18 @@ class GripFollower:
         middle = pads.middle(placed)
         slopes, _ = pads.slopes(placed)
         levers = -slopes[self._hand.joint_columns]
-        stiffness = self.options.stiffness
+        stiffness = self.grip.stiffness
         # How far the command is in what the pads meet, where they press with the force.
-        depth = self.options.force / stiffness * (levers @ levers)
+        depth = self.grip.force / stiffness * (levers @ levers)
         commanded = pads.gap(self._placed_at(command.q, command.wrist))
         before = self._closing
         if finger != before.finger:
             before = _Closing(finger, np.inf, commanded)
         # Not at once: joints that are late would let it jump.
         pressing = max(gap - depth, before.least - depth * dt / _LATE)
-        least = pressing if self.options.gentle else -np.inf
-        behind = self.options.behind
-        if self.options.gentle:
+        least = pressing if self.grip.gentle else -np.inf
+        behind = self.grip.behind
+        if self.grip.gentle:
             behind = min(behind, _BEHIND * depth)
         if centre is not None:
             beside = min(_FUNNEL * lengths(middle - centre), _WIDE)
@@ -326,7 +326,7 @@ class GripFollower:
         self._closing = _Closing(finger, gap, pressing, before.time + dt, met)
         if met >= _TOUCHED:
             pressed = stiffness * levers @ (command.q - q)
-            force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
+            force = np.clip(pressed / (levers @ levers), 0.0, self.grip.force)
             self._grip = _Grip(finger, pads.columns, q, levers, force, gaps[finger])
 
     def _around(
@@ -344,7 +344,7 @@ class GripFollower:
     def _held(self, grip: _Grip, gaps: Array, dt: float) -> _Grip:
         """Return a grip after a sample of the person's gaps."""
         gap = gaps[grip.finger]
-        way = dt if gap > grip.gap + self.options.opens_by else -dt
+        way = dt if gap > grip.gap + self.grip.opens_by else -dt
         return grip._replace(
             gap=min(grip.gap + _FORGETS * dt, gap),
             time=grip.time + dt,
@@ -354,7 +354,7 @@ class GripFollower:
     def _torques(self, grip: _Grip) -> Array:
         """Return the torques with which a grip presses [N m], shape (n,)."""
         share = min(grip.time / _RAISED, 1.0)
-        force = grip.force + share * (self.options.force - grip.force)
+        force = grip.force + share * (self.grip.force - grip.force)
         return (1.0 - grip.opening) * force * grip.levers
 
     def _placed_at(self, q: Array, wrist: Array) -> Configuration:

@@ -4,7 +4,8 @@ The person's hand and an object are tracked in one world. The robot's object mov
 in the robot's world, as its palm's target moves as the person's palm (T, imposed exactly). Where a
 fingertip of the person is on the surface, the pad of the robot's finger goes to the same place of
 it, along the normal there; away from the surface, the finger follows as without an object. Links
-that come into the object are pushed out of it.
+that come into the object are pushed out of it. To press on it, joints are commanded farther than
+they get, by how far they give way to the force.
 """
 
 from __future__ import annotations
@@ -49,8 +50,10 @@ from handmap_qp.se3 import (
     lengths,
     smoothstep,
     transform_points,
+    unit,
 )
 from .follower import Follower, map_with
+from .grip import GripOptions
 
 # Weights of a pad's place, and of a link that is nearer to the object than its clearance [1/m, m].
 # Links that are this near feel the row, so that they stay where it ends; and what moves pads and
@@ -93,6 +96,8 @@ class _Touch(NamedTuple):
     places: Array  # where they belong in the robot's world [m], shape (f, 3)
     shares: Array  # shares of the weight of each, shape (f,)
     share: float  # share of all weights
+    give: Array  # how far joints give way to what pads press on [rad or m], shape (nv,)
+    placed: Configuration  # the hand where they give way
 
     def links(self, placed: Configuration) -> tuple[Array, Array]:
         """Return the distance of each shape [m], (s,), and its slopes, shape (s, nv)."""
@@ -107,6 +112,8 @@ class _Touch(NamedTuple):
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return three rows a pad, and one a link; see `Task.linearise`."""
+        self.placed.displace(hand.q, -self.give)
+        hand = self.placed
         now = self.points.positions(hand)
         weights = self.share * _PLACED * self.shares[:, None]
         pads = weights[..., None] * self.points.jacobians(hand, now)
@@ -143,11 +150,13 @@ class ObjectFollower:
         follower: Follows the samples.
         shape: The object's shape.
         options: How fingers go to it.
+        grip: Stiffness of joints, and force with which pads press; they do not press if omitted.
 
     Attributes:
         follower: As given.
         shape: As given.
         options: As given.
+        grip: As given.
         object_pose: Pose of the robot's object in its world at the last sample, shape (4, 4); None
             before one is followed.
 
@@ -158,11 +167,16 @@ class ObjectFollower:
     """
 
     def __init__(
-        self, follower: Follower, shape: Shape, options: ObjectOptions | None = None
+        self,
+        follower: Follower,
+        shape: Shape,
+        options: ObjectOptions | None = None,
+        grip: GripOptions | None = None,
     ) -> None:
         self.follower = follower
         self.shape = shape
         self.options = options or ObjectOptions()
+        self.grip = grip
         self._mapper = mapper = follower.mapper
         self._hand = hand = mapper.robot
         is_shape = isinstance(shape, Shape)
@@ -202,11 +216,10 @@ class ObjectFollower:
             **times: `dt` and `arrival` [s].
 
         Returns:
-            The step. Its diagnostics have `object_pose`, as of the attribute, and of each finger
-            with joints, the thumb first: `touching`, the share to which the person's touches, and
-            `touch_error`, how far the robot's pad is from its place on the surface [m], shape (f,)
-            both; `clearance` is the distance of the nearest link [m]. Where a finger that touches
-            is off by more than 10 mm, `off_object` is among the flags.
+            The step; with a grip, its command has the `effort`. Diagnostics are `object_pose`; of
+            each finger with joints, the thumb first, `touching`, the share to which the person's
+            touches, and `touch_error`, how far the robot's pad is from its place [m], shape (f,);
+            and `clearance` of the nearest link [m]. `off_object` flags pads off by over 10 mm.
 
         Raises:
             InvalidInputError: As there, if the pose is none, or the mapper's method was changed to
@@ -228,30 +241,29 @@ class ObjectFollower:
         if is_still or pose is None:
             return step
         self.object_pose = self._world @ pose
-        return self._told(step, {"object_pose": self.object_pose}, terms)
+        return self._told(step, terms)
 
-    def _told(self, step: MapStep, found: Arrays, terms: list[_Touch]) -> MapStep:
+    def _told(self, step: MapStep, terms: list[_Touch]) -> MapStep:
         """Return a step that says where the object is, and how it is touched."""
+        found: dict[str, Any] = {"object_pose": self.object_pose}
         flags = step.asked.flags
+        command = step.command
         for touch in terms:
-            found |= self._felt(step, touch)
-            if found["touch_error"][touch.shares > _TOUCHED].max(initial=0.0) > _OFF:
+            self._placed.displace(step.ik.q, -touch.give)
+            gaps, _ = touch.links(self._placed)
+            errors = lengths(touch.points.positions(self._placed) - touch.places)
+            found["touching"] = touch.shares
+            found["touch_error"] = errors
+            found["clearance"] = gaps.min(initial=np.inf)
+            if errors[touch.shares > _TOUCHED].max(initial=0.0) > _OFF:
                 flags = (*flags, "off_object")
+            if self.grip:
+                effort = self.grip.stiffness * touch.give[self._hand.joint_columns]
+                command = structs.replace(command, effort=effort)
         told = ChainMap(found, cast("Arrays", step.asked.diagnostics))
         asked = structs.replace(step.asked, diagnostics=told, flags=flags)
-        stages = Stages(step.stages.pose, asked, step.ik, step.command)
+        stages = Stages(step.stages.pose, asked, step.ik, command)
         return structs.replace(step, stages=stages)
-
-    def _felt(self, step: MapStep, touch: _Touch) -> Arrays:
-        """Return what diagnostics say of a touch after a step."""
-        placed = self._placed
-        placed.place(step.ik.q)
-        gaps, _ = touch.links(placed)
-        return {
-            "touching": touch.shares,
-            "touch_error": lengths(touch.points.positions(placed) - touch.places),
-            "clearance": gaps.min(initial=np.inf),
-        }
 
     def _check_follower(self) -> None:
         is_led = can_touch(self._mapper) and self.follower.rejoin == "glide"
@@ -277,7 +289,26 @@ class ObjectFollower:
         there = self._world @ pose
         places = transform_points(there, aims)
         share = float(smoothstep(self._eased))
-        yield _Touch(self._hand, self.shape, there, self._points, places, shares, share)
+        give = np.zeros(self._placed.nv)
+        if self.grip:
+            forces = self.grip.force * share * shares[0] * shares[1:]
+            forces /= max(shares[1:].sum(), 1.0)
+            now = self._points.positions(self._placed)
+            slopes = self._points.jacobians(self._placed, now)
+            # The wrist moves both pads of a pair, and not their distance.
+            pairs = unit(now[1:] - now[0])[:, None] @ (slopes[1:] - slopes[0])
+            give -= forces / self.grip.stiffness @ pairs[:, 0]
+        yield _Touch(
+            self._hand,
+            self.shape,
+            there,
+            self._points,
+            places,
+            shares,
+            share,
+            give,
+            self._placed,
+        )
 
 
 def follow_recording(

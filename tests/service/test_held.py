@@ -173,10 +173,26 @@ def test_a_known_object_is_touched_as_by_the_follower() -> None:
             np.testing.assert_allclose(errors, 0.0, atol=0.05)
 
 
+def test_a_known_object_is_pressed_with_the_force_that_is_told() -> None:
+    made = hold("cube", "turn +1z").recording
+    assert made.object_pose is not None
+    session, sampler = session_of(object=CUBE, grip={"force": 4.0}), Sampler()
+    efforts = []
+    for i, pose in enumerate(made.object_pose):
+        if i == 140:
+            session.configure(change(grip={"force": 2.0}))
+        sample = sampler(float(made.time[i]), landmarks=rows(made.landmarks[i]))
+        sample = replace(sample, object_pose=Pose.from_matrix(pose))
+        efforts.append(session.step(sample, float(made.time[i])).effort)
+    assert efforts[0] == ()
+    half = np.array(efforts[130]) / 2.0
+    assert np.abs(half).max() > 0.05
+    np.testing.assert_allclose(efforts[-1], half, atol=0.02)
+
+
 @pytest.mark.parametrize(
     ("choices", "field"),
     [
-        ({"grip": {}, "object": CUBE}, "object"),
         ({"grip": {"force": 0.0}}, "grip.force"),
         ({"grip": {"strength": 1.0}}, "grip.strength"),
         ({"grip": {}, "input": "q"}, "grip"),
@@ -207,6 +223,7 @@ def test_what_cannot_be_held_is_refused_with_its_field(
         ({"grip": {}}, {}, "measured_q"),
         ({"grip": {}}, {"measured_q": (0.0,) * 15}, "measured_q"),
         ({"object": CUBE}, {"measured_q": (0.0,) * 16}, "measured_q"),
+        ({"grip": {}, "object": CUBE}, {"measured_q": (0.0,) * 16}, "measured_q"),
         ({"input": "q"}, {"measured_q": (0.0,) * 16}, "measured_q"),
     ],
 )

@@ -225,7 +225,7 @@ def test_what_is_touched_is_pressed_no_harder_than_with_the_force(
     slopes, _ = grip._pairs[0].slopes(grip._placed_at(stopped, np.eye(4)))
     levers = slopes[allegro.joint_columns]
     # The gap that position control closes farther for one newton.
-    compliance = levers @ levers / grip.options.stiffness
+    compliance = levers @ levers / grip.grip.stiffness
     gap = gap_of(allegro, stopped)
     pressed = [
         (gap - gap_of(allegro, step.command.q)) / compliance

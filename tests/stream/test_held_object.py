@@ -34,6 +34,7 @@ from handmap_qp.mapping.objects import (
 )
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.grip import GripOptions
 from handmap_qp.stream.held_object import (
     ObjectFollower,
     ObjectOptions,
@@ -53,9 +54,11 @@ def held(motion: str = "turn +1z") -> Hold:
     return hold("cube", motion)
 
 
-def follower(robot: str = "allegro_right") -> ObjectFollower:
+def follower(
+    robot: str = "allegro_right", grip: GripOptions | None = None
+) -> ObjectFollower:
     mapper = HandMapper(HUMAN, load_hand(robot), "teleoperation")
-    return ObjectFollower(Follower(mapper, smoothing=None), CUBE)
+    return ObjectFollower(Follower(mapper, smoothing=None), CUBE, grip=grip)
 
 
 def samples() -> tuple[SampleColumns, np.ndarray]:
@@ -66,9 +69,11 @@ def samples() -> tuple[SampleColumns, np.ndarray]:
 
 
 @lru_cache
-def steps(robot: str) -> tuple[ObjectFollower, list[MapStep]]:
+def steps(
+    robot: str, grip: GripOptions | None = None
+) -> tuple[ObjectFollower, list[MapStep]]:
     columns, poses = samples()
-    holding = follower(robot)
+    holding = follower(robot, grip)
     return holding, [
         holding.map_sample(columns.sample(i), pose) for i, pose in enumerate(poses)
     ]
@@ -155,14 +160,68 @@ def test_pads_touch_where_the_person_does(robot: str) -> None:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_limits_hold(robot: str) -> None:
-    holding, found = steps(robot)
+@pytest.mark.parametrize("grip", [None, GripOptions(force=4.0)])
+def test_limits_hold(robot: str, grip: GripOptions | None) -> None:
+    holding, found = steps(robot, grip)
     hand = holding.follower.mapper.robot
     q = np.array([step.command.q for step in found])
     assert (q >= hand.lower_limits).all()
     assert (q <= hand.upper_limits).all()
     speed = np.abs(np.diff(q, axis=0)) * 60.0
     assert (speed <= hand.velocity_limits + 1e-9).all()
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_pads_press_with_the_force_where_joints_give_way(robot: str) -> None:
+    """Torques are the slopes of the pads' distances, and position control makes the same."""
+    grip = GripOptions(stiffness=2.0, force=4.0)
+    holding, found = steps(robot, grip)
+    hand = holding.follower.mapper.robot
+    assert not np.any(found[9].command.effort)
+    pads = robot_fingers(hand).pads
+    places = [pads[name] for name in robot_fingers(hand).names]
+
+    def gaps(q: np.ndarray, wrist: Any) -> np.ndarray:
+        """Distances of the pads from the thumb's [m], shape (f - 1,)."""
+        placed = hand.configuration()
+        placed.place(hand.configuration_vector(q, wrist))
+        ends = np.array([placed.data.oMi[p.joint].act(p.offset) for p in places])
+        return np.linalg.norm(ends[1:] - ends[0], axis=1)
+
+    for i in (80, 120, len(found) - 1):
+        command, effort = found[i].command, found[i].command.effort
+        assert effort is not None
+        q = command.q - effort / grip.stiffness
+        slopes = [
+            (gaps(q + way, command.wrist) - gaps(q - way, command.wrist)) / 2e-6
+            for way in 1e-6 * np.eye(len(q))
+        ]
+        forces, *_ = np.linalg.lstsq(-np.array(slopes), effort, rcond=None)
+        assert forces.sum() == pytest.approx(4.0, rel=0.05)
+        assert (forces > -0.05).all()
+        # There the pads are on the surface, and no link is in it.
+        assert found[i].diagnostics["touch_error"][:3].max() < 0.012
+        assert found[i].diagnostics["clearance"] > -0.003
+
+
+def test_pads_press_and_let_go_without_a_jump() -> None:
+    grip = GripOptions(force=4.0)
+    columns, poses = samples()
+    holding, plain = follower(grip=grip), follower()
+    q, other, efforts = [], [], []
+    for i in range(len(poses)):
+        # The object is lost from sight for half a second.
+        pose = None if 100 <= i < 130 else poses[i]
+        command = holding.map_sample(columns.sample(i), pose).command
+        q.append(command.q)
+        other.append(plain.map_sample(columns.sample(i), pose).command.q)
+        none = np.zeros(len(command.q))
+        efforts.append(none if command.effort is None else command.effort)
+    sizes = np.abs(efforts).max(axis=1)
+    assert sizes[95] > 0.1 > 0.01 > sizes[128]
+    assert np.abs(np.diff(efforts, axis=0)).max() < 0.25 * sizes.max()
+    one, two = (np.abs(np.diff(each, n=2, axis=0)).max() for each in (q, other))
+    assert one < 1.5 * two
 
 
 def test_the_robots_object_moves_as_the_persons() -> None:

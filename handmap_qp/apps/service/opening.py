@@ -319,13 +319,14 @@ def prepare_hands(
     return Hands(mapper, follower, hand, choice, lengths, calibration)
 
 
-def read_grip(request: Open) -> GripOptions:
-    """Read how a session grips; errors are as of `read_choice`."""
-    return _changed("grip", GripOptions(), request.grip or {})
+def read_grip(request: Open) -> GripOptions | None:
+    """Read how a session grips, if it does; errors are as of `read_choice`."""
+    given = request.grip
+    return None if given is None else _changed("grip", GripOptions(), given)
 
 
 def _holding(follower: Any, request: Open) -> AnyFollower:
-    """Let a follower grip, or touch the object of a request, if it says so."""
+    """Let a follower grip, or touch and press the object of a request, if it says so."""
     given = request.object
     if given is None and request.grip is None:
         return follower
@@ -334,10 +335,9 @@ def _holding(follower: Any, request: Open) -> AnyFollower:
     with naming_field(field):
         if given is None:
             return GripFollower(follower, read_grip(request))
-        refuse_if(request.grip is not None, "give grip or object, not both", field)
         is_named = isinstance(given, str)
         shape = parse_object(given, field) if is_named else MeshShape(np.array(given))
-        return ObjectFollower(follower, shape)
+        return ObjectFollower(follower, shape, grip=read_grip(request))
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:

@@ -43,7 +43,6 @@ from handmap_qp.human import UNSEEN, ContactGapMeter, HumanSample, PalmShape
 from handmap_qp.ik import Motion
 from handmap_qp.mapping import MapStep, check_joints
 from handmap_qp.se3 import Array
-from handmap_qp.stream import GripFollower
 from handmap_qp.trackers import LAYOUTS
 from .opening import (
     Calibration,
@@ -177,12 +176,13 @@ class SampleForm:
             RefusedError: If the session was opened without it.
         """
         given: Values = {}
+        held = "grip" if self._request.object is None else "object"
         for field, of in _OF_HELD.items():
             value = getattr(sample, field)
-            if getattr(self._request, of) is not None:
+            if of == held and getattr(self._request, of) is not None:
                 given[field] = value.matrix if isinstance(value, Pose) else value
             else:
-                message = f"this session was opened without {of}"
+                message = f"needs a session with {of} alone"
                 refuse_if(value is not None, message, field)
         is_bare = given.get("measured_q", ()) is None
         refuse_if(is_bare, "missing; it must come with a grip", "measured_q")
@@ -610,8 +610,9 @@ class Session:
         grip = read_grip(wanted)
         with naming_option(hands.robot, choice):
             mapper.configure(method, ik=choice.ik)
-        if isinstance(hands.follower, GripFollower):
-            hands.follower.options = grip
+        follower: Any = hands.follower
+        if grip:
+            follower.grip = grip
         self.request = wanted
         self._hands = hands._replace(choice=choice)
         self._commanded.obey(mapper.point_ik)
