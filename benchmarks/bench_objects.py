@@ -11,6 +11,13 @@ it with the object (`ObjectFollower`) and without. From where the fingers touch:
 - inside: how deep the deepest link is in the object [mm], < 0 for none
 - carried: share of the object's motion in the hand that the pads make, by a rigid fit to them
 
+Two further rows a robot are aims of their own, for robots that know of the object:
+
+- a cap that is turned by 90 degrees about its axis, 15 by the fingers and the rest by the wrist:
+  its drift is how far a rigid fit to the pads turns against it, about its axis and in all [deg]
+- a mouse, whose surface all five fingertips of the person are 8 mm away from (the landmarks: the
+  skin touches): the largest distance of the robot's pads from their places, by medians over samples
+
 It is kinematics: no friction, no forces. Numbers are medians and 95th percentiles over samples;
 `carried` is the median over motions, with the least, the most, and the share of motions that carry
 the object's within a fifth; `within 10 mm` counts motions by their median place.
@@ -23,16 +30,19 @@ import common  # first: it sets the number of threads before numpy is loaded
 # isort: split
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import coal
 import numpy as np
 import pinocchio as pin
-from holding import FINGERS, MOTIONS, OBJECTS, Hold, hold
+from holding import FINGERS, MOTIONS, OBJECTS, Hold, hold, hold_mouse
 
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
 from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.fingers import FINGERS as ALL_FINGERS
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.objects import geometry_of, parse_object
@@ -42,12 +52,14 @@ ROBOTS = ("allegro_right", "leap_right", "shadow_right")
 HUMAN = load_hand("human", points="landmarks")
 
 
-def pads_of(hand: Hand, q: np.ndarray, wrist: np.ndarray) -> tuple[Any, np.ndarray]:
+def pads_of(
+    hand: Hand, q: np.ndarray, wrist: np.ndarray, fingers: Sequence[str] = FINGERS
+) -> tuple[Any, np.ndarray]:
     """Return a hand as it is placed, and the middles of its pads [m], shape (f, 3)."""
     placed = hand.configuration()
     placed.place(hand.configuration_vector(q, wrist))
     pads = robot_fingers(hand).pads
-    ends = [placed.data.oMi[pads[f].joint].act(pads[f].offset) for f in FINGERS]
+    ends = [placed.data.oMi[pads[f].joint].act(pads[f].offset) for f in fingers]
     return placed, np.array(ends)
 
 
@@ -120,6 +132,48 @@ def both(robot: str, made: Hold, motion: str) -> dict[str, dict[str, float]]:
         "with the object": measured(made, motion, aware, poses),
         "without": measured(made, motion, plain, poses),
     }
+
+
+def aims(robot: str, seed: int) -> dict[str, Any]:
+    """Return what a robot does with a cap and with a mouse, in a row of a table."""
+    hand = load_hand(robot)
+    pads = robot_fingers(hand).pads
+    shown: dict[str, Any] = {"": robot}
+
+    def placed(made: Hold, fingers: Sequence[str]) -> tuple[list[np.ndarray], ...]:
+        """Return pads in the object's frame, distances from their places, and depths [m]."""
+        mapper = HandMapper(HUMAN, hand, "teleoperation")
+        trajectory = map_recording(mapper, made.recording)
+        shape = geometry_of(parse_object(made.recording.object_shape))
+        poses = np.asarray(trajectory.object_pose)
+        radii = np.array([[pads[finger].radius] for finger in fingers])
+        count = len(fingers)
+        wanted = made.places[:count] + radii * made.normals[:count]
+        ends, off, deep = [], [], []
+        for i in range(made.closed, len(poses)):
+            at, now = pads_of(hand, trajectory.q[i], trajectory.wrist[i], fingers)
+            ends.append(transform_points(inverse_pose(poses[i]), now))
+            off.append(np.linalg.norm(ends[-1] - wanted, axis=1))
+            deep.append(depth(hand, at, shape, poses[i]))
+        return ends, off, deep
+
+    made = hold("cap", "turn +1z", seed, wrist=np.radians(75.0))
+    ends, off, deep = placed(made, FINGERS)
+    turned = pin.log3(rigid_fit(ends[0], ends[-1])[:3, :3])
+    shown["cap: drift deg"] = round(float(np.degrees(abs(turned[2]))), 1)
+    shown["in all deg"] = round(float(np.degrees(np.linalg.norm(turned))), 1)
+    shown["inside max mm"] = round(1e3 * max(deep), 1)
+    with TemporaryDirectory() as folder:
+        made = hold_mouse(Path(folder), seed)
+        fingers = [finger for finger in ALL_FINGERS if finger in pads]
+        _, off, deep = placed(made, fingers)
+    worst = 1e3 * np.median(off, axis=0)
+    shown["mouse: pads"] = len(fingers)
+    shown["farthest mm"] = round(float(worst.max()), 1)
+    shown["median mm"] = round(float(np.median(worst)), 1)
+    shown["deepest mm"] = round(1e3 * max(deep), 1)
+    shown["deep median mm"] = round(1e3 * float(np.median(deep)), 1)
+    return shown
 
 
 def without_object(made: Hold) -> Any:
@@ -197,8 +251,10 @@ def main(words: Sequence[str] | None = None) -> None:
     for keys in by:
         rows = common.rows_by(found, keys, row)
         common.print_table(f"By {' and '.join(keys)}", rows, to_stderr=to_stderr)
+    met = [aims(robot, arguments.seed) for robot in arguments.robots]
+    common.print_table("A cap and a mouse", met, to_stderr=to_stderr)
     common.save_picture(arguments.picture, lambda: draw_places(found))
-    results = {"seed": arguments.seed, "motions": found}
+    results = {"seed": arguments.seed, "motions": found, "aims": met}
     common.write_json(arguments.json, "bench_objects", results)
 
 

@@ -13,15 +13,18 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+import trimesh
 from scipy.optimize import least_squares
 
 from handmap_qp import Recording, load_hand
+from handmap_qp.human import TIPS
 from handmap_qp.mapping.objects import nearest, parse_object
 from handmap_qp.se3 import affine, rotation_from_rpy, smoothstep, transform_points, unit
 from handmap_qp.trackers.formats import write_recordings
@@ -34,6 +37,10 @@ OBJECTS = {
     "bar": "box:0.025x0.025x0.1",
 }
 """Shapes that are held, as of `parse_object`: their x goes from the thumb to the fingers."""
+CAP = "cylinder:0.04x0.02"
+"""The cap of a bottle, whose axis is z."""
+MOUSE = np.array((0.031, 0.055, 0.036))
+"""Half the width, half the length and the height of a mouse [m]."""
 MOTIONS = {
     f"{kind} {sign:+d}{axis}": sign * size * np.eye(6)[3 * (kind == "turn") + k]
     for kind, size in (("move", 0.01), ("turn", math.radians(15.0)))
@@ -66,8 +73,9 @@ class Hold(NamedTuple):
 
     Attributes:
         recording: The recording, with the object.
-        places: Where `FINGERS` touch it, in its frame [m], shape (3, 3).
-        normals: Outward normals there, shape (3, 3).
+        places: Where the f fingers touch it, in its frame [m], shape (f, 3): those of `FINGERS`, or
+            all five.
+        normals: Outward normals there, shape (f, 3).
         closed: Index of the sample from which on they touch.
         error: How far a fingertip of the model is off its place, at most, from then on [m].
     """
@@ -79,59 +87,127 @@ class Hold(NamedTuple):
     error: float
 
 
-def hold(what: str, motion: str, seed: int = 0) -> Hold:
-    """Make a person who grasps an object and moves it in the hand.
+class _Person:
+    """The human model, whose fingertips go to places of an object.
 
     Args:
-        what: One of `OBJECTS`.
-        motion: One of `MOTIONS`.
-        seed: Seed of the tracker's noise.
+        tips: Landmarks of the f fingertips.
+        places: Their places in the object's frame [m], shape (f, 3).
+        normals: Outward normals there, shape (f, 3).
     """
-    human = load_hand("human", points="landmarks")
-    shape = parse_object(OBJECTS[what])
-    sides = [[-0.2, 0.0, 0.0], [0.2, 0.5 * _APART, 0.0], [0.2, -0.5 * _APART, 0.0]]
-    # Far to the sides, places of a round object would be one.
-    sides = np.array(sides) * (0.15, 1.0, 1.0)
-    places, normals, _ = nearest(shape, sides)
-    low, high = human.lower_limits, human.upper_limits
-    rest = np.clip(human.rest, low + 0.1 * (high - low), high - 0.1 * (high - low))
 
-    def tips(q: np.ndarray) -> np.ndarray:
-        return human.points(q, np.eye(4))[_TIPS]
+    def __init__(
+        self, tips: Sequence[int], places: np.ndarray, normals: np.ndarray
+    ) -> None:
+        self.hand = human = load_hand("human", points="landmarks")
+        self._fingers, self._places, self._normals = [*tips], places, normals
+        low, high = human.lower_limits, human.upper_limits
+        self._limits = low, high
+        span = 0.1 * (high - low)
+        self.rest = self.grasp = np.clip(human.rest, low + span, high - span)
 
-    def aims(pose: np.ndarray, away: float = 0.0) -> np.ndarray:
-        return transform_points(pose, places + (SKIN + away) * normals)
+    def tips(self, q: np.ndarray) -> np.ndarray:
+        """Return the fingertips of a hand whose wrist is the origin [m], shape (f, 3)."""
+        return self.hand.points(q, np.eye(4))[self._fingers]
 
-    def posture(pose: np.ndarray, away: float, last: np.ndarray) -> np.ndarray:
+    def off(self, q: np.ndarray, pose: np.ndarray, away: float = 0.0) -> np.ndarray:
+        """Return how far fingertips are off their places, away from the surface [m], (f, 3)."""
+        aims = self._places + (SKIN + away) * self._normals
+        return self.tips(q) - transform_points(pose, aims)
+
+    def grasps(self, axes: np.ndarray, centre: np.ndarray) -> np.ndarray:
+        """Grasp an object that is near such axes and centre, and return its pose, (4, 4)."""
+        low, high = self._limits
+
+        def placed(way: np.ndarray) -> np.ndarray:
+            return affine(axes @ pin.exp3(way[3:]), centre + way[:3])
+
+        def cost(values: np.ndarray) -> np.ndarray:
+            way, q = values[:6], values[6:]
+            off = _TO_PLACE * self.off(q, placed(way)).ravel()
+            return np.concatenate([off, _TO_REST * (q - self.rest), 0.1 * way[3:]])
+
+        free = np.full(6, 2.0)
+        margin = 0.05 * (high - low)
+        bounds = np.append(-free, low + margin), np.append(free, high - margin)
+        start = np.append(np.zeros(6), self.rest)
+        found = least_squares(cost, start, bounds=bounds).x
+        self.grasp = found[6:]
+        return placed(found[:6])
+
+    def posture(self, pose: np.ndarray, away: float, last: np.ndarray) -> np.ndarray:
+        """Return the posture for an object there, away from it [m], near the last one."""
+        low, high = self._limits
+
         def cost(q: np.ndarray) -> np.ndarray:
-            off = _TO_PLACE * (tips(q) - aims(pose, away)).ravel()
-            return np.concatenate([off, _TO_REST * (q - grasp), _TO_LAST * (q - last)])
+            off = _TO_PLACE * self.off(q, pose, away).ravel()
+            to_rest, to_last = _TO_REST * (q - self.grasp), _TO_LAST * (q - last)
+            return np.concatenate([off, to_rest, to_last])
 
         start = np.clip(last, low + 1e-6, high - 1e-6)
         return least_squares(cost, start, bounds=(low, high), xtol=1e-7).x
 
+
+def hold(what: str, motion: str, seed: int = 0, wrist: float = 0.0) -> Hold:
+    """Make a person who grasps an object and moves it in the hand.
+
+    Args:
+        what: One of `OBJECTS`, or `cap`.
+        motion: One of `MOTIONS`.
+        seed: Seed of the tracker's noise.
+        wrist: Angle by which the wrist turns meanwhile, about the object's z [rad].
+    """
+    text = CAP if what == "cap" else OBJECTS[what]
+    shape = parse_object(text)
+    sides = [[-0.2, 0.0, 0.0], [0.2, 0.5 * _APART, 0.0], [0.2, -0.5 * _APART, 0.0]]
+    # Far to the sides, places of a round object would be one.
+    sides = np.array(sides) * (0.15, 1.0, 1.0)
+    places, normals, _ = nearest(shape, sides)
+    person = _Person(_TIPS, places, normals)
     # The object is where the hand grasps it most easily.
-    at_rest = tips(rest)
+    at_rest = person.tips(person.rest)
     x = unit(at_rest[1:].mean(axis=0) - at_rest[0])
     z = unit(np.cross(x, at_rest[1] - at_rest[2]))
     axes = np.column_stack([x, np.cross(z, x), z])
-    centre = at_rest.mean(axis=0)
+    pose = person.grasps(axes, at_rest.mean(axis=0))
+    made = _moved(person, pose, MOTIONS[motion], wrist, seed)
+    recording = replace(made.recording, name=f"{what}, {motion}", object_shape=text)
+    return made._replace(recording=recording, places=places, normals=normals)
 
-    def placed(way: np.ndarray) -> np.ndarray:
-        return affine(axes @ pin.exp3(way[3:]), centre + way[:3])
 
-    def grasping(values: np.ndarray) -> np.ndarray:
-        way, q = values[:6], values[6:]
-        off = _TO_PLACE * (tips(q) - aims(placed(way))).ravel()
-        return np.concatenate([off, _TO_REST * (q - rest), 0.1 * way[3:]])
+def hold_mouse(folder: Path, seed: int = 0) -> Hold:
+    """Make a person whose five fingertips go to a mouse, half an ellipsoid, and lift it.
 
-    free = np.full(6, 2.0)
-    margin = 0.05 * (high - low)
-    bounds = np.append(-free, low + margin), np.append(free, high - margin)
-    found = least_squares(grasping, np.append(np.zeros(6), rest), bounds=bounds).x
-    pose, q = placed(found[:6]), found[6:]
-    grasp = q
-    amount = MOTIONS[motion]
+    Args:
+        folder: Folder for the file of its mesh.
+        seed: Seed of the tracker's noise.
+    """
+    points = trimesh.creation.icosphere(subdivisions=3).vertices * MOUSE
+    file = folder / "mouse.stl"
+    points[:, 2] = np.maximum(points[:, 2], 0.0)
+    trimesh.Trimesh(points).convex_hull.export(file)
+    sides = np.array(
+        [(-2, 0, 0.7), (-0.4, 1, 1), (0.3, 1, 1), (1, 0.7, 1), (2, 0, 0.7)]
+    )
+    places, normals, _ = nearest(parse_object(str(file)), sides * MOUSE)
+    person = _Person(TIPS.tolist(), places, normals)
+    landmarks = person.hand.points(person.rest, np.eye(4))
+    # To the right, from the index knuckle to the little one, and forward.
+    x = unit(landmarks[17] - landmarks[5])
+    z = unit(np.cross(x, landmarks[9] - landmarks[0]))
+    axes = np.column_stack([x, np.cross(z, x), z])
+    centre = person.tips(person.rest).mean(axis=0) - axes @ (0.0, 0.02, 0.02)
+    pose = person.grasps(axes, centre)
+    made = _moved(person, pose, np.zeros(6), 0.0, seed)
+    recording = replace(made.recording, name="mouse", object_shape=str(file))
+    return made._replace(recording=recording, places=places, normals=normals)
+
+
+def _moved(
+    person: _Person, pose: np.ndarray, amount: np.ndarray, wrist: float, seed: int
+) -> Hold:
+    """Let a person close on an object at a pose, lift it and move it in the hand."""
+    q = person.grasp
     closed = _CLOSING
     count = _CLOSING + _RESTING + _MOVING + _RESTING
     landmarks, poses, worst = np.empty((count, 21, 3)), np.empty((count, 4, 4)), 0.0
@@ -139,26 +215,30 @@ def hold(what: str, motion: str, seed: int = 0) -> Hold:
         share = smoothstep((i - closed - _RESTING) / _MOVING)
         own = affine(pin.exp3(share * amount[3:]), share * amount[:3])
         away = _OPEN * (1.0 - smoothstep(i / closed))
-        q = posture(pose @ own, away, q)
+        q = person.posture(pose @ own, away, q)
         if i >= closed:
-            off = tips(q) - aims(pose @ own)
+            off = person.off(q, pose @ own)
             worst = max(worst, np.linalg.norm(off, axis=1).max())
         palm = _PALM.copy()
         palm[1, 3] += _LIFT * smoothstep((i - closed) / _MOVING)
-        landmarks[i] = human.points(q, palm)
+        if wrist:
+            there = palm @ pose
+            turn = affine(pin.exp3(np.array((0.0, 0.0, share * wrist))))
+            palm = there @ turn @ np.linalg.inv(there) @ palm
+        landmarks[i] = person.hand.points(q, palm)
         poses[i] = palm @ pose @ own
     landmarks += np.random.default_rng(seed).normal(0.0, NOISE, landmarks.shape)
     recording = Recording(
-        f"{what}, {motion}",
+        "held",
         np.arange(count) / RATE,
         landmarks,
         np.ones(count, dtype=bool),
         "right",
         source="made from the human model",
         object_pose=poses,
-        object_shape=OBJECTS[what],
     )
-    return Hold(recording, places, normals, closed, worst)
+    nothing = np.empty((0, 3))
+    return Hold(recording, nothing, nothing, closed, worst)
 
 
 def write_held(out: Path) -> None:
