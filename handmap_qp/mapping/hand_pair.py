@@ -247,7 +247,12 @@ class RobotFingers:
         self.chains = find_fingers(robot)
         # In the order of FINGERS.
         self.used = {f: chain for f, chain in self.chains.items() if chain.joints}
-        are_jaws = all(chain.is_jaw for chain in self.used.values())
+        # So are two fingers that turn about one joint each, or about the same one.
+        turning = len(self.used) == 2
+        are_jaws = all(
+            chain.is_jaw or (turning and len(chain.columns) == 1)
+            for chain in self.used.values()
+        )
         if len(self.used) < len(self.chains) == 2:
             # A jaw closes on a fixed one.
             are_jaws = True

@@ -103,6 +103,38 @@ def test_a_gripper_of_four_bars_has_two_fingers(tmp_path: Path) -> None:
     assert max(sure["thumb"], sure["fingers"]) < 0.6
 
 
+@pytest.mark.parametrize("is_coupled", [True, False])
+def test_jaws_that_turn_open_as_wide_as_thumb_and_index(
+    tmp_path: Path, is_coupled: bool
+) -> None:
+    mimic = '<mimic joint="one" multiplier="-1"/>' * is_coupled
+    jaws = "".join(
+        f'<link name="{name}"><visual><origin xyz="0 .04 0"/><geometry>'
+        f'<box size=".01 .08 .02"/></geometry></visual></link>'
+        f'<joint name="{name}" type="revolute"><parent link="base"/><child link="{name}"/>'
+        f'<origin xyz="{x} .05 0"/><axis xyz="0 0 1"/>'
+        f'<limit lower="{low}" upper="{low + 0.8}" effort="1" velocity="4"/>{rule}</joint>'
+        for name, x, low, rule in (
+            ("one", 0.02, -0.6, ""),
+            ("other", -0.02, -0.2, mimic),
+        )
+    )
+    file = tmp_path / "gripper.urdf"
+    file.write_text(f'<robot name="x"><link name="base"/>{jaws}</robot>')
+    write_hand(detect(file), tmp_path / "hand.yaml")
+    hand = load_hand(tmp_path / "hand.yaml")
+    assert len(hand.joint_names) == 2 - is_coupled
+    mapper = HandMapper(load_hand("human"), hand, dt=0.02)
+    gaps, opened = [], []
+    for name in ("flat hand", "pinch"):
+        posture = standard_postures(mapper.human)[name]
+        for _ in range(100):
+            step = mapper.map_step(posture, np.eye(4))
+        gaps.append(step.named("gaps")[0])
+        opened.append(np.linalg.norm(np.subtract(*hand.points(step.command.q))))
+    assert opened[0] - opened[1] == pytest.approx(gaps[0] - gaps[1], abs=0.01)
+
+
 @pytest.mark.parametrize("has_ends", [True, False])
 def test_jaws_have_no_exact_direction(has_ends: bool) -> None:
     """Their joints may start anywhere: these beside each other, and the tips in one plane.
