@@ -213,22 +213,24 @@ def parse(arguments: Sequence[str]) -> Command:
         for word in arguments[len(name.split()) :]
     ]
     about = inspect.cleandoc(command.__doc__).partition("\nAttributes:")[0]
-    page = _Page(sys.stdout)
-    message = _Page(sys.stderr)
+    page = _Page()
+    message = io.StringIO()
     try:
         with contextlib.redirect_stdout(page), contextlib.redirect_stderr(message):
             # It takes longer to import than all commands without one.
             import tyro
 
+            # The help says in words that an argument may be omitted.
+            settings = [tyro.conf.DisallowNone]
             prog = f"handmap {name}"
-            return tyro.cli(command, prog=prog, description=about, args=rest)
+            return tyro.cli(
+                command, prog=prog, description=about, args=rest, config=settings
+            )
     except SystemExit as end:
         if cause := _cause(end):
             raise cause from None
-        if end.code:
-            _print_page(_without_types(message.getvalue()), sys.stderr)
-        else:
-            _print_page(_wrapped(_without_types(page.getvalue())), sys.stdout)
+        _print_page(message.getvalue(), sys.stderr)
+        _print_page(_wrapped(page.getvalue()), sys.stdout)
         raise
 
 
@@ -284,9 +286,10 @@ def _print_completion(shell: str) -> None:
     import tyro
 
     words = ["--tyro-print-completion", shell]
-    page = _Page(sys.stdout)
+    page = io.StringIO()
+    settings = [tyro.conf.DisallowNone]
     with contextlib.redirect_stdout(page), contextlib.suppress(SystemExit):
-        tyro.cli(_any_command(), prog="handmap", args=words)
+        tyro.cli(_any_command(), prog="handmap", args=words, config=settings)
     script = re.sub(
         r"^COMPLETION_SPEC = .*", _on_one_line, page.getvalue(), flags=re.MULTILINE
     )
@@ -325,32 +328,18 @@ def _cause(end: BaseException) -> HandmapError | None:
 
 
 class _Page(io.StringIO):
-    """Collect what would be printed, in colour if the stream is a terminal."""
+    """Collect what would be printed, in colour if stdout is a terminal."""
 
     encoding = "utf-8"
 
-    def __init__(self, stream: TextIO) -> None:
-        super().__init__()
-        self._stream = stream
-
     def isatty(self) -> bool:
-        """Return whether the stream is a terminal."""
-        return self._stream.isatty()
+        """Return whether stdout is a terminal."""
+        return os.isatty(1)
 
 
 def _print_page(page: str, stream: TextIO) -> None:
     encoding = stream.encoding or "utf-8"
     print(page.encode(encoding, "replace").decode(encoding), end="", file=stream)
-
-
-def _without_types(page: str) -> str:
-    """Leave out of a help page how Python writes that an option may be omitted; keep columns."""
-    page = re.sub(
-        r"\{None(?:\}\|\{?([A-Z]+(?: [A-Z]+)*)\}?|,(.*?\}))",
-        lambda found: (found[1] or f"{{{found[2]}").ljust(len(found[0])),
-        page,
-    )
-    return page.replace("None)", "none)")
 
 
 def _wrapped(page: str) -> str:

@@ -11,7 +11,7 @@ from operator import or_
 from pathlib import Path
 from typing import Annotated, Any
 
-from tyro.conf import Positional, arg
+from tyro.conf import FlagConversionOff, Positional, arg
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import FINGERS, Hand, Names, Side, Values, load_hand, load_whole
@@ -215,7 +215,8 @@ def _flags(name: str, about: str, *, are_of_qp: bool) -> type:
         # tyro would show a list's type in braces.
         metavar = "NAME ..." if kind == Names | None else None
         settings = arg(help=" ".join(texts), help_behavior_hint="", metavar=metavar)
-        items.append((option, Annotated[kind, settings], field(default=None)))
+        flag = FlagConversionOff[Annotated[kind, settings]]
+        items.append((option, flag, field(default=None)))
     # The module lets copies of it be pickled.
     own = {"__doc__": about, "__module__": __name__}
     return make_dataclass(name, items, frozen=True, namespace=own)

@@ -362,6 +362,7 @@ def test_a_mistyped_word_is_answered_with_the_nearest_one(
         (["map", "x.npz", "--robto", "y"], "--robot HAND"),
         (["map", "x.npz", "--robot", "y", "--ik.dampin", "1"], "--ik.damping FLOAT"),
         (["map", "x.npz", "--side=up"], "invalid choice 'up' for argument '--side'"),
+        (["map", "x.npz", "--avoids-contact", "maybe"], "invalid choice 'maybe'"),
         (["map", "x.npz", "--out"], "Missing value for argument"),
         (["view", "--port", "5o7o"], "Error parsing --port"),
         (["view", "--keys", "a"], "--keys"),
