@@ -155,10 +155,10 @@ class HandFlexion:
 
     def _close_jaws(self) -> None:
         """Flex fingers without curling joints towards the other tips."""
-        each = np.eye(len(self.sign))
-        for i in np.flatnonzero((self.certainty == 0.0) & self.moves.any(axis=1)):
-            nearer = {j: self._nearing(i, each[j]) for j in self._fingers[i].columns}
-            j = max(nearer, key=lambda column: abs(nearer[column]))
+        for i in np.flatnonzero(self.certainty == 0.0):
+            each = np.diag(self.moves[i])
+            nearer = np.array([self._nearing(i, signs) for signs in each])
+            j = np.abs(nearer).argmax()
             if abs(nearer[j]) >= 1e-4:
                 self.sign[j] = np.sign(nearer[j])
                 self.ways[i] = unit(self.sign[j] * self._motions[i, :, j])
