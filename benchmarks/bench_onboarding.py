@@ -24,7 +24,7 @@ import numpy as np
 from made_hands import ODDITIES, MadeHand, make_hand, make_odd_hand
 from shared_hands import shared_hands_folder
 
-from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
+from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.sources import package_folder
 
@@ -283,7 +283,7 @@ def _score_made(name: str, made: MadeHand) -> Score:
     """Score the detection of one made hand."""
     start = time.perf_counter()
     try:
-        found = detect_text(made.urdf, Path("hand.urdf"))
+        found = detect(Path("hand.urdf"), made.urdf)
     except HandmapError as error:
         return Score(name, 180, 180, False, False, False, "", 0, 0.0, str(error))
     own: dict[str | None, bool] = {

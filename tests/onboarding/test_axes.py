@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from strategies import generators
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
+from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
 from handmap_qp.hands.spec import Side
 
@@ -30,7 +30,7 @@ LEAP_PIP = {"index": "dip", "middle": "dip_2", "ring": "dip_3"}
 def found_in(
     made: MadeHand, side: Side | None = None, file: Path = Path("x.urdf")
 ) -> Detection:
-    return detect_text(made.urdf, file, side=side)
+    return detect(file, made.urdf, side=side)
 
 
 def degrees(one: tuple[float, ...], other: np.ndarray) -> float:
@@ -224,9 +224,9 @@ def test_two_hands_on_one_base_are_refused() -> None:
     with pytest.raises(
         HandError, match=r"two hands on one base: .*; choose one with --root"
     ) as e:
-        detect_text(text, Path("two.urdf"))
+        detect(Path("two.urdf"), text)
     for link in e.value.value:
-        assert detect_text(text, Path("two.urdf"), root=link).spec.palm.link == link
+        assert detect(Path("two.urdf"), text, root=link).spec.palm.link == link
 
 
 def test_wrist_joints_that_are_left_out_are_named_with_the_option() -> None:
@@ -237,17 +237,17 @@ def test_wrist_joints_that_are_left_out_are_named_with_the_option() -> None:
         '<limit lower="-0.5" upper="0.5" effort="1" velocity="2"/></joint>'
     )
     text = made.urdf.replace("</robot>", above + "</robot>")
-    found = detect_text(text, Path("x.urdf"))
+    found = detect(Path("x.urdf"), text)
     assert "WRJ1" not in found.spec.joints
     assert any("WRJ1" in note and "--base forearm" in note for note in found.notes)
-    kept = detect_text(text, Path("x.urdf"), base="forearm")
+    kept = detect(Path("x.urdf"), text, base="forearm")
     assert "WRJ1" in kept.spec.joints
     assert not any("--base" in note for note in kept.notes)
 
 
 def test_notes_about_many_joints_are_one() -> None:
     made = make_hand(np.random.default_rng(4))
-    found = detect_text(made.urdf.replace(' velocity="5"', ""), Path("x.urdf"))
+    found = detect(Path("x.urdf"), made.urdf.replace(' velocity="5"', ""))
     speeds = [note for note in found.notes if "speed limit" in note]
     assert len(speeds) == 1
     assert "each has no speed limit" in speeds[0]
@@ -264,7 +264,7 @@ def test_a_name_has_its_side_once() -> None:
         '<limit lower="-0.5" upper="0.5" effort="1" velocity="2"/></joint>'
     )
     text = robot.replace("</robot>", above + "</robot>")
-    assert detect_text(text, Path("x.urdf"), side="right").spec.name == "shadow_right"
+    assert detect(Path("x.urdf"), text, side="right").spec.name == "shadow_right"
 
 
 def test_a_visual_fingertip_has_the_pad_that_collision_shapes_would_show() -> None:
@@ -276,7 +276,7 @@ def test_a_visual_fingertip_has_the_pad_that_collision_shapes_would_show() -> No
         for tip in made.tips.values():
             shape = f'<link name="{tip}"><{kind}>{ball}</{kind}></link>'
             text = text.replace(f'<link name="{tip}"/>', shape)
-        points = detect_text(text, Path("x.urdf")).spec.points
+        points = detect(Path("x.urdf"), text).spec.points
         pads[kind] = [point.pad for point in points if point.name.endswith("_tip")]
     assert pads["collision"] == [None] * len(made.tips)
     for pad in pads["visual"]:

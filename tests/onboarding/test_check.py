@@ -28,7 +28,7 @@ from handmap_qp.apps.onboarding.collision_pairs import (
     joined_notes,
     with_collision_pairs,
 )
-from handmap_qp.apps.onboarding.detect import detect, detect_text
+from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.apps.onboarding.findings import Finding, Found, Report
 from handmap_qp.apps.onboarding.measure import (
     check_arm,
@@ -473,7 +473,7 @@ def test_many_links_beside_the_fingers_are_no_obstacle(
             f'<child link="x{i}"/></joint>'
         )
     text = made.urdf.replace("</robot>", "".join(parts) + "</robot>")
-    found, plain = (detect_text(urdf, Path("x.urdf")) for urdf in (text, made.urdf))
+    found, plain = (detect(Path("x.urdf"), urdf) for urdf in (text, made.urdf))
     assert found.spec.palm == plain.spec.palm
     assert found.spec.points == plain.spec.points
 
@@ -485,8 +485,8 @@ def test_a_chain_that_crashes_urdf_readers_is_refused(made: MadeHand) -> None:
         for i in range(5000)
     ]
     with pytest.raises(HandError, match=r"chain of 5001 links .*expected at most 2000"):
-        detect_text(
-            made.urdf.replace("</robot>", "".join(parts) + "</robot>"), Path("x.urdf")
+        detect(
+            Path("x.urdf"), made.urdf.replace("</robot>", "".join(parts) + "</robot>")
         )
 
 

@@ -18,7 +18,7 @@ from handmap_qp.apps.onboarding import picture
 from handmap_qp.apps.onboarding.check import _check_speeds, check_hand
 from handmap_qp.apps.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.apps.onboarding.collision_pairs import colliding_links
-from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
+from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.findings import Found, Report
 from handmap_qp.apps.onboarding.measure import (
     check_reach,
@@ -118,7 +118,7 @@ def test_a_missing_speed_is_the_usual_one_of_the_urdf() -> None:
     text = (DATA / "chained_mimics.urdf").read_text()
     speeds = iter(["0", *["2.5"] * 99])
     text = re.sub(r'velocity="[^"]*"', lambda _: f'velocity="{next(speeds)}"', text)
-    limits = detect_text(text, Path("hand.urdf")).spec.limits
+    limits = detect(Path("hand.urdf"), text).spec.limits
     assert [limit.velocity for limit in limits.values()] == [2.5]
 
 
@@ -339,7 +339,7 @@ def test_a_picture_is_drawn_without_shapes(
     )
     path = tmp_path / "hand.urdf"
     path.write_text(text)
-    draw_hand(load_hand(detect_text(text, path).spec), tmp_path / "hand.png")
+    draw_hand(load_hand(detect(path, text).spec), tmp_path / "hand.png")
     assert_halves_show_something(tmp_path / "hand.png")
 
 

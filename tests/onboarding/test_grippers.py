@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import HandMapper
-from handmap_qp.apps.onboarding.detect import detect, detect_text
+from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.apps.onboarding.measure import standard_postures
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.errors import HandError
@@ -85,9 +85,7 @@ def test_mimic_rules_close_the_loops_of_a_gripper(tmp_path: Path, unit: str) -> 
 
 
 def test_a_gripper_of_four_bars_has_two_fingers(tmp_path: Path) -> None:
-    found = detect_text(
-        _converted(tmp_path, _gripper()).text, tmp_path / "gripper.urdf"
-    )
+    found = detect(tmp_path / "gripper.urdf", _converted(tmp_path, _gripper()).text)
     assert found.spec.joints == ("left_driver",)
     assert {point.link for point in found.spec.points if "tip" in point.name} == {
         "left_pad",
@@ -152,7 +150,7 @@ def test_jaws_have_no_exact_direction(has_ends: bool) -> None:
     if not has_ends:
         end = r'<link name="\w+_end"/>|<joint name="\w+_end".*?</joint>'
         jaws = re.sub(end, "", jaws)
-    found = detect_text(f'<robot name="x"><link name="base"/>{jaws}</robot>', Path("x"))
+    found = detect(Path("x"), f'<robot name="x"><link name="base"/>{jaws}</robot>')
     assert len(found.chains) == 2
     assert found.spec.palm.distal[1] > (0.9 if has_ends else 0.99)
     assert "certain" not in {

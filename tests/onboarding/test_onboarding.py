@@ -13,7 +13,7 @@ from made_hands import make_hand
 from strategies import generators
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
+from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.findings import fine, warning
 from handmap_qp.hands.sources import package_folder, urdf_directory, urdf_path
 from handmap_qp.hands.urdf import edges, parse_urdf
@@ -47,7 +47,7 @@ def tips(found: Detection) -> dict[str | None, str]:
 @pytest.mark.parametrize("name", DESCRIBED)
 def test_detection_agrees_with_hand_written_descriptions(name: str) -> None:
     hand = load_hand(name, points="fingertips")
-    found = detect_text(hand.urdf_text, urdf_path(hand.spec))
+    found = detect(urdf_path(hand.spec), hand.urdf_text)
     assert tips(found) == {point.finger: point.link for point in hand.reference_points}
     by_name = {
         point.finger: point
@@ -154,7 +154,7 @@ def test_a_tip_without_a_link_is_the_end_of_the_surface(stray: float | None) -> 
         box = f'<visual><origin xyz="{stray} 0 0"/><geometry><box size=".02 .02 .02"/>'
         link = '<link name="one_l3">'
         text = text.replace(link, f"{link}{box}</geometry></visual>")
-    found = detect_text(text, DATA / "one_finger.urdf")
+    found = detect(DATA / "one_finger.urdf", text)
     (tip,) = (point for point in found.spec.points if point.name == "index_tip")
     # The last bone is a box of 22 mm; the tip is inside its last slice, on its axis.
     np.testing.assert_allclose(tip.xyz, (0.022, 0.0, 0.0), atol=1e-6)
@@ -180,9 +180,9 @@ def test_names_and_the_order_of_the_file_do_not_matter(
     name: str, generator: np.random.Generator
 ) -> None:
     hand = load_hand(name)
-    plain = detect_text(hand.urdf_text, urdf_path(hand.spec))
+    plain = detect(urdf_path(hand.spec), hand.urdf_text)
     new, text = renamed(hand.urdf_text, generator)
-    other = detect_text(text, urdf_path(hand.spec))
+    other = detect(urdf_path(hand.spec), text)
     # Without kinematic evidence for the side, the finger names are arbitrary too.
     if sure(plain, "side") > 0.5:
         assert tips(other) == {
@@ -315,8 +315,8 @@ def test_a_metacarpal_that_carries_two_fingers_is_no_palm() -> None:
             f"end_{name} {name}_2 {name}_tip 0.03 0 0",
         )
     ]
-    found = detect_text(
-        urdf_of("arch0 palm arch 0.01 0 0", *fingers), DATA / "x.urdf", thumb="i_1"
+    found = detect(
+        DATA / "x.urdf", urdf_of("arch0 palm arch 0.01 0 0", *fingers), thumb="i_1"
     )
     assert found.spec.palm.link == "palm"
     assert len(tips(found)) == 4
@@ -344,7 +344,7 @@ def test_the_bar_of_a_linkage_is_no_finger(is_driven: bool) -> None:
             f"end_{name}3 {name}_3 {name}_bar_end 0.05 0 0",
         )
     ]
-    found = detect_text(urdf_of(*sides), DATA / "x.urdf")
+    found = detect(DATA / "x.urdf", urdf_of(*sides))
     assert set(tips(found).values()) == {"a_tip", "b_tip"}
     assert sum("linkage" in note for note in found.notes) == 2
 
@@ -387,9 +387,9 @@ def test_two_hands_on_wrists_of_one_base_are_two_hands() -> None:
         ],
     )
     with pytest.raises(HandError, match="2 possible palms: left_palm, right_palm"):
-        detect_text(text, DATA / "x.urdf")
+        detect(DATA / "x.urdf", text)
     for side in ("left", "right"):
-        found = detect_text(text, DATA / "x.urdf", root=f"{side}_palm")
+        found = detect(DATA / "x.urdf", text, root=f"{side}_palm")
         assert found.spec.side == side
         assert len(tips(found)) == 3
 
@@ -412,7 +412,7 @@ def test_what_is_beside_a_whole_hand_is_no_finger(
         *_fingers("inner", *row),
         *_fingers("base", (beside, -0.05)),
     )
-    found = detect_text(text, DATA / "x.urdf")
+    found = detect(DATA / "x.urdf", text)
     assert found.spec.palm.link == palm
     assert len(tips(found)) == 5
 
@@ -431,7 +431,7 @@ def test_a_head_is_no_palm_and_a_motor_no_finger() -> None:
         *hand,
         "motor palm tool 0.05 0.04 0.02",
     )
-    found = detect_text(text, DATA / "x.urdf")
+    found = detect(DATA / "x.urdf", text)
     assert found.spec.palm.link == "palm"
     assert set(tips(found).values()) == {"a_tip", "b_tip", "c_tip"}
 
@@ -444,7 +444,7 @@ def test_a_urdf_in_millimetres_is_recognised() -> None:
         text,
     )
     with pytest.raises(HandError, match="millimetres"):
-        detect_text(large, DATA / "one_finger.urdf")
+        detect(DATA / "one_finger.urdf", large)
 
 
 def test_the_last_joints_of_a_thumb_flex_it() -> None:
@@ -495,7 +495,7 @@ def test_directions_are_no_surer_than_the_fingertips_that_they_are_measured_with
             robot.remove(joint)
             robot.remove(cut)
     whole, bare = (
-        {clue.what: clue.certainty for clue in detect_text(text, Path("x.urdf")).clues}
+        {clue.what: clue.certainty for clue in detect(Path("x.urdf"), text).clues}
         for text in (made.urdf, ET.tostring(robot, "unicode"))
     )
     for what in ("distal", "dorsal", "palm origin", "rest"):
@@ -504,7 +504,7 @@ def test_directions_are_no_surer_than_the_fingertips_that_they_are_measured_with
 
 
 def test_what_a_measurement_contradicts_is_a_guess() -> None:
-    found = detect_text(make_hand(np.random.default_rng(0)).urdf, Path("x.urdf"))
+    found = detect(Path("x.urdf"), make_hand(np.random.default_rng(0)).urdf)
     wrong = warning("palm.dorsal", "the fingers close elsewhere", "correct it")
     clues = {
         clue.what: clue for clue in found.doubted([wrong, fine("palm", "so")]).clues
@@ -522,7 +522,7 @@ def test_names_of_all_fingers_decide_which_one_is_the_thumb() -> None:
         and len(hand.tips) == 4
     )
     swapped = made.urdf.replace("thumb", "#").replace("middle", "thumb")
-    found = detect_text(swapped.replace("#", "middle"), Path("x.urdf"))
+    found = detect(Path("x.urdf"), swapped.replace("#", "middle"))
     clues = {clue.what: clue for clue in found.clues}
     assert "thumb" in clues["thumb"].answer
     # The places say something else, so nobody is sure.

@@ -29,7 +29,6 @@ from handmap_qp.hands import (
     partner_names,
     place_of,
     read_collision_shapes,
-    read_urdf,
     urdf_path,
 )
 from handmap_qp.mapping import distance
@@ -37,7 +36,7 @@ from handmap_qp.se3 import box_of, lengths
 from handmap_qp.trackers import first_of
 from .anatomy import FINGERS, Clue, angle_between
 from .collision_pairs import colliding_links
-from .detect import detect_text, left_out_wrist
+from .detect import detect, left_out_wrist
 from .findings import MOST_NAMES, Finding, Found, Report, advice, fine, warning
 from .measure import (
     check_arm,
@@ -226,7 +225,7 @@ def _check_points(hand: Hand) -> Found:
 def _check_places(hand: Hand) -> Found:
     """Find reference points far outside the shape of their body."""
     try:
-        robot = Robot(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
+        robot = Robot(urdf_path(hand.spec), hand.urdf_text, root=hand.spec.wrist.link)
     except HandError:
         return
     for point in hand.reference_points:
@@ -291,7 +290,7 @@ def _check_wrist(hand: Hand) -> Found:
     spec = hand.spec
     if hand.moves_wrist.any() or spec.root is None or urdf_path(spec).suffix != ".urdf":
         return
-    joints, base = left_out_wrist(Robot(read_urdf(spec), urdf_path(spec)), spec.root)
+    joints, base = left_out_wrist(Robot(urdf_path(spec)), spec.root)
     if joints:
         what = f"wrist joints are left out: {joints}"
         yield advice("root", what, f"keep them with `hands init --base {base}`")
@@ -317,9 +316,7 @@ def _check_order(hand: Hand) -> Found:
 def _compare_detection(hand: Hand) -> Found:
     """Compare the description with a detection from the URDF."""
     try:
-        found = detect_text(
-            hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link
-        )
+        found = detect(urdf_path(hand.spec), hand.urdf_text, root=hand.spec.wrist.link)
     except HandError as error:
         yield advice("palm", f"not compared with the URDF: {error.problem}")
         return

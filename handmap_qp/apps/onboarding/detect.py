@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
@@ -77,15 +76,6 @@ class Detection(NamedTuple):
         return self._replace(clues=tuple(clues))
 
 
-def detect(urdf: Path, **given: Any) -> Detection:
-    """Find a hand in a URDF file; `given` is as in `detect_text`.
-
-    Raises:
-        HandError: If the URDF cannot be used, or contains no hand or more than one.
-    """
-    return detect_text(_read(urdf), urdf, **given)
-
-
 def detect_hands(
     urdf: Path, *, base: str | None, name: str | None, **choice: Any
 ) -> list[Detection]:
@@ -93,20 +83,19 @@ def detect_hands(
 
     Args:
         urdf: The file.
-        base: As in `detect_text`; that of two hands is the robot's root if omitted.
+        base: As in `detect`; that of two hands is the robot's root if omitted.
         name: Name of a single hand; that of the robot if omitted.
         choice: `root`, `side` and `thumb`; if any is given, one hand is looked for.
 
     Raises:
         HandError: If the URDF cannot be used, or contains no hand, or others than these.
     """
-    text = _read(urdf)
     if not any(choice.values()):
-        robot = Robot(text, urdf)
+        robot = Robot(urdf)
         palms = find_palms(robot)
         root = base or robot.root
         if len(palms) == 2:
-            found = [detect_text(text, urdf, root=palm, base=root) for palm in palms]
+            found = [detect(urdf, root=palm, base=root) for palm in palms]
             found.sort(key=lambda one: one.spec.side)
             side = found[0].spec.side
             if side == found[1].spec.side:
@@ -114,19 +103,12 @@ def detect_hands(
                 advice = "describe each with --root and --side"
                 raise robot.error(f"{both}; {advice}", palms)
             return found
-    return [detect_text(text, urdf, base=base, name=name, **choice)]
+    return [detect(urdf, base=base, name=name, **choice)]
 
 
-def _read(urdf: Path) -> bytes:
-    try:
-        return urdf.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        raise HandError(f"cannot be read: {reason_of(error)}", file=urdf) from error
-
-
-def detect_text(
-    text: str | bytes,
+def detect(
     urdf: Path,
+    text: str | bytes | None = None,
     *,
     root: str | None = None,
     base: str | None = None,
@@ -134,11 +116,11 @@ def detect_text(
     thumb: str | None = None,
     name: str | None = None,
 ) -> Detection:
-    """Find a hand in a URDF's text.
+    """Find a hand in a URDF.
 
     Args:
-        text: The URDF.
         urdf: Its file.
+        text: The URDF; that of the file if omitted.
         root: Link at which the hand, or the part of the robot with the hand, begins; the whole URDF
             if omitted.
         base: Fixed link of an arm whose joints then move the wrist; the hand floats if omitted.
@@ -149,17 +131,17 @@ def detect_text(
     Raises:
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
-    robot = Robot(text, urdf, root=root)
+    robot = Robot(urdf, text, root=root)
     palm = find_structure(robot).palm.answer
     joints, above = left_out_wrist(robot, palm)
     notes = []
     if root is None and palm != robot.root:
-        robot = Robot(text, urdf, root=palm)
+        robot = Robot(urdf, text, root=palm)
         if joints and base is None:
             what = f"wrist joints are left out, and the wrist floats: {joints}"
             notes = [f"{what}; keep them with --base {above}"]
     hand = _FoundHand(robot, side, thumb)
-    part = robot if base is None else Robot(text, urdf, root=base)
+    part = robot if base is None else Robot(urdf, text, root=base)
     spec = hand.describe(name, part)
     notes += [*hand.structure.notes, *robot.remarks]
     if base is not None:
@@ -330,8 +312,8 @@ class _FoundHand:
         if not len(cloud) or any(link.findall("collision") for link in links):
             return None
         centre, radius = ball_in(cloud, tip)
-        pose = robot.pose_in(robot.links[body][0], finger.end.answer)
-        return PadSpec(round(radius, 4), _vector(transform_points(pose, centre), 4))
+        centre = robot.frames[finger.end.answer].placement.actInv(centre)
+        return PadSpec(round(radius, 4), _vector(centre, 4))
 
     def _palm_origin(self) -> Array:
         """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""

@@ -124,7 +124,7 @@ def migrate(
     if not urdf.is_file():
         problem = f"{configuration.file}: no URDF {urdf}: give the file by --urdf"
         raise HandError(problem, key="urdf_path", value=configuration.urdf)
-    robot = Robot(urdf.read_bytes(), urdf)
+    robot = Robot(urdf)
     links = configuration.links
     carriers = {landmark: _carrier(robot, link) for landmark, link in links.items()}
     found = detect(urdf, thumb=carriers.get("thumb_tip"), name=name)

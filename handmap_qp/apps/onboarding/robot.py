@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.apps.drawing import shape_meshes
-from handmap_qp.errors import HandError
+from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands import (
     MOVABLE,
     USUAL_SPEEDS,
@@ -65,8 +65,8 @@ class Robot(Hand):
     those joints are treated as independent.
 
     Args:
-        text: The URDF.
         file: The URDF's file, for messages and mesh paths.
+        text: The URDF; that of the file if omitted.
         root: Link to start at; the URDF's own root if omitted.
 
     Attributes:
@@ -88,8 +88,8 @@ class Robot(Hand):
 
     def __init__(
         self,
-        text: str | bytes,
         file: Path,
+        text: str | bytes | None = None,
         *,
         root: str | None = None,
     ) -> None:
@@ -97,7 +97,7 @@ class Robot(Hand):
         self._remarks = dict[str, dict[str, None]]()
         self.surface = cache(self._surface)
         try:
-            robot = parse_urdf(text)
+            robot = parse_urdf(text or _read(file))
             check_tree(robot)
             self.is_whole = root in (None, *root_links(robot))
             if root is not None:
@@ -266,6 +266,13 @@ class Robot(Hand):
             if speed or ends:
                 limits[name] = LimitSpec(*ends, velocity=speed)
         return limits, locked
+
+
+def _read(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
+        raise HandError(f"cannot be read: {reason_of(error)}", file=file) from error
 
 
 class _Limits(NamedTuple):
