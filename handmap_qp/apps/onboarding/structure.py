@@ -156,24 +156,17 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
         for body in range(robot.model.njoints)
         if (fingers := _fingerlike(robot, body)) and not _is_base(robot, body)
     }
-    subtrees = robot.model.subtrees
+    supports = robot.model.supports
     # Bodies inside the fingers of another palm are none, and neither is a base with wheels.
-    inside = {
-        part
-        for finger in chain.from_iterable(found.values())
-        for part in subtrees[finger.joints[0]]
-    }
-    palms = found.keys() - inside
-    # Pinocchio leaves the root out of its own subtree.
-    return [
-        found[body]
-        for body in sorted(palms)
-        if palms.isdisjoint({*subtrees[body]} - {body})
-    ]
+    starts = {finger.joints[0] for finger in chain.from_iterable(found.values())}
+    palms = [body for body in found if starts.isdisjoint(supports[body])]
+    bases = {base for palm in palms for base in supports[palm] if base != palm}
+    return [found[palm] for palm in palms if palm not in bases]
 
 
 def _is_base(robot: Robot, body: int) -> bool:
     """Return whether a body carries two hands, or one of five fingers beside something else."""
+    # Pinocchio leaves the root out of its own subtree.
     inner = {*robot.model.subtrees[body]} - {body}
     sizes = [len(robot.below(part)) for part in inner]
     return sum(size for size in sizes if size > 2) > 4
@@ -271,14 +264,13 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     sizes = lengths(cloud)
     size = sizes.max(initial=0.0)
     # Of links that carry no other one.
-    ends = {
-        end: robot.pose_in(end, link)[:3, 3]
+    ends = [
+        (lengths(robot.frames[end].placement.translation), end)
         for end in robot.links[leaf][1:]
         if end not in robot.parents.values()
-    }
-    far_ends = [(lengths(place), end) for end, place in ends.items()]
-    distance, far = max(far_ends, default=(0.0, ""))
-    if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, ends[far]):
+    ]
+    distance, far = max(ends, default=(0.0, ""))
+    if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, far):
         how = f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint"
         return Clue("tip", far, how, 0.95), np.zeros(3)
     if size > _LEAST_TIP:
@@ -301,16 +293,18 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)
 
 
-def _is_at_end(robot: Robot, body: int, place: Array) -> bool:
+def _is_at_end(robot: Robot, end: str) -> bool:
     """Return whether an end frame ends its body's surface, if any, or is the centre of a ball."""
-    cloud = robot.surface(body)
+    frame = robot.frames[end]
+    place = frame.placement.translation
+    cloud = robot.surface(frame.parentJoint)
     if not len(cloud):
         return True
     length = lengths(place)
     beyond = (cloud @ place).max() / length - length
     balls = [
         robot.frames[link].placement.act(origin_of(shape)[:3, 3])
-        for link in robot.links[body]
+        for link in robot.links[frame.parentJoint]
         for shape in robot.elements[link]
         if shape.find("geometry/sphere") is not None
     ]
