@@ -232,14 +232,13 @@ class HandMapper(Mover):
                 need it.
             dt: As of `map_step` [s].
         """
-        started = perf_counter()
         wrist = None
         if wrist_pose is not None:
             wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         elif needs := self._needs_wrist():
             raise InvalidInputError(f"needed for {needs}", argument="wrist_pose")
         measured = as_points(points, "points", len(self.human.reference_points))
-        return self.map(HumanPose(measured.copy(), wrist), dt, started=started)
+        return self.map(HumanPose(measured.copy(), wrist), dt)
 
     def map_landmarks(
         self,
@@ -271,8 +270,6 @@ class HandMapper(Mover):
         dt: float | None = None,
         *,
         speed: float = 1.0,
-        out_of_range: Names = (),
-        started: float | None = None,
     ) -> MapStep:
         """Map one sample with known points: targets by the method, motion by the QP.
 
@@ -282,10 +279,8 @@ class HandMapper(Mover):
             sample: The sample; not checked.
             dt: As of `map_step` [s].
             speed: Share of the speed limits at which the robot may move.
-            out_of_range: Names of human joints outside their limits.
-            started: When the step began (`time.perf_counter`); now if omitted.
         """
-        started = started or perf_counter()
+        started = perf_counter()
         dt = self.dt if dt is None else check_dt(dt)
         bound = self.bound
         reference = self._reference or self._reference_at(sample)
@@ -305,7 +300,7 @@ class HandMapper(Mover):
         if bound.renews_reference:
             self.core = None
             self._reference = self._reference_at(sample)
-        return MapStep(stages, out_of_range, perf_counter() - started)
+        return MapStep(stages, (), perf_counter() - started)
 
     def _mapped(
         self,
@@ -322,8 +317,10 @@ class HandMapper(Mover):
         if step:
             return step
         started = perf_counter()
-        sample, out_of_range = reader.read(numbers, wrist)
-        return self.map(sample, dt, out_of_range=out_of_range, started=started)
+        sample, outside = reader.read(numbers, wrist)
+        step = self.map(sample, dt)
+        duration = perf_counter() - started
+        return structs.replace(step, out_of_range=outside, duration=duration)
 
     def _moved(
         self,
