@@ -48,9 +48,6 @@ def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
 
     Stand-ins take the place of meshes that cannot be read, see `add_stand_ins`.
 
-    Args:
-        hand: The hand.
-
     Returns:
         Shapes on the joints of `hand.model`, without collision pairs; a new model, which the caller
         may change.

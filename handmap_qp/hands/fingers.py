@@ -59,11 +59,7 @@ _FLEXED_ZERO = 0.3
 
 
 class PalmKinematics:
-    """Points and motions of a hand's joints in palm axes; for one user at a time.
-
-    Args:
-        hand: The hand.
-    """
+    """Points and motions of a hand's joints in palm axes; for one user at a time."""
 
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
@@ -443,9 +439,6 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
 
     Points that it names after landmarks (as name or partner) are taken from there. Otherwise the
     tip is the finger's named point farthest from the palm when stretched.
-
-    Args:
-        hand: The hand.
 
     Returns:
         Fingers by name, in the order of `FINGERS`.

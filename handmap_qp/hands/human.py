@@ -206,11 +206,7 @@ def joint_moves(
 
 
 def shape_stretches(old: HumanLengths, new: HumanLengths) -> Arrays:
-    """Return factors on the shapes of the fingers' bones when a hand is scaled to a person.
-
-    Args:
-        old: Lengths of the hand.
-        new: Lengths of the person.
+    """Return factors on the shapes of the fingers' bones; arguments as of `joint_moves`.
 
     Returns:
         Factors along the axes of the joint that carries a bone, x along the bone, shape (3,), by

@@ -215,13 +215,7 @@ def cached_urdf(file: Path) -> Path:
 
 
 class ConvertedMjcf:
-    """An MJCF model as a URDF.
-
-    Args:
-        model: The compiled model.
-        name: The robot's name.
-        notes: Oddities of the file.
-        folder: Folder of the meshes, relative to the URDF.
+    """An MJCF model as a URDF; `convert_mjcf` makes it.
 
     Attributes:
         text: The URDF.

@@ -105,10 +105,6 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     bends, and its limits keep it from touching itself. A pair that never parts would hold its
     joints for good.
 
-    Args:
-        hand: The hand.
-        chains: Its fingers.
-
     Raises:
         HandError: If a shape cannot be read.
     """
@@ -177,10 +173,6 @@ def _pinching_fingers(geometry: pin.GeometryModel, chains: dict[str, Finger]) ->
 
 def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
     """Find the shapes on a finger's last joint, or on the nearest one before it that has any.
-
-    Args:
-        chain: The finger.
-        geometry: The hand's collision shapes.
 
     Returns:
         Indices into `geometry.geometryObjects`; empty if the finger has no shapes.
