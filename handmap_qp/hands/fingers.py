@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from functools import cached_property
-from itertools import chain
+from itertools import chain, compress
 from typing import NamedTuple
 
 import numpy as np
@@ -198,7 +198,7 @@ class Finger:
         """Its own joints with axes parallel to the last one's; all if there is none."""
         turns = self._turns(self._own)
         parallel = np.abs(turns @ turns[-1]) > PARALLEL
-        return np.array(self._own)[parallel].tolist() or [*self._own]
+        return [*compress(self._own, parallel)] or [*self._own]
 
     @cached_property
     def knuckle(self) -> Place:
@@ -279,8 +279,6 @@ class Finger:
     def stretched(self) -> Array:
         """Joint angles where it has that reach [rad or m], shape (n,): random search, refined."""
         q = self._zero.copy()
-        if not self.joints:
-            return q
         moving = np.sort(self.columns)
         low, high = self.hand.limits[:, moving]
 
