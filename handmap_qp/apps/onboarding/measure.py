@@ -117,15 +117,13 @@ def check_reach(hand: Hand) -> Found:
     yield "Fingers", rows
 
 
-def measure_arm(hand: Hand) -> Array | None:
+def measure_arm(hand: Hand) -> Array:
     """Measure how far an arm moves the wrist from rest, by random postures.
 
     Returns:
         Distance that it reaches in each of 26 directions around rest [m]; 0 where rest is at the
-        edge of its range. None without an arm.
+        edge of its range, and without an arm.
     """
-    if not hand.moves_wrist.any():
-        return None
     postures = [hand.rest, *random_postures(hand, _ARM_SAMPLES)]
     start, *ends = (hand.frame_pose("wrist", q)[:3, 3] for q in postures)
     moved = ends - start
@@ -136,8 +134,9 @@ def measure_arm(hand: Hand) -> Array | None:
 
 def check_arm(hand: Hand) -> Found:
     """Compare the reach of an arm with that of a person's hand in front of the body."""
-    if (reach := measure_arm(hand)) is None:
+    if not hand.moves_wrist.any():
         return
+    reach = measure_arm(hand)
     far = (reach >= _ARM_MOTION).sum()
     what = (
         f"the arm moves the wrist by {1e3 * _ARM_MOTION:.0f} mm in {far} of {len(reach)} "
@@ -453,14 +452,13 @@ def palm_rows(robot: Hand) -> Rows:
     rows = []
     for side, hand in robot.by_side.items():
         pose = hand.frame_pose("palm", hand.rest)
-        reach = measure_arm(hand)
         rows.append(
             {
                 "side": side,
                 "palm": hand.spec.palm.link,
                 "at, m": _joined(pose[:3, 3], 3),
                 "fingers point": _joined(pose[:3, 1], 2),
-                "reach, m": 0.0 if reach is None else np.median(reach),
+                "reach, m": np.median(measure_arm(hand)),
             }
         )
     return rows
