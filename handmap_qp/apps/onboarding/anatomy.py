@@ -15,6 +15,8 @@ from .flexion import HandFlexion
 
 FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
+NARROW = 0.004
+"""Neighbouring fingers closer than this could be in either order [m]."""
 # Confidence with two kinds of evidence that agree, with one, and with two that disagree.
 _CERTAIN = 0.95
 _LIKELY = 0.75
@@ -36,8 +38,6 @@ _AGREEING = 25.0
 _OPPOSED = -0.5
 # A direction that is not known.
 _UNKNOWN = np.zeros(3)
-# Neighbouring fingers closer than this could be in either order [m].
-_NARROW = 0.004
 
 
 class Clue(NamedTuple):
@@ -254,7 +254,7 @@ class Anatomy:
         steps = -np.diff([bases[label] for label in FINGERS if label in bases])
         # Names count if all steps are to one side, and none is too small to tell.
         named = np.sign(steps.sum())
-        named *= (named * steps > 0.5 * _NARROW).all()
+        named *= (named * steps > 0.5 * NARROW).all()
         # Where the thumb's base and tip are on one side, in half widths of the palm.
         ends = np.zeros(2)
         if len(rest) > 1:
@@ -334,7 +334,7 @@ class Anatomy:
         order = sorted(self._rest, key=lambda i: -places[i])
         apart = -np.diff(places[order]).max(initial=-np.inf)
         how = "ordered by position across the palm, from the thumb's side"
-        confidence = min(radial.confidence, _CERTAIN if apart > _NARROW else 0.4, sure)
+        confidence = min(radial.confidence, _CERTAIN if apart > NARROW else 0.4, sure)
         if len(order) < 2:
             # Nothing is left to choose but the thumb.
             confidence = max(confidence, min(0.9, sure))
@@ -348,7 +348,7 @@ class Anatomy:
                 how += "; the names agree"
                 named = own
                 confidence = _CERTAIN if sure >= _LIKELY else _LIKELY
-            elif apart < 2.0 * _NARROW or confidence < _LIKELY:
+            elif apart < 2.0 * NARROW or confidence < _LIKELY:
                 how = "from the names; their places are ambiguous"
                 named = own
                 confidence = _LIKELY

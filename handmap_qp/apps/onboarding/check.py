@@ -34,7 +34,7 @@ from handmap_qp.hands import (
 from handmap_qp.mapping import distance
 from handmap_qp.se3 import box_of, lengths
 from handmap_qp.trackers import first_of
-from .anatomy import FINGERS, Clue, angle_between
+from .anatomy import FINGERS, NARROW, Clue, angle_between
 from .collision_pairs import colliding_links
 from .detect import detect, left_out_wrist
 from .findings import MOST_NAMES, Finding, Found, Report, advice, fine, warning
@@ -68,8 +68,6 @@ _OFF_THE_TIP = 0.003
 _SURE = 0.65
 _WORTH = 0.45
 _ANGLES = {"certain": 20.0, "likely": 40.0, "a guess: check it": 60.0}
-# Knuckles closer than this may be in any order [m].
-_NARROW = 0.004
 
 
 def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
@@ -301,7 +299,7 @@ def _check_order(hand: Hand) -> Found:
     chains = find_fingers(hand)
     row = [chains[finger].knuckle for finger in FINGERS if finger in chains]
     places = PalmKinematics(hand).points(hand.zero, row)
-    is_back = np.diff(places[:, 0]) * (-1.0 if hand.side == "right" else 1.0) > _NARROW
+    is_back = np.diff(places[:, 0]) * (-1.0 if hand.side == "right" else 1.0) > NARROW
     if len(is_back) and is_back.all():
         what = (
             f"the {hand.side} hand's fingers run from little to index, "

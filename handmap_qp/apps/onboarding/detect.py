@@ -290,7 +290,7 @@ class _FoundHand:
         places = {"tip": (end.answer, finger.xyz)}
         if finger.joints and (middle := finger.find_middle()):
             body, xyz = middle
-            xyz = xyz if lengths(xyz) > _OFF_AXIS else np.zeros(3)
+            xyz = xyz * (lengths(xyz) > _OFF_AXIS)
             places["ip" if is_thumb else "pip"] = self.robot.links[body][0], xyz
         for kind, (link, xyz) in places.items():
             # An additional finger is paired with the human little one.
@@ -318,16 +318,15 @@ class _FoundHand:
     def _palm_origin(self) -> Array:
         """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
         robot = self.robot
-        palm = self.palm
+        palm = robot.palm_frame
         distal = self.anatomy.distal
         chosen = ~self._thumbs | self._thumbs.all()
         knuckles = self.flexion.bases[chosen].mean(axis=0)
-        body = robot.frames[palm].parentJoint
-        cloud = robot.surface(body)
+        cloud = robot.surface(palm.parentJoint)
         back = knuckles @ distal
         how = "the origin of the palm's link"
         if len(cloud):
-            cloud = transform_points(robot.pose_in(robot.links[body][0], palm), cloud)
+            cloud = transform_points(palm.placement.inverse().homogeneous, cloud)
             back -= (cloud @ distal).min()
             how = "the proximal end of the palm's surface"
         how += ", behind the centre of the knuckles"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import cache, partial
-from itertools import compress
+from itertools import chain, compress
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, tostring
@@ -183,8 +183,8 @@ class Robot(Hand):
 
     def leaves(self, body: int) -> list[int]:
         """Return the last bodies of all branches of a body; the body itself if it has none."""
-        below = self.below(body)
-        return [leaf for branch in below for leaf in self.leaves(branch)] or [body]
+        leaves = map(self.leaves, self.below(body))
+        return [*chain.from_iterable(leaves)] or [body]
 
     # -- kinematics
 
@@ -215,7 +215,7 @@ class Robot(Hand):
         gaps = (boxes[:, None, 0] - boxes[:, 1]).max(axis=-1)
         near = np.maximum(gaps, gaps.T) < _STRAY
         first = np.argmin([lengths(cloud).min() for cloud in clouds])
-        is_joined = np.linalg.matrix_power(near.astype(float), len(clouds))[first]
+        is_joined = np.linalg.matrix_power(near, len(clouds))[first]
         return np.concatenate([*compress(clouds, is_joined)])
 
     def _points(self, link: str, kind: str) -> list[Array]:

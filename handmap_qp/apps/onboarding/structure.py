@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.sparse.csgraph import connected_components
 
 from handmap_qp.hands import Finger, ends_of, origin_of
 from handmap_qp.se3 import Array, box_of, lengths, transform_points, unit
@@ -219,8 +218,7 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     links = [finger.links[0] for finger in fingers]
     roots = robot.link_poses(links, robot.rest)[:, :3, 3]
     near = lengths(roots[:, None] - roots) < _APART
-    _, groups = connected_components(near)
-    group = groups == groups[0]
+    group = np.linalg.matrix_power(near, len(fingers))[0]
     if min(group.sum(), (~group).sum()) < 2:
         return
     links = [_palm_link([*compress(fingers, chosen)]) for chosen in (group, ~group)]

@@ -106,19 +106,18 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     path = source or robot
     if not is_mjcf(path):
         return RobotSource(path, given if source else str(path))
+    mjcf = hands.mjcf
     if source:
-        return RobotSource(
-            hands.mjcf.cached_urdf(path), given, hands.mjcf.convert_mjcf(path).notes
-        )
+        return RobotSource(mjcf.cached_urdf(path), given, mjcf.convert_mjcf(path).notes)
     urdf = folder / f"{path.stem}.urdf"
     check_new("--out", urdf, overwrite=overwrite)
-    converted = hands.mjcf.convert_mjcf(path, f"{path.stem}_meshes")
-    difference = hands.mjcf.kinematics_difference(converted)
+    converted = mjcf.convert_mjcf(path, f"{path.stem}_meshes")
+    difference = mjcf.kinematics_difference(converted)
     if not difference < _MOST_DIFFERENCE:
         problem = f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m"
         raise HandError(f"{problem}: please report it", file=path)
     with writing(urdf, "--out"):
-        hands.mjcf.write_converted(converted, urdf)
+        mjcf.write_converted(converted, urdf)
     return RobotSource(urdf, str(urdf), converted.notes, (urdf,))
 
 
