@@ -75,6 +75,7 @@ class Anatomy:
         named: The side that names say.
         side: The side, if known.
         thumb: Index of the thumb, if known.
+        sure: Confidence in the fingertips, which no direction is surer than.
 
     Attributes:
         distal: Direction of the stretched fingers, in the palm link's coordinates, shape (3,).
@@ -91,6 +92,7 @@ class Anatomy:
         named: Side | None,
         side: Side | None,
         thumb: int | None,
+        sure: float,
     ) -> None:
         self._flexion = flexion
         self._names = names
@@ -118,7 +120,12 @@ class Anatomy:
         self.fingers, order = self._name_fingers(radial)
         self.distal = distal.answer
         self.dorsal = turned.answer
-        directions = [c._replace(answer=_shown(c.answer)) for c in (distal, turned)]
+        directions = [
+            each._replace(
+                answer=_shown(each.answer), confidence=min(each.confidence, sure)
+            )
+            for each in (distal, turned)
+        ]
         self.clues = (self._thumb_clue, *directions, found, order)
 
     def _find_thumb(self, given: int | None) -> tuple[int | None, Clue]:

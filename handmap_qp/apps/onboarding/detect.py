@@ -178,26 +178,18 @@ class _FoundHand:
         self.palm = self.structure.palm.answer
         hints = (robot.name, robot.file.stem, self.palm)
         named = named_side(chain(hints, *names))
-        self.anatomy = Anatomy(flexion, names, named, side, given)
-        self.fingers = list[RobotFinger]()
+        sure = float(np.median([finger.end.confidence for finger in fingers]))
+        self.anatomy = Anatomy(flexion, names, named, side, given, sure)
         for i, called in self.anatomy.fingers.items():
             fingers[i].name = called
-            self.fingers.append(fingers[i])
+        self.fingers = [fingers[i] for i in self.anatomy.fingers]
         self._thumbs = np.array([finger.name == THUMB for finger in fingers])
         if flexion.ways[~self._thumbs].sum(axis=0) @ self.anatomy.dorsal > 0.0:
             # The side turned the palm over: joints with symmetric ranges flex the other way.
             flexion = HandFlexion(robot, fingers, palmar=-self.anatomy.dorsal)
         self.flexion = flexion
-        # Directions are no surer than the fingertips that they are measured with.
-        ends = float(np.median([finger.end.confidence for finger in fingers]))
-        clues = [
-            clue._replace(confidence=min(clue.confidence, ends))
-            if clue.what in ("distal", "dorsal")
-            else clue
-            for clue in self.anatomy.clues
-        ]
-        self._sure = {clue.what: clue.confidence for clue in clues}
-        self.clues = [self.structure.palm, *clues]
+        self.clues = [self.structure.palm, *self.anatomy.clues]
+        self._sure = {clue.what: clue.confidence for clue in self.clues}
 
     def describe(self, name: str | None, part: Robot) -> HandSpec:
         """Return the description; `part` is the robot from the arm's base, if there is one."""
