@@ -10,6 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.errors import reason_of
 from handmap_qp.se3 import Array, affine
 from .hand import Hand
 from .sources import urdf_path
@@ -74,11 +75,8 @@ def _read(hand: Hand) -> pin.GeometryModel:
             hand.model, tostring(robot, "unicode"), pin.GeometryType.COLLISION
         )
     except (OSError, RuntimeError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise hand.spec.error(
-            f"the collision shapes cannot be read: {reason}",
-            key="urdf",
-        ) from error
+        problem = f"the collision shapes cannot be read: {reason_of(error)}"
+        raise hand.spec.error(problem, "urdf") from error
     for part in geometry.geometryObjects:
         if part.name in meshes:
             mesh = meshes.pop(part.name)
@@ -88,9 +86,8 @@ def _read(hand: Hand) -> pin.GeometryModel:
         elif isinstance(part.geometry, coal.Cylinder):
             part.geometry = prism_around(part.geometry)
     if meshes:
-        raise hand.spec.error(
-            f"the collision shape {min(meshes)!r} cannot be read", key="urdf"
-        )
+        problem = f"the collision shape {min(meshes)!r} cannot be read"
+        raise hand.spec.error(problem, "urdf")
     return geometry
 
 
@@ -182,8 +179,9 @@ def _hull_in(file: str, scale: tuple[float, ...], *_: int) -> coal.Convex | None
     corners = _stl_vertices(file)
     if corners is None:
         corners = np.array(coal.MeshLoader().load(file, np.ones(3)).vertices())
-    size = np.ptp(corners * scale, axis=0).max()
-    return convex_hull(corners * scale) if _SIZES[0] < size < _SIZES[1] else None
+    corners *= scale
+    size = np.ptp(corners, axis=0).max()
+    return convex_hull(corners) if _SIZES[0] < size < _SIZES[1] else None
 
 
 _HEADER = 84

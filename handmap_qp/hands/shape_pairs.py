@@ -89,9 +89,8 @@ def named_pairs(hand: Hand, pairs: Sequence[Links]) -> ShapePairs:
                 what = (
                     "has no collision shape" if is_link else "is not a link of the URDF"
                 )
-                raise hand.spec.error(
-                    f"{link!r} {what}", key=f"collision.pairs[{i}]", value=link
-                )
+                key = f"collision.pairs[{i}]"
+                raise hand.spec.error(f"{link!r} {what}", key, link)
     ends = [end for a, b in pairs for end in product(shapes[a], shapes[b])]
     geometry = _paired(geometry, ends)
     return ShapePairs(geometry, ("",) * len(geometry.collisionPairs))
@@ -166,9 +165,7 @@ def _pinching_fingers(geometry: pin.GeometryModel, chains: dict[str, Finger]) ->
     for finger, chain in chains.items():
         owners |= dict.fromkeys(distal_shapes(chain, geometry), finger)
     names = [{owners[i], owners[j]} for i, j in _ends(geometry)]
-    return tuple(
-        max(two - {THUMB}, default="") if THUMB in two else "" for two in names
-    )
+    return tuple(max(two - {THUMB}) if THUMB in two else "" for two in names)
 
 
 def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
