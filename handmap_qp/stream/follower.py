@@ -299,11 +299,10 @@ class Follower:
         rejoin: RejoinKind = "glide",
         smoothing: Smoothing | None = Smoothing(),
     ) -> None:
-        if rejoin not in get_args(RejoinKind):
-            kinds = ", ".join(get_args(RejoinKind))
-            raise InvalidOptionsError(
-                option="rejoin", expected=f"one of {kinds}", value=rejoin
-            )
+        kinds = get_args(RejoinKind)
+        if rejoin not in kinds:
+            expected = f"one of {', '.join(kinds)}"
+            raise InvalidOptionsError(option="rejoin", expected=expected, value=rejoin)
         self.mapper = mapper
         self.rejoin = rejoin
         self._smoother = Smoother(smoothing)
@@ -351,7 +350,6 @@ class Follower:
         if isinstance(found, MapStep):
             self._return = self._return._replace(seen=found.stages.pose)
             return found
-        dt = None if dt is None else check_dt(dt)
         verdict = found or self._guard.check(sample, arrival=arrival)
         return self._judged(sample, verdict, dt)
 
@@ -422,10 +420,10 @@ class Follower:
     ) -> MapStep:
         """Map a sample that makes sense, else hold; an error leaves all as it was before."""
         started = perf_counter()
-        granted = max(verdict.dt, SHORTEST_DT) if dt is None else dt
         back = Rejoin(self.rejoin) if self._has_new_reference else self._return
         said: dict[str, Any] = {"verdict": verdict, "confidence": sample.confidence}
         try:
+            granted = max(verdict.dt, SHORTEST_DT) if dt is None else check_dt(dt)
             if verdict.is_held:
                 self._smoother.wait(granted)
                 return structs.replace(self.mapper.hold(granted, back.seen), **said)

@@ -40,7 +40,6 @@ class RobotFollower:
         self.hands = {
             side: Follower(leader, **options) for side, leader in mapper.leaders.items()
         }
-
         self._seen = dict.fromkeys(self.hands, -math.inf)
 
     # A shallow copy would move the same robot.
@@ -60,10 +59,10 @@ class RobotFollower:
         followed: dict[Side, MapStep] = {}
 
         def follow(side: Side) -> MapStep:
-            sample = samples[side]
             follower = self.hands[side]
-            followed[side] = follower.map_sample(sample, dt=dt, arrival=arrival)
-            return followed[side]
+            step = follower.map_sample(samples[side], dt=dt, arrival=arrival)
+            followed[side] = step
+            return step
 
         try:
             step = self.mapper.step(samples, follow)
