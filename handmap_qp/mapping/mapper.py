@@ -284,8 +284,8 @@ class HandMapper(Mover):
         dt = self.dt if dt is None else check_dt(dt)
         bound = self.bound
         reference = self._reference or self._reference_at(sample)
-        core: Any = None if sample.wrist is None else self._core_at(reference)
         target_map = reference.map
+        core: Any = None if sample.wrist is None else self._core_at(target_map)
         asked = None if core else _targets(target_map, sample)
         if bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
@@ -346,13 +346,13 @@ class HandMapper(Mover):
             asked = structs.replace(asked, points=result.targets)
         return stages_of(sample, asked, result)
 
-    def _core_at(self, reference: _Reference) -> Any:
-        """Return the core's mapper from a reference on; None if Python has to map."""
+    def _core_at(self, target_map: TargetMap) -> Any:
+        """Return the core's mapper by the map of a reference; None if Python has to map."""
         ik = self.point_ik
         is_python = self._is_released or self.tasks or ik.options.tasks
-        if is_python or not (ik.core and getattr(reference.map, "core", None)):
+        if is_python or not (ik.core and getattr(target_map, "core", None)):
             return None
-        return self.core or self._core_by(ik.core, reference.map)
+        return self.core or self._core_by(ik.core, target_map)
 
     def _core_by(self, core: Any, target_map: TargetMap) -> Any:
         """Return the core's mapper by a map that it has too."""
@@ -470,7 +470,8 @@ class HandMapper(Mover):
         """
         if method is not None:
             chosen, weights = _method_of(method, {})
-            ik = weights if ik is None and isinstance(method, str) else ik
+            if isinstance(method, str):
+                ik = ik or weights
             bound = chosen.bind(self.human, self._given_robot)
             solver = PointIk(
                 bound.robot, ik or self.ik, self.motion, contacts=bound.contacts
@@ -557,11 +558,11 @@ class LandmarkReader(Compiled):
         """
         if self.core and (pose := self.core.read(landmarks, wrist)):
             return pose, ()
-        if wrist is not None:
-            wrist = check_pose(wrist, "wrist_pose", self.quat_order)
         points = as_points(landmarks, "landmarks", LANDMARK_COUNT)
         if wrist is None:
             wrist = rigid_fit(self.model, points[PALM])
+        else:
+            wrist = check_pose(wrist, "wrist_pose", self.quat_order)
         return HumanPose(points[self.used], wrist), ()
 
 
