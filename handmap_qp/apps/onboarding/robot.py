@@ -97,7 +97,7 @@ class Robot(Hand):
         self._remarks = dict[str, dict[str, None]]()
         self.surface = cache(self._surface)
         try:
-            robot = parse_urdf(text or _read(file))
+            robot = parse_urdf(_read(file, text))
             check_tree(robot)
             self.is_whole = root in (None, *root_links(robot))
             if root is not None:
@@ -268,9 +268,9 @@ class Robot(Hand):
         return limits, locked
 
 
-def _read(file: Path) -> bytes:
+def _read(file: Path, text: str | bytes | None) -> str | bytes:
     try:
-        return file.read_bytes()
+        return text or file.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         raise HandError(f"cannot be read: {reason_of(error)}", file=file) from error
 

@@ -160,7 +160,7 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
     # Bodies inside the fingers of another palm are none, and neither is a base with wheels.
     starts = {finger.joints[0] for finger in chain.from_iterable(found.values())}
     palms = [body for body in found if starts.isdisjoint(supports[body])]
-    bases = {base for palm in palms for base in supports[palm] if base != palm}
+    bases = {*chain.from_iterable([*supports[palm]][:-1] for palm in palms)}
     return [found[palm] for palm in palms if palm not in bases]
 
 
