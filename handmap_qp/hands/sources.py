@@ -24,7 +24,7 @@ from handmap_qp.errors import (
     reason_of,
     require,
 )
-from .spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, PartSpec
+from .spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
 
 # Which variable of a description's module is taken, the first that it has.
 _VARIABLES = ("URDF_PATH", "MJCF_PATH")
@@ -118,14 +118,14 @@ def _module(name: str) -> ModuleType:
         ) from error
 
 
-def source_file(spec: PartSpec) -> Path:
+def source_file(spec: HandSpec | ArmSpec) -> Path:
     """Return the URDF or MJCF file of a hand or an arm, as `urdf_path` before it converts."""
     return source_path(spec.urdf) or (spec.directory or Path()) / os.path.expandvars(
         spec.urdf
     )
 
 
-def urdf_path(spec: PartSpec) -> Path:
+def urdf_path(spec: HandSpec | ArmSpec) -> Path:
     """Return the path of the URDF of a hand or an arm, which need not exist.
 
     Environment variables in it, such as `${FOLDER}/hand.urdf`, are replaced by their values. An
@@ -145,7 +145,7 @@ def urdf_path(spec: PartSpec) -> Path:
     return path
 
 
-def read_urdf(spec: PartSpec) -> bytes:
+def read_urdf(spec: HandSpec | ArmSpec) -> bytes:
     """Read the URDF of a hand or an arm.
 
     Raises:

@@ -166,70 +166,69 @@ Rules = Mapping[str, MimicSpec]
 """Rules of joints that mimic others, by the follower's name."""
 
 
-class PartSpec(Document, frozen=True, kw_only=True):
-    """What a hand and its arm are described by alike; attributes as of `HandSpec`.
-
-    Attributes:
-        prefix: What keys of this part begin with in a `hand.yaml`.
-    """
-
-    prefix: ClassVar[str] = ""
-    name: str
-    urdf: str
-    rest: Positions
-    root: str | None = None
-    locked: Positions = {}
-    limits: dict[str, LimitSpec] = {}
-    directory: Path | None = None
-    file: Path | None = None
-
-    def error(self, message: str, key: str, value: Any = None) -> HandError:
-        """Return an error about one key of this spec, with its file."""
-        key = f"{self.prefix}{key}"
-        return HandError(message, file=self.file, key=key, value=value)
-
-
-class ArmSpec(PartSpec, frozen=True, kw_only=True):
+class ArmSpec(Document, frozen=True):
     """An arm that carries the hand: its joints move the wrist within their own limits.
 
-    It has `name`, `urdf`, `rest`, `locked`, `limits` and `directory` as a `HandSpec` has.
-
     Attributes:
+        name: Short name of the arm.
+        urdf: Path of its URDF, as of `HandSpec.urdf`.
         tip: URDF link that carries the hand.
         joints: Names of its movable joints; they come first in every `q`.
+        rest: Rest position of every joint [rad or m].
         xyz: Origin of the hand's root link in the tip's frame [m].
         rpy: Roll, pitch and yaw of the hand's root link there, as in a URDF [rad].
         root: Link that stands still; the URDF's own root if omitted.
         without: Links to remove with all their descendants, such as a gripper.
+        locked: Positions of movable joints to hold still [rad or m].
+        limits: Limits by joint, in place of the URDF's.
+        directory: Folder at which relative paths start; that of `arm.yaml` if it was read from one.
     """
 
-    prefix = "arm."
+    name: str
+    urdf: str
     tip: str
     joints: Names
+    rest: Positions
     xyz: Vector = ORIGIN
     rpy: Vector = ORIGIN
+    root: str | None = None
     without: Names = ()
+    locked: Positions = {}
+    limits: dict[str, LimitSpec] = {}
+    directory: Path | None = None
     # An arm has no key for rules.
     mimic: ClassVar[Rules] = {}
 
+    def error(self, message: str, key: str, value: Any = None) -> HandError:
+        """Return an error about one key of this arm, as part of a hand."""
+        return HandError(message, key=f"arm.{key}", value=value)
 
-class _HandFields(PartSpec, frozen=True, kw_only=True):
+
+class _HandFields(Document, frozen=True):
     """The fields of `HandSpec`, without the checks that concern several of them."""
 
+    name: str
+    urdf: str
     side: Side
     palm: PalmSpec
     wrist: WristSpec
     joints: Annotated[Names, Meta(min_length=1)]
+    rest: Positions
     points: tuple[PointSpec, ...]
     sets: dict[str, Names]
     reference: str
     mirror: bool = False
     collision: CollisionSpec | None = None
+    root: str | None = None
+    locked: Positions = {}
+    limits: dict[str, LimitSpec] = {}
     mimic: dict[str, MimicSpec | None] = {}
     shapes: dict[str, Vector] = {}
     arm: ArmSpec | None = None
     matched: Positions | None = None
     upright: Upright = "+z up, +x forward"
+    directory: Path | None = None
+    file: Path | None = None
 
 
 class HandSpec(_HandFields, frozen=True):
@@ -295,6 +294,10 @@ class HandSpec(_HandFields, frozen=True):
                 _pair_problems(self.collision),
             )
         )
+
+    def error(self, message: str, key: str, value: Any = None) -> HandError:
+        """Return an error about one key of this spec, with its file."""
+        return HandError(message, file=self.file, key=key, value=value)
 
     def reject(self, problems: Problems) -> None:
         """Raise an error about the first of some problems, if there are any."""
@@ -414,6 +417,8 @@ def read_document(path: Path, extending: tuple[Path, ...] = ()) -> Values:
         raise HandError(
             f"expected a mapping of keys, got {type(document).__name__}", file=path
         )
+    for key in sorted({"directory", "file"} & document.keys()):
+        raise HandError("unknown key", file=path, key=key, value=document[key])
     folder = {"directory": str(path.parent)}
     arm = document.get("arm")
     if isinstance(arm, str):
@@ -428,8 +433,6 @@ def _extended(document: Values, path: Path, extending: tuple[Path, ...]) -> Valu
 
     Its relative paths keep their meaning.
     """
-    for key in sorted({"directory", "file"} & document.keys()):
-        raise HandError("unknown key", file=path, key=key, value=document[key])
     own = dict(document)
     if "extends" not in own:
         return own
@@ -468,11 +471,12 @@ def _pad_problems(points: Sequence[PointSpec]) -> Problems:
 def _joint_problems(spec: HandSpec) -> Problems:
     """Check names of joints: unique, each with a rest position, none of them locked."""
     yield from twice(spec.all_joints, "joints")
-    for part in filter(None, (spec, spec.arm)):
+    arm = (("arm.", spec.arm),) if spec.arm else ()
+    for prefix, part in (("", spec), *arm):
         for joint in sorted({*part.joints} & part.locked.keys()):
             message = f"{joint!r} is one of `joints`, and cannot be locked"
-            yield message, f"{part.prefix}locked", joint
-        yield from _posture_problems(part.joints, part.rest, f"{part.prefix}rest")
+            yield message, f"{prefix}locked", joint
+        yield from _posture_problems(part.joints, part.rest, f"{prefix}rest")
     matched = spec.rest if spec.matched is None else spec.matched
     yield from _posture_problems(spec.joints, matched, "matched")
 
