@@ -322,7 +322,7 @@ class GripFollower:
             and abs(gap - before.gap) < _STILL * dt
             and gap - commanded > behind
         )
-        met = before.met + dt if is_met else 0.0
+        met = is_met * (before.met + dt)
         self._closing = _Closing(finger, gap, pressing, before.time + dt, met)
         if met >= _TOUCHED:
             pressed = stiffness * levers @ (command.q - q)
