@@ -230,7 +230,7 @@ def parse(arguments: Sequence[str]) -> Command:
         if cause := _cause(end):
             raise cause from None
         _print_page(message.getvalue(), sys.stderr)
-        _print_page(_wrapped(page.getvalue()), sys.stdout)
+        _print_page(_wrapped(page.getvalue().replace("None)", "none)")), sys.stdout)
         raise
 
 

@@ -112,7 +112,7 @@ def _parse(
         for name, element in _UNKNOWN.findall(str(error)):
             known = re.sub(rf"(<{element}\b[^>]*?)\s{name}=['\"].*?['\"]", r"\1", text)
             dropped += (f"{name} of {element} is unknown to MuJoCo: it is left out",)
-        if known == text:
+        if known == text or "<include" in text:
             raise
     return _parse(file, known, dropped)
 

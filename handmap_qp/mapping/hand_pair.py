@@ -253,7 +253,7 @@ class RobotFingers:
             chain.is_jaw or (turning and len(chain.columns) == 1)
             for chain in self.used.values()
         )
-        if len(self.used) < len(self.chains) == 2:
+        if THUMB in self.chains and 1 == len(self.used) < len(self.chains) == 2:
             # A jaw closes on a fixed one.
             are_jaws = True
             self.used = self.chains

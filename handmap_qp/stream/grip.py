@@ -144,7 +144,7 @@ class _Closing(NamedTuple):
     finger: int = -1  # number of the finger, in the order of the pinches
     gap: float = 0.0  # measured gap of the pads [m]
     least: float = 0.0  # least gap that presses with no more than the force [m]
-    time: float = 0.0  # time since they began [s]
+    time: float = 0.0  # for how long the person has pinched [s]
     met: float = 0.0  # time since they have met something [s]
 
 
@@ -304,7 +304,7 @@ class GripFollower:
         commanded = pads.gap(self._placed_at(command.q, command.wrist))
         before = self._closing
         if finger != before.finger:
-            before = _Closing(finger, np.inf, commanded)
+            before = _Closing(finger, np.inf, commanded, before.time)
         # Not at once: joints that are late would let it jump.
         pressing = max(gap - depth, before.least - depth * dt / _LATE)
         least = pressing if self.grip.gentle else -np.inf
@@ -323,7 +323,8 @@ class GripFollower:
             and gap - commanded > behind
         )
         met = is_met * (before.met + dt)
-        self._closing = _Closing(finger, gap, pressing, before.time + dt, met)
+        time = before.time + dt * (pinching > _PINCHING)
+        self._closing = _Closing(finger, gap, pressing, time, met)
         if met >= _TOUCHED:
             pressed = stiffness * levers @ (command.q - q)
             force = np.clip(pressed / (levers @ levers), 0.0, self.grip.force)

@@ -185,6 +185,8 @@ class ObjectFollower:
         # Shapes that cannot be read are refused here.
         _links(hand)
         fingers = robot_fingers(hand)
+        is_usable = not (grip and fingers.has_jaws)
+        expect(is_usable, "grip", "none for jaws", value=hand.name)
         self._tips = TIPS[[FINGERS.index(name) for name in fingers.names]]
         pads = [fingers.pads[name] for name in fingers.names]
         self._points = AttachedPoints(hand, [pad.place for pad in pads])
