@@ -47,8 +47,6 @@ class Configuration:
         spread: `Hand.spread`.
         data: Its Pinocchio data. Read the joint Jacobian from `joint_jacobian`, not from here.
         q: Configuration last placed, shape (nq,), read-only; a new array with every placement.
-        points: Reference points in the world [m], shape (m, 3), likewise.
-        wrists: Wrist frame of each hand, likewise.
         parts: Where the points of each hand are among all.
     """
 
@@ -95,11 +93,19 @@ class Configuration:
                 value=q,
             ) from error
         self.q = frozen(np.array(q))
-        self.wrists = [*map(self._placed, self._wrists)]
-        points = [self._placed(frame).translation for frame in self._points]
-        self.points = frozen(np.array(points))
 
     __setstate__ = place
+
+    @property
+    def points(self) -> Array:
+        """Reference points in the world [m], shape (m, 3)."""
+        points = [self._placed(frame).translation for frame in self._points]
+        return frozen(np.array(points))
+
+    @property
+    def wrists(self) -> list[pin.SE3]:
+        """Wrist frame of each hand."""
+        return [*map(self._placed, self._wrists)]
 
     def _placed(self, frame: pin.Frame) -> pin.SE3:
         return self.data.oMi[frame.parentJoint] * frame.placement

@@ -292,8 +292,11 @@ class GripFollower:
             self._closing = _Closing()
             return
         pads = self._pairs[finger]
-        command = step.command
-        placed = self._placed_at(q, command.wrist)
+        # Where the hand is, by its measured joints; then where it is commanded.
+        measured = step.ik.q.copy()
+        self._hand.write_configuration(measured, q)
+        placed = self._placed
+        placed.place(measured)
         gap = pads.gap(placed)
         middle = pads.middle(placed)
         slopes, _ = pads.slopes(placed)
@@ -301,7 +304,8 @@ class GripFollower:
         stiffness = self.grip.stiffness
         # How far the command is in what the pads meet, where they press with the force.
         depth = self.grip.force / stiffness * (levers @ levers)
-        commanded = pads.gap(self._placed_at(command.q, command.wrist))
+        placed.place(step.ik.q)
+        commanded = pads.gap(placed)
         before = self._closing
         if finger != before.finger:
             before = _Closing(finger, np.inf, commanded, before.time)
@@ -315,7 +319,7 @@ class GripFollower:
             beside = min(_FUNNEL * lengths(middle - centre), _WIDE)
             least = max(least, beside * (1.0 - before.time / _PATIENCE))
             share = min(pinching / _CLOSING, 1.0)
-            self._terms = self._around(step, pads, centre, least, share)
+            self._terms = self._around(pads, centre, least, share)
         is_met = (
             pinching > _PINCHING
             and self._is_apart
@@ -326,16 +330,15 @@ class GripFollower:
         time = before.time + dt * (pinching > _PINCHING)
         self._closing = _Closing(finger, gap, pressing, time, met)
         if met >= _TOUCHED:
-            pressed = stiffness * levers @ (command.q - q)
+            pressed = stiffness * levers @ (step.command.q - q)
             force = np.clip(pressed / (levers @ levers), 0.0, self.grip.force)
             self._grip = _Grip(finger, pads.columns, q, levers, force, gaps[finger])
 
     def _around(
-        self, step: MapStep, pads: _PadPair, centre: Array, least: float, share: float
+        self, pads: _PadPair, centre: Array, least: float, share: float
     ) -> tuple[Task, ...]:
-        """Return the term by which pads close around a place, if they are near it."""
+        """Return the term by which pads close around a place, if the command is near it."""
         hand = self._placed
-        hand.place(step.ik.q)
         off = lengths(pads.middle(hand) - centre)
         near = np.clip(2.0 - off / _NEAR, 0.0, 1.0)
         own = np.isin(np.arange(hand.nv), self._hand.joint_columns[pads.columns])
@@ -357,9 +360,3 @@ class GripFollower:
         share = min(grip.time / _RAISED, 1.0)
         force = grip.force + share * (self.grip.force - grip.force)
         return (1.0 - grip.opening) * force * grip.levers
-
-    def _placed_at(self, q: Array, wrist: Array) -> Configuration:
-        """Return the hand with its joints at q, and its wrist at a pose if it floats."""
-        pose = wrist if self._hand.is_floating else None
-        self._placed.place(self._hand.configuration_vector(q, pose))
-        return self._placed

@@ -222,7 +222,9 @@ def test_what_is_touched_is_pressed_no_harder_than_with_the_force(
     grip = grip_follower(allegro, force=force, gentle=True)
     ran = list(run(grip, centre=meeting(allegro)))
     last, stopped = ran[-1]
-    slopes, _ = grip._pairs[0].slopes(grip._placed_at(stopped, np.eye(4)))
+    placed = allegro.configuration()
+    placed.place(allegro.configuration_vector(stopped))
+    slopes, _ = grip._pairs[0].slopes(placed)
     levers = slopes[allegro.joint_columns]
     # The gap that position control closes farther for one newton.
     compliance = levers @ levers / grip.grip.stiffness
@@ -444,7 +446,8 @@ def test_the_term_of_a_place_has_the_slopes_of_its_error(allegro: Hand) -> None:
     grip = grip_follower(allegro)
     step = [step for step, _ in run(grip, width=-1.0)][75]
     centre = pads_middle(allegro, step.command.q, step.command.wrist) + 0.01
-    (term,) = grip._around(step, grip._pairs[0], centre, 0.0, 1.0)
+    grip._placed.place(step.ik.q)
+    (term,) = grip._around(grip._pairs[0], centre, 0.0, 1.0)
     placed = allegro.configuration()
     own = [allegro.joint_columns[grip._pairs[0].columns].tolist()]
     base = step.ik.q
