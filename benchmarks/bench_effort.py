@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from bench_grips import ROBOTS, TORQUES
+from bench_grips import TORQUES, held_cells
 from picks import picks
 
 from handmap_qp import load_hand
@@ -34,7 +34,7 @@ from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.simulation.commands import find_pinch
 from handmap_qp.apps.simulation.gripping import GripScene
 from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pinch import PinchTrial, random_trials, success_rate
+from handmap_qp.apps.simulation.pinch import PinchTrial, random_trials
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.mapping.objects import Cylinder, Sphere
@@ -148,16 +148,12 @@ def tried(
 
 def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Summarise trials in a row of a table."""
-    done = [each for each in found if each["held"] is not None]
-    held = [each for each in done if each["held"]]
-    shown = {"": name, "trials": len(done), "refused": len(found) - len(done)}
+    shown, done, held = held_cells(name, found)
     if not done:
         return shown
-    rate, low, high = success_rate(len(held), len(done))
     peaks = [each["peak N"] for each in done]
     errors = np.abs([each["error"] for each in held])
     return shown | {
-        "held %": f"{100.0 * rate:.0f} ({100.0 * low:.0f}-{100.0 * high:.0f})",
         "whole %": round(100.0 * np.mean([each["whole"] for each in done])),
         "peak N": round(float(np.median(peaks)), 1),
         "peak p95 N": round(float(np.percentile(peaks, 95.0)), 1),
@@ -190,7 +186,7 @@ def draw_peaks(found: Sequence[dict[str, Any]]) -> Any:
 def main(words: Sequence[str] | None = None) -> None:
     """Simulate all trials, print the tables, and write them."""
     parser = common.make_parser((__doc__ or "").splitlines()[0])
-    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--robots", nargs="+", default=list(common.ROBOTS))
     parser.add_argument("--trials", type=int, default=3, help="for each recording")
     parser.add_argument("--picks", type=int, default=None, help="only the first ones")
     parser.add_argument("--force", type=float, default=None, help="for both [N]")
@@ -229,10 +225,9 @@ def main(words: Sequence[str] | None = None) -> None:
                         found.append(where | became)
                 done()
     to_stderr = arguments.json == "-"
-    for keys in (("object",), ("robot", "object"), ("recording", "object")):
-        rows = common.rows_by(found, keys, row)
-        title = f"By {' and '.join(keys)}, seed {arguments.seed}"
-        common.print_table(title, rows, to_stderr=to_stderr)
+    keys = ("object",), ("robot", "object"), ("recording", "object")
+    ending = f", seed {arguments.seed}"
+    common.print_groups(found, keys, row, ending, to_stderr=to_stderr)
     tried_ones = [each for each in found if each["held"] is not None]
     common.save_picture(arguments.picture, lambda: draw_peaks(tried_ones))
     results = {"seed": arguments.seed, "trials": found}

@@ -52,7 +52,6 @@ from handmap_qp.apps.simulation.pinch import (
 from handmap_qp.errors import HandmapError, InvalidInputError
 
 PEERS = Path(__file__).resolve().parent / "peers"
-ROBOTS = ("allegro_right", "leap_right", "shadow_right")
 OWN = ("teleoperation", "fingertip-vectors")
 GRIPS = ("teleoperation+grip", "teleoperation+grip+place")
 OTHERS = ("dex-dexpilot", "dexi-dexpilot", "dex-vector", "dexi-vector", "dex-position")
@@ -80,25 +79,37 @@ def draw(objects: str, count: int, seed: int) -> list[tuple[str, PinchTrial]]:
     ]
 
 
-def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Summarise trials in a row of a table; `held` of a refused one is None."""
+def held_cells(
+    name: str, found: Sequence[dict[str, Any]]
+) -> tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]:
+    """Summarise how many are held; `held` of a refused trial is None.
+
+    Returns:
+        The first cells of a row, the trials that were tried, and those that held.
+    """
     tried = [each for each in found if each["held"] is not None]
     held = [each for each in tried if each["held"]]
     shown = "-"
     if tried:
         rate, low, high = success_rate(len(held), len(tried))
         shown = f"{100.0 * rate:.0f} ({100.0 * low:.0f}-{100.0 * high:.0f})"
-    medians = {
-        key: f"{np.median([each[key] for each in held]):.3g}" if held else "-"
-        for key in ("slip mm", "force N", "torque N m")
-    }
+    refused = len(found) - len(tried)
+    cells = {"": name, "held %": shown, "trials": len(tried), "refused": refused}
+    return cells, tried, held
+
+
+def medians(found: Sequence[dict[str, Any]], keys: Sequence[str]) -> dict[str, str]:
+    """Return the median of each of some values, or a dash without any."""
     return {
-        "": name,
-        "held %": shown,
-        "trials": len(tried),
-        "refused": len(found) - len(tried),
-        **medians,
+        key: f"{np.median([each[key] for each in found]):.3g}" if found else "-"
+        for key in keys
     }
+
+
+def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Summarise trials in a row of a table."""
+    cells, _, held = held_cells(name, found)
+    return cells | medians(held, ("slip mm", "force N", "torque N m"))
 
 
 def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
@@ -185,7 +196,7 @@ def scenes(
 def main(words: Sequence[str] | None = None) -> None:
     """Simulate all trials, print the tables, and write them."""
     parser = common.make_parser((__doc__ or "").splitlines()[0])
-    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--robots", nargs="+", default=list(common.ROBOTS))
     parser.add_argument("--methods", nargs="+", default=None)
     parser.add_argument("--objects", choices=("varied", "household"), default="varied")
     parser.add_argument("--trials", type=int, default=5, help="for each recording")

@@ -26,12 +26,11 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from bench_grips import ROBOTS, TORQUES
-from holding import FINGERS, MOTIONS, OBJECTS, hold
+from bench_grips import TORQUES, held_cells, medians
+from holding import FINGERS, add_choices, hold
 
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.apps.simulation.physics import Body, Physics
-from handmap_qp.apps.simulation.pinch import success_rate
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.human import sample_columns
 from handmap_qp.mapping.hand_pair import robot_fingers
@@ -113,17 +112,10 @@ def tried(
 
 def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Summarise trials in a row of a table."""
-    done = [each for each in found if each["held"] is not None]
-    held = [each for each in done if each["held"]]
-    shown: dict[str, Any] = {"": name, "trials": len(done)}
-    shown["refused"] = len(found) - len(done)
+    shown, done, held = held_cells(name, found)
     if not done:
         return shown
-    rate, low, high = success_rate(len(held), len(done))
-    shown["held %"] = f"{100.0 * rate:.0f} ({100.0 * low:.0f}-{100.0 * high:.0f})"
-    for key in ("off mm", "turned deg", "force N", "torque N m"):
-        values = [each[key] for each in held]
-        shown[key] = f"{np.median(values):.3g}" if held else "-"
+    shown |= medians(held, ("off mm", "turned deg", "force N", "torque N m"))
     shown["by others %"] = round(100.0 * np.mean([each["by others"] for each in done]))
     return shown
 
@@ -148,18 +140,12 @@ def draw_left(found: Sequence[dict[str, Any]]) -> Any:
 def main(words: Sequence[str] | None = None) -> None:
     """Simulate all trials, print the tables, and write them."""
     parser = common.make_parser((__doc__ or "").splitlines()[0])
-    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--objects", nargs="+", default=list(OBJECTS))
-    parser.add_argument("--motions", nargs="+", default=["move +1y", "turn +1z"])
+    add_choices(parser, ("move +1y", "turn +1z"))
     parser.add_argument("--force", type=float, default=5.0, help="of a grip [N]")
-    parser.add_argument("--seed", type=int, default=0)
     arguments = common.parse_arguments(parser, words)
     if arguments.quick:
         arguments.robots, arguments.objects = ["allegro_right"], ["ball"]
         arguments.motions = ["turn +1z"]
-    unknown = {*arguments.motions} - {*MOTIONS}
-    if unknown:
-        parser.error(f"no motion {', '.join(unknown)}; there are {', '.join(MOTIONS)}")
     found: list[dict[str, Any]] = []
     total = len(arguments.objects) * len(arguments.motions) * len(arguments.robots)
     mappings = {"with the force": arguments.force, "by position": None}
@@ -173,10 +159,9 @@ def main(words: Sequence[str] | None = None) -> None:
                         found.append(where | {"mapping": mapping} | became)
                     done()
     to_stderr = arguments.json == "-"
-    for keys in (("mapping",), ("robot", "mapping"), ("object", "mapping")):
-        rows = common.rows_by(found, keys, row)
-        title = f"By {' and '.join(keys)}, seed {arguments.seed}"
-        common.print_table(title, rows, to_stderr=to_stderr)
+    keys = ("mapping",), ("robot", "mapping"), ("object", "mapping")
+    ending = f", seed {arguments.seed}"
+    common.print_groups(found, keys, row, ending, to_stderr=to_stderr)
     common.save_picture(arguments.picture, lambda: draw_left(found))
     results = {"seed": arguments.seed, "force": arguments.force, "trials": found}
     common.write_json(arguments.json, "bench_holding", results)

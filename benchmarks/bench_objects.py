@@ -37,7 +37,7 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-from holding import FINGERS, MOTIONS, OBJECTS, Hold, hold, hold_mouse
+from holding import FINGERS, MOTIONS, Hold, add_choices, hold, hold_mouse
 
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
@@ -48,7 +48,6 @@ from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.objects import geometry_of, parse_object
 from handmap_qp.se3 import inverse_pose, rigid_fit, transform_points
 
-ROBOTS = ("allegro_right", "leap_right", "shadow_right")
 HUMAN = load_hand("human", points="landmarks")
 
 
@@ -226,10 +225,7 @@ def draw_places(found: Sequence[dict[str, Any]]) -> Any:
 def main(words: Sequence[str] | None = None) -> None:
     """Map all motions by all robots, print the tables, and write them."""
     parser = common.make_parser((__doc__ or "").splitlines()[0])
-    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--objects", nargs="+", default=list(OBJECTS))
-    parser.add_argument("--motions", nargs="+", default=list(MOTIONS))
-    parser.add_argument("--seed", type=int, default=0)
+    add_choices(parser, tuple(MOTIONS))
     arguments = common.parse_arguments(parser, words)
     if arguments.quick:
         arguments.robots, arguments.objects = ["allegro_right"], ["cube"]
@@ -247,10 +243,8 @@ def main(words: Sequence[str] | None = None) -> None:
                 done()
     to_stderr = arguments.json == "-"
     every = ("mapping",)
-    by = [every, *((key, *every) for key in ("robot", "object", "motion"))]
-    for keys in by:
-        rows = common.rows_by(found, keys, row)
-        common.print_table(f"By {' and '.join(keys)}", rows, to_stderr=to_stderr)
+    keys = [every, *((key, *every) for key in ("robot", "object", "motion"))]
+    common.print_groups(found, keys, row, to_stderr=to_stderr)
     met = [aims(robot, arguments.seed) for robot in arguments.robots]
     common.print_table("A cap and a mouse", met, to_stderr=to_stderr)
     common.save_picture(arguments.picture, lambda: draw_places(found))

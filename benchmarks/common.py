@@ -38,6 +38,8 @@ from rich.progress import (
 from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
+ROBOTS = ("allegro_right", "leap_right", "shadow_right")
+"""Robots that hold objects, unless others are named."""
 """The checkout."""
 PACKAGES = (
     "handmap-qp",
@@ -204,6 +206,20 @@ def rows_by(
     for each in found:
         groups.setdefault(tuple(each[key] for key in keys), []).append(each)
     return [row(", ".join(group), own) for group, own in groups.items()]
+
+
+def print_groups(
+    found: Sequence[dict[str, Any]],
+    keys: Sequence[Sequence[str]],
+    row: Callable[[str, Sequence[dict[str, Any]]], dict[str, Any]],
+    ending: str = "",
+    *,
+    to_stderr: bool = False,
+) -> None:
+    """Print a table of the rows of `rows_by` for each choice of keys; titles have an ending."""
+    for chosen in keys:
+        title = f"By {' and '.join(chosen)}{ending}"
+        print_table(title, rows_by(found, chosen, row), to_stderr=to_stderr)
 
 
 def print_table(

@@ -11,6 +11,9 @@ The recording `held` of the package is one of these:
 
 from __future__ import annotations
 
+import common  # first: it sets the number of threads before numpy is loaded
+
+# isort: split
 import argparse
 import math
 from collections.abc import Sequence
@@ -146,6 +149,15 @@ class _Person:
 
         start = np.clip(last, low + 1e-6, high - 1e-6)
         return least_squares(cost, start, bounds=(low, high), xtol=1e-7).x
+
+
+def add_choices(parser: argparse.ArgumentParser, motions: Sequence[str]) -> None:
+    """Let users choose robots, objects, motions, such as these if omitted, and a seed."""
+    add = parser.add_argument
+    add("--robots", nargs="+", default=list(common.ROBOTS))
+    add("--objects", nargs="+", choices=list(OBJECTS), default=list(OBJECTS))
+    add("--motions", nargs="+", choices=list(MOTIONS), default=list(motions))
+    add("--seed", type=int, default=0)
 
 
 def hold(what: str, motion: str, seed: int = 0, wrist: float = 0.0) -> Hold:
