@@ -204,9 +204,7 @@ def angles_in_degrees() -> AngleLayout:
     """Return the layout of the human model's joints, in degrees."""
     layout = load_layout("angles20")
     assert isinstance(layout, AngleLayout)
-    return AngleLayout(
-        msgspec.structs.replace(layout.table, name="own in degrees", unit="deg")
-    )
+    return msgspec.structs.replace(layout, name="own in degrees", unit="deg")
 
 
 def is_visible(lie: Lie, take: Take) -> bool:

@@ -31,8 +31,7 @@ service takes `layout="{name}"`. [Trackers](../trackers.md) says what else there
 
 def page(layout: Layout) -> str:
     """Return the page of one layout as Markdown."""
-    table = layout.table
-    lines = [f"# {layout.name}", "", f"{table.title}.", READ.format(name=layout.name)]
+    lines = [f"# {layout.name}", "", f"{layout.title}.", READ.format(name=layout.name)]
     lines += [f"![{layout.name}](../images/layout_{layout.name}.png)", ""]
     lines += [
         "Blue dots are landmarks, grey ones are not read. Arrows are the axes of the wrist's"
@@ -42,15 +41,15 @@ def page(layout: Layout) -> str:
         "",
     ]
     facts = {
-        "one sample": table.values,
+        "one sample": layout.values,
         "shapes": " or ".join(f"`{shape}`" for shape in layout.shapes),
-        "unit": table.unit,
-        "axes": table.axes,
+        "unit": layout.unit,
+        "axes": layout.axes,
     }
-    if table.mirror:
-        facts["handedness"] = f"left-handed; {table.mirror} is negated"
+    if layout.mirror:
+        facts["handedness"] = f"left-handed; {layout.mirror} is negated"
     facts["wrist pose"] = _wrist(layout)
-    facts["does not have"] = "; ".join(table.missing) or "-"
+    facts["does not have"] = "; ".join(layout.missing) or "-"
     lines += [
         "| | |",
         "|---|---|",
@@ -59,7 +58,7 @@ def page(layout: Layout) -> str:
     ]
     lines += ["| index | there | here |", "|---|---|---|"]
     lines += [f"| {a} | {b} | {c} |" for a, b, c in _order(layout)]
-    sources = ", ".join(_link(source) for source in table.sources)
+    sources = ", ".join(_link(source) for source in layout.sources)
     return "\n".join([*lines, "", f"Sources: {sources}", ""])
 
 
@@ -68,8 +67,8 @@ def overview(text: str) -> str:
     head, _, rest = text.partition(BEGIN)
     _, _, tail = rest.partition(END)
     rows = [
-        f"| [{layout.name}](trackers/{layout.name}.md) | {layout.table.title} "
-        f"| {layout.table.values} |"
+        f"| [{layout.name}](trackers/{layout.name}.md) | {layout.title} "
+        f"| {layout.values} |"
         for layout in LAYOUTS.values()
     ]
     table = "\n".join(["| layout | tracker | one sample |", "|---|---|---|", *rows])
@@ -99,7 +98,7 @@ def _wrist(layout: Layout) -> str:
     axes = f"fingers along {table.right.distal}, back of the hand along {table.right.dorsal}"
     if table.left is not None:
         axes += f"; of a left hand {table.left.distal} and {table.left.dorsal}"
-    return f"{where}; {axes}; quaternions {getattr(layout.table, 'quaternion', table.quaternion)}"
+    return f"{where}; {axes}; quaternions {getattr(layout, 'quaternion', table.quaternion)}"
 
 
 def _order(layout: Layout) -> list[tuple[str, str, str]]:

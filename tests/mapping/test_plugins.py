@@ -76,19 +76,17 @@ def keep_tip(hand):
 """
 LAYOUT = """
 from handmap_qp.hands.human import HUMAN_JOINTS
-from handmap_qp.trackers.layouts.angles import AngleEntry, AngleLayout, AngleTable
+from handmap_qp.trackers.layouts.angles import AngleEntry, AngleLayout
 
 LAYOUT = AngleLayout(
-    AngleTable(
-        name="glove",
-        title="A glove of ten joints",
-        sources=("its manual",),
-        unit="deg",
-        axes="none",
-        values="10 angles",
-        arrays=("glove",),
-        angles=tuple(AngleEntry(joint, joint) for joint in HUMAN_JOINTS[::2]),
-    )
+    name="glove",
+    title="A glove of ten joints",
+    sources=("its manual",),
+    unit="deg",
+    axes="none",
+    values="10 angles",
+    arrays=("glove",),
+    angles=tuple(AngleEntry(joint, joint) for joint in HUMAN_JOINTS[::2]),
 )
 """
 FORMAT = """

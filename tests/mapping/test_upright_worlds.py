@@ -93,7 +93,7 @@ def test_a_robot_whose_axes_are_one_is_refused() -> None:
 
 
 def test_layouts_state_what_their_world_is() -> None:
-    said = {name: one.table.upright for name, one in LAYOUTS.items()}
+    said = {name: one.upright for name, one in LAYOUTS.items()}
     headsets = {"openxr26", "webxr25", "visionpro27", "leap26", "unity26"}
     assert {name for name, axes in said.items() if axes == HEADSET} == headsets
     assert said["visionpro25"] == "+z up, +y forward"
@@ -200,7 +200,7 @@ def test_a_user_may_state_the_axes_of_a_layout(tmp_path: Path) -> None:
     own = tmp_path / "own.yaml"
     text = table.read_text().replace(HEADSET, "+z up, +y forward")
     own.write_text(text)
-    assert load_layout(str(own)).table.upright == "+z up, +y forward"
+    assert load_layout(str(own)).upright == "+z up, +y forward"
     own.write_text(text.replace("+y forward", "-z forward"))
     with pytest.raises(InvalidInputError, match="upright"):
         load_layout(str(own))

@@ -33,7 +33,7 @@ def write_hand(
         for share in np.linspace(0.0, 0.8, count)
     ]
     arrays: dict[str, Any] = {"time": np.arange(count) / 60.0}
-    arrays[layout.table.arrays[0]] = np.array(values)
+    arrays[layout.arrays[0]] = np.array(values)
     np.savez(path, handedness=np.array(side), **arrays)
     return path
 

@@ -106,9 +106,9 @@ def test_all_forms_of_a_joint_mean_the_same(name: str) -> None:
     assert isinstance(layout, PointLayout)
     q, wrist = posture("left", seed=2)
     human = sized_human("left")
-    for size in layout.table.poses:
-        table = msgspec.structs.replace(layout.table, poses=(size,))
-        values = PointLayout(table).write_posture(human, q, wrist)
+    for size in layout.poses:
+        other = msgspec.structs.replace(layout, poses=(size,))
+        values = other.write_posture(human, q, wrist)
         sample = layout.read(values, time=0.0, side="left")
         np.testing.assert_allclose(
             sample.landmarks, truth("left", q, wrist), atol=1e-12
@@ -263,14 +263,12 @@ def test_every_table_has_sources_and_says_what_it_lacks() -> None:
     assert len(LAYOUTS) >= 15
     for layout in LAYOUTS.values():
         assert layout.name in LAYOUTS
-        assert layout.table.sources
-        assert layout.table.axes
-        assert layout.table.values
+        assert layout.sources
+        assert layout.axes
+        assert layout.values
         assert len(layout.rows()) >= 13
         if not layout.has_wrist:
-            assert any(
-                "wrist" in item or "place" in item for item in layout.table.missing
-            )
+            assert any("wrist" in item or "place" in item for item in layout.missing)
 
 
 def file_of(folder: Path, layout: Layout, **changes: Any) -> Path:
@@ -279,7 +277,7 @@ def file_of(folder: Path, layout: Layout, **changes: Any) -> Path:
     values = np.array([layout.write_posture(human, q, wrist) for q, wrist in bending()])
     content = {
         "time": np.arange(60) / 60.0,
-        layout.table.arrays[0]: values,
+        layout.arrays[0]: values,
         "handedness": np.array("right"),
         **changes,
     }
@@ -298,7 +296,7 @@ def test_files_in_a_layout_are_read_and_plausible(
     recording = read_with_layout(file_of(tmp_path, layout), layout)
     q, wrist = posture("right", seed=5, bend=0.6)
     expected = truth("right", q, wrist)
-    if not layout.has_wrist and layout.table.unit in ("deg", "rad"):
+    if not layout.has_wrist and layout.unit in ("deg", "rad"):
         expected = truth("right", q, np.eye(4))
     if layout.name != "visionpro25":
         np.testing.assert_allclose(recording.landmarks[0], expected, atol=1e-9)

@@ -60,7 +60,7 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
         f"{side} hand, from its back": partial(_draw_side, layout, side)
         for side in SIDES
     }
-    title = f"{layout.name}: {layout.title} ({layout.table.unit})"
+    title = f"{layout.name}: {layout.title} ({layout.unit})"
     save_panels(path, title, _PANEL, panels)
 
 
@@ -128,7 +128,7 @@ def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     if isinstance(layout, AngleLayout):
         # Two of a finger's angles share its first joint.
         indices: dict[int, list[str]] = {}
-        for i, entry in enumerate(layout.table.angles):
+        for i, entry in enumerate(layout.angles):
             finger, k = divmod(HUMAN_JOINTS.index(entry.joint), 4)
             indices.setdefault(1 + 4 * finger + max(0, k - 1), []).append(f"{i}")
         labels = [*map(", ".join, indices.values())]
@@ -143,10 +143,10 @@ def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
     index = np.arange(len(places))
     if isinstance(layout, MarkerLayout):
         return places, index, index >= 0
-    if layout.table.is_relative:
+    if layout.is_relative:
         places = transform_points(np.linalg.inv(layout.wrist_axes(human.side)), read)
     is_used = np.isin(index, layout.order(human.side))
-    is_between = np.isin(index, [*layout.table.between])
+    is_between = np.isin(index, [*layout.between])
     shown = np.flatnonzero(is_used | is_between & (lengths(places) < _FARTHEST))
     return places[shown], shown, is_used[shown]
 

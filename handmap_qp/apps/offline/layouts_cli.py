@@ -89,23 +89,22 @@ def _summary(layout: Layout) -> Values:
         "name": layout.name,
         "tracker": layout.title,
         "one sample": " or ".join(str(shape) for shape in layout.shapes),
-        "unit": layout.table.unit,
+        "unit": layout.unit,
         "wrist pose": wrist,
     }
 
 
 def _facts(layout: Layout) -> Values:
     """Return what the table says, in words."""
-    table = layout.table
     facts: Values = {
         "tracker": layout.title,
-        "values": table.values,
+        "values": layout.values,
         "one sample": [str(shape) for shape in layout.shapes],
-        "unit": table.unit,
-        "axes": table.axes,
+        "unit": layout.unit,
+        "axes": layout.axes,
     }
-    if table.mirror:
-        facts["left-handed"] = f"{table.mirror} is negated"
+    if layout.mirror:
+        facts["left-handed"] = f"{layout.mirror} is negated"
     wrist = layout.wrist_table
     facts["wrist pose"] = "fitted" if layout.has_wrist else "none; fitted to the palm"
     if wrist:
@@ -118,9 +117,9 @@ def _facts(layout: Layout) -> Values:
                 if (axes := getattr(wrist, side))
             ),
         ]
-        facts["quaternions"] = getattr(table, "quaternion", wrist.quaternion)
+        facts["quaternions"] = getattr(layout, "quaternion", wrist.quaternion)
     return facts | {
-        "not given": [*table.missing],
-        "arrays in .npz": [*table.arrays],
-        "sources": [*table.sources],
+        "not given": [*layout.missing],
+        "arrays in .npz": [*layout.arrays],
+        "sources": [*layout.sources],
     }

@@ -380,7 +380,7 @@ def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
 def upright_of(request: Open) -> str:
     """Return the axes of the samples' world that are up and forward; empty if not known."""
     layout = LAYOUTS.get(request.layout or "")
-    return request.upright or (layout.table.upright if layout else "")
+    return request.upright or (layout.upright if layout else "")
 
 
 def _changed(field: str, start: Options, values: Values) -> Any:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands import HUMAN_JOINTS, Document, Hand, HumanLengths, Names, Side
 from handmap_qp.se3 import Array, transform_points
-from .base import Hands, Layout, LayoutTable, Rows, WristTable, sized_human
+from .base import Hands, Layout, Rows, WristTable, sized_human
 
 _UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
 """Size of a unit of angle [rad]."""
@@ -41,34 +41,24 @@ class AngleEntry(Document, frozen=True):
     default: float | None = None
 
 
-class AngleTable(LayoutTable, frozen=True, tag="angles", kw_only=True):
+class AngleLayout(Layout, tag="angles", kw_only=True):
     """A layout of joint angles.
 
     Attributes:
         angles: The angles, in their order.
         wrist: Axes of a wrist pose that comes from another tracker.
-    """
-
-    angles: tuple[AngleEntry, ...]
-    wrist: WristTable | None = None
-
-
-class AngleLayout(Layout):
-    """A layout of joint angles.
-
-    Args:
-        table: The table.
 
     Raises:
         InvalidInputError: If the table names no joint, or one twice.
     """
 
-    table: AngleTable
+    angles: tuple[AngleEntry, ...]
+    wrist: WristTable | None = None
 
-    def __init__(self, table: AngleTable) -> None:
-        super().__init__(table)
-        joints = [entry.joint for entry in table.angles]
-        for entry in table.angles:
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        joints = [entry.joint for entry in self.angles]
+        for entry in self.angles:
             expect(
                 entry.joint in HUMAN_JOINTS and joints.count(entry.joint) == 1,
                 "angles",
@@ -80,12 +70,12 @@ class AngleLayout(Layout):
             self.aliases[entry.name] = entry.aliases
             if entry.default is not None:
                 self.defaults[entry.name] = entry.default
-        expect(table.unit in _UNITS, "unit", "deg or rad", value=table.unit)
+        expect(self.unit in _UNITS, "unit", "deg or rad", value=self.unit)
         self._joints = [*map(HUMAN_JOINTS.index, joints)]
-        factors = np.array([(entry.scale, entry.offset) for entry in table.angles])
-        self._scales, self._offsets = _UNITS[table.unit] * factors.T  # to radians
+        factors = np.array([(entry.scale, entry.offset) for entry in self.angles])
+        self._scales, self._offsets = _UNITS[self.unit] * factors.T  # to radians
         self.shapes = ((len(joints),),)
-        self.columns = tuple(entry.name for entry in table.angles)
+        self.columns = tuple(entry.name for entry in self.angles)
 
     def rows(self) -> Rows:
         """Describe every angle."""
@@ -94,10 +84,10 @@ class AngleLayout(Layout):
                 "index": i,
                 "angle": entry.name,
                 "joint of the human model": entry.joint,
-                f"joint [{self.table.unit}]": f"{entry.scale:+g} x angle"
+                f"joint [{self.unit}]": f"{entry.scale:+g} x angle"
                 + (f" {entry.offset:+g}" if entry.offset else ""),
             }
-            for i, entry in enumerate(self.table.angles)
+            for i, entry in enumerate(self.angles)
         ]
 
     def hands(
@@ -128,7 +118,7 @@ class AngleLayout(Layout):
 
     def _check(self, values: Array, q: Array) -> None:
         """Reject angles of the other unit, and those of a wrong sign."""
-        unit = self.table.unit
+        unit = self.unit
         largest = np.abs(values).max()
         other = "degrees"
         is_other = largest > 2.0 * _LARGEST_ANGLE

@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Struct, StructMeta
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect
@@ -82,37 +83,6 @@ class WristTable(Document, frozen=True):
     quaternion: QuatOrder = "xyzw"
 
 
-class LayoutTable(Document, frozen=True, tag_field="kind"):
-    """What the tables of all kinds of layouts say.
-
-    Attributes:
-        name: Short name, by which `--layout` chooses it.
-        title: Device or data set, and its programming interface.
-        sources: Public documents that the facts were taken from.
-        unit: Unit of lengths or angles.
-        axes: Directions of the world's axes, in words.
-        values: What one sample is, in words.
-        missing: What the tracker does not give.
-        upright: Axes of our world, after `mirror`, that are up and forward; empty where they are
-            not known.
-        mirror: Axis to negate, where the coordinates are left-handed; None where they are not.
-        arrays: Names that a file's array of these values usually has.
-        time: Names that a table's column of time usually has, with the length of its unit [s].
-    """
-
-    name: str
-    title: str
-    sources: Names
-    unit: Unit
-    axes: str
-    values: str
-    missing: Names = ()
-    upright: Upright = ""
-    mirror: Literal["x", "y", "z"] | None = None
-    arrays: Names = ()
-    time: dict[str, float] = {}
-
-
 class Hands(NamedTuple):
     """Samples of one hand as arrays.
 
@@ -129,19 +99,36 @@ Rows = list[Values]
 """A table: values by column, row by row."""
 
 
-class Layout(abc.ABC):
-    """A tracker's form of samples.
+class _Kind(StructMeta, abc.ABCMeta):
+    """Makes kinds of tables with abstract methods."""
+
+
+class Layout(
+    Struct,
+    forbid_unknown_fields=True,
+    dict=True,
+    eq=False,
+    tag_field="kind",
+    metaclass=_Kind,
+):
+    """A tracker's form of samples: its table, and how samples are read and written.
 
     Other packages add theirs by entry points of the group `handmap_qp.layouts`, each of which names
     a layout.
 
-    Args:
-        table: The table.
-
     Attributes:
-        table: All that the table says.
-        name: Its short name.
+        name: Short name, by which `--layout` chooses it.
         title: Device or data set, and its programming interface.
+        sources: Public documents that the facts were taken from.
+        unit: Unit of lengths or angles.
+        axes: Directions of the world's axes, in words.
+        values: What one sample is, in words.
+        missing: What the tracker does not give.
+        upright: Axes of our world, after `mirror`, that are up and forward; empty where they are
+            not known.
+        mirror: Axis to negate, where the coordinates are left-handed; None where they are not.
+        arrays: Names that a file's array of these values usually has.
+        time: Names that a table's column of time usually has, with the length of its unit [s].
         wrist_table: How a wrist pose is obtained; None if it cannot be.
         shapes: Shapes that one sample may have, the usual one first.
         columns: Names of the numbers of one sample in a table of columns.
@@ -151,20 +138,28 @@ class Layout(abc.ABC):
         world: Takes points of the tracker's world to ours [m], shape (4, 4).
     """
 
-    shapes: tuple[tuple[int, ...], ...] = ()
-    columns: Names = ()
+    name: str
+    title: str
+    sources: Names
+    unit: Unit
+    axes: str
+    values: str
+    missing: Names = ()
+    upright: Upright = ""
+    mirror: Literal["x", "y", "z"] | None = None
+    arrays: Names = ()
+    time: dict[str, float] = {}
     has_wrist = False
 
-    def __init__(self, table: LayoutTable) -> None:
-        self.table = table
-        self.name = table.name
-        self.title = table.title
-        self.wrist_table: WristTable | None = getattr(table, "wrist", None)
+    def __post_init__(self) -> None:
+        self.wrist_table: WristTable | None = getattr(self, "wrist", None)
+        self.shapes: tuple[tuple[int, ...], ...] = ()
+        self.columns: Names = ()
         self.aliases: dict[str, Names] = {}
         self.defaults: dict[str, float] = {}
         # Angles come without lengths.
-        length = _LENGTHS.get(table.unit, 1.0)
-        scales = [-length if axis == table.mirror else length for axis in "xyz"]
+        length = _LENGTHS.get(self.unit, 1.0)
+        scales = [-length if axis == self.mirror else length for axis in "xyz"]
         self.world = np.diag([*scales, 1.0])
 
     def wrist_axes(self, side: Side) -> Array:
@@ -303,7 +298,7 @@ class Layout(abc.ABC):
             side,
             f"layout {self.name}",
             poses,
-            upright=self.table.upright,
+            upright=self.upright,
         )
 
     def _convert(

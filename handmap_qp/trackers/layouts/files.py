@@ -145,7 +145,7 @@ def _values_name(
     def is_of_side(name: str) -> bool:
         return name.startswith(side or "")
 
-    usual = (*layout.table.arrays, layout.name, *_VALUES)
+    usual = (*layout.arrays, layout.name, *_VALUES)
     chosen = list(filter(takes, arrays))
     for is_better in (usual.__contains__, is_of_side):
         chosen = list(filter(is_better, chosen)) or chosen
@@ -202,7 +202,7 @@ def _named_side(header: str) -> Side | None:
 
 def _time_units(layout: Layout) -> dict[str, float]:
     """Return the names that a time may have, the likeliest first, with their units [s]."""
-    own = layout.table.time
+    own = layout.time
     return own | _TIMES | own
 
 

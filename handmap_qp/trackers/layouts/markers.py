@@ -7,7 +7,7 @@ from handmap_qp.errors import expect
 from handmap_qp.hands import Document, Hand, HumanLengths, PointSpec, Side, Vector
 from handmap_qp.ik import IkOptions, PointIk
 from handmap_qp.se3 import FARTHEST, Array, rigid_fit, transform_points
-from .base import Hands, Layout, LayoutTable, Rows, sized_human
+from .base import Hands, Layout, Rows, sized_human
 
 _FIT = IkOptions(
     rest_weight=0.01,
@@ -34,34 +34,24 @@ class MarkerEntry(Document, frozen=True):
     xyz: Vector
 
 
-class MarkerTable(LayoutTable, frozen=True, tag="markers", kw_only=True):
+class MarkerLayout(Layout, tag="markers", kw_only=True):
     """A layout of markers.
 
     Attributes:
         markers: The markers, in their order.
-    """
-
-    markers: tuple[MarkerEntry, ...]
-
-
-class MarkerLayout(Layout):
-    """A layout of markers.
-
-    Args:
-        table: The table.
 
     Raises:
         InvalidInputError: If a marker is on no link, or fewer than three are on the palm.
     """
 
-    table: MarkerTable
+    markers: tuple[MarkerEntry, ...]
     has_wrist = True
 
-    def __init__(self, table: MarkerTable) -> None:
-        super().__init__(table)
-        names = [entry.name for entry in table.markers]
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names = [entry.name for entry in self.markers]
         expect(len(set(names)) == len(names), "markers", "different names", value=names)
-        markers = enumerate(table.markers)
+        markers = enumerate(self.markers)
         self._on_palm = [i for i, entry in markers if entry.link == "palm"]
         count = len(self._on_palm)
         expect(count >= 3, "markers", "three markers on the palm", value=count)
@@ -77,7 +67,7 @@ class MarkerLayout(Layout):
                 "link of the human model": entry.link,
                 "place on it [mm]": ", ".join(f"{1e3 * v:g}" for v in entry.xyz),
             }
-            for i, entry in enumerate(self.table.markers)
+            for i, entry in enumerate(self.markers)
         ]
 
     def hands(
@@ -116,6 +106,6 @@ class MarkerLayout(Layout):
         mirror = 1.0 if side == "right" else -1.0
         return tuple(
             PointSpec(f"marker {entry.name}", entry.link, (mirror * x, y, z))
-            for entry in self.table.markers
+            for entry in self.markers
             for x, y, z in [entry.xyz]
         )

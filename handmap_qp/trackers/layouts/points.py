@@ -22,7 +22,7 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
-from .base import Hands, Layout, LayoutTable, Rows, WristTable, sized_human
+from .base import Hands, Layout, Rows, WristTable, sized_human
 
 _FORMS = {3: (3,), 7: (7,), 16: (4, 4)}
 """Shapes of a joint, by how many numbers it has."""
@@ -42,8 +42,8 @@ class BetweenTable(Document, frozen=True):
     share: float
 
 
-class PointTable(LayoutTable, frozen=True, tag="points", kw_only=True):
-    """A layout of joints.
+class PointLayout(Layout, tag="points", kw_only=True):
+    """A layout of joints as points or poses.
 
     Attributes:
         count: Number of joints.
@@ -56,6 +56,9 @@ class PointTable(LayoutTable, frozen=True, tag="points", kw_only=True):
         wrist: How a wrist pose is obtained; None if it cannot be.
         is_relative: Whether joints are given in the frame of the wrist instead of in the world.
         between: Joints besides the landmarks, for writing.
+
+    Raises:
+        InvalidInputError: If the table contradicts itself.
     """
 
     count: int
@@ -68,33 +71,20 @@ class PointTable(LayoutTable, frozen=True, tag="points", kw_only=True):
     is_relative: bool = False
     between: dict[int, BetweenTable] = {}
 
-
-class PointLayout(Layout):
-    """A layout of joints as points or poses.
-
-    Args:
-        table: The table.
-
-    Raises:
-        InvalidInputError: If the table contradicts itself.
-    """
-
-    table: PointTable
-
-    def __init__(self, table: PointTable) -> None:
-        super().__init__(table)
+    def __post_init__(self) -> None:
+        super().__post_init__()
         self._indices: dict[Side, Array] = {
-            "right": _indices(table, "landmarks"),
-            "left": _indices(table, "left_landmarks"),
+            "right": _indices(self, "landmarks"),
+            "left": _indices(self, "left_landmarks"),
         }
         expect(
-            table.poses and set(table.poses) <= set(_FORMS),
+            self.poses and set(self.poses) <= set(_FORMS),
             "poses",
             "some of 3, 7 and 16",
-            value=table.poses,
+            value=self.poses,
         )
-        joint = table.wrist and table.wrist.joint
-        names = {name: index for index, name in table.names.items()}
+        joint = self.wrist and self.wrist.joint
+        names = {name: index for index, name in self.names.items()}
         expect(
             joint is None or joint in names,
             "wrist.joint",
@@ -102,14 +92,14 @@ class PointLayout(Layout):
             value=joint,
         )
         self._wrist_index = names.get(joint)
-        self.shapes = tuple((table.count, *_FORMS[size]) for size in table.poses)
-        joints = map(self.joint_name, range(table.count))
+        self.shapes = tuple((self.count, *_FORMS[size]) for size in self.poses)
+        joints = map(self.joint_name, range(self.count))
         self.columns = tuple(f"{name}_{a}" for name in joints for a in "xyz")
-        self.has_wrist = joint is not None and table.poses != (3,)
+        self.has_wrist = joint is not None and self.poses != (3,)
 
     def joint_name(self, index: int) -> str:
         """Return the name of a joint."""
-        return self.table.names.get(index, f"joint {index}")
+        return self.names.get(index, f"joint {index}")
 
     def order(self, side: Side) -> Array:
         """Return the index of each of our landmarks, shape (21,)."""
@@ -118,13 +108,13 @@ class PointLayout(Layout):
     def rows(self) -> Rows:
         """Describe every joint."""
         titles: dict[Side, str] = {"right": "landmark"}
-        if self.table.left_landmarks is not None:
+        if self.left_landmarks is not None:
             titles["left"] = "landmark of a left hand"
         landmarks = {
             title: dict(zip(self.order(side).tolist(), LANDMARK_NAMES, strict=True))
             for side, title in titles.items()
         }
-        known = set().union(self.table.names, *landmarks.values())
+        known = set().union(self.names, *landmarks.values())
         return [
             {"index": i, "joint": self.joint_name(i)}
             | {title: names.get(i, "") for title, names in landmarks.items()}
@@ -142,14 +132,14 @@ class PointLayout(Layout):
         form = values.shape[2:]
         positions = values[..., :3, 3] if form == (4, 4) else values[..., :3]
         frames = self.world
-        if self.table.is_relative:
+        if self.is_relative:
             # Joints are in the tracker's wrist frame; without its pose, that is the world.
             if wrists is not None:
                 frames = wrists @ np.linalg.inv(self.wrist_axes(side))
         elif self._wrist_index is not None and form != (3,):
             poses = values[:, self._wrist_index]
             if form == (7,):
-                poses = pose_from_xyz_quat(poses, self.table.quaternion)
+                poses = pose_from_xyz_quat(poses, self.quaternion)
             wrists = self.world @ poses @ self.wrist_axes(side)
         return Hands(transform_points(frames, positions[:, self.order(side)]), wrists)
 
@@ -168,32 +158,32 @@ class PointLayout(Layout):
         return self._write(landmarks, wrist, human.side)
 
     def _write(self, landmarks: Array, wrist: Array, side: Side) -> Array:
-        joints = np.tile(landmarks[0], (self.table.count, 1))
+        joints = np.tile(landmarks[0], (self.count, 1))
         joints[self.order(side)] = landmarks
         places = dict(zip(LANDMARK_NAMES, landmarks, strict=True))
-        for index, between in self.table.between.items():
+        for index, between in self.between.items():
             start = places[between.start]
             end = places[between.end]
             joints[index] = start + between.share * (end - start)
         axes = self.wrist_axes(side)
         frame = np.linalg.inv(self.world)
-        if self.table.is_relative:
+        if self.is_relative:
             frame = axes @ inverse_pose(wrist)
         joints = transform_points(frame, joints)
         # Every joint has the orientation of the wrist: only that one is read.
         turn = (frame @ wrist @ np.linalg.inv(axes))[:3, :3]
-        size = self.table.poses[0]
+        size = self.poses[0]
         if size == 3:
             return joints
         if size == 16:
             return affine(np.tile(turn, (len(joints), 1, 1)), joints)
         quat = quat_wxyz_from_rotation(turn)
-        if self.table.quaternion == "xyzw":
+        if self.quaternion == "xyzw":
             quat = np.roll(quat, -1)
         return np.hstack([joints, np.tile(quat, (len(joints), 1))])
 
 
-def _indices(table: PointTable, key: str) -> Array:
+def _indices(table: PointLayout, key: str) -> Array:
     """Return the indices of our landmarks among all joints, which must differ."""
     given = getattr(table, key) or table.landmarks
     known = set(given) & set(range(table.count))

@@ -1,17 +1,15 @@
 """The layouts of the package, and tables of the user's own: load them by name or by file."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect, reason_of
 from . import LAYOUTS
-from .angles import AngleLayout, AngleTable
-from .base import Layout, LayoutTable
-from .markers import MarkerLayout, MarkerTable
-from .points import PointLayout, PointTable
+from .angles import AngleLayout
+from .base import Layout
+from .markers import MarkerLayout
+from .points import PointLayout
 
 _FOLDER = Path(__file__).parent
 
@@ -30,7 +28,7 @@ def table_text(layout: str | Path) -> str:
     found = load_layout(layout)
     file = _FOLDER / f"{layout}.yaml" if str(layout) in LAYOUTS else Path(layout)
     if not file.is_file():
-        return msgspec.yaml.encode(found.table).decode()
+        return msgspec.yaml.encode(found).decode()
     return file.read_text(encoding="utf-8")
 
 
@@ -59,18 +57,10 @@ def load_layout(layout: str | Path | Layout) -> Layout:
     return LAYOUTS[name]
 
 
-_KINDS: dict[type[LayoutTable], Callable[[Any], Layout]] = {
-    PointTable: PointLayout,
-    AngleTable: AngleLayout,
-    MarkerTable: MarkerLayout,
-}
-
-
 def _load(file: Path) -> Layout:
     try:
-        kinds = PointTable | AngleTable | MarkerTable
-        table = msgspec.yaml.decode(file.read_bytes(), type=kinds)
-        return _KINDS[type(table)](table)
+        kinds = PointLayout | AngleLayout | MarkerLayout
+        return msgspec.yaml.decode(file.read_bytes(), type=kinds)
     # ValueError and TypeError: also those of yaml and msgspec.
     except (OSError, ValueError, TypeError) as error:
         reason = reason_of(error)
