@@ -160,7 +160,7 @@ def overlap_meter(mapper: RobotMapper) -> OverlapMeter:
     """Return what measures overlaps of all links that are kept apart."""
     collisions = mapper.point_ik.gate.collisions
     assert collisions is not None
-    geometry = collisions.shape_distances.bounds.geometry
+    geometry = collisions.bounds.geometry
     shapes = ShapePairs(geometry, ("",) * len(geometry.collisionPairs))
     return OverlapMeter(mapper.robot, shapes)
 

@@ -55,7 +55,7 @@ class RobotRun:
         self._mapper = RobotMapper(robot, self._humans, "teleoperation")
         collisions = self._mapper.point_ik.gate.collisions
         assert collisions is not None
-        geometry = collisions.shape_distances.bounds.geometry
+        geometry = collisions.bounds.geometry
         shapes = ShapePairs(geometry, ("",) * len(geometry.collisionPairs))
         self.checker = Checker(self._mapper.robot, shapes, 10)
         self._q = {side: human.rest.copy() for side, human in self._humans.items()}

@@ -309,7 +309,7 @@ inline void make_bounds(PairBounds* self, const nb::object& owner) {
 // `from` is a CollisionLimit.
 inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
   auto pairs = std::make_unique<Pairs>(
-      tree, from.get<std::shared_ptr<PairBounds>>("shape_distances.bounds.core"));
+      tree, from.get<std::shared_ptr<PairBounds>>("bounds.core"));
   pairs->margin = from.get<double>("margin");
   pairs->horizon = from.get<double>("horizon");
   return pairs;

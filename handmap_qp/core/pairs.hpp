@@ -224,7 +224,7 @@ class Pairs {
   }
 
   // Whether the end of a path brings pairs that have rows nearer, and within their margin; see
-  // collision.ShapeDistances.met_at.
+  // collision.CollisionLimit.met_at.
   bool meets_at(const Placed& at, const double* step, const Placed& end) {
     travel_along(step);
     met_.clear();
@@ -237,7 +237,7 @@ class Pairs {
     return has_met();
   }
 
-  // What met on the last path, where it began: see collision.ShapeDistances.met_on.
+  // What met on the last path, where it began: see collision.CollisionLimit.met_on.
   bool has_met() const { return !met_.empty(); }
 
   // The pair of those that is nearest where the path began, as it came.
@@ -583,7 +583,7 @@ class Pairs {
                    at.pose(b.joint) * b.placement, warm_[k]);
   }
 
-  // See collision.ShapeDistances._meetings.
+  // See collision.CollisionLimit._meetings.
   void meet(const Placed& at, const Placed& there, size_t k, const Found& known) {
     const int a = bodies[pair(k).first].joint, b = bodies[pair(k).second].joint;
     const Pose moved_a = at.pose(a) * inverse(there.pose(a));

@@ -184,154 +184,6 @@ pair_bounds = lru_cache(maxsize=32)(PairBounds)
 """The bounds of a model's pairs, computed once."""
 
 
-class ShapeDistances:
-    """Measures signed distances of pairs of shapes.
-
-    Args:
-        model: The hand's model.
-        geometry: Its collision shapes and pairs.
-
-    Attributes:
-        bounds: How far changes of coordinates move the pairs.
-    """
-
-    def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
-        self._model = model
-        self._data = model.createData()
-        self._shapes = geometry.createData()
-        for request in self._shapes.distanceRequests:
-            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
-        self.bounds = pair_bounds(model, geometry)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Build copies with data of their own."""
-        return ShapeDistances, (self._model, self.bounds.geometry)
-
-    def measure(self, q: Array, horizon: Array | float = np.inf) -> NearPairs:
-        """Measure the pairs within a horizon.
-
-        Args:
-            q: Pinocchio configuration, shape (nq,).
-            horizon: Largest distance [m], of each pair or one for all.
-        """
-        bounds = self.bounds
-        origins = self._place(q)[:, :3, 3]
-        apart = lengths(origins[bounds.first] - origins[bounds.second])
-        horizons = np.full(len(apart), horizon)
-        pairs = np.flatnonzero(apart - bounds.reaches <= horizons)
-        found = self._found_at(q, pairs)
-        is_near = found[:, 0] <= horizons[pairs]
-        return NearPairs(pairs[is_near], found[is_near])
-
-    def _found_at(self, q: Array, pairs: Array) -> Array:
-        """Return what is found of some pairs in a posture; as of `NearPairs`, shape (r, 7)."""
-        self._place(q)
-        found = np.empty((len(pairs), 7))
-        for row, k in zip(found, pairs.tolist(), strict=True):
-            result = pin.computeDistance(self.bounds.geometry, self._shapes, k)
-            row[0] = result.min_distance
-            row[1:4] = result.normal
-            row[4:] = result.getNearestPoint1()
-        return found
-
-    def _place(self, q: Array) -> Array:
-        """Place all shapes in a posture, and return their poses, shape (s, 4, 4)."""
-        geometry = self.bounds.geometry
-        pin.updateGeometryPlacements(self._model, self._data, geometry, self._shapes, q)
-        poses = [pose.homogeneous for pose in self._shapes.oMg]
-        return np.reshape(poses, (-1, 4, 4))
-
-    def met_on(self, q: Array, step: Array) -> NearPairs | None:
-        """Return what meets on a straight path; None if no pair of shapes does.
-
-        Pairs that touch at the start already are left out.
-
-        Args:
-            q: Pinocchio configuration where it begins, shape (nq,).
-            step: The path in the model's tangent space [rad or m], shape (nv,).
-
-        Returns:
-            The pairs that come too near first, by halving; none where it takes too many points to
-            know. Their points where the path begins: distance along the normal, the normal, and the
-            point of the second shape, shape (r, 7).
-        """
-        turns = np.abs(step)
-        travel = self.bounds.levers.dot(turns)
-        bend = self.bounds.turns.dot(turns)
-        pairs, before = self.measure(q, KEPT + travel)
-        there = pin.integrate(self._model, q, step)
-        ends = np.array([before, self._found_at(there, pairs)])
-        # On a path from a to b, the distance is never below (a + b - travel) / 2.
-        is_open = ends[..., 0].sum(axis=0) - travel[pairs] < KEPT
-        is_open &= before[:, 0] > 0.0
-        pairs = pairs[is_open]
-        ends = ends[:, is_open]
-        kept = np.full_like(travel, KEPT)
-        kept[pairs] = np.minimum(ends[0, :, 0], KEPT)
-        met = self._meetings(q, there, pairs, ends[1], kept[pairs])
-        if len(met.pairs):
-            return met
-        # Parts of the path that are not shown to be clear: pairs, and what was found at both ends.
-        parts = [(0.0, 1.0, pairs, ends)]
-        taken = 0
-        while parts:
-            low, high, pairs, ends = parts.pop(0)
-            length = high - low
-            turned = 2.0 * lengths(ends[1, :, 1:4] - ends[0, :, 1:4])
-            turned += length * bend[pairs]
-            bent = 0.125 * turned * length * travel[pairs]
-            nearest = ends[..., 0].min(axis=0)
-            is_open = nearest - bent < 0.5 * kept[pairs]
-            if not is_open.any():
-                continue
-            if taken == _MOST_POINTS:
-                return NearPairs(pairs[:0], ends[0, :0])
-            taken += 1
-            pairs = pairs[is_open]
-            first, last = ends[:, is_open]
-            middle = 0.5 * (low + high)
-            there = pin.integrate(self._model, q, middle * step)
-            between = self._found_at(there, pairs)
-            met = self._meetings(q, there, pairs, between, kept[pairs])
-            if len(met.pairs):
-                return met
-            parts.append((low, middle, pairs, np.array([first, between])))
-            parts.append((middle, high, pairs, np.array([between, last])))
-        return None
-
-    def met_at(self, q: Array, step: Array, pairs: Array, least: Array) -> NearPairs:
-        """Return those of some pairs that are nearer than given where a path ends.
-
-        Args:
-            q: Pinocchio configuration where it begins, shape (nq,).
-            step: The path in the model's tangent space [rad or m], shape (nv,).
-            pairs: Indices of the pairs, shape (r,).
-            least: Their distances that are not too near [m], shape (r,).
-
-        Returns:
-            Their points where the path begins; as of `met_on`.
-        """
-        there = pin.integrate(self._model, q, step)
-        return self._meetings(q, there, pairs, self._found_at(there, pairs), least)
-
-    def _meetings(
-        self, q: Array, there: Array, pairs: Array, found: Array, least: Array
-    ) -> NearPairs:
-        """Return what was found too near in one posture, `there`, of the same points in another."""
-        meets = found[:, 0] < least
-        pairs, found = pairs[meets], found[meets]
-        moved = self._place(q) @ inverse_pose(self._place(there))
-        first = moved[self.bounds.first[pairs], :3]
-        second = moved[self.bounds.second[pairs], :3]
-        # As columns: distances along the normals, normals, and points of both shapes.
-        apart, normals, points = np.split(found[..., None], (1, 4), axis=1)
-        turned = first[..., :3] @ normals
-        begins = first[..., :3] @ points + first[..., 3:]
-        ends = second[..., :3] @ (points + apart * normals) + second[..., 3:]
-        gaps = turned.mT @ (ends - begins)
-        return NearPairs(pairs, np.hstack([gaps, turned, ends])[..., 0])
-
-
 def _levers(model: pin.Model, shape: pin.GeometryObject) -> Array:
     """Bound the speed of a shape's points per speed of each coordinate, shape (nv,).
 
@@ -380,7 +232,7 @@ def _extent(shape: pin.GeometryObject) -> tuple[Array, float]:
 
 
 class CollisionLimit:
-    """Rows that keep pairs of collision shapes apart.
+    """Measures signed distances of pairs of collision shapes, and keeps them apart by rows.
 
     Args:
         hand: The hand.
@@ -391,7 +243,7 @@ class CollisionLimit:
 
     Attributes:
         margin: Distance to keep [m]; `horizon` as given.
-        shape_distances: Measures the distances.
+        bounds: How far changes of coordinates move the pairs.
         columns: Which active coordinates move the shapes of any pair against each other, shape
             (n,). The others, such as those of a floating wrist, change no distance.
 
@@ -401,7 +253,7 @@ class CollisionLimit:
     """
 
     def __init__(
-        self, hand: Hand, *, pairs: ShapePairs | None = None, horizon: float = np.inf
+        self, hand: Hand, pairs: ShapePairs | None = None, horizon: float = np.inf
     ) -> None:
         spec = hand.spec.collision
         if pairs is None:
@@ -414,10 +266,20 @@ class CollisionLimit:
             pairs = named_pairs(hand, spec.pairs)
         self.margin = spec.margin if spec else 0.0
         self.horizon = horizon
+        self._arguments = hand, pairs, horizon
         self._spread = hand.spread
-        self.shape_distances = ShapeDistances(hand.model, pairs.geometry)
-        is_moving = (self.shape_distances.bounds.levers > 0.0).any(axis=0)
+        self._model = hand.model
+        self._data = hand.model.createData()
+        self._shapes = pairs.geometry.createData()
+        for request in self._shapes.distanceRequests:
+            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
+        self.bounds = pair_bounds(hand.model, pairs.geometry)
+        is_moving = (self.bounds.levers > 0.0).any(axis=0)
         self.columns: Array = is_moving @ (self._spread != 0.0)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build copies with data of their own."""
+        return CollisionLimit, self._arguments
 
     def distances(self, configuration: Configuration) -> Array:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
@@ -425,7 +287,7 @@ class CollisionLimit:
         Args:
             configuration: Of the hand, placed.
         """
-        return self.shape_distances.measure(configuration.q).found[:, 0]
+        return self.within(configuration.q).found[:, 0]
 
     def measure(
         self,
@@ -448,31 +310,133 @@ class CollisionLimit:
             reach = max(min(_NEAR + _APPROACH * dt, reach), KEPT)
             if last is not None:
                 turns = np.abs(self._spread.dot(last))
-                travel = self.shape_distances.bounds.levers.dot(turns)
+                travel = self.bounds.levers.dot(turns)
                 reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
         kept = self.margin if margins is None else margins
-        return self.shape_distances.measure(q, kept + reach)
+        return self.within(q, kept + reach)
+
+    def within(self, q: Array, horizon: Array | float = np.inf) -> NearPairs:
+        """Measure the pairs within a horizon.
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+            horizon: Largest distance [m], of each pair or one for all.
+        """
+        bounds = self.bounds
+        origins = self._place(q)[:, :3, 3]
+        apart = lengths(origins[bounds.first] - origins[bounds.second])
+        horizons = np.full(len(apart), horizon)
+        pairs = np.flatnonzero(apart - bounds.reaches <= horizons)
+        found = self._found_at(q, pairs)
+        is_near = found[:, 0] <= horizons[pairs]
+        return NearPairs(pairs[is_near], found[is_near])
+
+    def _found_at(self, q: Array, pairs: Array) -> Array:
+        """Return what is found of some pairs in a posture; as of `NearPairs`, shape (r, 7)."""
+        self._place(q)
+        found = np.empty((len(pairs), 7))
+        for row, k in zip(found, pairs.tolist(), strict=True):
+            result = pin.computeDistance(self.bounds.geometry, self._shapes, k)
+            row[0] = result.min_distance
+            row[1:4] = result.normal
+            row[4:] = result.getNearestPoint1()
+        return found
+
+    def _place(self, q: Array) -> Array:
+        """Place all shapes in a posture, and return their poses, shape (s, 4, 4)."""
+        geometry = self.bounds.geometry
+        pin.updateGeometryPlacements(self._model, self._data, geometry, self._shapes, q)
+        poses = [pose.homogeneous for pose in self._shapes.oMg]
+        return np.reshape(poses, (-1, 4, 4))
 
     def met_on(self, q: Array, displacement: Array) -> NearPairs | None:
-        """Return what meets on a straight path; see `ShapeDistances.met_on`.
+        """Return what meets on a straight path; None if no pair of shapes does.
+
+        Pairs that touch at the start already are left out.
 
         Args:
             q: Pinocchio configuration where it begins, shape (nq,).
             displacement: Displacement in the active coordinates [rad or m], shape (n,).
+
+        Returns:
+            The pairs that come too near first, by halving; none where it takes too many points to
+            know. Their points where the path begins: distance along the normal, the normal, and the
+            point of the second shape, shape (r, 7).
         """
-        return self.shape_distances.met_on(q, self._spread.dot(displacement))
+        step = self._spread.dot(displacement)
+        turns = np.abs(step)
+        travel = self.bounds.levers.dot(turns)
+        bend = self.bounds.turns.dot(turns)
+        pairs, before = self.within(q, KEPT + travel)
+        there = pin.integrate(self._model, q, step)
+        ends = np.array([before, self._found_at(there, pairs)])
+        # On a path from a to b, the distance is never below (a + b - travel) / 2.
+        is_open = ends[..., 0].sum(axis=0) - travel[pairs] < KEPT
+        is_open &= before[:, 0] > 0.0
+        pairs = pairs[is_open]
+        ends = ends[:, is_open]
+        kept = np.full_like(travel, KEPT)
+        kept[pairs] = np.minimum(ends[0, :, 0], KEPT)
+        met = self._meetings(q, there, pairs, ends[1], kept[pairs])
+        if len(met.pairs):
+            return met
+        # Parts of the path that are not shown to be clear: pairs, and what was found at both ends.
+        parts = [(0.0, 1.0, pairs, ends)]
+        taken = 0
+        while parts:
+            low, high, pairs, ends = parts.pop(0)
+            length = high - low
+            turned = 2.0 * lengths(ends[1, :, 1:4] - ends[0, :, 1:4])
+            turned += length * bend[pairs]
+            bent = 0.125 * turned * length * travel[pairs]
+            nearest = ends[..., 0].min(axis=0)
+            is_open = nearest - bent < 0.5 * kept[pairs]
+            if not is_open.any():
+                continue
+            if taken == _MOST_POINTS:
+                return NearPairs(pairs[:0], ends[0, :0])
+            taken += 1
+            pairs = pairs[is_open]
+            first, last = ends[:, is_open]
+            middle = 0.5 * (low + high)
+            there = pin.integrate(self._model, q, middle * step)
+            between = self._found_at(there, pairs)
+            met = self._meetings(q, there, pairs, between, kept[pairs])
+            if len(met.pairs):
+                return met
+            parts.append((low, middle, pairs, np.array([first, between])))
+            parts.append((middle, high, pairs, np.array([between, last])))
+        return None
 
     def met_at(
         self, q: Array, displacement: Array, near: NearPairs, margins: Array | None
     ) -> NearPairs:
         """Return the pairs that a path brings nearer, and within their margin, where it ends.
 
-        Arguments are as of `measure`, which found `near`, and `met_on`.
+        Arguments are as of `measure`, which found `near`, and `met_on`, and so is the result.
         """
         kept = self.margin if margins is None else margins[near.pairs]
         least = np.minimum(near.found[:, 0], kept) - _NEARER
-        step = self._spread.dot(displacement)
-        return self.shape_distances.met_at(q, step, near.pairs, least)
+        there = pin.integrate(self._model, q, self._spread.dot(displacement))
+        found = self._found_at(there, near.pairs)
+        return self._meetings(q, there, near.pairs, found, least)
+
+    def _meetings(
+        self, q: Array, there: Array, pairs: Array, found: Array, least: Array
+    ) -> NearPairs:
+        """Return what was found too near in one posture, `there`, of the same points in another."""
+        meets = found[:, 0] < least
+        pairs, found = pairs[meets], found[meets]
+        moved = self._place(q) @ inverse_pose(self._place(there))
+        first = moved[self.bounds.first[pairs], :3]
+        second = moved[self.bounds.second[pairs], :3]
+        # As columns: distances along the normals, normals, and points of both shapes.
+        apart, normals, points = np.split(found[..., None], (1, 4), axis=1)
+        turned = first[..., :3] @ normals
+        begins = first[..., :3] @ points + first[..., 3:]
+        ends = second[..., :3] @ (points + apart * normals) + second[..., 3:]
+        gaps = turned.mT @ (ends - begins)
+        return NearPairs(pairs, np.hstack([gaps, turned, ends])[..., 0])
 
     def rows(
         self,
@@ -495,9 +459,7 @@ class CollisionLimit:
         pairs, found = near
         normals = found[:, 1:4]
         wrenches = np.hstack([normals, np.cross(found[:, 4:], normals)])
-        G = self.shape_distances.bounds.signs[pairs] * wrenches.dot(
-            configuration.joint_jacobian()
-        )
+        G = self.bounds.signs[pairs] * wrenches.dot(configuration.joint_jacobian())
         kept = self.margin if margins is None else margins
         kept = kept[pairs] if isinstance(kept, np.ndarray) else kept
         return configuration.contracted(G), _GAIN * (found[:, 0] - kept)

@@ -386,7 +386,7 @@ class Gate:
             max_acceleration=max_acceleration,
             together=collisions.columns if collisions else False,
         )
-        self.links = collisions.shape_distances.bounds.links if collisions else [()]
+        self.links = collisions.bounds.links if collisions else [()]
         self.held_by = -1
 
     @property

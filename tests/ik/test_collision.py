@@ -245,7 +245,7 @@ def test_far_rows_change_no_step() -> None:
 
 def links_of(limit: CollisionLimit) -> list[tuple[str, str]]:
     """Return the links of each pair."""
-    return [*ShapePairs(limit.shape_distances.bounds.geometry, ()).links]
+    return [*ShapePairs(limit.bounds.geometry, ()).links]
 
 
 def test_a_link_with_two_shapes_has_two_rows() -> None:
@@ -385,14 +385,14 @@ def test_pairs_within_the_horizon_have_the_rows_they_have_without_one() -> None:
     hand, rng = load_hand("allegro_right"), np.random.default_rng(8)
     every, limit = CollisionLimit(hand), CollisionLimit(hand, horizon=0.012)
     configuration = hand.configuration()
-    margins = rng.uniform(0.0, 0.003, size=len(every.shape_distances.bounds.first))
+    margins = rng.uniform(0.0, 0.003, size=len(every.bounds.first))
     for _ in range(20):
         q = rng.uniform(hand.lower_limits, hand.upper_limits)
         configuration.place(hand.configuration_vector(q))
         within = np.flatnonzero(every.distances(configuration) <= margins + 0.012)
         near = limit.measure(configuration.q, margins=margins)
         assert set(within) <= set(near.pairs)
-        assert len(near.pairs) < len(every.shape_distances.bounds.first)
+        assert len(near.pairs) < len(every.bounds.first)
         G, h = every.rows(configuration, every.measure(configuration.q), margins)
         some_G, some_h = limit.rows(configuration, near, margins)
         # GJK is warm-started, so both agree to its tolerance only.

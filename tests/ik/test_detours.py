@@ -50,7 +50,7 @@ def starts(mapper: HandMapper, count: int) -> list[Motion]:
     while len(found) < count:
         q = rng.uniform(robot.lower_limits, robot.upper_limits)
         vector = robot.configuration_vector(q, wrist)
-        if not len(ik.gate.collisions.shape_distances.measure(vector, 1e-3).pairs):
+        if not len(ik.gate.collisions.within(vector, 1e-3).pairs):
             found.append(Motion.at_rest(vector, len(robot.active_columns)))
     return found
 

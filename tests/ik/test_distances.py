@@ -9,8 +9,8 @@ import pytest
 from handmap_qp import Hand, hand_names, load_hand
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.pads import _corners as corners
-from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik.collision import ShapeDistances
+from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
+from handmap_qp.ik.collision import CollisionLimit
 
 HORIZON = 0.012
 
@@ -22,7 +22,7 @@ def hand() -> Hand:
 
 def test_distances_are_those_of_each_pair_measured_alone(hand: Hand) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
-    measured = ShapeDistances(hand.model, geometry)
+    measured = CollisionLimit(hand, ShapePairs(geometry, ()))
     alone, data = geometry.createData(), hand.model.createData()
     for request in alone.distanceRequests:
         request.gjk_tolerance = request.epa_tolerance = 1e-9
@@ -32,7 +32,7 @@ def test_distances_are_those_of_each_pair_measured_alone(hand: Hand) -> None:
         step = rng.normal(scale=0.03, size=len(hand.rest))
         q = q + step if i % 2 else rng.uniform(hand.lower_limits, hand.upper_limits)
         vector = hand.configuration_vector(q, np.eye(4))
-        near = measured.measure(vector, HORIZON)
+        near = measured.within(vector, HORIZON)
         pin.updateGeometryPlacements(hand.model, data, geometry, alone, vector)
         results = [
             pin.computeDistance(geometry, alone, k)
@@ -56,19 +56,19 @@ def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(
     hand: Hand,
 ) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
-    used, fresh = (ShapeDistances(hand.model, geometry) for _ in range(2))
+    used, fresh = (CollisionLimit(hand, ShapePairs(geometry, ())) for _ in range(2))
     for posture in (hand.rest, hand.lower_limits, hand.upper_limits):
         q = hand.configuration_vector(posture, np.eye(4))
-        used.measure(q, horizon=HORIZON)
+        used.within(q, horizon=HORIZON)
     np.testing.assert_allclose(
-        used.measure(q).found[:, 0], fresh.measure(q).found[:, 0], atol=1e-8
+        used.within(q).found[:, 0], fresh.within(q).found[:, 0], atol=1e-8
     )
 
 
 def test_a_hand_without_pairs_has_no_distances(hand: Hand) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
     geometry.removeAllCollisionPairs()
-    near = ShapeDistances(hand.model, geometry).measure(
+    near = CollisionLimit(hand, ShapePairs(geometry, ())).within(
         hand.configuration().q, horizon=HORIZON
     )
     assert near.pairs.shape == (0,)
@@ -80,14 +80,17 @@ def test_no_pair_of_any_hand_is_nearer_than_it_is_measured(name: str) -> None:
     # Between two planes across the normal, the shapes are apart by what their own points say.
     hand = load_hand(name)
     geometry = all_pairs(hand, find_fingers(hand)).geometry
-    measured, placed = ShapeDistances(hand.model, geometry), geometry.createData()
+    measured, placed = (
+        CollisionLimit(hand, ShapePairs(geometry, ())),
+        geometry.createData(),
+    )
     data, rng = hand.model.createData(), np.random.default_rng(2)
     limits, size = (hand.lower_limits, hand.upper_limits), (8, len(hand.rest))
     for q in rng.uniform(*limits, size):
         vector = hand.configuration_vector(q)
         pin.updateGeometryPlacements(hand.model, data, geometry, placed, vector)
         for k, (distance, *normal) in zip(
-            *(part.tolist() for part in measured.measure(vector, HORIZON)), strict=True
+            *(part.tolist() for part in measured.within(vector, HORIZON)), strict=True
         ):
             pair = geometry.collisionPairs[k]
             reach = sum(

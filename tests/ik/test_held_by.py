@@ -46,8 +46,8 @@ def test_links_that_press_on_each_other_are_named(
     assert len(result.held_by) == 2
     limits = ik.gate.collisions
     assert limits is not None
-    near = limits.shape_distances.measure(ik.gate.motion.q)
-    links = limits.shape_distances.bounds.links
+    near = limits.within(ik.gate.motion.q)
+    links = limits.bounds.links
     gaps = [
         found[0]
         for pair, found in zip(near.pairs, near.found, strict=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import coal
@@ -22,7 +23,7 @@ from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import CollisionSpec
-from handmap_qp.ik.collision import CollisionLimit, ShapeDistances
+from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.limits import braking_displacement
 from handmap_qp.ik.qp import PointIk
 
@@ -396,7 +397,7 @@ def test_a_displacement_that_is_not_a_number_is_not_taken(case: Case) -> None:
     assert np.isfinite(gate.motion.q).all()
 
 
-def distances_of(model: pin.Model, *shapes: tuple[int, pin.SE3, Any]) -> ShapeDistances:
+def distances_of(model: pin.Model, *shapes: tuple[int, pin.SE3, Any]) -> CollisionLimit:
     """Pair two shapes, each with its joint and its placement there."""
     geometry = pin.GeometryModel()
     for i, (parent, placement, shape) in enumerate(shapes):
@@ -405,7 +406,9 @@ def distances_of(model: pin.Model, *shapes: tuple[int, pin.SE3, Any]) -> ShapeDi
             pin.GeometryObject(f"shape {i}", parent, placement, shape)
         )
     geometry.addCollisionPair(pin.CollisionPair(0, 1))
-    return ShapeDistances(model, geometry)
+    spec = SimpleNamespace(collision=None)
+    hand: Any = SimpleNamespace(model=model, spread=np.eye(model.nv), spec=spec)
+    return CollisionLimit(hand, ShapePairs(geometry, ()))
 
 
 def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
@@ -422,7 +425,7 @@ def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
     ball, wall = coal.Sphere(radius), coal.Box(1.0, 1.0, 0.1)
     distances = distances_of(model, (joint, down, ball), (0, floor, wall))
     start = np.array([-angle])
-    assert distances.measure(start).found[0, 0] == pytest.approx(gap, abs=1e-6)
+    assert distances.within(start).found[0, 0] == pytest.approx(gap, abs=1e-6)
     assert distances.met_on(start, np.array([2.0 * angle])) is not None
     # A part that ends before the floor rises into the path is clear.
     assert distances.met_on(start, np.array([0.02])) is None
@@ -443,8 +446,8 @@ def test_the_bound_of_a_way_counts_what_turning_does_to_what_slides() -> None:
     here = pin.SE3.Identity()
     distances = distances_of(model, (slide, here, ball), (0, floor, wall))
     start = np.array([-turn, -out])
-    assert distances.measure(start).found[0, 0] == pytest.approx(gap, abs=1e-6)
-    assert distances.measure(np.zeros(2)).found[0, 0] < -1e-3
+    assert distances.within(start).found[0, 0] == pytest.approx(gap, abs=1e-6)
+    assert distances.within(np.zeros(2)).found[0, 0] < -1e-3
     assert distances.met_on(start, np.array([2.0 * turn, 2.0 * out])) is not None
 
 
