@@ -281,14 +281,6 @@ class CollisionLimit:
         """Build copies with data of their own."""
         return CollisionLimit, self._arguments
 
-    def distances(self, configuration: Configuration) -> Array:
-        """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
-
-        Args:
-            configuration: Of the hand, placed.
-        """
-        return self.within(configuration.q).found[:, 0]
-
     def measure(
         self,
         q: Array,
@@ -320,7 +312,7 @@ class CollisionLimit:
 
         Args:
             q: Pinocchio configuration, shape (nq,).
-            horizon: Largest distance [m], of each pair or one for all.
+            horizon: Largest distance [m], of each pair or one for all; infinite for all pairs.
         """
         bounds = self.bounds
         origins = self._place(q)[:, :3, 3]

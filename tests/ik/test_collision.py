@@ -77,12 +77,12 @@ def test_rows_are_the_derivative_of_the_distances(name: str) -> None:
         dq *= small / np.linalg.norm(dq)
         configuration.place(q)
         G, h = limit.rows(configuration, limit.measure(q))
-        free = limit.distances(configuration) - limit.margin
+        free = limit.within(configuration.q).found[:, 0] - limit.margin
         np.testing.assert_allclose(h, 0.85 * free, atol=1e-8)
         distances = []
         for sign in (1.0, -1.0):
             configuration.displace(q, sign * dq)
-            distances.append(limit.distances(configuration))
+            distances.append(limit.within(configuration.q).found[:, 0])
         errors.append(np.abs((distances[0] - distances[1]) / 2.0 + G @ dq) / small)
     # coal stops within 1e-9 m, here of 1e-5 m. At the edges of flat faces the distance has no
     # derivative.
@@ -104,7 +104,7 @@ def test_a_hand_at_rest_keeps_its_margin(name: str) -> None:
     hand = load(name)
     limit, configuration = CollisionLimit(hand), hand.configuration()
     configuration.place(hand.configuration_vector(hand.rest))
-    assert limit.distances(configuration).min() > limit.margin
+    assert limit.within(configuration.q).found[:, 0].min() > limit.margin
 
 
 @each_name
@@ -138,7 +138,7 @@ def _nearest_on_the_way(hand: Hand, *, avoids: bool) -> float:
             targets[:] = targets.mean(axis=0)
         for _ in range(15):
             assert ik.solve(targets, None, DT).status != "failed"
-            nearest = min(nearest, limit.distances(ik.configuration).min())
+            nearest = min(nearest, limit.within(ik.configuration.q).found[:, 0].min())
     return nearest
 
 
@@ -149,7 +149,7 @@ def test_rows_never_contradict_the_box(name: str) -> None:
     limit, ik, overlaps = CollisionLimit(hand), PointIk(hand, IkOptions()), 0
     for case in random_cases(hand, 40, seed=1):
         ik.place(case.q)
-        overlaps += limit.distances(ik.configuration).min() < 0.0
+        overlaps += limit.within(ik.configuration.q).found[:, 0].min() < 0.0
         assert avoiding_step(ik, limit, case.point_targets, case.dt) is not None
     assert overlaps > 5
 
@@ -184,7 +184,7 @@ def test_overlapping_links_part() -> None:
         ik.place(
             hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits))
         )
-        distances = limit.distances(ik.configuration)
+        distances = limit.within(ik.configuration.q).found[:, 0]
         # One pair at a time, because the rows of several pairs may conflict.
         if not (distances.min() < -0.002 and np.sort(distances)[1] > 0.02):
             continue
@@ -195,7 +195,7 @@ def test_overlapping_links_part() -> None:
             dq = avoiding_step(ik, limit, targets, DT)
             assert dq is not None
             ik.place(pin.integrate(hand.model, ik.configuration.q, dq))
-        assert limit.distances(ik.configuration).min() > 0.9 * limit.margin
+        assert limit.within(ik.configuration.q).found[:, 0].min() > 0.9 * limit.margin
 
 
 @given(st.integers(0, 10_000))
@@ -290,7 +290,7 @@ def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
         configuration, limit = boxy.configuration(), CollisionLimit(boxy)
         for q in (hand.rest, hand.upper_limits):
             configuration.place(boxy.configuration_vector(q))
-            distances.append(limit.distances(configuration))
+            distances.append(limit.within(configuration.q).found[:, 0])
     assert min(distances[1]) < 0.0
     np.testing.assert_allclose(distances[2:], distances[:2], atol=1e-7)
 
@@ -309,7 +309,7 @@ def test_links_whose_mesh_is_not_there_are_kept_apart_by_stand_ins(
     limit = CollisionLimit(bare)
     configuration = bare.configuration()
     configuration.place(bare.configuration_vector(hand.rest))
-    distances = limit.distances(configuration)
+    distances = limit.within(configuration.q).found[:, 0]
     assert np.isfinite(distances).all()
 
 
@@ -389,7 +389,9 @@ def test_pairs_within_the_horizon_have_the_rows_they_have_without_one() -> None:
     for _ in range(20):
         q = rng.uniform(hand.lower_limits, hand.upper_limits)
         configuration.place(hand.configuration_vector(q))
-        within = np.flatnonzero(every.distances(configuration) <= margins + 0.012)
+        within = np.flatnonzero(
+            every.within(configuration.q).found[:, 0] <= margins + 0.012
+        )
         near = limit.measure(configuration.q, margins=margins)
         assert set(within) <= set(near.pairs)
         assert len(near.pairs) < len(every.bounds.first)

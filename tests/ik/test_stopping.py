@@ -47,7 +47,7 @@ class Case:
     def nearest(self, q: np.ndarray) -> float:
         """Return the smallest signed distance at a configuration [m]."""
         self._configuration.place(q)
-        return float(self._limit.distances(self._configuration).min())
+        return float(self._limit.within(self._configuration.q).found[:, 0].min())
 
     def nearest_between(self, before: np.ndarray, after: np.ndarray) -> float:
         """Return the smallest signed distance on the straight way between two configurations."""
@@ -482,7 +482,7 @@ def test_a_fingertip_that_swings_past_a_wall_touches_it_between_the_ends(
     distances = []
     for angle in (0.0, half_turn, -half_turn):
         configuration.place(hand.configuration_vector(np.array([angle, 0.0])))
-        distances.append(limit.distances(configuration)[0])
+        distances.append(limit.within(configuration.q).found[:, 0][0])
     np.testing.assert_allclose(
         distances, clearance + np.array([-arc, 0.0, 0.0]), atol=1e-7
     )

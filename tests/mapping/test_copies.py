@@ -218,8 +218,8 @@ def test_a_solver_goes_on_from_a_posture_of_its_own(way: Callable[[Any], Any]) -
     )
     assert copied.gate.collisions is not None
     assert solver.gate.collisions is not None
-    apart = copied.gate.collisions.distances(copied.configuration)
-    expected_apart = solver.gate.collisions.distances(solver.configuration)
+    apart = copied.gate.collisions.within(copied.configuration.q).found[:, 0]
+    expected_apart = solver.gate.collisions.within(solver.configuration.q).found[:, 0]
     np.testing.assert_allclose(apart, expected_apart, atol=TOLERANCE)
 
 

@@ -383,7 +383,7 @@ def test_pairs_for_self_collision_are_apart_at_rest_and_named() -> None:
     limit = CollisionLimit(described_hand)
     configuration = described_hand.configuration()
     configuration.place(described_hand.configuration_vector(described_hand.rest))
-    assert limit.distances(configuration).min() > collision.margin
+    assert limit.within(configuration.q).found[:, 0].min() > collision.margin
     links = {frozenset(pair) for pair in collision.pairs}
     # Thumb and every fingertip; index and ring are no neighbours.
     assert {
