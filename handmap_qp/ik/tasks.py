@@ -18,7 +18,6 @@ function from a hand to a task; `IkOptions.tasks` takes them by name.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
@@ -117,12 +116,8 @@ class AttachedPoints:
         self.offsets = np.array([offset for _, offset in places], dtype=float).reshape(
             -1, 3
         )
-        self._model = hand.model
-
-    @cached_property
-    def moved(self) -> Array:
-        """Which coordinates of the model move each point, shape (n, 1, model.nv)."""
-        return moved_by(self._model, self.joints)[:, None]
+        # Which coordinates of the model move each point, shape (n, 1, model.nv).
+        self.moved = moved_by(hand.model, self.joints)[:, None]
 
     @classmethod
     def reference_points(cls, hand: Hand) -> Self:
