@@ -5,8 +5,8 @@ message up to its last one. While a ROUTER socket reads one peer's message, it r
 
 So clients connect to a gate, which passes bytes between them and the socket. A connection has a
 credit of bytes, and each frame costs what libzmq stores for it too. The service gives the credit of
-a message back once it has read the whole message. The gate does not read from a connection without
-credit, and ends it if it gets none in time. libzmq then forgets what it has stored. Only lengths of
+a message back once it has read the whole message. The gate passes nothing on without credit, and
+ends a connection that gets none in time. libzmq then forgets what it has stored. Only lengths of
 frames are read, so encrypted connections pass too.
 
 If a client does not read, the gate does not read either, and the PUB socket keeps the newest
@@ -22,7 +22,6 @@ from collections.abc import Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from logging import WARNING
-from typing import Any
 
 import zmq
 
@@ -37,7 +36,7 @@ _STARVED = 1.0
 _ACCEPTED = 8
 """Connections accepted in one turn of the event loop."""
 _AT_ONCE = 2048
-"""Bytes read from a connection in one turn of the event loop."""
+"""Bytes of a client that the gate passes on at once."""
 _BUFFER = 4096
 """Bytes that wait for a client before the gate stops reading from the socket."""
 _GREETING = 64
@@ -113,11 +112,13 @@ class ConnectionGate:
         self._refusals = Throttle()
 
     async def __aenter__(self) -> int:
-        loop = asyncio.get_running_loop()
         advice = "give a free port at an IP address of this machine"
         with naming(f"{self.host}:{self.port}", advice=advice):
-            self._server = await loop.create_server(
-                lambda: _Client(self), self.host, self.port, backlog=_ACCEPTED
+            self._server = await asyncio.start_server(
+                lambda *streams: self.admit(_Client(self, *streams)),
+                *(self.host, self.port),
+                limit=_AT_ONCE,
+                backlog=_ACCEPTED,
             )
         bound, *_ = self._server.sockets
         # asyncio accepts the whole backlog in one turn, so it is told of a shorter one.
@@ -139,7 +140,7 @@ class ConnectionGate:
                 self.clients, key=lambda each: (bool(each.identity), each.heard)
             )
             (least if self.evicts else client).end("too many connections")
-        if not client.transport.is_closing():
+        if not client.writer.is_closing():
             self.clients.add(client)
 
     def release(self, client: "_Client", reason: str) -> None:
@@ -167,114 +168,74 @@ class ConnectionGate:
         return client
 
 
-class SmallReads(asyncio.BufferedProtocol):
-    """A protocol that reads little in one turn of the event loop."""
-
-    def data_received(self, data: bytes) -> None:
-        """Take what was read."""
-
-    def get_buffer(self, sizehint: int) -> memoryview:
-        """Return where to put what is read; a view, of which asyncio takes parts over TLS."""
-        self._buffer = memoryview(bytearray(_AT_ONCE))
-        return self._buffer
-
-    def buffer_updated(self, nbytes: int) -> None:
-        """Pass on what was read."""
-        self.data_received(bytes(self._buffer[:nbytes]))
-
-
-class _Client(SmallReads):
+@dataclass(eq=False)
+class _Client:
     """A client's connection, `heard` [s]; a ROUTER knows its identity, the socket its name."""
 
-    transport: asyncio.Transport
-    _inner: Any = None
-    _starving: asyncio.TimerHandle | None = None
+    gate: ConnectionGate
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
     name = identity = b""
 
-    def __init__(self, gate: ConnectionGate) -> None:
+    def __post_init__(self) -> None:
         self.heard = time.monotonic()
-        self._gate = gate
-        self._frames = count_frames()
-        self._credit = Bucket(_RATE, gate.credit)
-        next(self._frames)
+        self._credit = Bucket(_RATE, self.gate.credit)
+        self._has_credit = asyncio.Event()
+        self._task = asyncio.create_task(self._serve())
+        self._task.add_done_callback(lambda _: self.end())
 
-    def connection_made(self, transport: Any) -> None:
-        self.transport = transport
-        self._loop = asyncio.get_running_loop()
-        self._gate.admit(self)
-        if transport.is_closing():
-            return
-        transport.set_write_buffer_limits(high=_BUFFER)
-        transport.pause_reading()
-        self._connecting = self._loop.create_task(self._connect())
-
-    async def _connect(self) -> None:
-        """Connect to the socket, then start to read."""
-        end = socket.socket(socket.AF_UNIX)
-        try:
+    async def _serve(self) -> None:
+        """Pass bytes on both ways until one side ends."""
+        self.writer.transport.set_write_buffer_limits(high=_BUFFER)
+        with socket.socket(socket.AF_UNIX) as end, suppress(OSError):
             end.setblocking(False)
             # The system chooses a unique name.
             end.bind("")
             self.name = end.getsockname()
-            await self._loop.sock_connect(end, f"\0{self._gate.inner}")
-            self._inner, _ = await self._loop.create_unix_connection(
-                lambda: _Inner(self), sock=end
-            )
-        except OSError:
-            end.close()
-        if not self._inner or self.transport.is_closing():
-            self.end()
-        else:
-            self.transport.resume_reading()
+            loop = asyncio.get_running_loop()
+            await loop.sock_connect(end, f"\0{self.gate.inner}")
+            reader, writer = await asyncio.open_unix_connection(sock=end, limit=_BUFFER)
+            try:
+                await asyncio.gather(self._send(writer), self._receive(reader))
+            finally:
+                writer.transport.abort()
 
-    def data_received(self, data: bytes) -> None:
-        try:
-            cost = len(data) + _FRAME * self._frames.send(data)
-        except ValueError as error:
-            self.end(str(error))
-            return
-        self._inner.write(data)
-        if self._credit.charge(cost) <= 0.0:
-            self.transport.pause_reading()
-            reason = "a client sent more than its messages need"
-            self._starving = self._loop.call_later(_STARVED, self.end, reason)
+    async def _send(self, writer: asyncio.StreamWriter) -> None:
+        """Pass on to the socket what the client has credit for."""
+        frames = count_frames()
+        next(frames)
+        while data := await self.reader.read(_AT_ONCE):
+            try:
+                cost = len(data) + _FRAME * frames.send(data)
+            except ValueError as error:
+                self.end(str(error))
+                return
+            writer.write(data)
+            if self._credit.charge(cost) <= 0.0:
+                self._has_credit.clear()
+                try:
+                    async with asyncio.timeout(_STARVED):
+                        await self._has_credit.wait()
+                except TimeoutError:
+                    self.end("a client sent more than its messages need")
+        self.end()
+
+    async def _receive(self, reader: asyncio.StreamReader) -> None:
+        """Pass on to the client what the socket sends, as fast as it reads."""
+        while data := await reader.read(_BUFFER):
+            self.writer.write(data)
+            await self.writer.drain()
+        self.end()
 
     def refund(self, cost: float) -> str:
         """Give credit back; return the address of the client."""
         self.heard = time.monotonic()
-        if self._credit.charge(-cost) > 0.0 and self._starving:
-            self._starving.cancel()
-            self._starving = None
-            self.transport.resume_reading()
-        return self.transport.get_extra_info("peername")[0]
-
-    def pause_writing(self) -> None:
-        self._inner.pause_reading()
-
-    def resume_writing(self) -> None:
-        self._inner.resume_reading()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self.end()
+        if self._credit.charge(-cost) > 0.0:
+            self._has_credit.set()
+        return self.writer.get_extra_info("peername")[0]
 
     def end(self, reason: str = "") -> None:
-        """End both connections, if by the gate with the reason."""
-        self._gate.release(self, reason)
-        if self._starving:
-            self._starving.cancel()
-        for transport in (self.transport, self._inner):
-            if transport:
-                transport.abort()
-
-
-@dataclass(eq=False)
-class _Inner(asyncio.Protocol):
-    """The connection to the socket for one client."""
-
-    client: _Client
-
-    def data_received(self, data: bytes) -> None:
-        self.client.transport.write(data)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self.client.end()
+        """End the connection, if by the gate with the reason."""
+        self.gate.release(self, reason)
+        self.writer.transport.abort()
+        self._task.cancel()

@@ -30,7 +30,6 @@ from websockets.typing import Subprotocol
 
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import InvalidInputError
-from .connection_gate import SmallReads
 from .dispatch import Dispatcher
 from .logs import report, websocket_log
 from .pages import page_response
@@ -49,6 +48,8 @@ _MOST_FRAGMENTS = 64
 _CONTROLS_PER_SECOND = 5.0
 _CONTROLS = 50.0
 """Control frames of a connection, and how many at once; the server's own ping asks for one."""
+_AT_ONCE = 2048
+"""Bytes read from a connection in one turn of the event loop."""
 _ACTIVE = 1.0
 """Time after a message in which a connection keeps its place before silent ones [s]."""
 
@@ -189,8 +190,17 @@ _Form = Callable[[bytes], bytes | str]
 """Turns a message into the form of a client's frames: msgpack or JSON."""
 
 
-class _Connection(ServerConnection, SmallReads):
+class _Connection(ServerConnection, asyncio.BufferedProtocol):
     """Read little in a turn, and bound empty fragments and control frames: the library does not."""
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Return where to put what is read; a view, of which asyncio takes parts over TLS."""
+        self._buffer = memoryview(bytearray(_AT_ONCE))
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Pass on what was read."""
+        self.data_received(bytes(self._buffer[:nbytes]))
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._fragments = 0
