@@ -305,7 +305,7 @@ class World:
             and (
                 owners.index(running.owner),
                 running._state,
-                running._mapper_state,
+                running._is_slewing,
                 running._stop > 0,
                 age(running.last_request),
                 self.now > running._watchdog.last_sample,

@@ -219,14 +219,6 @@ class Watchdog:
         return is_led and self._return_after < math.inf
 
 
-class MapperState(Enum):
-    """How the posture of the mapper relates to the posture last commanded."""
-
-    ALIGNED = auto()  # they are the same
-    SLEWING = auto()  # the robot is on its way there, within its speed limits
-    STALE = auto()  # the mapper must be reset to the robot before the next sample
-
-
 class CommandedRobot(Gate):
     """A robot as last commanded.
 

@@ -59,7 +59,6 @@ from .safety import (
     START_TOLERANCE,
     CommandedRobot,
     Event,
-    MapperState,
     SessionState,
     StepClock,
     Watchdog,
@@ -366,7 +365,7 @@ class Session:
             raise refused(error) from error
         except Exception:
             # Unexpected exception: hold, and restart the mapper from the last command.
-            self._mapper_state = MapperState.STALE
+            self._reset_mapper()
             raise
         self._effort = step.command.effort
         status = step.status
@@ -413,9 +412,8 @@ class Session:
         if self._state is SessionState.RETURNING:
             share = self.request.return_speed
             self._commanded.advance(self.robot.rest, None, self._dt, share, stops=True)
-            self._effort = None
-            # The posture of the mapper stays behind, even if the client has clutched meanwhile.
-            self._mapper_state = MapperState.STALE
+            # The mapper starts again from there, even if the client has clutched meanwhile.
+            self._reset_mapper()
             if self._is_at_rest:
                 self._handle(Event.ARRIVAL)
         else:
@@ -457,8 +455,8 @@ class Session:
             RefusedError: If an emergency stop is in force.
         """
         self._check_not_stopped()
-        self._reset_mapper()
         self._handle(Event.CLUTCH)
+        self._reset_mapper()
 
     def configure(self, request: Configure) -> None:
         """Change options; the reference stays, and the robot continues from where it is.
@@ -481,14 +479,14 @@ class Session:
             RefusedError: If the robot cannot be there, or an emergency stop is in force.
         """
         self._check_not_stopped()
-        if request.robot_q is None and request.robot_wrist is None:
-            self._reset_mapper(self.robot.rest)
-        else:
+        goal = self.robot.rest
+        if request.robot_q is not None or request.robot_wrist is not None:
             self._place(*self._start(*self.posture, request))
-            self._reset_mapper()
             self._epoch = _new_epoch()
+            goal = None
         self._watchdog.last_sample = now
         self._handle(Event.RESET)
+        self._reset_mapper(goal)
 
     @property
     def _is_at_rest(self) -> bool:
@@ -522,7 +520,7 @@ class Session:
 
     def _stay(self, step: MapStep) -> None:
         """Bring a robot that is not led to a stop, as the mapper did if it leads the robot."""
-        if self._mapper_state is MapperState.ALIGNED and step.ik.status == "released":
+        if not self._is_slewing and step.ik.status == "released":
             self._commanded.motion = self._hands.mapper.motion
         else:
             self._commanded.brake(self._dt)
@@ -578,8 +576,6 @@ class Session:
             self._choose(hands, self.request)
             self._adopt(self._hands)
             self._reset_mapper()
-            if self._state.is_released:
-                hands.mapper.release()
         return command
 
     def _adopt(self, hands: Hands) -> None:
@@ -618,15 +614,12 @@ class Session:
         self._commanded.obey(mapper.point_ik)
 
     def _prepare_mapper(self) -> None:
-        """Reset the mapper if it must start again from the robot's posture."""
-        must_reset = self._mapper_state is MapperState.STALE or (
-            self.request.resume == "clutch" and self._state.is_silent
-        )
-        if must_reset and not self._state.is_released:
+        """Let the mapper go on from the robot's motion."""
+        if self.request.resume == "clutch" and self._state.is_silent:
             self._reset_mapper()
         mapper = self._hands.mapper
         is_led = self._commanded.is_led_by(mapper.point_ik.gate)
-        if self._mapper_state is MapperState.ALIGNED and not is_led:
+        if not (self._is_slewing or is_led):
             # It may have braked meanwhile, or a sample was refused half-way.
             mapper.motion = self._commanded.motion
 
@@ -641,29 +634,27 @@ class Session:
         """Move the robot to the mapper's posture within its limits; return flags."""
         mapper = self._hands.mapper
         target = step.command
-        if self._mapper_state is MapperState.ALIGNED and mapper.ik.has_velocity_limits:
+        if mapper.ik.has_velocity_limits and not self._is_slewing:
             self._commanded.follow(mapper.point_ik.gate, target)
             return []
-        if self._commanded.advance(target.q, target.wrist, self._dt):
-            self._mapper_state = MapperState.ALIGNED
-            return []
-        self._mapper_state = MapperState.SLEWING
-        return ["slewing"]
+        is_there = self._commanded.advance(target.q, target.wrist, self._dt)
+        self._is_slewing = not is_there
+        return ["slewing"] * self._is_slewing
 
     def _reset_mapper(self, q: Array | None = None) -> None:
         """Reset the mapper to the robot, or to q (n,); the next sample is the reference."""
         self._effort = None
         mapper = self._hands.mapper
-        robot = self.robot
-        if q is None and self._commanded.is_placed:
+        robot = self._commanded
+        self._is_slewing = q is not None or not robot.is_placed
+        if self._is_slewing:
+            inside = np.clip(robot.q if q is None else q, *self.robot.limits)
+            wrist = {"robot_wrist": robot.wrist} if self.robot.is_floating else {}
+            mapper.reset(robot_q=inside, **wrist)
+        else:
             mapper.clutch()
-            self._mapper_state = MapperState.ALIGNED
-            return
-        angles = self._commanded.q if q is None else q
-        wrist = {"robot_wrist": self._commanded.wrist} if robot.is_floating else {}
-        inside = np.clip(angles, *robot.limits)
-        mapper.reset(robot_q=inside, **wrist)
-        self._mapper_state = MapperState.SLEWING
+        if self._state.is_released:
+            mapper.release()
 
     def _diagnostics(self, step: MapStep, sample: Step, humans: Humans) -> Values:
         """Return the fields of a command that say what a sample is worth and where it led."""
