@@ -308,7 +308,7 @@ class World:
                 running._is_slewing,
                 running._stop > 0,
                 age(running.last_request),
-                self.now > running._watchdog.last_sample,
+                self.now > running._clock.last_sample,
             ),
             record
             and (owners.index(record.owner), record.stop > 0, record.is_released),

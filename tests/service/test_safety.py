@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from service_tools import CACHE
+from service_tools import CACHE, opening
 from strategies import generators, motion_of, rotations, translations
 
-from handmap_qp.apps.service.safety import CommandedRobot, StepClock
+from handmap_qp.apps.service.safety import CommandedRobot, SessionClock
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
@@ -228,7 +228,7 @@ def test_a_fixed_wrist_stays_where_the_urdf_has_it() -> None:
 def test_the_servers_clock_grants_no_more_time_than_has_passed(
     arrivals: list[tuple[float, float]],
 ) -> None:
-    clock, now = StepClock(0.05, "server", 0.0), 0.0
+    clock, now = SessionClock(opening(max_dt=0.05), 0.0), 0.0
     for stamp, wait in arrivals:
         now += wait
         dt, _ = clock.grant(stamp, now)
@@ -237,7 +237,7 @@ def test_the_servers_clock_grants_no_more_time_than_has_passed(
 
 
 def test_jumps_of_the_clients_clock_are_flagged() -> None:
-    clock = StepClock(0.05, "server", 0.0)
+    clock = SessionClock(opening(max_dt=0.05), 0.0)
     assert clock.grant(100.0, 0.01)[1] == []
     assert clock.grant(100.01, 0.02)[1] == []
     assert clock.grant(50.0, 0.03)[1] == ["time_backwards"]
@@ -246,7 +246,7 @@ def test_jumps_of_the_clients_clock_are_flagged() -> None:
 
 
 def test_simulated_time_counts_by_the_stamps() -> None:
-    clock = StepClock(0.05, "client", 0.0)
+    clock = SessionClock(opening(max_dt=0.05, time_from="client"), 0.0)
     clock.grant(10.0, 0.0)
     assert clock.grant(10.02, 0.0001)[0] == pytest.approx(0.02, abs=1e-12)
     assert clock.grant(99.0, 0.0002) == (0.05, ["dt_clamped"])

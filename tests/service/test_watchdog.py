@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from service_tools import opening
 
 from handmap_qp.apps.service.safety import (
     HEARTBEAT,
     RETURN_PERIOD,
-    Event,
+    SessionClock,
     SessionState,
-    Watchdog,
     next_state,
 )
 
@@ -20,8 +20,10 @@ ACTIVE = (SessionState.FOLLOWING, SessionState.RELEASED)
 SILENT = (SessionState.HOLDING, SessionState.HOLDING_RELEASED, SessionState.RETURNING)
 
 
-def watchdog(return_after: float | None = RETURN_AFTER) -> Watchdog:
-    return Watchdog(TIMEOUT, return_after, 0.0)
+def watchdog(
+    return_after: float | None = RETURN_AFTER, timeout: float = TIMEOUT
+) -> SessionClock:
+    return SessionClock(opening(watchdog=timeout, return_after=return_after), 0.0)
 
 
 @pytest.mark.parametrize("state", SessionState, ids=lambda state: state.name)
@@ -31,7 +33,7 @@ def test_silence_is_due_after_the_timeout_and_only_in_active_states(
     dog = watchdog(None)
     dog.feed(1.0)
     assert dog.event(state, 1.0 + TIMEOUT, is_at_rest=False) is None
-    expected = Event.SILENCE if state in ACTIVE else None
+    expected = "silence" if state in ACTIVE else None
     assert dog.event(state, 1.0 + TIMEOUT + 1e-6, is_at_rest=False) is expected
 
 
@@ -42,12 +44,12 @@ def test_a_sample_or_a_reset_postpones_silence(state: SessionState) -> None:
     reset.last_sample = 5.0
     for dog in (fed, reset):
         assert dog.event(state, 5.0 + 0.99 * TIMEOUT, is_at_rest=False) is None
-        assert dog.event(state, 5.0 + 1.01 * TIMEOUT, is_at_rest=False) is Event.SILENCE
+        assert dog.event(state, 5.0 + 1.01 * TIMEOUT, is_at_rest=False) == "silence"
 
 
-def held(dog: Watchdog, now: float) -> None:
+def held(dog: SessionClock, now: float) -> None:
     """Start a hold."""
-    assert dog.event(SessionState.FOLLOWING, now, is_at_rest=False) is Event.SILENCE
+    assert dog.event(SessionState.FOLLOWING, now, is_at_rest=False) == "silence"
 
 
 def test_a_return_is_due_after_the_hold_has_lasted() -> None:
@@ -55,7 +57,7 @@ def test_a_return_is_due_after_the_hold_has_lasted() -> None:
     held(dog, 10.0)
     hold = SessionState.HOLDING
     assert dog.event(hold, 10.0 + 0.99 * RETURN_AFTER, is_at_rest=False) is None
-    assert dog.event(hold, 10.0 + RETURN_AFTER, is_at_rest=False) is Event.RETURN
+    assert dog.event(hold, 10.0 + RETURN_AFTER, is_at_rest=False) == "return"
     assert dog.event(hold, 10.0 + RETURN_AFTER, is_at_rest=True) is None
     released = SessionState.HOLDING_RELEASED
     assert dog.event(released, 10.0 + RETURN_AFTER, is_at_rest=False) is None
@@ -114,11 +116,11 @@ def test_no_command_is_repeated_while_samples_arrive(state: SessionState) -> Non
 @pytest.mark.parametrize("state", ACTIVE, ids=lambda state: state.name)
 def test_the_first_command_of_a_hold_is_due_at_once(state: SessionState) -> None:
     # Shorter than the period of the heartbeats, which started with the last sample.
-    dog = Watchdog(0.2 * HEARTBEAT, None, 0.0)
+    dog = watchdog(None, 0.2 * HEARTBEAT)
     dog.feed(5.0)
     now = 5.0 + 0.3 * HEARTBEAT
-    assert dog.event(state, now, is_at_rest=False) is Event.SILENCE
-    assert dog.take_turn(next_state(state, Event.SILENCE), now)
+    assert dog.event(state, now, is_at_rest=False) == "silence"
+    assert dog.take_turn(next_state(state, "silence"), now)
 
 
 @given(
@@ -130,7 +132,7 @@ def test_the_first_command_of_a_hold_is_due_at_once(state: SessionState) -> None
 def test_nothing_happens_before_the_watchdog_says_that_it_is_due(
     state: SessionState, timeout: float, share: float, is_braking: bool
 ) -> None:
-    dog = Watchdog(timeout, RETURN_AFTER, 0.0)
+    dog = watchdog(timeout=timeout)
     dog.feed(3.0)
     due = dog.due(state)
     if state is SessionState.FOLLOWING:

@@ -6,17 +6,19 @@ outlasts everything but its clearing, which leaves the robot released.
 
 A mapper does not know how much time has really passed, that it was reset, that the former session
 left the robot elsewhere, or that a client switched speed limits off. So the robot has a gate of its
-own (`handmap_qp.ik.limits`), and `StepClock` limits the time that the next command may account for.
+own (`handmap_qp.ik.limits`), and `SessionClock` limits the time that a command may account for.
 """
 
 import math
 import time
 from collections.abc import Callable
-from enum import Enum, auto
+from enum import Enum
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.client.messages import Open
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands import Hand
 from handmap_qp.ik import (
@@ -72,50 +74,47 @@ class SessionState(Enum):
         self.is_stopped = mode == "stopped"
 
 
-class Event(Enum):
-    """What changes the state of a session."""
-
-    __hash__ = object.__hash__
-
-    SAMPLE = auto()  # a sample that can be used
-    CLUTCH = auto()
-    RELEASE = auto()
-    RESET = auto()
-    SILENCE = auto()  # the watchdog: no sample for too long
-    RETURN = auto()  # the watchdog: the hold has lasted long enough
-    ARRIVAL = auto()  # the robot is at its rest posture
-    STOP = auto()  # an emergency stop
-    CLEAR = auto()  # the emergency stop is cleared on purpose
-
+Event = Literal[
+    "sample",  # one that can be used
+    "clutch",
+    "release",
+    "reset",
+    "silence",  # no sample for too long
+    "return",  # the hold has lasted long enough
+    "arrival",  # the robot is at its rest posture
+    "stop",  # an emergency stop
+    "clear",  # the emergency stop is cleared on purpose
+]
+"""What changes the state of a session; silence, return and arrival come from the watchdog."""
 
 _TRANSITIONS = {
-    (SessionState[state], Event[event]): SessionState[after]
+    (SessionState[state], event): SessionState[after]
     for state, event, after in map(
         str.split,
         """
-        WAITING            SAMPLE   FOLLOWING
-        WAITING            RELEASE  RELEASED
-        FOLLOWING          RELEASE  RELEASED
-        FOLLOWING          SILENCE  HOLDING
-        RELEASED           CLUTCH   FOLLOWING
-        RELEASED           RESET    FOLLOWING
-        RELEASED           SILENCE  HOLDING_RELEASED
-        HOLDING            SAMPLE   FOLLOWING
-        HOLDING            RESET    FOLLOWING
-        HOLDING            RELEASE  HOLDING_RELEASED
-        HOLDING            RETURN   RETURNING
-        HOLDING_RELEASED   SAMPLE   RELEASED
-        HOLDING_RELEASED   RESET    FOLLOWING
-        HOLDING_RELEASED   CLUTCH   HOLDING
-        RETURNING          SAMPLE   FOLLOWING
-        RETURNING          RESET    FOLLOWING
-        RETURNING          RELEASE  HOLDING_RELEASED
-        RETURNING          ARRIVAL  HOLDING
-        STOPPED            CLEAR    RELEASED
+        WAITING            sample   FOLLOWING
+        WAITING            release  RELEASED
+        FOLLOWING          release  RELEASED
+        FOLLOWING          silence  HOLDING
+        RELEASED           clutch   FOLLOWING
+        RELEASED           reset    FOLLOWING
+        RELEASED           silence  HOLDING_RELEASED
+        HOLDING            sample   FOLLOWING
+        HOLDING            reset    FOLLOWING
+        HOLDING            release  HOLDING_RELEASED
+        HOLDING            return   RETURNING
+        HOLDING_RELEASED   sample   RELEASED
+        HOLDING_RELEASED   reset    FOLLOWING
+        HOLDING_RELEASED   clutch   HOLDING
+        RETURNING          sample   FOLLOWING
+        RETURNING          reset    FOLLOWING
+        RETURNING          release  HOLDING_RELEASED
+        RETURNING          arrival  HOLDING
+        STOPPED            clear    RELEASED
         """.strip().splitlines(),
     )
 }
-"""The state after an event in a state, by their names; other events change nothing."""
+"""The state after an event in a state; other events change nothing."""
 
 
 def next_state(state: SessionState, event: Event) -> SessionState:
@@ -123,38 +122,67 @@ def next_state(state: SessionState, event: Event) -> SessionState:
 
     An emergency stop applies in every state.
     """
-    if event is Event.STOP:
+    if event == "stop":
         return SessionState.STOPPED
     return _TRANSITIONS.get((state, event), state)
 
 
-class Watchdog:
-    """Turn elapsed time into events of a session.
+class SessionClock:
+    """Turn elapsed time into events of a session, and grant time to its commands.
 
     It keeps times only; the session keeps the state. Times are of one monotonic clock [s].
 
+    With `time_from="server"`, a command may account for the time since the last one, and at most
+    `max_dt`. Time stamps are only compared with it. So neither a jump of the client's clock nor a
+    burst of samples nor a pause makes the robot exceed its speed limits. With `"client"`, for
+    simulated time, the time stamps count.
+
     Args:
-        timeout: Time without a sample after which the robot holds [s].
-        return_after: Time of a hold after which the robot returns to rest [s]; None for never.
+        request: The request that opened the session, which has its times.
         now: The present [s].
-        gap: Time without a command after which a robot that follows brakes, if it must [s].
 
     Attributes:
         last_sample: Time of the last sample that could be used, or of the last reset [s]. Set it to
             count silence from there on.
     """
 
-    def __init__(
-        self,
-        timeout: float,
-        return_after: float | None,
-        now: float,
-        gap: float = 1.0 / 15.0,
-    ) -> None:
-        self._timeout = timeout
-        self._gap = gap
-        self._return_after = math.inf if return_after is None else return_after
+    def __init__(self, request: Open, now: float) -> None:
+        self._request = request
         self._held_since = self._last_command = self.last_sample = now
+        self._granted = self._arrival = now
+        self._stamp = None
+
+    @property
+    def _gap(self) -> float:
+        """Time without a command after which a robot that follows brakes, if it must [s]."""
+        return 2.0 * self._request.max_dt
+
+    def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
+        """Grant time to the command that answers a sample.
+
+        Args:
+            stamp: Time stamp of the sample [s].
+            now: The present [s].
+
+        Returns:
+            The time [s], and flags. `time_backwards`: the time stamp is not later than the last
+            one. `time_jump`: since the last sample, the two clocks differ by more than a second.
+            `dt_clamped`: more time has passed than is granted.
+        """
+        since_sample = now - self._arrival
+        stamped = since_sample if self._stamp is None else stamp - self._stamp
+        is_ours = self._request.time_from == "server"
+        flags = []
+        if stamped <= 0.0 and self._stamp is not None:
+            flags.append("time_backwards")
+        elif abs(stamped - since_sample) > 1.0 and is_ours:
+            flags.append("time_jump")
+        wanted = now - self._granted if is_ours else stamped
+        if wanted > self._request.max_dt:
+            flags.append("dt_clamped")
+        self._stamp = stamp
+        self._arrival = self._granted = now
+        return self._limited(wanted), flags
 
     def feed(self, now: float) -> None:
         """Note a sample that can be used, and the command that answers it."""
@@ -164,7 +192,7 @@ class Watchdog:
         """Return when time may matter next, if no sample arrives [s]; in the past for at once."""
         if state is not SessionState.FOLLOWING:
             return -math.inf
-        return self.last_sample + min(self._timeout, self._gap)
+        return self.last_sample + min(self._request.watchdog, self._gap)
 
     def event(
         self, state: SessionState, now: float, *, is_at_rest: bool
@@ -179,13 +207,14 @@ class Watchdog:
             is_at_rest: Whether the robot is at its rest posture.
         """
         is_active = state in (SessionState.FOLLOWING, SessionState.RELEASED)
-        if is_active and now - self.last_sample > self._timeout:
+        if is_active and now - self.last_sample > self._request.watchdog:
             self._held_since = now
             self.hasten()
-            return Event.SILENCE
-        has_waited = now - self._held_since >= self._return_after
+            return "silence"
+        wait = self._request.return_after
+        has_waited = wait is not None and now - self._held_since >= wait
         if state is SessionState.HOLDING and has_waited and not is_at_rest:
-            return Event.RETURN
+            return "return"
         return None
 
     def hasten(self) -> None:
@@ -194,8 +223,8 @@ class Watchdog:
 
     def take_turn(
         self, state: SessionState, now: float, *, is_braking: bool = False
-    ) -> bool:
-        """Return whether a command is due, and note that it is sent.
+    ) -> float:
+        """Return the time granted to a command that answers no sample [s]; 0 if none is due.
 
         Args:
             state: State of the session.
@@ -205,18 +234,22 @@ class Watchdog:
         if is_braking and state is SessionState.FOLLOWING:
             is_braking = now - self.last_sample > self._gap
         if not (state.is_silent or state.is_stopped or is_braking):
-            return False
+            return 0.0
         is_moving = is_braking or state is SessionState.RETURNING
         period = RETURN_PERIOD if is_moving else HEARTBEAT
         if now - self._last_command < period:
-            return False
-        self._last_command = now
-        return True
+            return 0.0
+        elapsed = now - self._granted
+        self._last_command = self._granted = now
+        return self._limited(elapsed)
 
     def will_return(self, state: SessionState) -> bool:
         """Return whether silence would make the robot return to rest from this state."""
         is_led = not state.is_released and state is not SessionState.WAITING
-        return is_led and self._return_after < math.inf
+        return is_led and self._request.return_after is not None
+
+    def _limited(self, dt: float) -> float:
+        return min(max(dt, SHORTEST_DT), self._request.max_dt)
 
 
 class CommandedRobot(Gate):
@@ -361,61 +394,6 @@ class CommandedRobot(Gate):
         )
         # Without a solution, only the brake is left.
         return np.clip(0.0 if found is None else found * _SCALE, lower, upper)
-
-
-class StepClock:
-    """The time that a command may account for.
-
-    With `time_from="server"`, it is the time since the last command on the server's monotonic
-    clock, and at most `max_dt`. Time stamps are only compared with it. So neither a jump of the
-    client's clock nor a burst of samples nor a pause makes the robot exceed its speed limits. With
-    `"client"`, for simulated time, the time stamps count.
-
-    Args:
-        max_dt: Longest time that one command may account for [s].
-        time_from: Clock that counts: `server` or `client`.
-        now: The present [s].
-    """
-
-    def __init__(self, max_dt: float, time_from: str, now: float) -> None:
-        self._max_dt = max_dt
-        self._is_ours = time_from == "server"
-        self._last = self._last_sample = now
-        self._stamp = None
-
-    def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
-        """Grant time to the command that answers a sample.
-
-        Args:
-            stamp: Time stamp of the sample [s].
-            now: The present [s].
-
-        Returns:
-            The time [s], and flags. `time_backwards`: the time stamp is not later than the last
-            one. `time_jump`: since the last sample, the two clocks differ by more than a second.
-            `dt_clamped`: more time has passed than is granted.
-        """
-        elapsed = now - self._last
-        since_sample = now - self._last_sample
-        stamped = since_sample if self._stamp is None else stamp - self._stamp
-        flags = []
-        if stamped <= 0.0 and self._stamp is not None:
-            flags.append("time_backwards")
-        elif abs(stamped - since_sample) > 1.0 and self._is_ours:
-            flags.append("time_jump")
-        self._stamp = stamp
-        self._last_sample = now
-        self._last = now
-        wanted = elapsed if self._is_ours else stamped
-        if wanted > self._max_dt:
-            flags.append("dt_clamped")
-        return min(max(wanted, SHORTEST_DT), self._max_dt), flags
-
-    def grant_tick(self, now: float) -> float:
-        """Grant time to a command of the watchdog, which answers no sample [s]."""
-        elapsed = now - self._last
-        self._last = now
-        return min(max(elapsed, SHORTEST_DT), self._max_dt)
 
 
 class Bucket:

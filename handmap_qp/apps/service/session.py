@@ -59,9 +59,8 @@ from .safety import (
     START_TOLERANCE,
     CommandedRobot,
     Event,
+    SessionClock,
     SessionState,
-    StepClock,
-    Watchdog,
     next_state,
     refuse_if,
 )
@@ -239,10 +238,7 @@ class Session:
         self._adopt(hands)
         start = self._start(self.robot.rest, None, request)
         self._place(*(start if former is None else former.posture), motion)
-        self._clock = StepClock(request.max_dt, request.time_from, now)
-        self._watchdog = Watchdog(
-            request.watchdog, request.return_after, now, 2.0 * request.max_dt
-        )
+        self._clock = SessionClock(request, now)
         self._state = SessionState.WAITING
         self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
         self._stamp = 0.0
@@ -287,12 +283,12 @@ class Session:
     @property
     def due(self) -> float:
         """When `tick` may have an effect next, if nothing else happens [s]."""
-        return self._watchdog.due(self._state)
+        return self._clock.due(self._state)
 
     @property
     def will_move(self) -> bool:
         """Whether silence makes the robot move yet, to its rest posture."""
-        return self._watchdog.will_return(self._state) and not self._is_at_rest
+        return self._clock.will_return(self._state) and not self._is_at_rest
 
     def opened(self, seq: int, stream_port: int) -> Opened:
         """Answer `open`."""
@@ -397,25 +393,24 @@ class Session:
         Returns:
             A command of the watchdog to send out, with the flag `watchdog`; None if none is due.
         """
-        while event := self._watchdog.event(
-            self._state, now, is_at_rest=self._is_at_rest
-        ):
-            self.counts["watchdog"] += event is Event.SILENCE
+        while event := self._clock.event(self._state, now, is_at_rest=self._is_at_rest):
+            self.counts["watchdog"] += event == "silence"
             self._handle(event)
-        if not self._watchdog.take_turn(
-            self._state, now, is_braking=self._commanded.motion.is_braking
-        ):
-            return None
-        status = self._state.mode
         # A heartbeat counts too: the driver starts its next motion there.
-        self._dt = self._clock.grant_tick(now)
+        dt = self._clock.take_turn(
+            self._state, now, is_braking=self._commanded.motion.is_braking
+        )
+        if not dt:
+            return None
+        self._dt = dt
+        status = self._state.mode
         if self._state is SessionState.RETURNING:
             share = self.request.return_speed
             self._commanded.advance(self.robot.rest, None, self._dt, share, stops=True)
             # The mapper starts again from there, even if the client has clutched meanwhile.
             self._reset_mapper()
             if self._is_at_rest:
-                self._handle(Event.ARRIVAL)
+                self._handle("arrival")
         else:
             self._commanded.brake(self._dt)
         flags = ["watchdog"] + ["at_rest"] * self._is_at_rest
@@ -424,15 +419,15 @@ class Session:
     def release(self) -> None:
         """Let the robot hold its posture until `clutch`."""
         self._hands.mapper.release()
-        self._handle(Event.RELEASE)
+        self._handle("release")
 
     def stop(self, number: int = 0) -> None:
         """Stop the robot until `clear`; 0 makes a new number. A second stop changes nothing."""
         if not self._state.is_stopped:
             self._stop = number or _new_epoch()
             self._hands.mapper.release()
-            self._handle(Event.STOP)
-            self._watchdog.hasten()
+            self._handle("stop")
+            self._clock.hasten()
 
     def clear(self, number: int) -> None:
         """Clear an emergency stop; the robot is then released.
@@ -446,7 +441,7 @@ class Session:
         got = f"stop {self._stop} is" if self._stop else "no stop is"
         refuse_if(number != self._stop, f"{got} in force, not {number}", "stop")
         self._stop = 0
-        self._handle(Event.CLEAR)
+        self._handle("clear")
 
     def clutch(self) -> None:
         """Make the next sample the reference; the robot continues from where it is.
@@ -455,7 +450,7 @@ class Session:
             RefusedError: If an emergency stop is in force.
         """
         self._check_not_stopped()
-        self._handle(Event.CLUTCH)
+        self._handle("clutch")
         self._reset_mapper()
 
     def configure(self, request: Configure) -> None:
@@ -484,8 +479,8 @@ class Session:
             self._place(*self._start(*self.posture, request))
             self._epoch = _new_epoch()
             goal = None
-        self._watchdog.last_sample = now
-        self._handle(Event.RESET)
+        self._clock.last_sample = now
+        self._handle("reset")
         self._reset_mapper(goal)
 
     @property
@@ -626,8 +621,8 @@ class Session:
     def _accept(self, now: float) -> list[str]:
         """Note a sample that can be used, which ends a hold; return flags for its command."""
         flags = ["resumed"] * self._state.is_silent
-        self._handle(Event.SAMPLE)
-        self._watchdog.feed(now)
+        self._handle("sample")
+        self._clock.feed(now)
         return flags
 
     def _follow(self, step: MapStep) -> list[str]:
