@@ -263,8 +263,8 @@ def test_a_lost_connection_is_taken_up_again(browser: Browser, server: Server) -
     def cut() -> None:
         for publish in server.dispatcher.sessions.publish:
             transport = getattr(publish, "__self__", None)
-            for outbox in getattr(transport, "_connections", ()):
-                outbox.connection.transport.abort()
+            for connection in getattr(transport, "_connections", ()):
+                connection.transport.abort()
 
     # Record the states: a busy machine may look at the page after it has connected again.
     browser.evaluate(

@@ -37,7 +37,7 @@ from websockets.typing import Origin, Subprotocol
 
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.settings import MOST_SESSIONS, Settings
-from handmap_qp.apps.service.websocket import _Outbox
+from handmap_qp.apps.service.websocket import WebSocketTransport
 from handmap_qp.client.messages import PROTOCOL, Close, Status, Stop, Subscribe
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 
@@ -405,8 +405,10 @@ def test_a_handshake_that_stays_away_does_not_hold_up_the_stop() -> None:
 def test_streams_of_sessions_that_have_ended_are_forgotten_in_time() -> None:
     names = ["lab", *(f"session-{i}" for i in range(3 * MOST_SESSIONS))]
     sessions = types.SimpleNamespace(names=("lab", "other"))
-    outbox = _Outbox(None, sessions)  # ty: ignore[invalid-argument-type]
+    dispatcher: Any = types.SimpleNamespace(sessions=sessions)
+    connection: Any = types.SimpleNamespace(streams={})
+    transport = WebSocketTransport(Settings(), None, dispatcher)
     for name in names:
-        outbox.subscribe(bytes, name)
-        assert len(outbox.streams) <= MOST_SESSIONS
-    assert {"lab", names[-1]} <= outbox.streams.keys()
+        transport._subscribe(connection, bytes, name)
+        assert len(connection.streams) <= MOST_SESSIONS
+    assert {"lab", names[-1]} <= connection.streams.keys()

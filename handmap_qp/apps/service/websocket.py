@@ -19,6 +19,7 @@ from functools import partial
 from logging import ERROR
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import msgspec
 from websockets.asyncio.server import ServerConnection, broadcast, serve
@@ -34,7 +35,7 @@ from .dispatch import Dispatcher
 from .logs import report, websocket_log
 from .pages import page_response
 from .safety import Bucket
-from .sessions import Caller, Sessions
+from .sessions import Caller
 from .settings import MOST_SESSIONS, Settings
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
@@ -69,7 +70,7 @@ class WebSocketTransport:
     dispatcher: Dispatcher
 
     async def __aenter__(self) -> int:
-        self._connections = set[_Outbox]()
+        self._connections = set[_Connection]()
         settings = self.settings
         tls = None
         if settings.web_certificate and settings.web_key:
@@ -130,39 +131,38 @@ class WebSocketTransport:
             )
         return None if is_admitted else connection.respond(*refusal)
 
-    async def _handle(self, connection: ServerConnection) -> None:
+    async def _handle(self, connection: Any) -> None:
         """Serve one connection, and release it however it ends.
 
         A client that reads no longer ends the writer, which ends the reader.
         """
-        outbox = _Outbox(connection, self.dispatcher.sessions)
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self.settings.sessions:
             # The new client may come to stop a robot.
-            least = min(self._connections, key=_Outbox.use)
-            least.connection.transport.abort()
+            least = min(self._connections, key=_Connection.use)
+            least.transport.abort()
             self._connections.discard(least)
-        self._connections.add(outbox)
+        self._connections.add(connection)
         try:
             async with asyncio.TaskGroup() as tasks:
-                writer = tasks.create_task(outbox.write())
-                await self._read(connection, outbox)
+                writer = tasks.create_task(connection.write())
+                await self._read(connection)
                 writer.cancel()
         except* Exception as failures:
             report(ERROR, "failed", failure=failures)
         finally:
-            self._connections.discard(outbox)
+            self._connections.discard(connection)
 
-    async def _read(self, connection: ServerConnection, outbox: "_Outbox") -> None:
+    async def _read(self, connection: "_Connection") -> None:
         """Pass messages to the dispatcher until the connection closes or is silent for too long."""
         address = connection.remote_address
         by = Caller(f"web@{address[0]}" if address else "web")
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             while True:
                 # A connection that reads a stream may be silent.
-                idle = None if outbox.streams else self.settings.idle
+                idle = None if connection.streams else self.settings.idle
                 async with asyncio.timeout(idle):
                     message = await connection.recv()
-                outbox.heard = monotonic()
+                connection.heard = monotonic()
                 form: _Form = bytes
                 if isinstance(message, str):
                     form = _as_json
@@ -170,8 +170,8 @@ class WebSocketTransport:
                 is_taken = self.dispatcher.receive(
                     message,
                     ("web", connection.id),
-                    partial(outbox.answer, form),
-                    subscribe=partial(outbox.subscribe, form),
+                    partial(connection.answer, form),
+                    subscribe=partial(self._subscribe, connection, form),
                     by=by,
                 )
                 # Stop reading from clients that do not read, and slow those over the rate limit.
@@ -181,9 +181,16 @@ class WebSocketTransport:
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
 
+    def _subscribe(self, connection: "_Connection", form: "_Form", name: str) -> None:
+        if len(connection.streams) >= MOST_SESSIONS:
+            # Forget ended sessions: they could return under their names, but there is no end.
+            for ended in connection.streams.keys() - {*self.dispatcher.sessions.names}:
+                del connection.streams[ended]
+        connection.streams[name] = form
+
     def _publish(self, name: str, payload: bytes) -> None:
-        for outbox in self._connections:
-            outbox.offer(name, payload)
+        for connection in self._connections:
+            connection.offer(name, payload)
 
 
 _Form = Callable[[bytes], bytes | str]
@@ -191,7 +198,20 @@ _Form = Callable[[bytes], bytes | str]
 
 
 class _Connection(ServerConnection, asyncio.BufferedProtocol):
-    """Read little in a turn, and bound empty fragments and control frames: the library does not."""
+    """A connection, which sends answers at once, and the newest of each stream in its turn.
+
+    It reads little in a turn, and bounds empty fragments and control frames: the library does not.
+    """
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.streams: dict[str, _Form] = {}
+        self._newest: dict[str, bytes] = {}
+        self._has_work = asyncio.Event()
+        # Time of its last message, at first of its beginning [s].
+        self.heard = self._begun = monotonic()
+        self._fragments = 0
+        self._controls = Bucket(_CONTROLS_PER_SECOND, _CONTROLS)
+        super().connection_made(transport)
 
     def get_buffer(self, sizehint: int) -> memoryview:
         """Return where to put what is read; a view, of which asyncio takes parts over TLS."""
@@ -201,11 +221,6 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
     def buffer_updated(self, nbytes: int) -> None:
         """Pass on what was read."""
         self.data_received(bytes(self._buffer[:nbytes]))
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._fragments = 0
-        self._controls = Bucket(_CONTROLS_PER_SECOND, _CONTROLS)
-        super().connection_made(transport)
 
     def process_event(self, event: Event) -> None:
         is_control = isinstance(event, Frame) and event.opcode in CTRL_OPCODES
@@ -218,34 +233,14 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
         else:
             super().process_event(event)
 
-
-class _Outbox:
-    """Messages to one connection: answers at once, and the newest of each stream in its turn."""
-
-    def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
-        self.connection = connection
-        self._sessions = sessions
-        self.streams: dict[str, _Form] = {}
-        self._newest: dict[str, bytes] = {}
-        self._has_work = asyncio.Event()
-        # Time of its last message, at first that of its handshake [s].
-        self.heard = self._opened = monotonic()
-
     def use(self) -> tuple[bool, bool, float]:
         """Return the rank of the connection: active ones are highest, then readers of streams."""
-        is_active = self.heard > self._opened and monotonic() - self.heard < _ACTIVE
+        is_active = self.heard > self._begun and monotonic() - self.heard < _ACTIVE
         return is_active, bool(self.streams), self.heard
 
     def answer(self, form: _Form, payload: bytes) -> None:
         # At once: a task that sends would take a turn of the event loop.
-        broadcast((self.connection,), form(payload))
-
-    def subscribe(self, form: _Form, name: str) -> None:
-        if len(self.streams) >= MOST_SESSIONS:
-            # Forget ended sessions: they could return under their names, but there is no end.
-            for ended in self.streams.keys() - set(self._sessions.names):
-                del self.streams[ended]
-        self.streams[name] = form
+        broadcast((self,), form(payload))
 
     def offer(self, name: str, payload: bytes) -> None:
         if name in self.streams:
@@ -262,10 +257,8 @@ class _Outbox:
                 self._newest = {}
                 for name, payload in newest.items():
                     async with asyncio.timeout(_SEND_TIMEOUT):
-                        await self.connection.send(
-                            self.streams.get(name, bytes)(payload)
-                        )
-        self.connection.transport.abort()
+                        await self.send(self.streams.get(name, bytes)(payload))
+        self.transport.abort()
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
