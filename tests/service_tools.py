@@ -81,11 +81,11 @@ def code_of(raised: pytest.ExceptionInfo[ServiceError]) -> tuple[str, str]:
     return raised.value.error.code, raised.value.error.field
 
 
-def run_now(work: Callable[[], Hands]) -> Future[Hands]:
+def run_now(work: Callable[..., Hands], *values: Any, **choices: Any) -> Future[Hands]:
     """Run at once what a server runs in another thread."""
     done: Future[Hands] = Future()
     try:
-        done.set_result(work())
+        done.set_result(work(*values, **choices))
     except Exception as error:
         done.set_exception(error)
     return done

@@ -14,6 +14,7 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
 from copy import deepcopy
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import msgspec
@@ -108,7 +109,8 @@ class World:
                 caps, CACHE, Metrics(), store=self.store, clock=self._clock
             )
         )
-        self.dispatcher.sessions._submit = run_now
+        inline: Any = SimpleNamespace(submit=run_now)
+        self.dispatcher.sessions._executor = inline
         # No limit of rates, which a copy would share.
         vars(self.dispatcher)["_rates"] = self.dispatcher._new_rates
 
@@ -119,7 +121,7 @@ class World:
         """Return a copy that goes on by itself. What does not change is shared."""
         there, session = self.dispatcher.sessions, self.session
         shared: list[Any] = [self._loop, CACHE, self.dispatcher.sessions.metrics]
-        shared += there._executor, there._works, there.settings
+        shared += there._executor, there.settings
         if session is not None:
             hands: Any = session._hands
             mapper = hands.mapper

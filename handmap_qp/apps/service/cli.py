@@ -1,5 +1,7 @@
 """`handmap serve` and `handmap keys`."""
 
+import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -42,6 +44,9 @@ class Serve(Settings):
                 print(file.read_text(encoding="utf-8"), end="")
                 return
         _needing_extra("server").run_server(self, self.log_level)
+        # All is closed. Python would wait for a thread that loads a hand, maybe for seconds.
+        sys.stdout.flush()
+        os._exit(0)
 
 
 @dataclass(frozen=True)

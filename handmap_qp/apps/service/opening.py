@@ -101,7 +101,8 @@ _OF_ROBOT = {"input": "landmarks"} | dict.fromkeys(
 """The only values of fields that a robot with two hands may be opened with."""
 
 AnyFollower = Follower | RobotFollower | GripFollower | ObjectFollower
-Defer = Callable[[Callable[[], "Hands"]], Future["Hands"]]
+Defer = Callable[..., Future["Hands"]]
+"""Runs a function with its arguments in another thread, as `Executor.submit` does."""
 
 
 def refused(error: Exception, field: str = "") -> RefusedError:
@@ -474,7 +475,7 @@ class Calibration:
         collected = self._landmarks
         if max(map(len, collected.values())) >= CALIBRATION_SAMPLES:
             self._landmarks = {side: [] for side in collected}
-            self._work = self.defer(lambda: self._prepare(collected))
+            self._work = self.defer(self._prepare, collected)
         if self._work is None or not self._work.done():
             return None
         work = self._work

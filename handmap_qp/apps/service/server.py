@@ -13,7 +13,6 @@ import contextlib
 import gc
 import importlib
 import json
-import os
 import resource
 import signal
 import sys
@@ -347,15 +346,10 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     sys.setswitchinterval(5e-4)
     _raise_file_limit()
     with logs_on_stderr(log_level):
-        is_preparing = asyncio.run(_serve(settings))
-    if is_preparing:
-        # Python would wait for the thread that loads a hand, for seconds if the hand is large.
-        sys.stdout.flush()
-        os._exit(0)
+        asyncio.run(_serve(settings))
 
 
-async def _serve(settings: Settings) -> bool:
-    """Serve; return whether a hand was being loaded at the end."""
+async def _serve(settings: Settings) -> None:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -377,7 +371,6 @@ async def _serve(settings: Settings) -> bool:
         await ended.wait()
     finally:
         await server.stop()
-    return server.dispatcher.sessions.is_preparing
 
 
 def _raise_file_limit() -> None:

@@ -8,11 +8,10 @@ import math
 import secrets
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from logging import INFO
-from typing import Any, NamedTuple
-from weakref import WeakSet
+from typing import NamedTuple
 
 import msgspec
 
@@ -20,7 +19,7 @@ from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands import Names, Values
 from .logs import AuditLog, Metrics, report
-from .opening import HandCache, Hands, prepare_hands
+from .opening import HandCache, prepare_hands
 from .safety import Bucket, refuse_if
 from .session import Session
 from .settings import Settings
@@ -96,7 +95,6 @@ class Sessions:
         """Begin without sessions."""
         self.by_secret: dict[str, Session] = {}
         self.publish: list[Publish] = []
-        self._works = WeakSet[Future[Any]]()
         # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
         self._opens = Bucket(self.settings.opens, self.settings.sessions, self.clock)
@@ -111,11 +109,6 @@ class Sessions:
     def names(self) -> Names:
         """Public names of the open sessions."""
         return tuple(session.name for session in self.by_secret.values())
-
-    @property
-    def is_preparing(self) -> bool:
-        """Whether the opening thread loads a hand, which it does not stop on request."""
-        return any(work.running() for work in self._works)
 
     def find(self, secret: str) -> Session:
         """Return the session of a secret, and renew its lease.
@@ -155,9 +148,8 @@ class Sessions:
         name = request.name or f"session-{next(self._numbers)}-{secrets.token_hex(3)}"
         self._opening[request.session] = name
         try:
-            work = self._submit(
-                lambda: prepare_hands(request, self.cache, defer=self._submit)
-            )
+            defer = self._executor.submit
+            work = defer(prepare_hands, request, self.cache, defer=defer)
             hands = await asyncio.wrap_future(work)
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
@@ -248,12 +240,6 @@ class Sessions:
         for session in list(self.by_secret.values()):
             self.end(session, "the server stops")
         self._executor.shutdown(wait=False, cancel_futures=True)
-
-    def _submit(self, work: Callable[[], Hands]) -> Future[Hands]:
-        """Run work in the opening thread."""
-        future = self._executor.submit(work)
-        self._works.add(future)
-        return future
 
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
