@@ -95,20 +95,6 @@ def test_of_samples_that_come_together_the_newest_is_mapped() -> None:
         assert here.metrics.counts["replaced"] == 19
 
 
-def test_the_watchdogs_are_checked_often_only_when_one_is_due() -> None:
-    with desk({}, watchdog=0.25) as here:
-        sample = Sampler()
-        here.take(sample())
-        assert here.dispatcher.tick() == pytest.approx(0.02)
-        # The robot must brake in time after the last sample.
-        here.now += 2.0 / 30.0 - 0.003
-        assert here.dispatcher.tick() == pytest.approx(0.003)
-        here.now += 1.0
-        assert here.dispatcher.tick() < 0.0
-        here.take(sample(1.0))
-        assert here.dispatcher.tick() > 0.0
-
-
 def test_rates_are_capped_for_each_connection_and_recover() -> None:
     sample = Sampler()
 

@@ -148,6 +148,8 @@ def test_return_to_rest_is_slow_and_ends_there() -> None:
     assert np.array_equal(last, session.robot.rest)
     assert states[0] == "hold"
     assert states[-1] == "returning"
+    later = [session.tick(now + 0.005 * k) for k in range(1, 200)]
+    assert {command.status for command in later if command} == {"hold"}
     assert session.mode == "hold"
 
 

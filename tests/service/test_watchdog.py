@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,6 +20,8 @@ from handmap_qp.apps.service.safety import (
 
 TIMEOUT, RETURN_AFTER = 0.25, 1.0
 ACTIVE = (SessionState.FOLLOWING, SessionState.RELEASED)
+BRAKING: Any = SimpleNamespace(motion=SimpleNamespace(is_braking=True))
+STILL: Any = SimpleNamespace(motion=SimpleNamespace(is_braking=False))
 SILENT = (SessionState.HOLDING, SessionState.HOLDING_RELEASED, SessionState.RETURNING)
 
 
@@ -32,9 +37,9 @@ def test_silence_is_due_after_the_timeout_and_only_in_active_states(
 ) -> None:
     dog = watchdog(None)
     dog.feed(1.0)
-    assert dog.event(state, 1.0 + TIMEOUT, is_at_rest=False) is None
+    assert dog.event(state, 1.0 + TIMEOUT) is None
     expected = "silence" if state in ACTIVE else None
-    assert dog.event(state, 1.0 + TIMEOUT + 1e-6, is_at_rest=False) is expected
+    assert dog.event(state, 1.0 + TIMEOUT + 1e-6) is expected
 
 
 @pytest.mark.parametrize("state", ACTIVE, ids=lambda state: state.name)
@@ -43,36 +48,35 @@ def test_a_sample_or_a_reset_postpones_silence(state: SessionState) -> None:
     fed.feed(5.0)
     reset.last_sample = 5.0
     for dog in (fed, reset):
-        assert dog.event(state, 5.0 + 0.99 * TIMEOUT, is_at_rest=False) is None
-        assert dog.event(state, 5.0 + 1.01 * TIMEOUT, is_at_rest=False) == "silence"
+        assert dog.event(state, 5.0 + 0.99 * TIMEOUT) is None
+        assert dog.event(state, 5.0 + 1.01 * TIMEOUT) == "silence"
 
 
 def held(dog: SessionClock, now: float) -> None:
     """Start a hold."""
-    assert dog.event(SessionState.FOLLOWING, now, is_at_rest=False) == "silence"
+    assert dog.event(SessionState.FOLLOWING, now) == "silence"
 
 
 def test_a_return_is_due_after_the_hold_has_lasted() -> None:
     dog = watchdog()
     held(dog, 10.0)
     hold = SessionState.HOLDING
-    assert dog.event(hold, 10.0 + 0.99 * RETURN_AFTER, is_at_rest=False) is None
-    assert dog.event(hold, 10.0 + RETURN_AFTER, is_at_rest=False) == "return"
-    assert dog.event(hold, 10.0 + RETURN_AFTER, is_at_rest=True) is None
+    assert dog.event(hold, 10.0 + 0.99 * RETURN_AFTER) is None
+    assert dog.event(hold, 10.0 + RETURN_AFTER) == "return"
     released = SessionState.HOLDING_RELEASED
-    assert dog.event(released, 10.0 + RETURN_AFTER, is_at_rest=False) is None
+    assert dog.event(released, 10.0 + RETURN_AFTER) is None
 
 
 def test_without_return_after_the_hold_has_no_end() -> None:
     dog = watchdog(None)
     held(dog, 10.0)
-    assert dog.event(SessionState.HOLDING, 1e9, is_at_rest=False) is None
+    assert dog.event(SessionState.HOLDING, 1e9) is None
     assert not any(dog.will_return(state) for state in SessionState)
 
 
 def test_a_return_after_no_time_follows_the_silence_at_once() -> None:
     dog, state = watchdog(0.0), SessionState.FOLLOWING
-    while event := dog.event(state, 1.0, is_at_rest=False):
+    while event := dog.event(state, 1.0):
         state = next_state(state, event)
     assert state is SessionState.RETURNING
 
@@ -95,11 +99,11 @@ def test_commands_are_repeated_once_a_period(
 ) -> None:
     dog, now = watchdog(), 100.0
     held(dog, now)
-    assert dog.take_turn(state, now)
+    assert dog.take_turn(state, now, STILL)
     period, last = RETURN_PERIOD if state is SessionState.RETURNING else HEARTBEAT, now
     for wait in waits:
         now += wait
-        if dog.take_turn(state, now):
+        if dog.take_turn(state, now, STILL):
             assert now - last >= period
             last = now
         else:
@@ -110,7 +114,7 @@ def test_commands_are_repeated_once_a_period(
     "state", [SessionState.WAITING, *ACTIVE], ids=lambda state: state.name
 )
 def test_no_command_is_repeated_while_samples_arrive(state: SessionState) -> None:
-    assert not watchdog().take_turn(state, 1e6)
+    assert not watchdog().take_turn(state, 1e6, STILL)
 
 
 @pytest.mark.parametrize("state", ACTIVE, ids=lambda state: state.name)
@@ -119,25 +123,25 @@ def test_the_first_command_of_a_hold_is_due_at_once(state: SessionState) -> None
     dog = watchdog(None, 0.2 * HEARTBEAT)
     dog.feed(5.0)
     now = 5.0 + 0.3 * HEARTBEAT
-    assert dog.event(state, now, is_at_rest=False) == "silence"
-    assert dog.take_turn(next_state(state, "silence"), now)
+    assert dog.event(state, now) == "silence"
+    assert dog.take_turn(next_state(state, "silence"), now, STILL)
 
 
-@given(
-    state=st.sampled_from(SessionState),
-    timeout=st.floats(0.01, 10.0),
-    share=st.floats(0.0, 0.999),
-    is_braking=st.booleans(),
-)
-def test_nothing_happens_before_the_watchdog_says_that_it_is_due(
-    state: SessionState, timeout: float, share: float, is_braking: bool
+@pytest.mark.parametrize("robot", [STILL, BRAKING], ids=["still", "braking"])
+@pytest.mark.parametrize("state", SessionState, ids=lambda state: state.name)
+def test_a_robot_that_brakes_gets_commands_unless_samples_lead_it(
+    state: SessionState, robot: Any
 ) -> None:
-    dog = watchdog(timeout=timeout)
+    dog = watchdog()
     dog.feed(3.0)
-    due = dog.due(state)
-    if state is SessionState.FOLLOWING:
-        now = 3.0 + share * (due - 3.0)
-        assert dog.event(state, now, is_at_rest=False) is None
-        assert not dog.take_turn(state, now, is_braking=is_braking)
-    else:
-        assert due < 0.0
+    is_silent = state.is_silent or state.is_stopped
+    # Two samples of the longest time.
+    soon, late = 3.0 + 0.99 / 15.0, 3.0 + 1.01 / 15.0
+    is_led = state is SessionState.FOLLOWING
+    is_due = is_silent or (robot is BRAKING and not is_led)
+    is_moving = robot is BRAKING or state is SessionState.RETURNING
+    assert bool(dog.take_turn(state, soon, robot)) == (is_due and is_moving)
+    dog.feed(3.0)
+    assert bool(dog.take_turn(state, late, robot)) == (
+        is_moving and (is_silent or robot is BRAKING)
+    )

@@ -56,8 +56,6 @@ _QUAT_TOLERANCE = 1e-2
 _STOP_PROTOCOL = 2
 _MOST_PEERS = 1024
 _ERRORS_PER_SECOND = 10.0
-_LONGEST_TICK = 0.02
-"""Time between checks of the watchdogs while none is due [s]."""
 
 
 class _Head(msgspec.Struct):
@@ -242,23 +240,19 @@ class Dispatcher:
             if isinstance(reply, Error):
                 send(reply)
 
-    def tick(self) -> float:
-        """Run the watchdogs and close idle sessions; return the time until the next call [s]."""
+    def tick(self) -> None:
+        """Run the watchdogs and close idle sessions."""
         now = self.sessions.clock()
-        due = now + _LONGEST_TICK
         for session in list(self.sessions.by_secret.values()):
             is_idle = now - session.last_request > self._settings.idle
             if is_idle and not session.will_move:
                 self.sessions.end(session, "closed: its client was silent too long")
                 continue
             try:
-                if session.due <= now:
-                    self._tick(session, now)
+                self._tick(session, now)
             except Exception as error:
                 # The watchdogs of the other sessions must continue.
                 self._failure(0, error)
-            due = min(due, session.due)
-        return due - now
 
     async def close(self) -> None:
         """Close all sessions."""

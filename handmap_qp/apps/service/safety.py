@@ -152,11 +152,6 @@ class SessionClock:
         self._granted = self._arrival = now
         self._stamp = None
 
-    @property
-    def _gap(self) -> float:
-        """Time without a command after which a robot that follows brakes, if it must [s]."""
-        return 2.0 * self._request.max_dt
-
     def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
         """Grant time to the command that answers a sample.
 
@@ -188,23 +183,11 @@ class SessionClock:
         """Note a sample that can be used, and the command that answers it."""
         self.last_sample = self._last_command = now
 
-    def due(self, state: SessionState) -> float:
-        """Return when time may matter next, if no sample arrives [s]; in the past for at once."""
-        if state is not SessionState.FOLLOWING:
-            return -math.inf
-        return self.last_sample + min(self._request.watchdog, self._gap)
-
-    def event(
-        self, state: SessionState, now: float, *, is_at_rest: bool
-    ) -> Event | None:
+    def event(self, state: SessionState, now: float) -> Event | None:
         """Return the event that elapsed time brings about, if any.
 
-        Call again after the transition, until nothing is due.
-
-        Args:
-            state: State of the session.
-            now: The present [s].
-            is_at_rest: Whether the robot is at its rest posture.
+        Call again after the transition, until nothing is due. A return of a robot that is at rest
+        has no effect.
         """
         is_active = state in (SessionState.FOLLOWING, SessionState.RELEASED)
         if is_active and now - self.last_sample > self._request.watchdog:
@@ -213,26 +196,24 @@ class SessionClock:
             return "silence"
         wait = self._request.return_after
         has_waited = wait is not None and now - self._held_since >= wait
-        if state is SessionState.HOLDING and has_waited and not is_at_rest:
-            return "return"
-        return None
+        return "return" if has_waited and state is SessionState.HOLDING else None
 
     def hasten(self) -> None:
         """Make the next command due at once."""
         self._last_command = -math.inf
 
-    def take_turn(
-        self, state: SessionState, now: float, *, is_braking: bool = False
-    ) -> float:
+    def take_turn(self, state: SessionState, now: float, robot: Gate) -> float:
         """Return the time granted to a command that answers no sample [s]; 0 if none is due.
 
         Args:
             state: State of the session.
             now: The present [s].
-            is_braking: Whether the robot must still come to a stop.
+            robot: The robot, which must still come to a stop if it is braking.
         """
-        if is_braking and state is SessionState.FOLLOWING:
-            is_braking = now - self.last_sample > self._gap
+        # A sample may be a little late.
+        is_led = now - self.last_sample <= 2.0 * self._request.max_dt
+        is_led &= state is SessionState.FOLLOWING
+        is_braking = not is_led and robot.motion.is_braking
         if not (state.is_silent or state.is_stopped or is_braking):
             return 0.0
         is_moving = is_braking or state is SessionState.RETURNING

@@ -43,7 +43,8 @@ from .store import PostureStore
 from .websocket import WebSocketTransport
 
 TICK = 0.005
-"""Least time between checks of the watchdogs [s]."""
+_IDLE = 0.02
+"""Time between checks of the watchdogs, and of sockets without a session [s]."""
 _TICKS = 200
 _LATE = 0.1
 """Checks that delays are measured over, and the delay of one that is logged [s]."""
@@ -292,11 +293,10 @@ class Server:
         """Drive the watchdogs, and measure the delay of the event loop."""
         spent = time.process_time()
         late = Throttle()
-        pause = TICK
         while True:
+            pause = TICK if self.dispatcher.sessions.by_secret else _IDLE
             wanted = time.monotonic() + pause
             await asyncio.sleep(pause)
-            pause = TICK
             lag = time.monotonic() - wanted
             before = spent
             spent = time.process_time()
@@ -306,7 +306,7 @@ class Server:
                 late.report(WARNING, "late", seconds=round(lag, 4))
             try:
                 self._drain()
-                pause = max(TICK, self.dispatcher.tick())
+                self.dispatcher.tick()
             except Exception as error:
                 self._bugs.report(ERROR, "failed", failure=error)
 

@@ -281,11 +281,6 @@ class Session:
         )
 
     @property
-    def due(self) -> float:
-        """When `tick` may have an effect next, if nothing else happens [s]."""
-        return self._clock.due(self._state)
-
-    @property
     def will_move(self) -> bool:
         """Whether silence makes the robot move yet, to its rest posture."""
         return self._clock.will_return(self._state) and not self._is_at_rest
@@ -393,14 +388,13 @@ class Session:
         Returns:
             A command of the watchdog to send out, with the flag `watchdog`; None if none is due.
         """
-        while event := self._clock.event(self._state, now, is_at_rest=self._is_at_rest):
+        while event := self._clock.event(self._state, now):
+            if event == "return" and self._is_at_rest:
+                break
             self.counts["watchdog"] += event == "silence"
             self._handle(event)
         # A heartbeat counts too: the driver starts its next motion there.
-        dt = self._clock.take_turn(
-            self._state, now, is_braking=self._commanded.motion.is_braking
-        )
-        if not dt:
+        if not (dt := self._clock.take_turn(self._state, now, self._commanded)):
             return None
         self._dt = dt
         status = self._state.mode
