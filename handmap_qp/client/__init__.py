@@ -36,10 +36,8 @@ import zmq.auth
 
 from . import messages
 from .messages import (
-    PROTECTING,
     PROTOCOL,
     PROTOCOLS,
-    SETUP,
     TOPIC_END,
     Done,
     Error,
@@ -93,8 +91,6 @@ def _plain(value: Any) -> Any:
 
 _ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
-_OPTIONS = ("options", *messages.FORMER, "ik")
-_KEPT = (*PROTECTING, *SETUP)
 _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
 
@@ -334,7 +330,7 @@ class _Core:
             wanted["is_released"] = kind not in ("clutch", "reset")
             self._released_at = reply.seq
         elif kind == "configure":
-            _note_changes(wanted, request)
+            self._open_request = messages.with_changes(wanted, request)
 
     def _subscribe(self, name: str, port: int) -> None:
         """Read the stream of a session from its next command on."""
@@ -366,20 +362,6 @@ class _Core:
     def _drop(self, use: Use) -> None:
         if (socket := self._sockets.pop(use, None)) is not None:
             socket.close(linger=0)
-
-
-def _note_changes(wanted: Request, request: Request) -> None:
-    """Note changes of options in the request that opens the session again."""
-    if "preset" in request:
-        # A preset replaces all options but those that protect the robot, and of the setup.
-        for of in wanted.keys() & _OPTIONS:
-            given = wanted[of]
-            wanted[of] = {name: given[name] for name in _KEPT if name in given}
-    for name in messages.Configure.__annotations__.keys() & request.keys():
-        value = request[name]
-        wanted[name] = (
-            wanted.get(name, {}) | value if isinstance(value, dict) else value
-        )
 
 
 def _load_keys(files: KeyFiles) -> tuple[bytes, bytes, bytes]:

@@ -281,6 +281,27 @@ FORMER = [field.name for field in fields(Open) if field.type is Former]
 """Former names of `options`."""
 
 
+def with_changes(opened: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of the `open` that opens a session with changed options.
+
+    A preset replaces all options but those that protect the robot, and of the setup.
+
+    Args:
+        opened: Fields of `open`, with all changes before.
+        changes: Fields of `configure`; None and no options change nothing.
+    """
+    wanted = dict(opened)
+    if changes.get("preset"):
+        for of in wanted.keys() & {"options", *FORMER, "ik"}:
+            given = wanted[of]
+            wanted[of] = {n: given[n] for n in (*PROTECTING, *SETUP) if n in given}
+    for name in Configure.__annotations__:
+        if (value := changes.get(name)) not in (None, {}):
+            is_options = isinstance(value, dict)
+            wanted[name] = (wanted.get(name) or {}) | value if is_options else value
+    return wanted
+
+
 class HandSample(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One hand of a sample of both; its fields are as those of `step`.
 

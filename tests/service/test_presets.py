@@ -167,6 +167,9 @@ def test_an_unknown_preset_is_refused() -> None:
     with pytest.raises(RefusedError, match="expected one of teleoperation") as raised:
         make_session(preset="claw")
     assert (raised.value.code, raised.value.field) == ("invalid", "preset")
+    with pytest.raises(RefusedError, match="expected one of teleoperation") as raised:
+        make_session().configure(change(preset="claw"))
+    assert (raised.value.code, raised.value.field) == ("invalid", "preset")
 
 
 def test_a_preset_brings_its_own_options_and_the_robot_goes_on() -> None:

@@ -12,10 +12,10 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
+from msgspec import structs
 
-from handmap_qp.client.messages import PROTECTING, Configure, Open, Step
+from handmap_qp.client.messages import Configure, Open, Step, with_changes
 from handmap_qp.errors import (
     HandError,
     HandmapError,
@@ -351,7 +351,7 @@ def _human_lengths(request: Open) -> HumanLengths | None:
     bones = np.linalg.norm((given.bases, given.segments), axis=2)
     is_hand = ((bones > 0.0) & (bones < _LONGEST_BONE)).all()
     refuse_if(not is_hand, "expected lengths between 0 and 1 m", "lengths")
-    return HumanLengths(*msgspec.structs.astuple(given))
+    return HumanLengths(*structs.astuple(given))
 
 
 def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
@@ -394,7 +394,7 @@ def _changed(field: str, start: Options, values: Values) -> Any:
         raise RefusedError("invalid", message, field=place) from error
 
 
-def with_changes(request: Open, preset: str, changes: Configure) -> Open:
+def reopened(request: Open, preset: str, changes: Configure) -> Open:
     """Return the request that opens a session with changed options.
 
     Args:
@@ -403,25 +403,15 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
         changes: The changes. Without a preset, options that are not named stay as they are.
 
     Raises:
-        RefusedError: If there is no grip to change.
+        RefusedError: If there is no such preset, or no grip to change.
     """
-    kept = request.options
-    ik = request.ik
-    detail = changes.has_detail
-    grip = request.grip
-    is_alien = grip is None and changes.grip
+    is_alien = request.grip is None and changes.grip
     refuse_if(is_alien, "this session was opened without it", "grip")
-    if changes.preset is not None:
-        kept = kept_options(kept, changes.preset)
-        ik = {name: ik[name] for name in PROTECTING if name in ik}
-    return msgspec.structs.replace(
-        request,
-        preset=changes.preset or preset,
-        options=kept | changes.options,
-        ik=ik | changes.ik,
-        grip=None if grip is None else grip | changes.grip,
-        has_detail=request.has_detail if detail is None else detail,
-    )
+    opened = structs.asdict(request) | {"preset": preset}
+    if changes.preset:
+        with naming_field("preset"):
+            opened["options"] = kept_options(request.options, changes.preset)
+    return structs.replace(request, **with_changes(opened, structs.asdict(changes)))
 
 
 @dataclass(eq=False)

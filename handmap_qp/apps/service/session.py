@@ -52,8 +52,8 @@ from .opening import (
     read_choice,
     read_grip,
     refused,
+    reopened,
     upright_of,
-    with_changes,
 )
 from .safety import (
     START_TOLERANCE,
@@ -454,7 +454,7 @@ class Session:
             RefusedError: With the option at fault. The session is then unchanged.
         """
         preset = self._hands.choice.preset
-        self._choose(self._hands, with_changes(self.request, preset, request))
+        self._choose(self._hands, reopened(self.request, preset, request))
 
     def reset(self, request: Reset, now: float) -> None:
         """Start again.
