@@ -46,7 +46,7 @@ from .detect import Detection, detect_hands
 from .findings import Rows
 from .match import match_hand
 from .measure import check_fist, palm_rows
-from .migrate import migrate, read_dex_configuration
+from .migrate import migrate
 from .picture import draw_hand, draw_match, draw_robot, picture_path
 from .write import RobotSource, check_free, open_source, write_hand, write_robot
 
@@ -384,9 +384,7 @@ class HandsMigrate:
     def run(self) -> None:
         """Read the configuration, write the description, and print what was taken over."""
         check_free(self.out, overwrite=self.overwrite)
-        configuration = read_dex_configuration(self.config)
-        urdf = self.urdf or self.config.parent / configuration.urdf
-        found = migrate(configuration, urdf, name=self.name)
+        found = migrate(self.config, self.urdf, self.name)
         write_hand(found, self.out)
         hand = load_hand(self.out)
         rows = [

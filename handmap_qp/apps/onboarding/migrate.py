@@ -6,7 +6,7 @@ are found in the URDF, as by `handmap hands init`.
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -37,24 +37,12 @@ _LINKS = {
 }
 
 
-class DexConfiguration(NamedTuple):
-    """The parts of a configuration that have a counterpart here.
+def read_dex_configuration(path: Path) -> tuple[str, dict[str, str], Names]:
+    """Read the parts of a configuration that have a counterpart here.
 
-    Attributes:
-        file: The configuration.
-        urdf: Path of the URDF as it says, relative to a folder that it does not name.
-        links: Robot links by the names of human landmarks.
-        notes: Settings that were not taken over, and what takes their place.
-    """
-
-    file: Path
-    urdf: str
-    links: dict[str, str]
-    notes: Names
-
-
-def read_dex_configuration(path: Path) -> DexConfiguration:
-    """Read a configuration.
+    Returns:
+        Path of the URDF as it says, relative to a folder that it does not name; robot links by the
+        names of human landmarks; and settings that were not taken over, and what takes their place.
 
     Raises:
         HandError: If the file cannot be read, or is not a configuration of dex-retargeting.
@@ -105,27 +93,26 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     }
     unused = [name for name in _ELSEWHERE if name in table]
     notes = (f"{name} is not used: {_ELSEWHERE[name]}" for name in unused)
-    return DexConfiguration(path, urdf, named, tuple(notes))
+    return urdf, named, tuple(notes)
 
 
-def migrate(
-    configuration: DexConfiguration,
-    urdf: Path,
-    *,
-    name: str | None = None,
-) -> Detection:
-    """Find the hand in its URDF, with the configuration's links as reference points.
+def migrate(path: Path, urdf: Path | None, name: str | None) -> Detection:
+    """Find the hand in its URDF, with a configuration's links as reference points.
 
-    It has the robot's name unless one is given.
+    Args:
+        path: The configuration.
+        urdf: The URDF; as the configuration says, from its folder, if omitted.
+        name: The hand's name; that of the robot if omitted.
 
     Raises:
-        HandError: If the URDF cannot be used, or has no link of the configuration.
+        HandError: If a file cannot be used, or the URDF has no link of the configuration.
     """
+    given, links, notes = read_dex_configuration(path)
+    urdf = urdf or path.parent / given
     if not urdf.is_file():
-        problem = f"{configuration.file}: no URDF {urdf}: give the file by --urdf"
-        raise HandError(problem, key="urdf_path", value=configuration.urdf)
+        problem = f"{path}: no URDF {urdf}: give the file by --urdf"
+        raise HandError(problem, key="urdf_path", value=given)
     robot = Robot(urdf)
-    links = configuration.links
     carriers = {landmark: _carrier(robot, link) for landmark, link in links.items()}
     found = detect(urdf, thumb=carriers.get("thumb_tip"), name=name)
     # The found points take the configuration's names; of other fingers they are left out.
@@ -144,8 +131,8 @@ def migrate(
         points[landmark] = PointSpec(landmark, link, finger=landmark.partition("_")[0])
     every, sets = point_sets(points.values())
     spec = replace(found.spec, points=every, sets=sets)
-    intro = f"reference points are those of {configuration.file.name}"
-    return found._replace(spec=spec, notes=(intro, *configuration.notes, *found.notes))
+    intro = f"reference points are those of {path.name}"
+    return found._replace(spec=spec, notes=(intro, *notes, *found.notes))
 
 
 def _carrier(robot: Robot, link: str) -> str:
