@@ -471,6 +471,15 @@ def test_given_side_thumb_and_name_are_used() -> None:
         detect(urdf_directory() / "three_finger" / "hand.urdf", thumb="moon")
 
 
+def test_a_finger_of_another_name_given_as_the_thumb_loses_no_finger() -> None:
+    hand = load_hand("human")
+    found = tips(
+        detect(urdf_path(hand.spec), hand.urdf_text, thumb="little_DIP_flexion")
+    )
+    assert found["thumb"] == "little_tip"
+    assert {*found.values()} == {*tips(detect(urdf_path(hand.spec))).values()}
+
+
 def test_a_hand_can_keep_its_arm() -> None:
     found = detect(G1, root="left_hand_palm_link", base="torso_link")
     hand = load_hand(found.spec)

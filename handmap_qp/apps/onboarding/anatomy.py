@@ -346,6 +346,8 @@ class Anatomy:
             # Nothing is left to choose but the thumb.
             confidence = max(confidence, min(0.9, sure))
         own = {labels.index(label): label for label in FINGERS if label in labels}
+        # A finger of another name may be given as the thumb.
+        own.pop(self._thumb, None)
         named = {
             i: FINGERS[k] if k < len(FINGERS) else f"finger{k + 2}"
             for k, i in enumerate(order)
