@@ -4,14 +4,16 @@ Each answer is *certain* only if two independent kinds of evidence agree: positi
 plane of the knuckles, or names. What is derived from an answer is never surer than it.
 """
 
-from typing import Any, NamedTuple
+from itertools import chain
 
 import numpy as np
 
 from handmap_qp.hands import Side, human
 from handmap_qp.se3 import Array, lengths, unit
-from .finger_names import named_fingers
+from .finger_names import named_fingers, named_side
 from .flexion import HandFlexion
+from .robot import Robot
+from .structure import Clue, find_structure
 
 FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
@@ -40,69 +42,40 @@ _OPPOSED = -0.5
 _UNKNOWN = np.zeros(3)
 
 
-class Clue(NamedTuple):
-    """One detected property of a hand.
-
-    Attributes:
-        what: The property: `palm`, `thumb`, ...
-        answer: Its detected value in words; a unit vector in the palm link's coordinates, shape
-            (3,), while directions are compared.
-        how: Evidence for it, a sentence without a full stop.
-        confidence: From 0 to 1.
-        sign: Confidence in the sign of a direction alone.
-    """
-
-    what: str
-    answer: Any
-    how: str
-    confidence: float
-    sign: float = 1.0
-
-    @property
-    def certainty(self) -> str:
-        """The confidence in words."""
-        if self.confidence >= 0.9:
-            return "certain"
-        return "likely" if self.confidence >= 0.6 else "a guess: check it"
-
-
 class Anatomy:
-    """The hand's directions and the names of its fingers, by what flexion, places and names say.
+    """The hand of a robot: its directions and fingers, by what flexion, places and names say.
 
     Args:
-        flexion: How the fingers flex.
-        names: Names of every finger's links and joints.
-        named: The side that names say.
+        robot: The robot; the palm becomes its own.
         side: The side, if known.
-        thumb: Index of the thumb, if known.
-        sure: Confidence in the fingertips, which no direction is surer than.
+        thumb: A link or joint of the thumb, if known.
 
     Attributes:
+        robot: The robot.
+        notes: Chains that were ignored, and why.
+        flexion: How all fingers flex, in the order of the file.
+        others: Indices of all fingers there but the thumb.
         distal: Direction of the stretched fingers, in the palm link's coordinates, shape (3,).
         dorsal: Direction out of the back of the hand, at right angles to it, shape (3,).
         side: `right` or `left`.
-        fingers: Anatomical name of every finger by its index, the thumb first.
+        fingers: The fingers with their anatomical names, the thumb first.
         clues: Evidence for each of these.
+        sure: The confidence in them by what they are.
+
+    Raises:
+        HandError: If the robot is no hand, or no finger has that link or joint.
     """
 
-    def __init__(
-        self,
-        flexion: HandFlexion,
-        names: list[list[str]],
-        named: Side | None,
-        side: Side | None,
-        thumb: int | None,
-        sure: float,
-    ) -> None:
-        self._flexion = flexion
-        self._names = names
-        self._named_side = named
-        self._given_side = side
-        self._labels = named_fingers(names)
+    def __init__(self, robot: Robot, side: Side | None, thumb: str | None) -> None:
+        self.robot = robot
+        palm, fingers, self.notes = find_structure(robot)
+        self._names = [[*finger.joint_names, *finger.links] for finger in fingers]
+        self._labels = named_fingers(self._names)
+        self.flexion = flexion = HandFlexion(robot, fingers)
         # The thumb, if there are several fingers, and the other ones.
         self._thumb, self._thumb_clue = self._find_thumb(thumb)
-        self._rest = [i for i in range(len(names)) if i != self._thumb]
-        axes = flexion.axes[self._rest]
+        self.others = [i for i in range(len(fingers)) if i != self._thumb]
+        axes = flexion.axes[self.others]
         values, vectors = np.linalg.eigh(axes.T @ axes)
         # Jaws and hands with fingers all around have no common axis of flexion.
         has_axis = values[-1] > 0.8 * values.sum()
@@ -111,32 +84,44 @@ class Anatomy:
         dorsal = self._find_dorsal(distal)
         across = np.cross(distal.answer, dorsal.answer)
         radial = self._find_radial(across)
-        turned, found = self._find_side(across, dorsal, radial)
+        turned, found = self._find_side(side, across, dorsal, radial)
         self.side: Side = found.answer
         # The thumb's side orders the fingers; only without it the side does.
         if radial.confidence == 0.0:
             outwards = -across if self.side == "right" else across
             radial = radial._replace(answer=outwards, confidence=0.2)
-        self.fingers, order = self._name_fingers(radial)
+        named, order = self._name_fingers(radial)
+        for i, name in named.items():
+            fingers[i].name = name
+        self.fingers = [fingers[i] for i in named]
         self.distal = distal.answer
         self.dorsal = turned.answer
+        # No direction is surer than the fingertips.
+        sure = float(np.median([finger.end.confidence for finger in fingers]))
         directions = [
             each._replace(
                 answer=_shown(each.answer), confidence=min(each.confidence, sure)
             )
             for each in (distal, turned)
         ]
-        self.clues = (self._thumb_clue, *directions, found, order)
+        self.clues = [palm, self._thumb_clue, *directions, found, order]
+        self.sure = {clue.what: clue.confidence for clue in self.clues}
+        if flexion.ways[self.others].sum(axis=0) @ self.dorsal > 0.0:
+            # The side turned the palm over: joints with symmetric ranges flex the other way.
+            self.flexion = HandFlexion(robot, fingers, palmar=-self.dorsal)
 
-    def _find_thumb(self, given: int | None) -> tuple[int | None, Clue]:
+    def _find_thumb(self, given: str | None) -> tuple[int | None, Clue]:
         """Find the finger that differs from the others, or that the names call a thumb."""
         names = self._names
         count = len(names)
         if given is not None:
-            return given, Clue("thumb", names[given][-1], "as given", 1.0)
+            for i, group in enumerate(names):
+                if given in group:
+                    return i, Clue("thumb", group[-1], "as given", 1.0)
+            raise self.robot.error(f"no finger has a link or joint {given!r}", given)
         if count < 2:
             return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
-        peaks = [_stands_out(part) for part in _differences(self._flexion)]
+        peaks = [_stands_out(part) for part in _differences(self.flexion)]
         # The number of joints counts less than the others, a name as much as a clear margin; where
         # every finger has its own name, they decide.
         sizes = np.array([*map(len, names)])
@@ -162,10 +147,10 @@ class Anatomy:
 
     def _find_distal(self) -> Clue:
         """Find the direction of the stretched fingers."""
-        flexion = self._flexion
+        flexion = self.flexion
         axis = self._axis
         # Two jaws lean to opposite sides: take the middle of both, or the fixed one.
-        chosen = self._rest
+        chosen = self.others
         if len(flexion.bases) == 2 and flexion.moves[chosen].any():
             chosen = slice(None)
         mean = flexion.directions[chosen].mean(axis=0)
@@ -192,7 +177,7 @@ class Anatomy:
             else:
                 confidence = _LIKELY
         # Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
-        if len(self._rest) > 1 and flexion.directions[self._thumb] @ mean < _OPPOSED:
+        if len(self.others) > 1 and flexion.directions[self._thumb] @ mean < _OPPOSED:
             how += (
                 "; the thumb points the other way: the palm's direction may be better"
             )
@@ -201,21 +186,21 @@ class Anatomy:
 
     def _find_dorsal(self, distal: Clue) -> Clue:
         """Find the back of the hand: opposite to the way in which the fingertips flex."""
-        flexion = self._flexion
-        rest = self._rest
+        flexion = self.flexion
+        others = self.others
         ahead = distal.answer
-        mean = flexion.ways[rest].mean(axis=0)
+        mean = flexion.ways[others].mean(axis=0)
         agreement = lengths(mean)
         palmar = _beside(mean, ahead)
         how = f"opposite to the fingertips' motion in flexion (agreement {agreement:.2f} of 1)"
-        sign = np.median(flexion.certainty[rest])
+        sign = np.median(flexion.certainty[others])
         upright = np.cross(self._axis, ahead)
         if abs(palmar @ upright) > 0.2:
             # The axes of flexion are exact; the way of the tips depends on the posture.
             palmar = np.sign(palmar @ upright) * upright
         if lengths(palmar) < 0.2 and self._thumb is not None:
             tips = flexion.tips_open
-            palmar = _beside(tips[self._thumb] - tips[rest].mean(axis=0), ahead)
+            palmar = _beside(tips[self._thumb] - tips[others].mean(axis=0), ahead)
             sign = 0.5
             how = "away from the thumb, because the other fingertips flex in different directions"
         if lengths(palmar) < 1e-6:
@@ -239,34 +224,34 @@ class Anatomy:
 
     def _tilt(self, distal: Array, dorsal: Array) -> float:
         """Return the angle of the row of the knuckles to the palm [deg], a neutral one without."""
-        across = _beside(_widest(self._flexion.bases[self._rest]), distal)
-        if len(self._rest) < 3 or lengths(across) < 0.5:
+        across = _beside(_widest(self.flexion.bases[self.others]), distal)
+        if len(self.others) < 3 or lengths(across) < 0.5:
             return 1.5 * _AGREEING
         return abs(angle_between(across, dorsal) - 90.0)
 
     def _thumb_height(self, dorsal: Array) -> float:
         """Return how far before the knuckles the thumb closes, in lengths of the fingers."""
-        flexion = self._flexion
+        flexion = self.flexion
         thumb = self._thumb
         if thumb is None or flexion.certainty[thumb] <= 0.6:
             return 0.0
-        before = flexion.bases[self._rest].mean(axis=0) - flexion.tips_closed[thumb]
-        return float(before @ dorsal / max(flexion.reach[self._rest].mean(), 1e-6))
+        before = flexion.bases[self.others].mean(axis=0) - flexion.tips_closed[thumb]
+        return float(before @ dorsal / max(flexion.reach[self.others].mean(), 1e-6))
 
     def _find_radial(self, across: Array) -> Clue:
         """Return the direction across the palm to the thumb; confidence 0 if that is central."""
-        flexion = self._flexion
-        rest = self._rest
-        bases = {self._labels[i]: flexion.bases[i] @ across for i in rest}
+        flexion = self.flexion
+        others = self.others
+        bases = {self._labels[i]: flexion.bases[i] @ across for i in others}
         steps = -np.diff([bases[label] for label in FINGERS if label in bases])
         # Names count if all steps are to one side, and none is too small to tell.
         named = np.sign(steps.sum())
         named *= (named * steps > 0.5 * NARROW).all()
         # Where the thumb's base and tip are on one side, in half widths of the palm.
         ends = np.zeros(2)
-        if len(rest) > 1:
-            row = flexion.bases[rest] @ across
-            width = max(0.5 * np.ptp(row), 0.25 * flexion.reach[rest].mean())
+        if len(others) > 1:
+            row = flexion.bases[others] @ across
+            width = max(0.5 * np.ptp(row), 0.25 * flexion.reach[others].mean())
             points = np.array([flexion.roots, flexion.tips_open])[:, self._thumb]
             ends = (points @ across - row.mean()) / width
         place = ends.mean()
@@ -287,15 +272,16 @@ class Anatomy:
         return Clue("radial", np.sign(place + _CLEAR * named) * across, how, confidence)
 
     def _find_side(
-        self, across: Array, dorsal: Clue, radial: Clue
+        self, given: Side | None, across: Array, dorsal: Clue, radial: Clue
     ) -> tuple[Clue, Clue]:
         """Find the side: a right hand seen from the back, fingers up, has its thumb on the left.
 
         A given or named side may turn the dorsal direction over.
         """
-        given = self._given_side
+        robot = self.robot
+        hints = (robot.name, robot.file.stem, robot.palm_frame.name)
         source = "as given" if given else "from the names"
-        declared = given or self._named_side
+        declared = given or named_side(chain(hints, *self._names))
         if radial.confidence == 0.0:
             how = f"{source}; the thumb is in the middle"
             sure = 1.0 if given else 0.65
@@ -333,12 +319,12 @@ class Anatomy:
 
     def _name_fingers(self, radial: Clue) -> tuple[dict[int, str], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""
-        flexion = self._flexion
+        flexion = self.flexion
         labels = self._labels
         sure = self._thumb_clue.confidence
         # By base and tip: fingers spread towards their tips, and bases may lie in line.
         places = (0.7 * flexion.bases + 0.3 * flexion.tips_open) @ radial.answer
-        order = sorted(self._rest, key=lambda i: -places[i])
+        order = sorted(self.others, key=lambda i: -places[i])
         apart = -np.diff(places[order]).max(initial=-np.inf)
         how = "ordered by position across the palm, from the thumb's side"
         confidence = min(radial.confidence, _CERTAIN if apart > NARROW else 0.4, sure)

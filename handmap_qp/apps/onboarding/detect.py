@@ -27,11 +27,9 @@ from handmap_qp.hands import (
     ball_in,
 )
 from handmap_qp.se3 import Array, lengths, transform_points
-from .anatomy import Anatomy, Clue
-from .finger_names import named_side
-from .flexion import HandFlexion
+from .anatomy import Anatomy
 from .robot import Robot
-from .structure import RobotFinger, find_palms, find_structure
+from .structure import Clue, RobotFinger, find_palms, find_structure
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
 _REST_SHARE = 0.4
@@ -132,7 +130,8 @@ def detect(
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
     robot = Robot(urdf, text, root=root)
-    palm = find_structure(robot).palm.answer
+    find_structure(robot)
+    palm = robot.palm_frame.name
     joints, above = left_out_wrist(robot, palm)
     notes = []
     if root is None and palm != robot.root:
@@ -140,10 +139,10 @@ def detect(
         if joints and base is None:
             what = f"wrist joints are left out, and the wrist floats: {joints}"
             notes = [f"{what}; keep them with --base {above}"]
-    hand = _FoundHand(robot, side, thumb)
+    hand = Anatomy(robot, side, thumb)
     part = robot if base is None else Robot(urdf, text, root=base)
-    spec = hand.describe(name, part)
-    notes += [*hand.structure.notes, *robot.remarks]
+    spec = _describe(hand, name, part)
+    notes += [*hand.notes, *robot.remarks]
     if base is not None:
         arm = [joint for joint in spec.joints if joint not in robot.joint_names]
         others = {*part.joint_names} - {*spec.joints}
@@ -157,180 +156,155 @@ def detect(
     return Detection(spec, tuple(hand.clues), tuple(notes), chains)
 
 
-class _FoundHand:
-    """A hand that is found in a robot; `clues` are complete after `describe`."""
+def _describe(hand: Anatomy, name: str | None, part: Robot) -> HandSpec:
+    """Return the description; `part` is the robot from the arm's base, if there is one.
 
-    def __init__(
-        self,
-        robot: Robot,
-        side: Side | None,
-        thumb: str | None,
-    ) -> None:
-        self.robot = robot
-        self.structure = find_structure(robot)
-        fingers = self.structure.fingers
-        names = [[*finger.joint_names, *finger.links] for finger in fingers]
-        given = next((i for i, group in enumerate(names) if thumb in group), None)
-        if thumb is not None and given is None:
-            problem = f"no finger has a link or joint {thumb!r}"
-            raise robot.error(problem, thumb)
-        flexion = HandFlexion(robot, fingers)
-        self.palm = self.structure.palm.answer
-        hints = (robot.name, robot.file.stem, self.palm)
-        named = named_side(chain(hints, *names))
-        sure = float(np.median([finger.end.confidence for finger in fingers]))
-        self.anatomy = Anatomy(flexion, names, named, side, given, sure)
-        for i, called in self.anatomy.fingers.items():
-            fingers[i].name = called
-        self.fingers = [fingers[i] for i in self.anatomy.fingers]
-        self._thumbs = np.array([finger.name == THUMB for finger in fingers])
-        if flexion.ways[~self._thumbs].sum(axis=0) @ self.anatomy.dorsal > 0.0:
-            # The side turned the palm over: joints with symmetric ranges flex the other way.
-            flexion = HandFlexion(robot, fingers, palmar=-self.anatomy.dorsal)
-        self.flexion = flexion
-        self.clues = [self.structure.palm, *self.anatomy.clues]
-        self._sure = {clue.what: clue.confidence for clue in self.clues}
+    It adds clues of what it finds to those of the hand, as the functions below do.
+    """
+    robot = hand.robot
+    drivers = chain.from_iterable(finger.drivers for finger in hand.fingers)
+    own = (*dict.fromkeys(drivers),)
+    arm = () if part is robot else _arm(part, robot.root)
+    joints = (*arm, *own)
+    still = robot.positions(robot.rest) | part.positions(part.rest)
+    origin = _palm_origin(hand)
+    points, sets = point_sets(
+        point for finger in hand.fingers for point in _points(hand, finger)
+    )
+    rest = robot.positions(_rest(hand))
+    palm = robot.palm_frame.name
+    if arm:
+        rest = part.positions(_arm_rest(part, palm)) | rest
+    return HandSpec(
+        name=name or _name(hand),
+        urdf=str(robot.file),
+        side=hand.side,
+        palm=PalmSpec(
+            palm,
+            _vector(hand.distal, 9),
+            _vector(hand.dorsal, 9),
+            _vector(origin, 4),
+        ),
+        wrist=WristSpec(robot.root, "fixed" if arm else "floating"),
+        joints=joints,
+        rest=_chosen(rest, joints),
+        points=points,
+        sets=sets,
+        reference="fingertips",
+        root=None if part.is_whole else part.root,
+        locked={joint: at for joint, at in still.items() if joint not in joints},
+        limits=_chosen(part.spec.limits, arm) | _chosen(robot.spec.limits, own),
+        mimic=robot.spec.mimic,
+    )
 
-    def describe(self, name: str | None, part: Robot) -> HandSpec:
-        """Return the description; `part` is the robot from the arm's base, if there is one."""
-        robot = self.robot
-        anatomy = self.anatomy
-        drivers = chain.from_iterable(finger.drivers for finger in self.fingers)
-        own = (*dict.fromkeys(drivers),)
-        arm = () if part is robot else _arm(part, robot.root)
-        joints = (*arm, *own)
-        still = robot.positions(robot.rest) | part.positions(part.rest)
-        origin = self._palm_origin()
-        found = chain.from_iterable(map(self._points, self.fingers))
-        points, sets = point_sets(found)
-        rest = robot.positions(self._rest())
-        if arm:
-            rest = part.positions(_arm_rest(part, self.palm)) | rest
-        return HandSpec(
-            name=name or self._name(),
-            urdf=str(robot.file),
-            side=anatomy.side,
-            palm=PalmSpec(
-                self.palm,
-                _vector(anatomy.distal, 9),
-                _vector(anatomy.dorsal, 9),
-                _vector(origin, 4),
-            ),
-            wrist=WristSpec(robot.root, "fixed" if arm else "floating"),
-            joints=joints,
-            rest=_chosen(rest, joints),
-            points=points,
-            sets=sets,
-            reference="fingertips",
-            root=None if part.is_whole else part.root,
-            locked={joint: at for joint, at in still.items() if joint not in joints},
-            limits=_chosen(part.spec.limits, arm) | _chosen(robot.spec.limits, own),
-            mimic=robot.spec.mimic,
+
+def _name(hand: Anatomy) -> str:
+    """Return the robot's name, with the hand's side if there is more to the robot."""
+    name = hand.robot.name
+    side = hand.side
+    has_side = re.search(rf"(?<![a-z]){side}(?![a-z])", name.lower())
+    return name if hand.robot.is_whole or has_side else f"{name}_{side}"
+
+
+def _rest(hand: Anatomy) -> Array:
+    """Return the half-open posture; other joints are near zero, or centred (thumb)."""
+    robot = hand.robot
+    flexion = hand.flexion
+    lower = robot.lower_limits
+    upper = robot.upper_limits
+    zero = robot.rest
+    travel = flexion.q_closed - flexion.q_open
+    step = np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST)
+    step = np.where(flexion.slides, 0.5 * travel, step)
+    of_thumb = np.delete(flexion.moves, hand.others, axis=0).any(axis=0)
+    one_sided = of_thumb & ((lower > -0.1) | (upper < 0.1))
+    # Joints that spread the fingers to one side only rest away from that limit, fingers apart.
+    width = flexion.moves.any(axis=0) * (upper - lower)
+    near = _AT_LIMIT * width
+    spread = _SPREAD * width
+    q = np.select(
+        [flexion.sign != 0.0, one_sided, upper - zero < near, zero - lower < near],
+        [
+            flexion.q_open + step,
+            0.5 * (lower + upper),
+            upper - spread,
+            lower + spread,
+        ],
+        zero,
+    )
+    q = np.clip(q.round(4) + 0.0, lower, upper)
+    heights = (flexion.tips(q) - flexion.tips_open) @ hand.dorsal
+    sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
+    how = (
+        f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
+        "per joint; other joints near zero, or at mid-range on the thumb"
+    )
+    sure = min(sure, hand.sure["dorsal"])
+    hand.clues.append(Clue("rest", "half open", how, sure))
+    return q
+
+
+def _points(hand: Anatomy, finger: RobotFinger) -> Iterator[PointSpec]:
+    """Yield a fingertip, and the PIP joint of a finger, or the IP joint of the thumb."""
+    robot = hand.robot
+    end = finger.end
+    is_thumb = finger.name == THUMB
+    sure = max(hand.sure["thumb" if is_thumb else "fingers"], 0.3)
+    sure = min(end.confidence, sure)
+    hand.clues.append(end._replace(what=f"{finger.name}_tip", confidence=sure))
+    places = {"tip": (end.answer, finger.xyz)}
+    if finger.joints and (middle := finger.find_middle()):
+        body, xyz = middle
+        xyz = xyz * (lengths(xyz) > _OFF_AXIS)
+        places["ip" if is_thumb else "pip"] = robot.links[body][0], xyz
+    for kind, (link, xyz) in places.items():
+        # An additional finger is paired with the human little one.
+        yield PointSpec(
+            f"{finger.name}_{kind}",
+            link,
+            _vector(xyz, 4),
+            finger.name,
+            partner=None if finger.name in FINGERS else f"little_{kind}",
+            pad=_pad(robot, finger) if kind == "tip" else None,
         )
 
-    def _name(self) -> str:
-        """Return the robot's name, with the hand's side if there is more to the robot."""
-        name = self.robot.name
-        side = self.anatomy.side
-        has_side = re.search(rf"(?<![a-z]){side}(?![a-z])", name.lower())
-        return name if self.robot.is_whole or has_side else f"{name}_{side}"
 
-    def _rest(self) -> Array:
-        """Return the half-open posture; other joints are near zero, or centred (thumb)."""
-        robot = self.robot
-        flexion = self.flexion
-        lower = robot.lower_limits
-        upper = robot.upper_limits
-        zero = robot.rest
-        travel = flexion.q_closed - flexion.q_open
-        step = np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST)
-        step = np.where(flexion.slides, 0.5 * travel, step)
-        of_thumb = flexion.moves[self._thumbs].any(axis=0)
-        one_sided = of_thumb & ((lower > -0.1) | (upper < 0.1))
-        # Joints that spread the fingers to one side only rest away from that limit, fingers apart.
-        width = flexion.moves.any(axis=0) * (upper - lower)
-        near = _AT_LIMIT * width
-        spread = _SPREAD * width
-        q = np.select(
-            [flexion.sign != 0.0, one_sided, upper - zero < near, zero - lower < near],
-            [
-                flexion.q_open + step,
-                0.5 * (lower + upper),
-                upper - spread,
-                lower + spread,
-            ],
-            zero,
-        )
-        q = np.clip(q.round(4) + 0.0, lower, upper)
-        heights = (flexion.tips(q) - flexion.tips_open) @ self.anatomy.dorsal
-        sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
-        how = (
-            f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
-            "per joint; other joints near zero, or at mid-range on the thumb"
-        )
-        sure = min(sure, self._sure["dorsal"])
-        self.clues.append(Clue("rest", "half open", how, sure))
-        return q
+def _pad(robot: Robot, finger: RobotFinger) -> PadSpec | None:
+    """Return the pad of a finger whose surface is visual only; the mapping finds all others."""
+    body, tip = finger.tip
+    cloud = robot.surface(body)
+    links = [robot.elements[link] for link in robot.links[body]]
+    if not len(cloud) or any(link.findall("collision") for link in links):
+        return None
+    centre, radius = ball_in(cloud, tip)
+    centre = robot.frames[finger.end.answer].placement.actInv(centre)
+    return PadSpec(round(radius, 4), _vector(centre, 4))
 
-    def _points(self, finger: RobotFinger) -> Iterator[PointSpec]:
-        """Yield a fingertip, and the PIP joint of a finger, or the IP joint of the thumb."""
-        end = finger.end
-        is_thumb = finger.name == THUMB
-        sure = max(self._sure["thumb" if is_thumb else "fingers"], 0.3)
-        sure = min(end.confidence, sure)
-        self.clues.append(end._replace(what=f"{finger.name}_tip", confidence=sure))
-        places = {"tip": (end.answer, finger.xyz)}
-        if finger.joints and (middle := finger.find_middle()):
-            body, xyz = middle
-            xyz = xyz * (lengths(xyz) > _OFF_AXIS)
-            places["ip" if is_thumb else "pip"] = self.robot.links[body][0], xyz
-        for kind, (link, xyz) in places.items():
-            # An additional finger is paired with the human little one.
-            yield PointSpec(
-                f"{finger.name}_{kind}",
-                link,
-                _vector(xyz, 4),
-                finger.name,
-                partner=None if finger.name in FINGERS else f"little_{kind}",
-                pad=self._pad(finger) if kind == "tip" else None,
-            )
 
-    def _pad(self, finger: RobotFinger) -> PadSpec | None:
-        """Return the pad of a finger whose surface is visual only; the mapping finds all others."""
-        robot = self.robot
-        body, tip = finger.tip
-        cloud = robot.surface(body)
-        links = [robot.elements[link] for link in robot.links[body]]
-        if not len(cloud) or any(link.findall("collision") for link in links):
-            return None
-        centre, radius = ball_in(cloud, tip)
-        centre = robot.frames[finger.end.answer].placement.actInv(centre)
-        return PadSpec(round(radius, 4), _vector(centre, 4))
-
-    def _palm_origin(self) -> Array:
-        """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
-        robot = self.robot
-        palm = robot.palm_frame
-        distal = self.anatomy.distal
-        chosen = ~self._thumbs | self._thumbs.all()
-        knuckles = self.flexion.bases[chosen].mean(axis=0)
-        cloud = robot.surface(palm.parentJoint)
-        back = knuckles @ distal
-        how = "the origin of the palm's link"
-        if len(cloud):
-            cloud = transform_points(palm.placement.inverse().homogeneous, cloud)
-            back -= (cloud @ distal).min()
-            how = "the proximal end of the palm's surface"
-        how += ", behind the centre of the knuckles"
-        sure = 0.8
-        likely = np.clip(back, *_PALM_RATIO * self.flexion.reach[chosen].max())
-        if back != likely:
-            sure = 0.5
-            how += "; moved to a distance as in a person's proportions"
-        answer = f"{1e3 * likely:.0f} mm behind the knuckles"
-        sure = min(sure, self._sure["distal"])
-        self.clues.append(Clue("palm origin", answer, how, sure))
-        return knuckles - likely * distal
+def _palm_origin(hand: Anatomy) -> Array:
+    """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
+    robot = hand.robot
+    palm = robot.palm_frame
+    distal = hand.distal
+    chosen = hand.others or slice(None)
+    knuckles = hand.flexion.bases[chosen].mean(axis=0)
+    cloud = robot.surface(palm.parentJoint)
+    back = knuckles @ distal
+    how = "the origin of the palm's link"
+    if len(cloud):
+        cloud = transform_points(palm.placement.inverse().homogeneous, cloud)
+        back -= (cloud @ distal).min()
+        how = "the proximal end of the palm's surface"
+    how += ", behind the centre of the knuckles"
+    sure = 0.8
+    likely = np.clip(back, *_PALM_RATIO * hand.flexion.reach[chosen].max())
+    if back != likely:
+        sure = 0.5
+        how += "; moved to a distance as in a person's proportions"
+    answer = f"{1e3 * likely:.0f} mm behind the knuckles"
+    sure = min(sure, hand.sure["distal"])
+    hand.clues.append(Clue("palm origin", answer, how, sure))
+    return knuckles - likely * distal
 
 
 def point_sets(

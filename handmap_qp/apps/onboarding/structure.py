@@ -8,14 +8,13 @@ metacarpal with two fingers, are not the palm.
 import math
 import re
 from itertools import chain, compress
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands import Finger, ends_of, origin_of
 from handmap_qp.se3 import Array, box_of, lengths, transform_points, unit
-from .anatomy import Clue
 from .robot import Robot
 
 LONGEST_FINGER = 0.3
@@ -43,6 +42,32 @@ _JAW = re.compile("jaw|grip|claw|clamp|pinc", re.IGNORECASE)
 _HEAD = re.compile("head|neck|eye|camera|lidar|velodyne", re.IGNORECASE)
 # Fingers of one hand start within this distance of each other [m].
 _APART = 0.16
+
+
+class Clue(NamedTuple):
+    """One detected property of a hand.
+
+    Attributes:
+        what: The property: `palm`, `thumb`, ...
+        answer: Its detected value in words; a unit vector in the palm link's coordinates, shape
+            (3,), while directions are compared.
+        how: Evidence for it, a sentence without a full stop.
+        confidence: From 0 to 1.
+        sign: Confidence in the sign of a direction alone.
+    """
+
+    what: str
+    answer: Any
+    how: str
+    confidence: float
+    sign: float = 1.0
+
+    @property
+    def certainty(self) -> str:
+        """The confidence in words."""
+        if self.confidence >= 0.9:
+            return "certain"
+        return "likely" if self.confidence >= 0.6 else "a guess: check it"
 
 
 class RobotFinger(Finger):
@@ -82,22 +107,16 @@ class RobotFinger(Finger):
         self.length = lengths(np.vstack([*steps, self.tip[1]])).sum()
 
 
-class Structure(NamedTuple):
-    """Palm and fingers of a robot.
-
-    Attributes:
-        palm: Link of the palm's body from which all fingers branch, and the evidence for it.
-        fingers: The fingers, in the order of the file.
-        notes: Chains that were ignored, and why.
-    """
-
-    palm: Clue
-    fingers: list[RobotFinger]
-    notes: list[str]
+_Hand = tuple[list[RobotFinger], list[str], str, float]
+"""Fingers, notes, and evidence for the palm with the confidence in it."""
 
 
-def find_structure(robot: Robot) -> Structure:
+def find_structure(robot: Robot) -> tuple[Clue, list[RobotFinger], list[str]]:
     """Find the palm, which becomes that of the robot, and the fingers.
+
+    Returns:
+        Link of the palm's body from which all fingers branch, with the evidence; the fingers, in
+        the order of the file; and chains that were ignored, and why.
 
     Raises:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
@@ -107,9 +126,10 @@ def find_structure(robot: Robot) -> Structure:
         links = ", ".join(map(_palm_link, palms[:8]))
         problem = f"there are {len(palms)} possible palms: {links}"
         raise robot.error(f"{problem}; choose one with --root", links)
-    structure = _hand(robot, *palms) if palms else _one_finger(robot)
-    robot.palm_frame = robot.frames[structure.palm.answer]
-    return structure
+    fingers, notes, how, sure = _hand(robot, *palms) if palms else _one_finger(robot)
+    palm = Clue("palm", _palm_link(fingers), how, sure)
+    robot.palm_frame = robot.frames[palm.answer]
+    return palm, fingers, notes
 
 
 def find_palms(robot: Robot) -> list[str]:
@@ -172,12 +192,11 @@ def _is_base(robot: Robot, body: int) -> bool:
     return sum(size for size in sizes if size > 2) > 4
 
 
-def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
+def _hand(robot: Robot, fingers: list[RobotFinger]) -> _Hand:
     """Return the hand of all chains that are fingers."""
     notes: list[str] = []
     if not fingers[-1].joints:
-        how = "the link that the only jaw closes on"
-        return Structure(Clue("palm", _palm_link(fingers), how, 0.85), fingers, notes)
+        return fingers, notes, "the link that the only jaw closes on", 0.85
     for fault_of in (_idleness, _second_end, _linkage):
         faults = {finger: fault_of(finger, fingers) for finger in fingers}
         notes += [
@@ -190,11 +209,10 @@ def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
         raise robot.error("no branch of the palm moves its end")
     _check_one_hand(robot, fingers)
     how = f"the only link from which {len(fingers)} chains of at most {LONGEST_FINGER:g} m branch"
-    sure = 0.95 if len(fingers) > 2 else 0.85
-    return Structure(Clue("palm", _palm_link(fingers), how, sure), fingers, notes)
+    return fingers, notes, how, 0.95 if len(fingers) > 2 else 0.85
 
 
-def _one_finger(robot: Robot) -> Structure:
+def _one_finger(robot: Robot) -> _Hand:
     """Return a robot that is one finger; the whole of it must be one."""
     leaves = robot.leaves(0)
     finger = RobotFinger(robot, leaves[0], 0)
@@ -208,9 +226,7 @@ def _one_finger(robot: Robot) -> Structure:
         problem = f"no hand found from {robot.root!r} outwards: {what}{hint}"
         raise robot.error(problem, robot.root)
     note = "there is only one finger, so the dorsal direction and the side are guesses"
-    how = "the link from which the only chain starts"
-    palm = Clue("palm", _palm_link([finger]), how, 0.5)
-    return Structure(palm, [finger], [note])
+    return [finger], [note], "the link from which the only chain starts", 0.5
 
 
 def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
