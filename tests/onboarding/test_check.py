@@ -17,6 +17,7 @@ import trimesh
 import yaml
 
 from handmap_qp import Hand, HandError, cli, load_hand
+from handmap_qp.apps.drawing import load_shape
 from handmap_qp.apps.onboarding.check import (
     _check_tips,
     _check_wrist,
@@ -38,7 +39,7 @@ from handmap_qp.apps.onboarding.measure import (
     check_pinches,
     measure_arm,
 )
-from handmap_qp.apps.onboarding.picture import _Scene
+from handmap_qp.apps.onboarding.picture import hand_scene
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import find_fingers
@@ -296,7 +297,7 @@ def test_odd_urdfs_are_found_checked_and_drawn(
     assert set(report.hand.joint_names).isdisjoint({"free"})
     assert {p.finger for p in report.hand.spec.points} == set(made.tips)
     if change == "named as links":
-        assert len(_Scene(report.hand).points) == len(made.tips)
+        assert len(hand_scene(report.hand).points) == len(made.tips)
 
 
 def test_balls_without_a_size_are_drawn_as_nothing(
@@ -306,7 +307,12 @@ def test_balls_without_a_size_are_drawn_as_nothing(
     text = re.sub(r'(<link name="[^"]+")/>', rf"\1>{ball}", made.urdf)
     report = check(described(tmp_path, text))
     assert report.hand is not None
-    assert len(_Scene(report.hand).points) == len(made.tips)
+    assert len(hand_scene(report.hand).points) == len(made.tips)
+
+
+def test_a_fixed_hand_is_drawn_with_its_palm() -> None:
+    shape = load_shape(load_hand("allegro_right", mount="fixed"))
+    assert shape.without_arm().links.keys() == shape.links.keys()
 
 
 def test_a_xacro_file_is_named_as_such(tmp_path: Path) -> None:
@@ -354,7 +360,7 @@ def test_an_arm_does_not_hide_what_the_hand_reaches() -> None:
 def test_the_picture_shows_all_points() -> None:
     hand = load_hand(urdf_directory() / "allegro_right" / "hand.yaml")
     assert len(hand.reference_points) < len(hand.spec.points)
-    scene = _Scene(hand.with_points([point.name for point in hand.spec.points]))
+    scene = hand_scene(hand.with_points([point.name for point in hand.spec.points]))
     assert len(scene.points) == len(hand.spec.points)
 
 

@@ -10,7 +10,7 @@ import pytest
 from handmap_qp import cli, load_hand
 from handmap_qp.apps.onboarding.findings import Report, Rows
 from handmap_qp.apps.onboarding.measure import check_directions
-from handmap_qp.apps.onboarding.picture import _Scene
+from handmap_qp.apps.onboarding.picture import hand_scene
 from handmap_qp.hands.hand import Hand
 
 BARE = load_hand("allegro_right")
@@ -42,12 +42,14 @@ def test_a_bare_hand_has_no_directions_to_check() -> None:
 
 def test_the_picture_has_them() -> None:
     hand = load_hand("ur5_allegro")
-    scene = _Scene(hand, *measure_directions(hand))
-    labels = [label for _, label, _ in scene.arrows]
+    scene = hand_scene(hand, *measure_directions(hand))
+    labels = [label for _, _, label, _ in scene.arrows]
     assert labels[3:] == [row["direction"] for row in measure_directions(hand)]
-    ends = np.array([tip for tip, *_ in scene.arrows[3:]])
+    ends = np.array([end for _, end, *_ in scene.arrows[3:]])
     # Forward is against back, left against right, up against down.
-    np.testing.assert_allclose(ends[:3], -ends[3:], atol=0.02 * scene.size)
+    np.testing.assert_allclose(
+        ends[:3], -ends[3:], atol=0.02 * np.ptp(scene.points, axis=0).max()
+    )
 
 
 @pytest.mark.slow

@@ -82,9 +82,12 @@ class HandShape(NamedTuple):
 
     def without_arm(self) -> HandShape:
         """Return the shapes of the links that the wrist carries."""
-        carried = self.hand.model.subtrees[self.hand.wrist_frame.parentJoint]
+        supports = self.hand.model.supports
+        wrist = self.hand.wrist_frame.parentJoint
         links = {
-            k: v for k, v in self.links.items() if carrier_of(self.hand, k) in carried
+            link: shape
+            for link, shape in self.links.items()
+            if wrist in supports[carrier_of(self.hand, link)]
         }
         return HandShape(self.hand, links)
 

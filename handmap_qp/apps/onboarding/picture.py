@@ -1,16 +1,17 @@
 """Pictures to check a description: a hand with its labels, and its matched posture."""
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from handmap_qp.apps.drawing import (
     AXIS_COLOURS,
-    GREY,
     UPRIGHT,
     Camera,
+    Colour,
     Triangles,
     draw_hands,
     load_shape,
@@ -19,21 +20,20 @@ from handmap_qp.apps.drawing import (
     save_panels,
     save_picture,
     spheres,
-    tube,
 )
 from handmap_qp.apps.drawing.contact_sheet import (
     FINGER_COLOURS,
     SheetRow,
     contact_sheet,
 )
-from handmap_qp.hands import Hand, PalmKinematics, place_of
+from handmap_qp.hands import Hand
 from handmap_qp.mapping import resting_posture
-from handmap_qp.se3 import inverse_pose, lengths, transform_points, unit
+from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points, unit
 from .match import Match
 
 _PANEL = (760, 820)
-# From the end of an axis to the middle of its label, to the side and up [pixel].
-_AXIS_GAP = np.array([38.0, -14.0])
+# Radius of a marked point, in lengths of the hand.
+_MARK = 0.022
 _OTHER_COLOUR = (0.25, 0.25, 0.28)
 _AXES = ("x, across", "y, distal", "z, dorsal")
 # Caption of both views of a hand, and how far the camera turns from its back to the thumb [deg].
@@ -78,7 +78,7 @@ def draw_hand(hand: Hand, path: Path, *directions: Any) -> None:
     """
     require_matplotlib()
     points = [point.name for point in hand.spec.points]
-    scene = _Scene(hand.with_points(points), *directions)
+    scene = hand_scene(hand.with_points(points), *directions)
     turn = 1.0 if hand.side == "right" else -1.0
     panels = {
         caption: partial(scene.draw, azimuth=90.0 + turn * angle)
@@ -96,26 +96,14 @@ def draw_robot(robot: Hand, path: Path) -> None:
         MissingExtraError: If matplotlib is not installed.
     """
     hands = robot.hands
-    triangles = load_shape(hands[0]).triangles(hands[0].rest)
-    poses = [hand.frame_pose("palm", hand.rest) for hand in hands]
-    marks = merged(
-        [
-            tube([pose[:3, 3], end], 0.03 * _ROBOT_AXES, colour)
-            for pose in poses
-            for end, colour in zip(
-                transform_points(pose, _ROBOT_AXES * np.eye(3)),
-                AXIS_COLOURS,
-                strict=True,
-            )
-        ]
-    )
-    corners = np.vstack([triangles.vertices, marks.vertices]).reshape(-1, 3)
-
-    def draw(axes: Any, azimuth: float) -> None:
-        camera = Camera.framing(corners, _PANEL, azimuth=azimuth, elevation=_ELEVATION)
-        draw_hands(axes, triangles, camera, marks=marks)
-
-    panels = {name: partial(draw, azimuth=a) for name, a in _ROBOT_VIEWS.items()}
+    arrows = []
+    for hand in hands:
+        pose = hand.frame_pose("palm", hand.rest)
+        ends = transform_points(pose, _ROBOT_AXES * np.eye(3))
+        starts = 3 * [pose[:3, 3]]
+        arrows += zip(starts, ends, ("", "", ""), AXIS_COLOURS, strict=True)
+    scene = _Scene(load_shape(hands[0]).triangles(hands[0].rest), arrows)
+    panels = {name: partial(scene.draw, azimuth=a) for name, a in _ROBOT_VIEWS.items()}
     title = f"{robot.name} at rest; palms: red across, green distal, blue dorsal"
     save_panels(path, title, _PANEL, panels)
 
@@ -138,69 +126,54 @@ def draw_match(match: Match, path: Path) -> None:
     save_picture(figure, path)
 
 
-class _Scene:
-    """A hand at rest, with its palm's distal axis up and its back towards +y."""
+class _Scene(NamedTuple):
+    """What a picture shows.
 
-    def __init__(self, hand: Hand, *directions: Any) -> None:
-        self.hand = hand
-        pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", hand.rest))
-        self.points = transform_points(pose, hand.points(hand.rest))
-        self.size = lengths(self.points).max()
-        shape = load_shape(hand).without_arm()
-        self.triangles = (
-            shape.triangles(hand.rest).moved(pose)
-            if shape.links
-            else self._sticks().moved(UPRIGHT)
-        )
-        axes = 0.28 * self.size * UPRIGHT[:3, :3].T
-        self.arrows = [*zip(axes, _AXES, AXIS_COLOURS, strict=True)]
-        for row in directions:
-            # It ends beyond the palm's axes and their labels.
-            tip = 0.5 * self.size * unit(pose[:3, :3] @ row["robot moved, mm"])
-            self.arrows.append((tip, row["direction"], _OTHER_COLOUR))
-        self.colours = [
-            FINGER_COLOURS.get(point.finger or "", _OTHER_COLOUR)
-            for point in hand.reference_points
-        ]
-        marks = [
-            spheres(point, 0.022 * self.size, colour)
-            for point, colour in zip(self.points, self.colours, strict=True)
-        ]
-        for tip, _, colour in self.arrows:
-            axis = tube([np.zeros(3), tip], 0.008 * self.size, colour)
-            marks += [axis, spheres(tip, 0.016 * self.size, colour)]
-        self.marks = merged(marks)
+    Attributes:
+        triangles: Solid parts.
+        arrows: Start and end [m], label and colour of each arrow.
+        points: Points [m], shape (m, 3).
+        labels: The name and the colour of each point.
+    """
+
+    triangles: Triangles
+    arrows: list[tuple[Array, Array, str, Colour]]
+    points: Array = np.zeros((0, 3))
+    labels: Sequence[tuple[str, Colour]] = ()
 
     def draw(self, axes: Any, azimuth: float) -> None:
         """Draw one view into a matplotlib axes."""
         corners = self.triangles.vertices.reshape(-1, 3)
+        ends = [end for _, end, *_ in self.arrows]
         # The margin leaves room for labels on both sides.
         camera = Camera.framing(
-            np.vstack([corners, self.points, *(tip for tip, *_ in self.arrows)]),
+            np.vstack([corners, self.points, ends]),
             _PANEL,
             azimuth=azimuth,
             elevation=_ELEVATION,
-            margin=0.13,
+            margin=0.13 if self.labels else 0.04,
         )
-        draw_hands(axes, self.triangles, camera, marks=self.marks)
-        origin = camera.project(np.zeros(3))[:2]
+        marks = [
+            spheres(point, _MARK * lengths(self.points).max(), colour)
+            for point, (_, colour) in zip(self.points, self.labels, strict=True)
+        ]
+        draw_hands(axes, self.triangles, camera, marks=merged(marks))
         write = partial(axes.annotate, va="center", fontsize=10, bbox=_BOX)
-        for tip, name, colour in self.arrows:
-            # Write beyond the end of the axis, so that the end stays visible.
-            way = camera.project(tip)[:2] - origin
+        # The first ones, the palm's axes, lie over the others.
+        for start, end, label, colour in reversed(self.arrows):
+            tail, head = camera.project(np.array([start, end]))[:, :2]
             write(
-                name,
-                xy=origin + way,
-                xytext=_AXIS_GAP * unit(way),
-                textcoords="offset pixels",
+                label,
+                xy=tail,
+                xytext=head,
                 ha="center",
                 color=colour,
+                arrowprops={"arrowstyle": "<-", "color": colour, "linewidth": 2.5},
             )
         # The points' names are at the panel's edges, each with a line to its point.
         places = camera.project(self.points)[:, :2]
-        across = places[:, 0]
         order = np.argsort(places[:, 1])
-        is_right = across > 0.5 * (across.min() + across.max())
+        is_right = places[:, 0] > 0.5 * _PANEL[0]
         for side, edge in ((is_right, _PANEL[0] - 8), (~is_right, 8)):
             chosen = order[side[order]]
             # At least this far apart [pixel], and inside the panel if they fit.
@@ -208,9 +181,9 @@ class _Scene:
             heights = np.maximum.accumulate(places[chosen, 1] - steps) + steps
             excess = max(0.0, heights.max(initial=0.0) - _PANEL[1] + 20.0)
             for i, height in zip(chosen, heights - excess, strict=True):
-                colour = self.colours[i]
+                name, colour = self.labels[i]
                 write(
-                    self.hand.reference_points[i].name,
+                    name,
                     xy=places[i],
                     xytext=(edge, height),
                     ha="right" if edge > 8 else "left",
@@ -218,17 +191,27 @@ class _Scene:
                     arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.8},
                 )
 
-    def _sticks(self) -> Triangles:
-        """Return sticks between joints and to points, for a hand without shapes, in palm axes."""
-        hand = self.hand
-        model = hand.model
-        _, *beyond = model.subtrees[hand.wrist_frame.parentJoint]
-        origin = np.zeros(3)
-        places = []
-        for joint in beyond:
-            places += [(model.parents[joint], origin), (joint, origin)]
-        for point in hand.reference_points:
-            joint, offset = place_of(hand, point)
-            places += [(joint, origin), (joint, offset)]
-        ends = PalmKinematics(hand).points(hand.rest, places).reshape(-1, 2, 3)
-        return merged([tube(pair, 0.015 * self.size, GREY) for pair in ends])
+
+def hand_scene(hand: Hand, *directions: Any) -> _Scene:
+    """Return a hand at rest, with its palm's distal axis up and its back towards +y.
+
+    Args:
+        hand: The hand.
+        *directions: As of `draw_hand`.
+    """
+    pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", hand.rest))
+    points = transform_points(pose, hand.points(hand.rest))
+    size = lengths(points).max()
+    ends = 0.28 * size * UPRIGHT[:3, :3].T
+    origin = np.zeros(3)
+    arrows = [*zip(3 * [origin], ends, _AXES, AXIS_COLOURS, strict=True)]
+    for row in directions:
+        # It ends beyond the palm's axes and their labels.
+        end = 0.5 * size * unit(pose[:3, :3] @ row["robot moved, mm"])
+        arrows.append((origin, end, row["direction"], _OTHER_COLOUR))
+    labels = [
+        (point.name, FINGER_COLOURS.get(point.finger or "", _OTHER_COLOUR))
+        for point in hand.reference_points
+    ]
+    shape = load_shape(hand).without_arm()
+    return _Scene(shape.triangles(hand.rest).moved(pose), arrows, points, labels)
