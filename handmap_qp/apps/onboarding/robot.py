@@ -11,7 +11,6 @@ import math
 from functools import cache, partial
 from itertools import chain, compress
 from pathlib import Path
-from typing import NamedTuple
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
@@ -237,29 +236,25 @@ class Robot(Hand):
         """Assume limits that are missing or wrong, and lock joints with equal ones; by joint."""
         given = {name: _limits(joint) for name, joint in joints.items()}
         turns = [
-            one.upper - one.lower for one in given.values() if one.kind == "revolute"
+            high - low for kind, low, high, _ in given.values() if kind == "revolute"
         ]
         in_degrees = bool(np.nanmedian(turns or 0.0) > _LARGEST_TURN)
         limits = dict[str, LimitSpec]()
         locked = dict[str, float]()
-        for name, one in given.items():
+        for name, (kind, low, high, given_speed) in given.items():
             if name in followers:
                 continue
-            if one.lower == one.upper:
-                locked[name] = round(one.lower, 6)
+            if low == high:
+                locked[name] = round(low, 6)
                 self._remark(name, "has equal limits: it is locked")
                 continue
-            ends, what = _assumed_range(one, in_degrees=in_degrees)
+            ends, what = _assumed_range(kind, low, high, in_degrees=in_degrees)
             if what:
                 self._remark(name, what)
             speed = None
-            if not one.speed:
-                usual = [
-                    other.speed
-                    for other in given.values()
-                    if other.kind == one.kind and other.speed
-                ]
-                speed = np.median(usual or USUAL_SPEEDS[one.kind])
+            if not given_speed:
+                usual = [each for of, *_, each in given.values() if each and of == kind]
+                speed = np.median(usual or USUAL_SPEEDS[kind])
                 self._remark(
                     name, f"has no speed limit in the URDF: {speed:.4g} is assumed"
                 )
@@ -275,17 +270,8 @@ def _read(file: Path, text: str | bytes | None) -> str | bytes:
         raise HandError(f"cannot be read: {reason_of(error)}", file=file) from error
 
 
-class _Limits(NamedTuple):
-    """The type of a joint, its limits, NaN without any, and its speed, 0 without one."""
-
-    kind: str
-    lower: float
-    upper: float
-    speed: float
-
-
-def _limits(joint: Element) -> _Limits:
-    """Return the limits that a joint has in the URDF."""
+def _limits(joint: Element) -> tuple[str, float, float, float]:
+    """Return a joint's type, its limits, NaN without any, and its speed, 0 without one."""
     kind = joint.get("type", "")
     given = child_of(joint, "limit").attrib
     lower, upper, speed = (
@@ -293,14 +279,13 @@ def _limits(joint: Element) -> _Limits:
     )
     if kind == "continuous" or not {"lower", "upper"} & given.keys():
         lower = upper = math.nan
-    return _Limits(kind, lower, upper, speed if 0.0 < speed < math.inf else 0.0)
+    return kind, lower, upper, speed if 0.0 < speed < math.inf else 0.0
 
 
 def _assumed_range(
-    given: _Limits, *, in_degrees: bool
+    kind: str, lower: float, upper: float, *, in_degrees: bool
 ) -> tuple[tuple[float, ...], str]:
     """Return a range in place of the URDF's if need be, and a remark if that is suspicious."""
-    kind, lower, upper, _ = given
     if not math.isfinite(upper - lower):
         ends = _ASSUMED_RANGE[kind]
         what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
