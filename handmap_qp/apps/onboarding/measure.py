@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.apps.tables import rows_of, table_rows
-from handmap_qp.errors import HandmapError
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
@@ -71,8 +70,7 @@ _STARTS = 6
 _TOUCHING = 0.002
 # A thumb whose pad stays farther than this from every other opposes none of them [m].
 _OPPOSING = 0.015
-# Radius of a pad without shapes [m], and a share of the last phalanx that no pad has.
-_RADIUS = 0.006
+# A share of the last phalanx that no pad has.
 _LARGEST_PAD = 0.8
 
 
@@ -379,11 +377,7 @@ def check_fist(hand: Hand) -> Found:
 def check_pinches(hand: Hand) -> Found:
     """Find how near the thumb's pad can come to every other finger's; an arm stays at rest."""
     fingers = find_fingers(hand)
-    try:
-        pads = find_pads(hand, fingers)
-    except HandmapError:
-        # The shapes cannot be read: a ball around each tip.
-        pads = {name: Pad(*chain.tip, _RADIUS) for name, chain in fingers.items()}
+    pads = find_pads(hand, fingers)
     rows: Rows = [
         {
             "finger": finger,
