@@ -31,6 +31,10 @@ _RADIUS = 0.006
 _SMALLEST = 0.003
 
 
+Surface = list[tuple[Array, float]]
+"""Convex shapes: each is the hull of balls of one radius around points [m], shape (k, 3)."""
+
+
 class Pad(NamedTuple):
     """A ball that touches a fingertip's surface from inside.
 
@@ -70,8 +74,8 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
 
 
 @lru_cache(maxsize=32)
-def _surfaces(hand: Hand) -> dict[int, list[tuple[Array, float]]]:
-    """Return points (k, 3) and a radius of the shapes of each joint [m]: hulls of balls."""
+def _surfaces(hand: Hand) -> dict[int, Surface]:
+    """Return the surface of each joint."""
     surfaces = defaultdict(list)
     for shape in read_collision_shapes(hand).geometryObjects:
         points, radius = _corners(shape.geometry)
@@ -88,45 +92,36 @@ def _pad(hand: Hand, chain: Finger, point: PointSpec | None) -> Pad:
         joint, middle = place_of(hand, msgspec.structs.replace(point, xyz=pad.xyz))
     stretch = hand.stretches.get(joint, np.ones(3))
     shapes = _surfaces(hand.unscaled or hand) if joint in chain.joints else {}
-    supports = [
-        _supports(stretch * points, stretch[2] * radius)
+    surface = [
+        (stretch * points, stretch[2] * radius)
         for points, radius in shapes.get(joint, ())
     ]
     if pad:
-        depth = float(_depths(supports, middle)) if supports else pad.radius
+        depth = float(_depths(surface, middle)) if surface else pad.radius
         return Pad(joint, middle, pad.radius, max(0.0, pad.radius - max(0.0, depth)))
-    return Pad(joint, *(_ball(supports, middle) if supports else (middle, _RADIUS)))
+    return Pad(joint, *(ball_in(surface, middle) if surface else (middle, _RADIUS)))
 
 
-def _supports(points: Array, radius: float) -> Array:
-    """Return the largest `n p` of balls around points (k, 3) for every direction n."""
-    return (points @ _DIRECTIONS.T).max(axis=0) + radius
-
-
-def _depths(supports: list[Array], points: Array) -> Array:
-    """Return how deep points (..., 3) are under surfaces of these `_supports` [m], < 0 outside."""
+def _depths(surface: Surface, points: Array) -> Array:
+    """Return how deep points (..., 3) are under a surface [m], < 0 outside."""
     ahead = points @ _DIRECTIONS.T
+    supports = [(of @ _DIRECTIONS.T).max(axis=0) + radius for of, radius in surface]
     return np.max([(support - ahead).min(axis=-1) for support in supports], axis=0)
 
 
-def ball_in(points: Array, tip: Array) -> tuple[Array, float]:
+def ball_in(surface: Surface, tip: Array) -> tuple[Array, float]:
     """Find the ball under a fingertip's surface.
 
     Args:
-        points: Points of the surface in the frame of the last joint [m], shape (k, 3).
+        surface: The surface in the frame of the last joint.
         tip: Fingertip there [m], shape (3,).
 
     Returns:
         Centre [m], shape (3,), and radius [m].
     """
-    return _ball([_supports(points, 0.0)], tip)
-
-
-def _ball(supports: list[Array], tip: Array) -> tuple[Array, float]:
-    """Return centre and radius of the ball inside convex shapes, given by their supports."""
     steps = np.arange(0.0, _LONGEST + _STEP, _STEP)
     points = tip - np.outer(steps, unit(tip))
-    depths = _depths(supports, points)
+    depths = _depths(surface, points)
     most = float(depths[0] if depths[0] > _DEEP else depths.max())
     return points[np.argmax(depths >= _SHARE * most)], max(most, _SMALLEST)
 

@@ -276,7 +276,7 @@ def _pad(robot: Robot, finger: RobotFinger) -> PadSpec | None:
     links = [robot.elements[link] for link in robot.links[body]]
     if not len(cloud) or any(link.findall("collision") for link in links):
         return None
-    centre, radius = ball_in(cloud, tip)
+    centre, radius = ball_in([(cloud, 0.0)], tip)
     centre = robot.frames[finger.end.answer].placement.actInv(centre)
     return PadSpec(round(radius, 4), _vector(centre, 4))
 
