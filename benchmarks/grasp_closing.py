@@ -104,11 +104,9 @@ def _open_and_closing(
     tips = [finger.tip for finger in fingers]
     for i, finger in enumerate(fingers):
         if finger.flexion is not None:
-            columns = finger.flexion.columns
-            senses[columns], q[columns] = (
-                finger.closing[columns],
-                finger.flexion.straight,
-            )
+            curls = finger.closing != 0.0
+            senses[curls] = finger.closing[curls]
+            q[curls] = finger.flexion.straight[curls]
         else:
             for column in finger.columns:
                 ends = ends_of(hand, hand.rest, [column])

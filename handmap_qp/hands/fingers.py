@@ -127,20 +127,18 @@ class PalmKinematics:
 
 
 class Flexion(NamedTuple):
-    """How the joints of a finger with parallel axes curl it; k of them.
+    """How the joints of a finger with parallel axes curl it.
 
     Attributes:
-        columns: Their columns in q, from the palm outwards, shape (k,).
-        signs: Sense of each about `axis`, shape (k,).
+        signs: Sense of each about `axis`; 0 of all other joints, shape (n,).
         axis: Common axis in palm axes, shape (3,).
         knuckle: Point of the first axis nearest to the tip, in palm axes [m], shape (3,).
-        straight: Joint positions where the finger is straight [rad], shape (k,).
+        straight: Joint angles where the finger is straight, others are zero, shape (n,).
         sense: Sense of the closed end about `axis`; 0 if both ends are alike.
         certainty: Confidence in the sense, from 0 to 1.
         curls: Whether they shorten the finger by more than a few hundredths.
     """
 
-    columns: Array
     signs: Array
     axis: Array
     knuckle: Array
@@ -248,9 +246,8 @@ class Finger:
         nearest to the fingertip.
         """
         view = self._view
-        q = self._zero.copy()
-        if flexion := self.flexion:
-            q[flexion.columns] = flexion.straight
+        flexion = self.flexion
+        q = flexion.straight if flexion else self._zero
         tip = view.points(q, [self.tip])[0]
         is_thumb = self.name == THUMB
         joints = self.bending
@@ -333,11 +330,11 @@ class Finger:
         certainty = 0.75 * abs(sense)
         if has_share and has_range:
             certainty = 0.95 if by_share * by_range > 0.0 else 0.5
-        straight = self._with_knuckle(columns, q[columns], sense * signs)
-        q[columns] = straight
-        axis, base, signs, _ = self._axis(columns, q)
+        q[columns] = self._with_knuckle(columns, q[columns], sense * signs)
+        every = np.zeros_like(q)
+        axis, base, every[columns], _ = self._axis(columns, q)
         curls = bool(shares.max() > _LEAST_CURL)
-        return Flexion(columns, signs, axis, base, straight, sense, certainty, curls)
+        return Flexion(every, axis, base, q, sense, certainty, curls)
 
     @cached_property
     def closing(self) -> Array:
@@ -345,14 +342,11 @@ class Finger:
 
         A finger that curls equally far both ways flexes to the palm's side.
         """
-        senses = np.zeros_like(self._zero)
-        if found := self.flexion:
-            motion = self._view.motion(self._zero, self.tip)
-            dorsal = motion[2, found.columns] @ found.signs
-            senses[found.columns] = found.signs * (
-                found.sense or -np.sign(dorsal) or 1.0
-            )
-        return senses
+        found = self.flexion
+        if found is None:
+            return np.zeros_like(self._zero)
+        dorsal = self._view.motion(self._zero, self.tip)[2] @ found.signs
+        return found.signs * (found.sense or -np.sign(dorsal) or 1.0)
 
     def _turns(self, joints: Sequence[int]) -> Array:
         """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""

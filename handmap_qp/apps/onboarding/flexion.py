@@ -75,7 +75,7 @@ class HandFlexion:
         )
         self.bases = self.roots.copy()
         self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)
-        straight = np.ma.masked_all(self.moves.shape)
+        straight = np.zeros(self.moves.shape)
         # Sense in which each joint turns a tip about the axis of the finger's curling.
         self._curls = np.zeros(self.moves.shape)
         self.axes = np.zeros_like(self.bases)
@@ -83,14 +83,15 @@ class HandFlexion:
         for i, finger in enumerate(fingers):
             self.moves[i, finger.columns] = True
             if (group := finger.flexion) and group.curls:
-                self._curls[i, group.columns] = group.signs
+                self._curls[i] = group.signs
                 self.axes[i] = group.axis
                 self.bases[i] = group.knuckle
-                straight[i, group.columns] = group.straight
+                straight[i] = group.straight
                 senses[i] = group.certainty * group.sense
         self.certainty = np.abs(senses)
         self.sign = np.sign(senses @ self._curls)
         # A joint that moves several fingers takes the mean of their straight positions.
+        straight = np.ma.array(straight, mask=self._curls == 0.0)
         self.q_open = straight.mean(axis=0).filled(zero)
         motions = np.array([self._view.motion(self.q_open, tip) for tip in self._tips])
         self._motions = motions[:, :3]

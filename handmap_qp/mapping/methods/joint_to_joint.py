@@ -327,8 +327,7 @@ class BoundJointToJoint(PalmMethod):
         else:
             start = robot.zero
             if closing and (flexion := finger.flexion):
-                (straight,) = flexion.straight[flexion.columns == column]
-                return straight, closing > 0.0, False
+                return flexion.straight[column], closing > 0.0, False
         motion = view.motion(robot.rest, finger.tip)[:, column]
         if motion[3:].any():
             # Hands differ in where their axes are: what counts is where the tip goes.
