@@ -74,15 +74,13 @@ class HandFlexion:
             zero, [(each.joints or fingers[0].joints)[0] for each in fingers]
         )
         self.bases = self.roots.copy()
-        self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)
-        straight = np.zeros(self.moves.shape)
+        straight = np.zeros((len(fingers), len(zero)))
         # Sense in which each joint turns a tip about the axis of the finger's curling.
-        self._curls = np.zeros(self.moves.shape)
+        self._curls = np.zeros_like(straight)
         self.axes = np.zeros_like(self.bases)
         senses = np.zeros(len(fingers))
-        for i, finger in enumerate(fingers):
-            self.moves[i, finger.columns] = True
-            if (group := finger.flexion) and group.curls:
+        for i, group in enumerate(finger.flexion for finger in fingers):
+            if group and group.curls:
                 self._curls[i] = group.signs
                 self.axes[i] = group.axis
                 self.bases[i] = group.knuckle
@@ -91,9 +89,10 @@ class HandFlexion:
         self.certainty = np.abs(senses)
         self.sign = np.sign(senses @ self._curls)
         # A joint that moves several fingers takes the mean of their straight positions.
-        straight = np.ma.array(straight, mask=self._curls == 0.0)
-        self.q_open = straight.mean(axis=0).filled(zero)
+        curling = np.ma.array(straight, mask=self._curls == 0.0)
+        self.q_open = curling.mean(axis=0).filled(zero)
         motions = np.array([self._view.motion(self.q_open, tip) for tip in self._tips])
+        self.moves = np.any(motions, axis=1)
         self._motions = motions[:, :3]
         self.slides = ~motions[:, 3:].any(axis=(0, 1))
         self._settle_even(palmar)

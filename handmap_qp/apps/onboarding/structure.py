@@ -286,7 +286,7 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
         if end not in robot.parents.values()
     ]
     distance, far = max(ends, default=(0.0, ""))
-    if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, far):
+    if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, far, cloud):
         how = f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint"
         return Clue("tip", far, how, 0.95), np.zeros(3)
     if size > _LEAST_TIP:
@@ -309,11 +309,10 @@ def find_tip(robot: Robot, joints: list[int]) -> tuple[Clue, Array]:
     return Clue("tip", link, f"{how}: its origin", 0.1), np.zeros(3)
 
 
-def _is_at_end(robot: Robot, end: str) -> bool:
+def _is_at_end(robot: Robot, end: str, cloud: Array) -> bool:
     """Return whether an end frame ends its body's surface, if any, or is the centre of a ball."""
     frame = robot.frames[end]
     place = frame.placement.translation
-    cloud = robot.surface(frame.parentJoint)
     if not len(cloud):
         return True
     length = lengths(place)
