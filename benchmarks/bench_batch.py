@@ -36,13 +36,13 @@ from common import (
 )
 
 import handmap_qp.apps.datasets.episodes as job_module
-import handmap_qp.apps.offline.look_ahead as mapping_module
+import handmap_qp.apps.offline.trajectory as mapping_module
 from handmap_qp import Follower, HandMapper, load_hand
+from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import pool_engine
 from handmap_qp.apps.datasets.episodes import run_job
 from handmap_qp.apps.datasets.sources import Job, JobOptions
-from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, mirrored, sample_columns
 from handmap_qp.stream.measurement import measure_person
@@ -78,9 +78,11 @@ def main() -> None:
         sources = find_recordings(given.recordings)
         make_files(sources, folder / "long", files, given.frames)
         make_files(sources, folder / "short", files, _SHORT)
-        for name, smoother in (("online", None), ("look-ahead", LookAhead())):
+        for name, ahead in (("online", False), ("look-ahead", True)):
             options = JobOptions(
-                {"left": "allegro_left", "right": "allegro_right"}, smoother=smoother
+                {"left": "allegro_left", "right": "allegro_right"},
+                MappingArguments(smooth=ahead),
+                look_ahead=ahead,
             )
             result = measure(folder, options, given.frames)
             results[name] = result

@@ -19,7 +19,7 @@ from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.drawing.contact_sheet import FINGER_COLOURS
 from handmap_qp.apps.drawing.hands import GREY, load_shape, spheres, tube
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
-from handmap_qp.apps.offline.look_ahead import map_hands
+from handmap_qp.apps.offline.trajectory import map_hands
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.stream.measurement import measure_person
 
@@ -50,7 +50,7 @@ def main(left: Path, right: Path, out: Path) -> None:
     pictures = [row_of(people)]
     for name in ROBOTS:
         robot = load_robot(name)
-        _, motion, *_ = map_hands([*hands.values()], robot, person, MappingArguments())
+        motion, *_ = map_hands([*hands.values()], robot, person, MappingArguments())
         shape = load_shape(next(iter(robot.by_side.values())))
         pictures.append(row_of([shape.triangles(q) for q in motion.q[rows]]))
         print(

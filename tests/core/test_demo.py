@@ -95,7 +95,7 @@ def light_demo(trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace mapping and pictures, for tests of files."""
     from matplotlib.figure import Figure
 
-    monkeypatch.setattr(demo, "map_hands", lambda *_: (None, trajectory, None, None))
+    monkeypatch.setattr(demo, "map_hands", lambda *_: (trajectory, None, None))
     monkeypatch.setattr(
         demo, "save_contact_sheet", lambda file, *_: Figure().savefig(file)
     )

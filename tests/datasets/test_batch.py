@@ -54,7 +54,7 @@ from handmap_qp.apps.datasets.manifest import (
 from handmap_qp.apps.datasets.report import _worst_sample
 from handmap_qp.apps.datasets.sources import Job, JobOptions, find_files, list_jobs
 from handmap_qp.apps.offline.fidelity import SETTLING
-from handmap_qp.apps.offline.look_ahead import LookAhead, map_hands
+from handmap_qp.apps.offline.trajectory import map_hands
 from handmap_qp.cli import main
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.stream.measurement import measure_person
@@ -139,11 +139,9 @@ def test_a_second_run_does_only_what_is_left(tmp_path: Path) -> None:
     assert not batch(tmp_path / "in", out).lines
     (out / "episodes/take0.npz.npz").unlink()
     assert [line.key for line in batch(tmp_path / "in", out).done] == ["take0.npz::"]
-    others = replace(OPTIONS, arguments=MappingArguments(smooth=True))
-    assert (
-        len(batch(tmp_path / "in", out, replace(others, smoother=LookAhead())).done)
-        == 3
-    )
+    calm = replace(OPTIONS, arguments=MappingArguments(smooth=True))
+    for options in (calm, replace(calm, look_ahead=True)):
+        assert len(batch(tmp_path / "in", out, options).done) == 3
 
 
 def test_options_and_hands_are_compared_by_their_content(tmp_path: Path) -> None:
@@ -501,7 +499,7 @@ def test_an_episode_of_a_robot_is_what_map_hands_maps(
     assert (done.status, done.side, done.robot, done.frames) == ("done", side, "g1", 40)
     hands = [piece(0, 40, "left"), piece(0, 40, "right")]
     robot, arguments = load_robot("g1"), MappingArguments()
-    _, motion, _, followed = map_hands(hands, robot, measure_person(*hands), arguments)
+    motion, _, followed = map_hands(hands, robot, measure_person(*hands), arguments)
     with np.load(out / done.out) as columns:
         np.testing.assert_array_equal(columns["q"], motion.q)
         np.testing.assert_array_equal(columns["valid"], followed)
@@ -517,7 +515,8 @@ def test_an_episode_of_a_robot_is_what_map_hands_maps(
         done.key
     ]
     assert episodes(out) == before
-    smooth = batch(Path(command[1]), out, replace(options, smoother=LookAhead()))
+    calm = JobOptions(options.robots, MappingArguments(smooth=True), look_ahead=True)
+    smooth = batch(Path(command[1]), out, calm)
     jerks = [line.metrics["jerk"] or 0.0 for line in (smooth.done[0], done)]
     assert 0.0 < jerks[0] < jerks[1]
     assert main(["report", str(out)]) == 0

@@ -10,7 +10,7 @@ import pytest
 from handmap_qp import read_recording
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.datasets import episodes
-from handmap_qp.apps.offline.look_ahead import map_hands
+from handmap_qp.apps.offline.trajectory import map_hands
 from handmap_qp.human import contact_gap, measure
 from handmap_qp.human.contact_gap import smallest_gap
 from handmap_qp.human.measure import check_length
@@ -30,7 +30,7 @@ def test_an_episode_is_measured_as_in_python() -> None:
     person = measure_person(DEMO)
     arguments = MappingArguments()
     for recording in (DEMO, with_gaps(DEMO), DEMO.part(slice(0, 2))):
-        (recording,), trajectory, *_ = map_hands([recording], robot, person, arguments)
+        trajectory, *_ = map_hands([recording], robot, person, arguments)
         found = core.measure_episode(recording, trajectory)
         expected = episodes._measured(recording, trajectory)
         assert found.keys() == expected.keys()

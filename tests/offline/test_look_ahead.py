@@ -11,14 +11,12 @@ import pytest
 from handmap_qp import Recording, load_hand
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.offline.look_ahead import (
-    LookAhead,
     look_ahead,
-    map_hands,
     smooth_poses,
     whittaker,
 )
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
-from handmap_qp.apps.offline.trajectory import rms_derivative
+from handmap_qp.apps.offline.trajectory import map_hands, rms_derivative
 from handmap_qp.se3 import rotation_from_rpy
 from handmap_qp.stream.measurement import measure_person
 
@@ -94,7 +92,7 @@ def test_noise_falls_and_long_gaps_stay() -> None:
     assert after < 0.35 * before
     poses = np.tile(np.eye(4), (120, 1, 1))
     poses[:, 0, 3] = np.sin(given.time)
-    smooth = smooth_poses(given.time, poses, valid, LookAhead())
+    smooth = smooth_poses(given.time, poses, valid)
     np.testing.assert_allclose(smooth[:, 0, 3], np.sin(given.time), atol=2e-3)
     np.testing.assert_allclose(smooth[:, :3, :3], poses[:, :3, :3], atol=1e-12)
 
@@ -119,10 +117,11 @@ def test_a_recording_that_is_used_as_a_whole_is_smoother_without_more_lag() -> N
     recording = Recording("wave", time, landmarks, np.ones(count), "right")
     robot = load_hand("allegro_right")
     person = measure_person(recording)
-    mapped = partial(map_hands, [recording], robot, person)
-    _, online, *_ = mapped(MappingArguments())
-    _, filtered, *_ = mapped(MappingArguments(smooth=True))
-    _, ahead, *_ = mapped(MappingArguments(), smoother=LookAhead())
+    mapped = partial(map_hands, robot=robot, person=person)
+    calm = MappingArguments(smooth=True)
+    online, *_ = mapped([recording], arguments=MappingArguments())
+    filtered, *_ = mapped([recording], arguments=calm)
+    ahead, *_ = mapped([look_ahead(recording)], arguments=calm)
 
     def lag(q: np.ndarray) -> float:
         """Phase of the middle finger's bend behind the human's [s]."""

@@ -15,7 +15,7 @@ pytest.importorskip(
 
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.arguments import MappingArguments
-from handmap_qp.apps.offline.look_ahead import map_hands
+from handmap_qp.apps.offline.trajectory import map_hands
 from handmap_qp.apps.viewer.cli import View
 from handmap_qp.apps.viewer.gauges import InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
@@ -38,9 +38,7 @@ def test_both_hands_are_mapped_as_by_the_command_map() -> None:
     replay = replay_of_demo()
     hands = list(read_hands([DEMO]).values())
     robot = load_robot("g1")
-    _, expected, *_ = map_hands(
-        hands, robot, measure_person(*hands), MappingArguments()
-    )
+    expected, *_ = map_hands(hands, robot, measure_person(*hands), MappingArguments())
     samples = replay.samples
     np.testing.assert_allclose([s.robot_q for s in samples], expected.q, atol=1e-12)
     np.testing.assert_allclose(

@@ -15,7 +15,6 @@ from msgspec import structs
 from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
-from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect, warn
 from handmap_qp.hands import Names, load_whole
@@ -149,9 +148,10 @@ class Batch:
         if self.look_ahead and self.arguments.smooth:
             problem = "has no effect with --look-ahead, which smooths itself"
             raise InvalidInputError(problem, argument="--smooth")
-        return JobOptions(
-            robots, self.arguments, LookAhead() if self.look_ahead else None
+        arguments = replace(
+            self.arguments, smooth=self.arguments.smooth or self.look_ahead
         )
+        return JobOptions(robots, arguments, self.look_ahead)
 
     def _engine(self) -> Engine:
         workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers

@@ -16,10 +16,10 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from handmap_qp.apps.offline.look_ahead import map_hands
+from handmap_qp.apps.offline.look_ahead import look_ahead
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
+from handmap_qp.apps.offline.trajectory import Trajectory, map_hands, rms_derivative
 from handmap_qp.errors import (
     DiskFullError,
     HandmapError,
@@ -108,9 +108,9 @@ def _run(job: Job) -> Values:
         check_recording(recording)
     robot = _robot(options.robots[side], options.arguments.robot_points)
     person = measure_person(*recordings)
-    recordings, trajectory, _, valid = map_hands(
-        recordings, robot, person, options.arguments, smoother=options.smoother
-    )
+    if options.look_ahead:
+        recordings = list(map(look_ahead, recordings))
+    trajectory, _, valid = map_hands(recordings, robot, person, options.arguments)
     columns = {"side": np.array(side)}
     if side == BOTH:
         at_once = valid.all(axis=1)

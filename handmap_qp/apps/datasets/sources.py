@@ -10,7 +10,6 @@ from pathlib import Path
 import msgspec
 
 from handmap_qp.apps.arguments import MappingArguments, check_names
-from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import HandmapError, InvalidInputError, reason_of
 from handmap_qp.hands import Hand, load_whole, urdf_path
@@ -38,13 +37,13 @@ class JobOptions:
     Attributes:
         robots: Name of the robot hand for each human hand, or of the robot for `BOTH`.
         arguments: Reference points and options of the mapping.
-        smoother: How the whole recording is used to smooth and to fill gaps; None for a mapping
-            that knows the past only, as online.
+        look_ahead: Use the whole recording to smooth and to fill gaps, with arguments that are
+            `smooth`; False for a mapping that knows the past only, as online.
     """
 
     robots: dict[str, str]
     arguments: MappingArguments = MappingArguments()
-    smoother: LookAhead | None = None
+    look_ahead: bool = False
 
     def load_robot(self, side: str) -> Hand:
         """Load the robot of a side, with its reference points; `HandError` without one."""
@@ -53,7 +52,7 @@ class JobOptions:
     @property
     def digest(self) -> str:
         """A short text that changes if the robots, their URDFs or the options do."""
-        digest = sha256(repr((self.arguments, self.smoother)).encode())
+        digest = sha256(repr((self.arguments, self.look_ahead or None)).encode())
         files = [self.arguments.options] if self.arguments.options else []
         for side in sorted(self.robots):
             robot = self.load_robot(side)

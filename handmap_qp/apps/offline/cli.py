@@ -27,8 +27,8 @@ from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import SIDES, save_npz
-from .look_ahead import map_hands
 from .summary import notes, summarise, table_rows
+from .trajectory import map_hands
 
 _TOUCHES = "teleoperation of one hand, with a wrist that moves, at scale 1"
 """What can map an object."""
@@ -137,7 +137,7 @@ class Map:
         """Map the recordings of a robot's hands, write its trajectory, and return the summary."""
         person = person_of(used, self.person)
         with progress(f"mapping to {robot.name}", max(map(len, used))) as advance:
-            _, trajectory, method, _ = map_hands(
+            trajectory, method, _ = map_hands(
                 used, robot, person, self.arguments, advance
             )
         if trajectory.object_pose is None and any(each.object_shape for each in used):

@@ -50,7 +50,7 @@ from handmap_qp.trackers import NpzFormat, read_archive
 from .contacts import contact_metrics
 from .fidelity import SETTLING, assess_fidelity, sample_workspace
 from .hand_trace import ByFinger, HandTrace, fingers_of, trace_human, trace_robot
-from .look_ahead import LookAhead, look_ahead, smooth_poses
+from .look_ahead import look_ahead, smooth_poses
 from .metrics import mean_values
 from .surface_gaps import measure_gaps
 from .trajectory import held_samples, map_recording
@@ -379,9 +379,8 @@ def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
     recording = take.recording
     wrist = take.wrist
     if name.endswith(LOOK_AHEAD):
-        options = LookAhead()
-        wrist = smooth_poses(recording.time, wrist, recording.valid, options)
-        recording = look_ahead(recording, options)
+        wrist = smooth_poses(recording.time, wrist, recording.valid)
+        recording = look_ahead(recording)
     if name != base_name(name):
         ik = ik.replaced(**SMOOTH_IK)
     mapper = HandMapper(take.human, robot, method, ik=ik)

@@ -14,10 +14,9 @@ from handmap_qp.hands import load_hand
 from handmap_qp.output_files import output_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import DEMO, read_recording, save_npz
-from .look_ahead import map_hands
 from .poses import find_poses
 from .summary import summarise, table_rows
-from .trajectory import Told, Trajectory
+from .trajectory import Told, Trajectory, map_hands
 
 FILES = ("errors.png", "gestures.png", "joints.png", "trajectory.npz")
 """What the demo writes."""
@@ -81,7 +80,7 @@ def run_demo(name: str, directory: Path, progress: Told = None) -> Trajectory:
     recording = read_recording(DEMO, robot.side)
     person = measure_person(recording)
     with output_folder(directory) as folder:
-        _, trajectory, *_ = map_hands(
+        trajectory, *_ = map_hands(
             [recording], robot, person, MappingArguments(), progress
         )
         save_npz(folder / "trajectory.npz", trajectory.all_columns)

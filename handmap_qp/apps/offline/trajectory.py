@@ -1,26 +1,38 @@
-"""Map a recorded motion to a robot: `map_recording` returns a `Trajectory`."""
+"""Map recorded motions to a robot: `map_hands` and `map_recording` return a `Trajectory`."""
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from time import thread_time
+from typing import Any
 
 import numpy as np
 
+from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Hand, Names
-from handmap_qp.human import RULES, Recording, Rule, recording_samples, sample_columns
-from handmap_qp.mapping import HandMapper, MapStep
+from handmap_qp.human import (
+    RULES,
+    Person,
+    Recording,
+    Rule,
+    recording_samples,
+    sample_columns,
+    scaled_human,
+)
+from handmap_qp.mapping import HandMapper, MapStep, RobotMapper, RobotStep
 from handmap_qp.se3 import Array, Arrays, lengths
 from handmap_qp.stream import (
     RULE_NAMES,
     STATUS_NAMES,
     Follower,
+    RobotFollower,
     StepTable,
     follow_recording,
+    paired,
 )
 
 Told = Callable[[int], None] | None
@@ -233,6 +245,60 @@ def _trajectory(robot: Hand, time: Array, table: StepTable) -> Trajectory:
         consistency=consistency,
         confidence=confidence,
     )
+
+
+def map_hands(
+    recordings: Sequence[Recording],
+    robot: Hand,
+    person: Person,
+    arguments: MappingArguments,
+    progress: Told = None,
+) -> tuple[Trajectory, Any, Array]:
+    """Map recordings of a person with the options of a command.
+
+    Args:
+        recordings: A recording for the robot hand, or of each hand of the robot in its order.
+        robot: The robot hand, or the hands of the robot as one.
+        person: The person.
+        arguments: Reference points and options.
+        progress: Called after each sample with the number of samples done.
+
+    Returns:
+        The motion of the whole robot at the instants of the longest recording; the method; and
+        whether each hand was followed, shape (T, number of hands). Points are of all hands, one
+        after the other, and wrist poses of the first.
+
+    Raises:
+        HandmapError: If a recording cannot be mapped.
+    """
+    used = {recording.side: recording for recording in recordings}
+    humans = {
+        side: scaled_human(
+            recording, points=arguments.human_points, lengths=person.lengths
+        )
+        for side, recording in used.items()
+    }
+    first = recordings[0]
+    human = humans[first.side]
+    _, method, ik = arguments.preset_for(human, robot.hands[0], first.upright)
+    if not robot.parts:
+        mapper = HandMapper(human, robot, method, ik=ik)
+        trajectory = map_recording(mapper, first, progress)
+        return trajectory, mapper.method, trajectory.valid[:, None]
+    follower = RobotFollower(RobotMapper(robot, humans, method, ik=ik))
+    followed = []
+
+    def steps() -> Iterator[RobotStep]:
+        for samples in paired(used):
+            step = follower.map_samples(samples)
+            # A hand that has had no sample yet has no verdict.
+            hands = step.hands.values()
+            followed.append([bool(h.verdict) and not h.is_held for h in hands])
+            yield step
+
+    time = max(recordings, key=len).time
+    trajectory = trajectory_of(follower.mapper.robot, time, steps(), progress)
+    return trajectory, method, np.array(followed)
 
 
 def held_samples(valid: Array) -> Array:

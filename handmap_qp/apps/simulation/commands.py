@@ -20,8 +20,8 @@ from handmap_qp.apps.offline.comparison import (
     own_methods,
     prepare_take,
 )
-from handmap_qp.apps.offline.look_ahead import LookAhead, map_hands
-from handmap_qp.apps.offline.trajectory import stretches
+from handmap_qp.apps.offline.look_ahead import look_ahead
+from handmap_qp.apps.offline.trajectory import map_hands, stretches
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Names, Side, joined
 from handmap_qp.human import PALM, Recording, tip_gaps
@@ -139,9 +139,10 @@ def read_pick(robot: Hand, files: Sequence[Path]) -> tuple[Take, PinchWindow]:
 def _map_hands(name: str, robot: Hand, recordings: Sequence[Recording]) -> Commands:
     preset = base_name(name)
     options = MappingArguments(preset=preset, smooth=name != preset)
-    smoother = LookAhead() if name.endswith(LOOK_AHEAD) else None
     person = measure_person(*recordings)
-    _, motion, *_ = map_hands(recordings, robot, person, options, smoother=smoother)
+    if name.endswith(LOOK_AHEAD):
+        recordings = list(map(look_ahead, recordings))
+    motion, *_ = map_hands(recordings, robot, person, options)
     return Commands(motion.robot, motion.time, motion.q, motion.wrist)
 
 
