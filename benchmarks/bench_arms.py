@@ -29,7 +29,7 @@ from handmap_qp import Hand, HandMapper, Recording, read_recording
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_robot
-from handmap_qp.apps.offline.surface_gaps import measure_gaps
+from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
 from handmap_qp.human.recording import mirrored
 from handmap_qp.mapping.alignment import rotation_of
@@ -73,7 +73,8 @@ def follow(
         trace_robot(robot, found.q, found.wrist if robot.is_floating else None),
         recording.time,
         valid=recording.valid,
-        gaps=measure_gaps(robot, found.q),
+        q=found.q,
+        gaps=GapMeter(robot),
     ).values
     return found, values
 

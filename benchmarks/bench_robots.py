@@ -31,7 +31,7 @@ from handmap_qp import Hand, HandMapper, Recording, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
 from handmap_qp.apps.offline.hand_trace import trace_robot
-from handmap_qp.apps.offline.surface_gaps import measure_gaps
+from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands.robot import (
     load_robot,
     read_hands,
@@ -192,7 +192,8 @@ def changed(
                 trace_robot(hand, angles, poses if hand.is_floating else None),
                 clock,
                 valid=counts,
-                gaps=measure_gaps(hand, angles),
+                q=angles,
+                gaps=GapMeter(hand),
             ).values
         )
     return {short: found[0][key] - found[1][key] for short, key in _FIGURES}

@@ -27,7 +27,7 @@ from handmap_qp import Hand, read_recording
 from handmap_qp.apps.offline.comparison import Take, own_method, prepare_take
 from handmap_qp.apps.offline.fidelity import SETTLING, angles_between, assess_fidelity
 from handmap_qp.apps.offline.hand_trace import KNUCKLE, TIP, HandTrace, trace_robot
-from handmap_qp.apps.offline.surface_gaps import measure_gaps
+from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands.human import THUMB
 from handmap_qp.se3 import rigid_fit, unit
 from handmap_qp.stream.measurement import measure_person
@@ -99,8 +99,8 @@ def measure(take: Take, robot: Hand) -> dict[str, float]:
     one, two = (np.concatenate([v, -v]).reshape(-1, 3) for v in (a, b))
     best = rigid_fit(one, two)[:3, :3]
     apart = angles_between(a, b)
-    gaps = measure_gaps(robot, q)
-    values = assess_fidelity(human, other, time, valid=valid, gaps=gaps).values
+    gaps = GapMeter(robot)
+    values = assess_fidelity(human, other, time, valid=valid, q=q, gaps=gaps).values
     return {
         "direction": apart.mean(),
         "thumb": np.median(apart[:, shared.index(THUMB)]),

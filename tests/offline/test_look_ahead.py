@@ -15,7 +15,7 @@ from handmap_qp.apps.offline.look_ahead import (
     smooth_poses,
     whittaker,
 )
-from handmap_qp.apps.offline.surface_gaps import measure_gaps
+from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import map_hands, rms_derivative
 from handmap_qp.se3 import rotation_from_rpy
 from handmap_qp.stream.measurement import measure_person
@@ -143,4 +143,4 @@ def test_a_recording_that_is_used_as_a_whole_is_smoother_without_more_lag() -> N
     assert ahead.limit_violation <= 1e-12
     speed = np.abs(np.diff(ahead.q, axis=0)) * rate
     assert (speed <= robot.velocity_limits * (1.0 + 1e-9) + 1e-9).all()
-    assert measure_gaps(robot, ahead.q).nearest.min() > -1e-4
+    assert GapMeter(robot).nearest(ahead.q).min() > -1e-4

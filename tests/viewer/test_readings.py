@@ -13,7 +13,7 @@ pytest.importorskip(
 )
 
 from handmap_qp import load_hand
-from handmap_qp.apps.offline.surface_gaps import measure_gaps
+from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.viewer.controls import on_white
 from handmap_qp.apps.viewer.gauges import InstantGauges
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
@@ -46,7 +46,7 @@ def test_readings_are_the_errors_that_were_made_and_the_gaps_of_the_surfaces() -
     sample = sample_of(q, targets=points + shifts, wrist_target=target)
     expected = (0.03 / len(points), 0.03, 0.005, 0.2)
     assert GAUGES.errors(sample) == pytest.approx(expected)
-    gaps = measure_gaps(ROBOT, q[None]).pinches
+    gaps = GapMeter(ROBOT).pinches(q[None])
     pinches = GAUGES.pinches(sample)
     assert pinches == pytest.approx({name: gap[0] for name, gap in gaps.items()})
     text = re.sub("<[^>]*>", " ", GAUGES.table([sample]))

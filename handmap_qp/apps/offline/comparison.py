@@ -52,7 +52,7 @@ from .fidelity import SETTLING, assess_fidelity, sample_workspace
 from .hand_trace import ByFinger, HandTrace, fingers_of, trace_human, trace_robot
 from .look_ahead import look_ahead, smooth_poses
 from .metrics import mean_values
-from .surface_gaps import measure_gaps
+from .surface_gaps import GapMeter
 from .trajectory import held_samples, map_recording
 
 PROGRAM = "compare.py"
@@ -444,9 +444,9 @@ def _run(method: ComparedMethod, take: Take, robot: Hand, workspace: ByFinger) -
         trace,
         take.recording.time,
         valid=take.recording.valid,
-        gaps=measure_gaps(robot, motion.q),
-        hand=robot,
         q=motion.q,
+        gaps=GapMeter(robot),
+        hand=robot,
         human_q=take.q,
         workspace=workspace,
         step_time=motion.step_time,

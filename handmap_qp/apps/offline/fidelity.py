@@ -40,7 +40,7 @@ from .hand_trace import (
     trace_robot,
 )
 from .metrics import mean_values
-from .surface_gaps import SurfaceGaps
+from .surface_gaps import GapMeter
 from .trajectory import rms_derivative
 
 SETTLING = 0.5
@@ -89,9 +89,9 @@ def assess_fidelity(
     time: Array,
     *,
     valid: Array | None = None,
-    gaps: SurfaceGaps | None = None,
-    hand: Hand | None = None,
     q: Array | None = None,
+    gaps: GapMeter | None = None,
+    hand: Hand | None = None,
     human_q: Array | None = None,
     workspace: ByFinger | None = None,
     step_time: Array | None = None,
@@ -103,9 +103,9 @@ def assess_fidelity(
         robot: The robot's, of the same samples (`trace_robot`).
         time: Instants, increasing [s], shape (T,).
         valid: Samples in which the hand was seen, shape (T,); all if omitted.
-        gaps: The robot's surface gaps (`measure_gaps`), for pinches and self-penetration.
+        q: The robot's joint angles [rad or m], shape (T, n).
+        gaps: Measures its surface gaps at `q`, for pinches and self-penetration.
         hand: The robot hand, for the limits of its joints.
-        q: Its joint angles [rad or m], shape (T, n).
         human_q: The fitted human's joint angles [rad], shape (T, m), for the jerk ratio only.
         workspace: Points that each fingertip can reach (`sample_workspace`).
         step_time: Time that the mapping took for every sample [s], shape (T,).
@@ -133,8 +133,8 @@ def assess_fidelity(
         values |= compare(h, r)
     values["latency_ms"] = latency(h, r, time[counts])
     pinch_samples = 0
-    if gaps:
-        pinch_samples, found = gap_metrics(h, gaps, counts)
+    if gaps and q is not None:
+        pinch_samples, found = gap_metrics(h, gaps, q, counts)
         values |= found | {"pinch_order": pinch_order(h, r)}
     if hand and q is not None:
         values |= joint_metrics(hand, q, time, counts, human_q)
@@ -238,16 +238,17 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
 
 
 def gap_metrics(
-    human: HandTrace, gaps: SurfaceGaps, counts: Array
+    human: HandTrace, gaps: GapMeter, q: Array, counts: Array
 ) -> tuple[int, Values]:
     """Return how many samples of pairs the human pinches, and metrics of the robot's surfaces."""
     wanted = pinch_gaps(human)
-    shared = [name for name in wanted if name in gaps.pinches]
+    pinches = gaps.pinches(q)
+    shared = [name for name in wanted if name in pinches]
     h = np.array([wanted[name] for name in shared])
-    r = np.array([gaps.pinches[name][counts] for name in shared])
+    r = np.array([pinches[name][counts] for name in shared])
     pinched = r[h < PINCH]
     apart = r[h > OPEN]
-    nearest = gaps.nearest[counts]
+    nearest = gaps.nearest(q)[counts]
     found: Values = {
         "self_penetration": (nearest < -TOUCHING).mean(),
         "colliding": (nearest < 0.0).mean(),

@@ -2,7 +2,6 @@
 
 from functools import cached_property
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -23,40 +22,11 @@ FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
 
 
-class SurfaceGaps(NamedTuple):
-    """Signed distances between surfaces over time, negative where they overlap.
-
-    Attributes:
-        pinches: Gap between the distal links of the thumb and of each other finger [m], shape (T,)
-            each, by the finger's name.
-        nearest: Smallest distance between any two links that can collide [m], 10 mm at most,
-            shape (T,).
-    """
-
-    pinches: ByFinger
-    nearest: Array
-
-
-def measure_gaps(hand: Hand, q: Array) -> SurfaceGaps:
-    """Measure a robot's gaps from the collision shapes of its URDF; meshes are their convex hulls.
-
-    Pairs of shapes on one joint, on neighbouring joints, or that overlap at rest or with the hand
-    stretched are not counted as self-penetration.
-
-    Joint angles q are in the order of `hand.joint_names` [rad], shape (T, n). Fingers whose distal
-    links have no shapes are left out.
-
-    Raises:
-        HandError: If a shape cannot be read.
-    """
-    meter = GapMeter(hand)
-    return SurfaceGaps(meter.pinches(q), meter.nearest(q))
-
-
 class GapMeter:
-    """Measures gaps of one robot hand, whose shapes are read once.
+    """Measures signed gaps of one robot hand, negative where surfaces overlap.
 
-    The same motion gives the same numbers each time.
+    They are those of the collision shapes of its URDF, which are read once; meshes are their convex
+    hulls. The same motion gives the same numbers each time.
 
     Raises:
         HandError: If a shape cannot be read.
@@ -79,7 +49,16 @@ class GapMeter:
                 self._geometry.addCollisionPair(pin.CollisionPair(*pair))
 
     def pinches(self, q: Array) -> ByFinger:
-        """Measure the gaps between thumb and fingers at q [rad], (T, n); see `SurfaceGaps`."""
+        """Measure the gaps between the distal links of the thumb and of each other finger [m].
+
+        Fingers whose distal links have no shapes are left out.
+
+        Args:
+            q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
+
+        Returns:
+            Gaps by the finger's name, shape (T,) each.
+        """
         starts = list(self._groups.values())
         if not starts:
             return {}
@@ -88,6 +67,9 @@ class GapMeter:
 
     def nearest(self, q: Array, most: float = FAR) -> Array:
         """Measure the smallest distance between any two links that can collide [m], shape (T,).
+
+        Pairs of shapes on one joint, on neighbouring joints, or that overlap at rest or with the
+        hand stretched are not counted.
 
         Joint angles q are of shape (T, n) [rad]; `most` stands for larger distances [m].
         """
