@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 
 from handmap_qp.ik.core import description
-from .tables import print_result, table_rows
+from .tables import print_result
 
 _PACKAGE = "handmap-qp"
 __version__ = metadata.version(_PACKAGE)
@@ -41,9 +41,7 @@ class Doctor:
         """Examine the installation and print the result."""
         parts = versions, extras, solvers, folders, libraries
         report = {part.__name__: part() for part in parts}
-        tables = {
-            title.capitalize(): table_rows(rows) for title, rows in report.items()
-        }
+        tables = {title.capitalize(): rows for title, rows in report.items()}
         print_result(report, tables, as_json=self.json)
 
 

@@ -42,12 +42,12 @@ def progress(what: str, total: int | None = None) -> Iterator[Any]:
 
 def print_result(
     document: Any,
-    tables: Mapping[str, list[Row]],
+    tables: Mapping[str, list[Row] | Row],
     files: Iterable[Any] = (),
     *,
     as_json: bool,
 ) -> None:
-    """Print a result as JSON, or its tables: rows by title; and files that were written."""
+    """Print a result as JSON, or its tables: as of `print_rows`; and files that were written."""
     if as_json:
         print(json.dumps(document, allow_nan=False))
         return
@@ -68,17 +68,17 @@ def table_rows(values: Mapping[str, Any]) -> list[Row]:
     return [dict(zip(_PAIR, pair, strict=True)) for pair in values.items()]
 
 
-def print_table(title: str, values: Row) -> None:
-    """Print labels and values as rows under a title."""
-    print_rows(title, table_rows(values))
+def print_rows(title: str, rows: list[Row] | Row) -> None:
+    """Print a table whose columns are the keys of its rows; nothing if there are no rows.
 
-
-def print_rows(title: str, rows: list[Row]) -> None:
-    """Print a table whose columns are the keys of its rows; nothing if there are no rows."""
+    Values by their labels are a table without a header.
+    """
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    if isinstance(rows, dict):
+        rows = table_rows(rows)
     if not rows:
         return
     table = Table(show_header=list(rows[0]) != list(_PAIR))

@@ -15,7 +15,7 @@ from msgspec import structs
 from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
-from handmap_qp.apps.tables import print_table, progress
+from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect, warn
 from handmap_qp.hands import Names, load_whole
 from handmap_qp.output_files import make_folder
@@ -193,7 +193,7 @@ class Batch:
         }
         if frames:
             rows["CPU time of a sample"] = f"{1e6 * tally.useful_cpu / frames:.0f} us"
-        print_table(str(self.out), rows)
+        print_rows(str(self.out), rows)
         for line in tally.failed[:10]:
             print(f"failed: {line.name}: {line.error}")
         if written:

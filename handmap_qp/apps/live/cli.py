@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 from handmap_qp.apps import live
 from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
-from handmap_qp.apps.tables import print_result, table_rows
+from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Values
 from handmap_qp.human import read_person
@@ -233,5 +233,5 @@ def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> Values:
         for name, value in summary.items()
         if value or name not in _RARE
     }
-    print_result(summary, {source.name: table_rows(rows)}, as_json=is_json)
+    print_result(summary, {source.name: rows}, as_json=is_json)
     return summary

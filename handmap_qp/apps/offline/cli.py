@@ -19,7 +19,7 @@ from handmap_qp.apps.arguments import (
     person_of,
     read_robot,
 )
-from handmap_qp.apps.tables import print_table, progress
+from handmap_qp.apps.tables import print_result, print_rows, progress
 from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Hand, Values
 from handmap_qp.human import PALM, Recording, write_person
@@ -98,7 +98,7 @@ class Map:
         for summary in summaries:
             title = f"{summary['recording']} to {summary['robot']}"
             alignment = {"alignment": f"{summary['alignment']}"}
-            print_table(title, table_rows(summary) | alignment)
+            print_rows(title, table_rows(summary) | alignment)
             for note in notes(summary):
                 print(note)
             print(f"wrote {summary['out']}")
@@ -229,20 +229,16 @@ class Calibrate:
         person = measure_person(*recordings)
         write_person(person, out)
         samples = sum(int(recording.valid.sum()) for recording in recordings)
-        if self.json:
-            measures = {
-                "name": person.name,
-                "samples": samples,
-                "hand_length_m": person.hand_length,
-                "contact_gap_m": person.contact_gap,
-                "out": str(out),
-            }
-            print(json.dumps(measures))
-            return
+        measures = {
+            "name": person.name,
+            "samples": samples,
+            "hand_length_m": person.hand_length,
+            "contact_gap_m": person.contact_gap,
+            "out": str(out),
+        }
         rows = {
             "samples": samples,
             "hand length, wrist to middle tip": f"{1e3 * person.hand_length:.0f} mm",
             "contact gap": f"{1e3 * person.contact_gap:.1f} mm",
         }
-        print_table(person.name, rows)
-        print(f"wrote {out}")
+        print_result(measures, {person.name: rows}, [out], as_json=self.json)

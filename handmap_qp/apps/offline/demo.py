@@ -9,7 +9,7 @@ from tyro.conf import arg
 
 from handmap_qp.apps.arguments import HandName, MappingArguments
 from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
-from handmap_qp.apps.tables import print_table, progress
+from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.hands import load_hand
 from handmap_qp.output_files import output_folder
 from handmap_qp.stream import measure_person
@@ -56,7 +56,7 @@ class Demo:
         with progress("mapping") as advance:
             trajectory = run_demo(self.robot, self.out, advance)
         title = f"the package's recording to {trajectory.robot.name}"
-        print_table(title, table_rows(summarise(trajectory)))
+        print_rows(title, table_rows(summarise(trajectory)))
         for name in FILES:
             print(f"wrote {self.out / name}")
 

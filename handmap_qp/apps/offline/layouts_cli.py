@@ -8,7 +8,7 @@ from tyro.conf import Positional
 
 from handmap_qp.apps.arguments import hinted
 from handmap_qp.apps.drawing import save_layout_picture
-from handmap_qp.apps.tables import print_result, table_rows
+from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Values
 from handmap_qp.output_files import check_new, check_output, replaced_file
@@ -63,7 +63,7 @@ class Layouts:
             for key, fact in facts.items()
         }
         rows = layout.rows()
-        tables = {layout.name: table_rows(texts), "Order": rows}
+        tables = {layout.name: texts, "Order": rows}
         files = filter(None, (self.template, self.picture))
         print_result({**facts, "entries": rows}, tables, files, as_json=self.json)
 

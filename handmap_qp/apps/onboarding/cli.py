@@ -16,7 +16,6 @@ from handmap_qp.apps.tables import (
     print_rows,
     progress,
     rows_of,
-    table_rows,
 )
 from handmap_qp.errors import expect
 from handmap_qp.hands import (
@@ -185,7 +184,7 @@ def print_description(said: Values, *, as_json: bool) -> None:
         if isinstance(rows, list)
     }
     facts = {key: fact for key, fact in said.items() if not isinstance(fact, list)}
-    print_result(said, {said["name"]: table_rows(facts)} | tables, as_json=as_json)
+    print_result(said, {said["name"]: facts} | tables, as_json=as_json)
 
 
 @dataclass(frozen=True)
