@@ -11,12 +11,22 @@ from typing import Any
 import numpy as np
 
 from handmap_qp import Recording, load_hand
+from handmap_qp.apps.viewer.controls import SteeringControls
 from handmap_qp.apps.viewer.replay import Replay
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
 
 COUNT, GAP = 60, slice(20, 25)
+
+
+def option_handles(steering: SteeringControls) -> dict[str, Any]:
+    """Return viser's controls of the options by name."""
+    return {
+        name: control.handle
+        for name, control in steering.controls.items()
+        if name not in ("preset", "compare")
+    }
 
 
 @cache

@@ -133,7 +133,7 @@ import numpy as np
 import viser
 from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.mapping.presets import PRESETS, preset_choice
-from handmap_qp.apps.viewer.controls import OptionControls
+from handmap_qp.apps.viewer.controls import SteeringControls
 from service_tools import make_session, Sampler
 
 human, robot = load_hand("human"), load_hand("three_finger")
@@ -154,8 +154,8 @@ session.step(sample(), 0.0)
 about = session.state(1, "", 0, 0.0).about
 assert (about.preset, about.options) == ("follow", {"wrist_share": 0.25})
 server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-controls = OptionControls(server, preset_choice("follow"))
-assert controls.handles["wrist_share"].max == 1.0
+controls = SteeringControls(server, preset_choice("follow"), ("follow",))
+assert controls.controls["wrist_share"].handle.max == 1.0
 server.stop()
 
 from handmap_qp import load_layout, read_recording

@@ -22,6 +22,7 @@ from viewer_cases import (
     closing_motion,
     closing_recording,
     make_replay,
+    option_handles,
     plotted,
     press,
 )
@@ -35,7 +36,7 @@ from handmap_qp import (
 )
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.apps.viewer import figure
-from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls, SteeringControls
+from handmap_qp.apps.viewer.controls import LEFT_OUT, SteeringControls
 from handmap_qp.apps.viewer.figure import HandFigure, state_text
 from handmap_qp.apps.viewer.gauges import FIRST, InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
@@ -316,7 +317,7 @@ def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
         viewer.sample.robot_q,
         pose_in_scene(viewer.server, "/robot/points/0"),
     )
-    viewer.steering.options.handles["deformation_gain"].value = 0.0
+    option_handles(viewer.steering)["deformation_gain"].value = 0.0
     viewer.tick(0.0)
     assert viewer.replay.choice.method == MappingOptions(deformation_gain=0.0)
     assert np.abs(viewer.sample.robot_q - before).max() > 0.05
@@ -327,7 +328,7 @@ def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
 
 
 def test_saved_options_are_those_in_force(viewer: ReplayViewer) -> None:
-    viewer.steering.options.handles["deformation_gain"].value = 0.5
+    option_handles(viewer.steering)["deformation_gain"].value = 0.5
     viewer.tick(0.0)
     sent: list[bytes] = []
     client = SimpleNamespace(
@@ -346,7 +347,7 @@ def test_every_control_reaches_its_option(server: Any, preset: str) -> None:
         )
     controls = SteeringControls(server, options, (preset,))
     assert controls.take_changes() == {}
-    for name, handle in controls.options.handles.items():
+    for name, handle in option_handles(controls).items():
         value = handle.value
         choices = getattr(handle, "options", ())
         if choices:
@@ -372,12 +373,12 @@ def test_every_control_reaches_its_option(server: Any, preset: str) -> None:
 
 
 def test_every_option_has_a_control_or_is_left_out_by_name(server: Any) -> None:
-    controls = OptionControls(server, PAPER)
+    controls = SteeringControls(server, PAPER, ("paper",))
     for preset in PRESETS:
         choice = preset_choice(preset)
-        controls.show(choice)
+        controls.show_choice(choice)
         options = {*choice.method.values, *choice.ik.values}
-        assert controls.handles.keys() == options - {*LEFT_OUT}
+        assert option_handles(controls).keys() == options - {*LEFT_OUT}
 
 
 @pytest.mark.slow
@@ -392,13 +393,13 @@ def test_options_beyond_a_slider_stay_as_they_were_given(server: Any) -> None:
     replay = make_replay()
     replay.remap(PAPER._replace(method=given))
     viewer = ReplayViewer(server, replay)
-    viewer.steering.options.handles["pivot"].value = "palm"
-    viewer.steering.options.handles["pivot_point"].value = ""
+    option_handles(viewer.steering)["pivot"].value = "palm"
+    option_handles(viewer.steering)["pivot_point"].value = ""
     viewer.tick(0.0)
     assert replay.choice.method == given.replaced(pivot="palm", pivot_point=None)
-    viewer.steering.options.handles["alignment"].value = "palm"
+    option_handles(viewer.steering)["alignment"].value = "palm"
     viewer.tick(0.0)
-    viewer.steering.options.handles["alignment"].value = "as given"
+    option_handles(viewer.steering)["alignment"].value = "as given"
     press(viewer.steering.reset)
     viewer.tick(0.0)
     assert replay.choice.method == given
@@ -417,14 +418,14 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(
     viewer: ReplayViewer,
 ) -> None:
     seek(viewer, COUNT - 1)
-    replay, steering, options = viewer.replay, viewer.steering, viewer.steering.options
-    assert steering.preset.options == tuple(PRESETS)
+    replay, steering = viewer.replay, viewer.steering
+    assert steering.controls["preset"].handle.options == tuple(PRESETS)
     before = viewer.sample.robot_q
     few = len(replay.robot.reference_points)
     assert shown(viewer.server, "/robot/points") == [True] * few
-    options.handles["ridge"].value = 0.3
+    option_handles(steering)["ridge"].value = 0.3
     viewer.tick(0.0)
-    steering.preset.value = "teleoperation"
+    steering.controls["preset"].handle.value = "teleoperation"
     viewer.tick(0.0)
     assert replay.choice == preset_choice("teleoperation")
     assert np.abs(viewer.sample.robot_q - before).max() > 0.05
@@ -432,7 +433,7 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(
     assert many > few
     for part in ("points", "targets"):
         assert shown(viewer.server, f"/robot/{part}") == [True] * many
-    handles = options.handles
+    handles = option_handles(steering)
     assert {"pinch_weight", "contact_gap", "rest_weight"} <= handles.keys()
     assert "pivot" not in handles
     assert handles["ridge"].value == 0.1
@@ -445,18 +446,18 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(
     assert replay.choice == preset_choice("teleoperation").with_changes(
         {"extension_weight": 0.0}
     )
-    steering.preset.value = "object"
+    steering.controls["preset"].handle.value = "object"
     viewer.tick(0.0)
     assert replay.choice == preset_choice("object")
     assert shown(viewer.server, "/robot/points") == [True] * few + [False] * (
         many - few
     )
-    assert "pinch_weight" not in options.handles
-    assert options.handles["scale"].visible
+    assert "pinch_weight" not in option_handles(steering)
+    assert option_handles(steering)["scale"].visible
     press(steering.reset)
     viewer.tick(0.0)
     assert replay.choice == PAPER
-    assert steering.preset.value == "paper"
+    assert steering.controls["preset"].handle.value == "paper"
     np.testing.assert_allclose(viewer.sample.robot_q, before, atol=1e-12)
 
 
@@ -470,10 +471,10 @@ def test_the_measured_contact_gap_is_that_of_a_preset_chosen_later(server: Any) 
         (closing_recording(), motion),
     )
     viewer = ReplayViewer(server, replay)
-    viewer.steering.preset.value = "teleoperation"
+    viewer.steering.controls["preset"].handle.value = "teleoperation"
     viewer.tick(0.0)
     assert replay.choice == preset_choice("teleoperation", replay.human)
-    assert viewer.steering.options.handles["contact_gap"].value == 0.018
+    assert option_handles(viewer.steering)["contact_gap"].value == 0.018
 
 
 def test_an_impossible_option_is_explained_and_changes_nothing(server: Any) -> None:
@@ -482,12 +483,12 @@ def test_an_impossible_option_is_explained_and_changes_nothing(server: Any) -> N
     replay.remap(PAPER)
     viewer = ReplayViewer(server, replay)
     samples = replay.samples
-    viewer.steering.options.handles["ridge"].value = 0.0
+    option_handles(viewer.steering)["ridge"].value = 0.0
     viewer.tick(0.0)
     assert replay.samples is samples
     assert viewer.steering.message.visible
     assert "ridge: 0 needs 4" in viewer.steering.message.content
-    viewer.steering.options.handles["ridge"].value = 0.2
+    option_handles(viewer.steering)["ridge"].value = 0.2
     viewer.tick(0.0)
     assert replay.choice.method == MappingOptions(ridge=0.2)
     assert not viewer.steering.message.visible
@@ -527,7 +528,7 @@ def test_a_frame_dropped_by_visers_race_loses_no_request(
         for _ in waiters:
             waiters.append(0)
 
-    viewer.steering.options.handles["ridge"].value = 0.3
+    option_handles(viewer.steering)["ridge"].value = 0.3
     with monkeypatch.context() as once:
         once.setattr(viewer.server, "flush", fail_to_wake)
         with skip_wakeup_race():
@@ -632,7 +633,7 @@ def test_a_message_is_shown_while_mapping_again(
             remap(*options),
         ),
     )
-    viewer.steering.options.handles["ridge"].value = 0.3
+    option_handles(viewer.steering)["ridge"].value = 0.3
     viewer.tick(0.0)
     assert said == ["mapping …"]
     assert not viewer.steering.message.visible

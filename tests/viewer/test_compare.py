@@ -17,6 +17,7 @@ from viewer_cases import (
     closing_motion,
     closing_recording,
     make_replay,
+    option_handles,
     plotted,
     press,
 )
@@ -66,11 +67,10 @@ def test_a_second_robot_follows_the_same_samples_by_its_own_method(
     viewer: ReplayViewer,
 ) -> None:
     compare, robot, replay = (
-        viewer.steering.compare,
+        viewer.steering.controls["compare"].handle,
         load_hand("three_finger"),
         viewer.replay,
     )
-    assert compare is not None
     assert set(compare.options) == {NOTHING, KEPT, *PRESETS}
     before = [sample.robot_q for sample in replay.samples]
     compare.value = "finger-vectors"
@@ -115,12 +115,11 @@ def test_a_second_robot_follows_the_same_samples_by_its_own_method(
 
 
 def test_kept_options_stay_while_others_change(viewer: ReplayViewer) -> None:
-    compare, replay = viewer.steering.compare, viewer.replay
-    assert compare is not None
+    replay = viewer.replay
     before = replay.samples
     press(viewer.steering.keep)
     viewer.tick(0.0)
-    viewer.steering.options.handles["deformation_gain"].value = 0.0
+    option_handles(viewer.steering)["deformation_gain"].value = 0.0
     viewer.tick(0.0)
     assert replay.other is not None
     assert [variant.label for variant in replay.variants] == [

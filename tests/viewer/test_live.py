@@ -15,7 +15,7 @@ pytest.importorskip(
 )
 
 from patience import PATIENCE, wait_until
-from viewer_cases import make_replay, plotted, press
+from viewer_cases import make_replay, option_handles, plotted, press
 
 from handmap_qp import HandmapError, InvalidInputError, MappingOptions
 from handmap_qp.apps.viewer.cli import View
@@ -189,7 +189,7 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Any) -> N
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     assert viewer.steering is not None
-    handles = viewer.steering.options.handles
+    handles = option_handles(viewer.steering)
     press(viewer.steering.release)
     handles["ridge"].value = 0.5
     viewer.tick()
@@ -231,23 +231,29 @@ def test_the_preset_reaches_a_shared_source_and_that_of_others_is_shown(
     steering = viewer.steering
     assert steering is not None
     viewer.tick()
-    steering.preset.value = "teleoperation"
+    steering.controls["preset"].handle.value = "teleoperation"
     viewer.tick()
     assert source.asked == [{"preset": "teleoperation"}]
     viewer.tick()
-    assert (steering.preset.value, source.asked[1:]) == ("teleoperation", [])
-    steering.options.handles["pinch_weight"].value = 2.0
+    assert (steering.controls["preset"].handle.value, source.asked[1:]) == (
+        "teleoperation",
+        [],
+    )
+    option_handles(steering)["pinch_weight"].value = 2.0
     viewer.tick()
     assert source.asked[1:] == [{"pinch_weight": 2.0}]
     source.choice = preset_choice("object")
     viewer.tick()
-    assert steering.preset.value == "object"
-    assert "rigid_from" in steering.options.handles
+    assert steering.controls["preset"].handle.value == "object"
+    assert "rigid_from" in option_handles(steering)
     press(steering.reset)
     viewer.tick()
     viewer.tick()
     assert source.asked[2:] == [{"preset": "paper"}]
-    assert (source.choice, steering.preset.value) == (preset_choice("paper"), "paper")
+    assert (source.choice, steering.controls["preset"].handle.value) == (
+        preset_choice("paper"),
+        "paper",
+    )
     viewer.close()
 
 
@@ -263,11 +269,11 @@ def test_a_preset_that_the_source_refuses_is_explained(
         source.last_error = InvalidInputError(f"the service refuses {changes}")
 
     source.configure = refuse
-    steering.preset.value = "object"
+    steering.controls["preset"].handle.value = "object"
     viewer.tick()
     viewer.tick()
     assert "the service refuses" in steering.message.content
-    assert steering.preset.value == "paper"
+    assert steering.controls["preset"].handle.value == "paper"
     viewer.close()
 
 
@@ -277,7 +283,7 @@ def test_only_own_changes_are_sent_and_changes_of_others_are_shown(
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     assert viewer.steering is not None
-    handles = viewer.steering.options.handles
+    handles = option_handles(viewer.steering)
     theirs = {
         "ridge": 7.0,
         "max_acceleration": 50.0,
@@ -307,7 +313,7 @@ def test_controls_keep_requested_values_while_the_source_is_busy(
     assert viewer.steering is not None
     source.is_busy = True
     for value in (0.2, 0.3, 0.4):
-        viewer.steering.options.handles["ridge"].value = value
+        option_handles(viewer.steering)["ridge"].value = value
         viewer.tick()
     assert source.asked == []
     source.is_busy = False

@@ -30,6 +30,7 @@ from service_tools import (
     in_loop,
     lose_sessions,
 )
+from viewer_cases import option_handles
 
 from handmap_qp import InvalidInputError, MappingOptions, load_hand
 from handmap_qp.apps.service.keys import make_keys
@@ -199,17 +200,17 @@ def test_the_preset_of_a_shared_session_is_switched_and_shown(service: Server) -
             viewer = views.enter_context(closing(LiveViewer(page, session)))
             steering = viewer.steering
             assert steering is not None
-            assert steering.preset.value == "teleoperation"
+            assert steering.controls["preset"].handle.value == "teleoperation"
             many = len(session.robot.reference_points)
             for preset, count in (("object", 4), ("teleoperation", many)):
-                steering.preset.value = preset
+                steering.controls["preset"].handle.value = preset
                 tick_until(viewer, partial(is_shown, viewer, session, preset, count))
                 assert about_lab(service).preset == preset
         # A client belongs to one thread at a time, so no samples are sent meanwhile.
         client.configure(preset="object", mapping={"ridge": 0.5})
         with moving(client):
-            tick_until(viewer, lambda: steering.options.handles["ridge"].value == 0.5)
-            assert steering.preset.value == "object"
+            tick_until(viewer, lambda: option_handles(steering)["ridge"].value == 0.5)
+            assert steering.controls["preset"].handle.value == "object"
 
 
 def is_shown(
@@ -283,7 +284,7 @@ def test_a_shared_session_is_steered_from_the_view(service: Server) -> None:
         viewer = LiveViewer(page, ServiceSession(host_of(service)))
         assert viewer.steering is not None
         try:
-            viewer.steering.options.handles["deformation_gain"].value = 0.0
+            option_handles(viewer.steering)["deformation_gain"].value = 0.0
             viewer.tick()
             wait_until(lambda: mapping_of(service)["deformation_gain"] == 0.0)
             viewer.steering.release.value = True
@@ -335,7 +336,7 @@ def test_two_views_and_the_client_do_not_undo_what_the_others_set(
             LiveViewer(page, ServiceSession(host_of(service))) for page in (one, other)
         ]
         first, second = (
-            viewer.steering.options.handles
+            option_handles(viewer.steering)
             for viewer in viewers
             if viewer.steering is not None
         )
@@ -368,7 +369,7 @@ def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(
         session = ServiceSession(host_of(service))
         viewer = LiveViewer(page, session)
         assert viewer.steering is not None
-        handles = viewer.steering.options.handles
+        handles = option_handles(viewer.steering)
         try:
             handles["ridge"].value = 0.5
             # Wait until the view shows it; otherwise 0.1 below could be the old value.

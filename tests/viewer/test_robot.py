@@ -13,6 +13,8 @@ pytest.importorskip(
     "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
 )
 
+from viewer_cases import option_handles
+
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.offline.trajectory import map_hands
@@ -114,11 +116,10 @@ def test_options_clutch_and_comparison_move_the_whole_robot(server: Any) -> None
     viewer = ReplayViewer(server, replay)
     viewer.play_bar.toggle()
     before = replay.samples[-1].robot_q
-    viewer.steering.options.handles["pinch_weight"].value = 0.0
+    option_handles(viewer.steering)["pinch_weight"].value = 0.0
     viewer.tick(0.0)
     assert np.abs(replay.samples[-1].robot_q - before).max() > 1e-3
-    assert viewer.steering.compare is not None
-    viewer.steering.compare.value = "paper"
+    viewer.steering.controls["compare"].handle.value = "paper"
     viewer.tick(0.0)
     assert len(replay.variants) == 2
     viewer.play_bar.slider.value = 2.0

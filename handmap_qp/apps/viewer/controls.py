@@ -7,7 +7,7 @@ carries out, so that mapping and drawing happen in one thread.
 import math
 import time
 from collections import namedtuple
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -126,22 +126,27 @@ class _Control:
 class SteeringControls:
     """Preset, comparison, clutch, options, and a message about the last request.
 
+    Each option has a slider, a list or a box, made from its type and range.
+
     Args:
         choice: Preset and options to start from.
         presets: The presets that the hands can be mapped with.
         compared: The preset that is compared with, or `NOTHING`; None if nothing can be compared.
 
     Attributes:
-        preset: List of presets; choosing one brings its own options.
-        compare: List of methods to compare with; None if nothing can be compared.
-        keep: Button that keeps the robot as it is now for comparison with later options, likewise.
+        controls: By name, the list of presets (`preset`; choosing one brings its own options), that
+            of methods to compare with (`compare`, if something can be compared), and what changes
+            each option of the method and the QP.
+        keep: Button that keeps the robot as it is now for comparison with later options; None if
+            nothing can be compared.
         release: Button that freezes the robot. Two buttons instead of a toggle, so that a click
             cannot act on a label that has just changed.
         clutch: Button that resumes mapping from where the robot is.
         message: What is being done, or why the last request failed; hidden if empty.
-        options: Sliders, lists and boxes for the options.
         reset: Button that restores the initial preset and options, and clutches.
     """
+
+    _method: type[Options] | None = None
 
     def __init__(
         self,
@@ -150,28 +155,28 @@ class SteeringControls:
         presets: Names,
         compared: str | None = None,
     ) -> None:
-        gui = server.gui
+        self._gui = gui = server.gui
         self._requests: list[str] = []
         names = dict.fromkeys((*presets, choice.preset))
-        self.preset = gui.add_dropdown(
-            "preset",
-            tuple(names),
-            initial_value=choice.preset,
-            hint="; ".join(f"{name}: {PRESETS[name].purpose}" for name in names),
-        )
-        self._lists = {"preset": _Control(self.preset)}
-        self.compare = self.keep = None
+        purposes = "; ".join(f"{name}: {PRESETS[name].purpose}" for name in names)
+        self.controls = self._lasting = {
+            "preset": self._list("preset", names, choice.preset, purposes)
+        }
+        self.keep = None
         if compared:
-            self.compare = gui.add_dropdown(
+            self._lasting["compare"] = self._list(
                 "compare with",
                 (NOTHING, *presets, KEPT),
-                initial_value=compared,
-                hint="A second robot follows the same hand by another method",
+                compared,
+                "A second robot follows the same hand by another method",
             )
-            self._lists["compare"] = _Control(self.compare)
             (self.keep,) = add_controls(gui, "comparing", self._note)
         self.message = gui.add_markdown("", visible=False)
-        self.options = OptionControls(server, choice)
+        tabs = gui.add_tab_group()
+        self._tab = tabs.add_tab("Mapping")
+        with tabs.add_tab("QP"):
+            self._lasting |= self._controls_of(type(choice.ik))
+        self.show_choice(choice)
         self.reset, self.release, self.clutch = add_controls(
             gui, "engaging", self._note
         )
@@ -185,68 +190,31 @@ class SteeringControls:
 
     def take_changes(self) -> Values:
         """Return what the user has changed since the last call: `preset`, `compare`, options."""
-        controls = self._lists | self.options.controls
         return {
             name: each.take()
-            for name, each in controls.items()
+            for name, each in self.controls.items()
             if each.handle.value != each.taken
         }
 
     def show_choice(self, choice: Choice) -> None:
-        """Show preset and options, except where the user has just changed a control."""
-        if choice.preset not in self.preset.options:
-            self.preset.options = (*self.preset.options, choice.preset)
-        self._lists["preset"].show(choice.preset)
-        self.options.show(choice)
-
-    def show_compared(self, name: str) -> None:
-        """Show what is compared with."""
-        self._lists["compare"].show(name)
-
-    def show_released(self, is_released: bool) -> None:
-        """Enable the button that has an effect."""
-        self.release.disabled = is_released
-        self.clutch.disabled = not is_released
-
-
-class OptionControls:
-    """A slider, a list or a box for each option, made from its type and range.
-
-    Args:
-        choice: The initial options.
-
-    Attributes:
-        controls: The controls of the method and the QP, by option name.
-        handles: Those of viser.
-    """
-
-    handles: Values
-
-    def __init__(self, server: ViserServer, choice: Choice) -> None:
-        self._gui = server.gui
-        tabs = server.gui.add_tab_group()
-        self._tab = tabs.add_tab("Mapping")
-        with tabs.add_tab("QP"):
-            self._ik = self._controls_of(type(choice.ik))
-        self._method: type[Options] | None = None
-        self.controls = self._ik
-        self.show(choice)
-
-    def show(self, choice: Choice) -> None:
-        """Show the options, except where the user has just changed a control.
+        """Show preset and options, except where the user has just changed a control.
 
         If the method is another one, its controls replace those of the one before.
         """
         if self._method is not type(choice.method):
             self._method = type(choice.method)
-            for name in self.controls.keys() - self._ik.keys():
+            for name in self.controls.keys() - self._lasting.keys():
                 self.controls[name].handle.remove()
             with self._tab:
-                self.controls = self._controls_of(self._method) | self._ik
-            self.handles = {name: each.handle for name, each in self.controls.items()}
-        values = choice.method.values | choice.ik.values
-        for name, control in self.controls.items():
-            control.show(values[name])
+                self.controls = self._controls_of(self._method) | self._lasting
+        values = choice.method.values | choice.ik.values | {"preset": choice.preset}
+        for name in values.keys() & self.controls.keys():
+            self.controls[name].show(values[name])
+
+    def show_released(self, is_released: bool) -> None:
+        """Enable the button that has an effect."""
+        self.release.disabled = is_released
+        self.clutch.disabled = not is_released
 
     def _controls_of(self, kind: type[Options]) -> dict[str, _Control]:
         return {
@@ -264,7 +232,7 @@ class OptionControls:
                 self._gui.add_checkbox(label, bool(option.default), hint=hint)
             )
         if option.choices:
-            return self._list(option, label)
+            return self._list(label, option.choices, str(option.default), hint)
         if option.range:
             return self._slider(option, label, *option.range)
         handle = self._gui.add_text(label, _as_text(option.default), hint=hint)
@@ -291,11 +259,13 @@ class OptionControls:
             handle, to_shown, lambda value: (value or None) if is_optional else value
         )
 
-    def _list(self, option: Option, label: str) -> _Control:
+    def _list(
+        self, label: str, words: Iterable[str], shown: str, hint: str
+    ) -> _Control:
+        values: Values = {word: word for word in words}
         handle = self._gui.add_dropdown(
-            label, option.choices, initial_value=str(option.default), hint=option.about
+            label, tuple(values), initial_value=shown, hint=hint
         )
-        values: Values = {word: word for word in option.choices}
 
         def to_shown(value: Any) -> str:
             # A value beside the words may be a rotation matrix.

@@ -315,4 +315,4 @@ class ReplayViewer(Window):
                 self.server.flush()
                 self._pending.pop(0)()
                 self.set_variants(self.replay.variants)
-            self.steering.show_compared(self.replay.compared)
+            self.steering.controls["compare"].show(self.replay.compared)
