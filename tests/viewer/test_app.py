@@ -585,7 +585,7 @@ def test_joint_bars_tell_a_position_limit_from_a_speed_limit() -> None:
     q, is_limited = robot.rest.copy(), np.zeros(len(robot.rest), dtype=bool)
     q[0], q[1] = robot.upper_limits[0], robot.lower_limits[1]
     is_limited[[0, 2]] = True
-    bars = InstantGauges(replay.variants, None).bars(
+    bars = InstantGauges(replay.robot, None).bars(
         [replace(sample, robot_q=q, is_limited=is_limited)]
     )
     colours = re.findall(r"text-align:right;color:(#\w+)", bars)

@@ -16,13 +16,12 @@ from handmap_qp import load_hand
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.viewer.controls import on_white
 from handmap_qp.apps.viewer.gauges import InstantGauges
-from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.mapping.presets import preset_choice
+from handmap_qp.apps.viewer.sample import ViewSample
 from handmap_qp.se3 import affine, rotation_from_rpy
 
 ROBOT = load_hand("three_finger")
 GAUGES = InstantGauges(
-    [Variant("paper", ROBOT, preset_choice("paper"), [])],
+    ROBOT,
     load_hand("human").with_contact_gap(0.012),
 )
 
@@ -49,7 +48,7 @@ def test_readings_are_the_errors_that_were_made_and_the_gaps_of_the_surfaces() -
     gaps = GapMeter(ROBOT).pinches(q[None])
     pinches = GAUGES.pinches(sample)
     assert pinches == pytest.approx({name: gap[0] for name, gap in gaps.items()})
-    text = re.sub("<[^>]*>", " ", GAUGES.table([sample]))
+    text = re.sub("<[^>]*>", " ", GAUGES.table([sample], ["paper"]))
     assert "30.0 mm" in text
     assert "5.0 mm" in text
     assert "11.5°" in text

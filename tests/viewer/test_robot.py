@@ -93,14 +93,14 @@ def test_the_scene_has_both_human_hands_and_an_upright_robot(server: Any) -> Non
 def test_the_gauges_tell_the_hands_apart() -> None:
     replay = replay_of_demo()
     sample = replay.samples[60]
-    gauges = InstantGauges(replay.variants, replay.human)
+    gauges = InstantGauges(replay.robot, replay.human)
     groups = joints_by_finger(replay.robot)
     assert {"left thumb", "right thumb", "body and arms"} <= groups.keys()
     assert sorted(i for group in groups.values() for i in group) == list(
         range(len(replay.robot.joint_names))
     )
     assert gauges.pinches(sample, 0) != gauges.pinches(sample, 1)
-    table = gauges.table([sample])
+    table = gauges.table([sample], ["paper"])
     assert "left pinch gaps" in table
     assert "right pinch gaps" in table
     errors = [

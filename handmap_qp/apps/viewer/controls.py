@@ -405,7 +405,7 @@ class Window:
         self.control, show, save = map(panel.add_tab, ("Control", "Show", "Save"))
         panel.dock_right()
         panel.set_width(_PANEL_WIDTH)
-        self.gauges = Gauges(server, variants, human)
+        self.gauges = Gauges(server, variants[0].robot, human)
         with show:
             self.display = add_controls(gui, "display")
         with save:
@@ -434,7 +434,6 @@ class Window:
         """Show these robots."""
         self._drawn = self._gauged = ()
         self.scene.set_variants(variants)
-        self.gauges.set_variants(variants)
 
     def draw(
         self, variants: Sequence[Variant], index: int, *, at_once: bool = False

@@ -70,13 +70,12 @@ class InstantGauges:
     """The numbers and the joint bars of one instant, as HTML.
 
     Args:
-        variants: The robots, one or two.
+        robot: The robot hand, whichever method moves it.
         human: The human hand; None for robots alone.
     """
 
-    def __init__(self, variants: Sequence[Variant], human: Hand | None) -> None:
-        self.labels = [variant.label for variant in variants]
-        self._robot = robot = variants[0].robot
+    def __init__(self, robot: Hand, human: Hand | None) -> None:
+        self._robot = robot
         self._groups = joints_by_finger(robot)
         self._contact_gap = human.contact_gap if human else CONTACT_GAP
         try:
@@ -119,8 +118,8 @@ class InstantGauges:
         gaps = np.maximum(tip_gaps(landmarks) - self._contact_gap, 0.0)
         return dict(zip(FINGERS[1:], gaps.tolist(), strict=True))
 
-    def table(self, samples: Sequence[ViewSample]) -> str:
-        """Return errors and pinch gaps of one sample of each robot."""
+    def table(self, samples: Sequence[ViewSample], labels: Sequence[str]) -> str:
+        """Return errors and pinch gaps of one sample of each robot, and the robots' labels."""
         errors = np.transpose([self.errors(sample) for sample in samples])
         pinches = ""
         for i, part in enumerate(samples[0].hands or samples[:1]):
@@ -129,7 +128,7 @@ class InstantGauges:
             pinches += _pinch_bars(whose, [self.human_pinches(part), *gaps])
         heads = "".join(
             f'<th style="{_CELL};color:{colour};font-weight:600">{escape(label)}</th>'
-            for label, colour in zip(self.labels, cycle(ROBOTS), strict=False)
+            for label, colour in zip(labels, cycle(ROBOTS), strict=False)
         )
         rows = "".join(
             f'<tr><td style="color:#666">{name}</td>'
@@ -258,7 +257,6 @@ def draw_plot(
     index: int,
     *,
     latest: float | None = None,
-    limit: float = np.inf,
 ) -> str:
     """Draw lines from zero to a round number as HTML, with gaps where there are no values.
 
@@ -269,7 +267,6 @@ def draw_plot(
         index: Index of the sample to mark.
         latest: Length of the time axis, which then ends with the last sample at zero [s]; all
             samples if omitted.
-        limit: Larger values are cut off.
 
     Returns:
         The plot; empty if there is nothing to show.
@@ -278,7 +275,7 @@ def draw_plot(
     start, end = (0.0, max(time[-1], 1e-3)) if latest is None else (-latest, 0.0)
     width, height = _PLOT
     places = width * (time - start) / (end - start)
-    values = np.minimum([line for _, _, line in lines], limit)
+    values = np.array([line for _, _, line in lines])
     if not np.isfinite(values).any():
         return ""
     # Decimate: plot the maximum of each bin, at the time of its first sample.
@@ -338,9 +335,7 @@ def error_plot(
 class Gauges:
     """Numbers, plots and joint bars, where viser adds controls."""
 
-    def __init__(
-        self, server: ViserServer, variants: Sequence[Variant], human: Hand
-    ) -> None:
+    def __init__(self, server: ViserServer, robot: Hand, human: Hand) -> None:
         gui = server.gui
         gui.add_html(SCENE_LEGEND)
         self.table = gui.add_html("")
@@ -349,12 +344,7 @@ class Gauges:
         with gui.add_folder("time per step", expand_by_default=False):
             self.timing = gui.add_html("")
         self.timing_note = gui.add_html("")
-        self._human = human
-        self.set_variants(variants)
-
-    def set_variants(self, variants: Sequence[Variant]) -> None:
-        """Prepare for other robots, or other methods of them."""
-        self._instant = InstantGauges(variants, self._human)
+        self._instant = InstantGauges(robot, human)
 
     def draw(
         self, variants: Sequence[Variant], index: int, *, latest: float | None = None
@@ -375,13 +365,13 @@ class Gauges:
         self.timing.content = draw_plot(
             "time per step [µs]",
             time,
-            [("step", FIRST, step)],
+            [("step", FIRST, np.minimum(step, limit))],
             index,
             latest=latest,
-            limit=limit,
         )
         note = f"median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}"
         self.timing_note.content = legend([(f"step [µs]: {note}", FIRST)])
         samples = [variant.samples[index] for variant in variants]
-        self.table.content = self._instant.table(samples)
+        labels = [variant.label for variant in variants]
+        self.table.content = self._instant.table(samples, labels)
         self.joints.content = self._instant.bars(samples)

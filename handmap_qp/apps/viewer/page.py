@@ -53,14 +53,15 @@ def make_page(
             serializer.insert_sleep(samples[0].time - before[0].time)
             scene.draw(samples)
         page = serializer.as_html()
-    gauges = InstantGauges(variants, human)
+    gauges = InstantGauges(variants[0].robot, human)
     start, end = (instants[i][0].time for i in (0, -1))
     count = len(instants)
     rate = f", {(count - 1) / (end - start):.0f} per second" if end > start else ""
+    labels = [variant.label for variant in variants]
     gauged = _at_rate(instants, _GAUGES_RATE)
     numbers = {
         "time": [round(samples[0].time - start, 3) for samples in gauged],
-        "table": list(map(gauges.table, gauged)),
+        "table": [gauges.table(samples, labels) for samples in gauged],
         "bars": list(map(gauges.bars, gauged)),
     }
     # Instants are much alike, so they are small when compressed.
