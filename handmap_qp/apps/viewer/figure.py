@@ -20,7 +20,6 @@ from handmap_qp.apps.drawing import (
 )
 from handmap_qp.hands import Hand, Values, carrier_of, finger_tips, joined
 from handmap_qp.human import TIPS
-from handmap_qp.mapping import polar
 from handmap_qp.se3 import (
     Array,
     Arrays,
@@ -424,10 +423,9 @@ class HumanFigure(HandFigure):
         if shape == "ellipsoid":
             # A rotation leaves the ball unchanged, so the rotation that T_def contains with
             # rigid_from="wrist" is not drawn.
-            factors = polar(linear)
-            scale = np.maximum(np.abs(factors.stretches), 1e-3)
-            self._ellipsoid.scale = tuple(scale.tolist())
-            axes = factors.axes * (1.0, 1.0, mirror_sign(factors.axes))
+            axes, stretches, _ = np.linalg.svd(linear)
+            self._ellipsoid.scale = tuple(np.maximum(stretches, 1e-3).tolist())
+            axes[:, 2] *= mirror_sign(axes)
             self._ellipsoid.wxyz = quat_wxyz_from_rotation(axes)
         elif shape == "cube":
             corners = (self._size / np.sqrt(3.0) * (2.0 * _UNIT_BOX - 1.0)) @ linear.T
