@@ -39,8 +39,8 @@ _LAST_SHOWN_GROUP = 2
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
-_CONVERSION = 6
-_UNKNOWN = re.compile(r"unrecognized attribute: '(\w+)'\s+Element '(\w+)'")
+_CONVERSION = 7
+_UNKNOWN = re.compile(r"unrecognized attribute: '(\w+)'\s+Element '(\w+)', line (\d+)")
 # Radius of a ball in the place of a lost mesh [m].
 _RADIUS = 0.006
 # A range of this size in radians is one of pi in degrees [rad].
@@ -98,23 +98,28 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
     return model, file.stem if is_unnamed else spec.modelname, notes
 
 
-def _parse(
-    file: Path,
-    text: str = "",
-    dropped: Names = (),
-) -> tuple[mujoco.MjSpec, Names]:
-    """Parse a file, or its text without attributes that only older versions of MuJoCo know."""
-    parse = mujoco.MjSpec
-    try:
-        return parse.from_string(text) if text else parse.from_file(str(file)), dropped
-    except ValueError as error:
-        known = text = text or file.read_text()
-        for name, element in _UNKNOWN.findall(str(error)):
-            known = re.sub(rf"(<{element}\b[^>]*?)\s{name}=['\"].*?['\"]", r"\1", text)
-            dropped += (f"{name} of {element} is unknown to MuJoCo: it is left out",)
-        if known == text or "<include" in text:
-            raise
-    return _parse(file, known, dropped)
+def _parse(file: Path) -> tuple[mujoco.MjSpec, Names]:
+    """Parse a file without attributes that only older versions of MuJoCo know, which are noted."""
+    text = ""
+    notes = dict[str, None]()
+    while True:
+        try:
+            parse = mujoco.MjSpec
+            spec = parse.from_string(text) if text else parse.from_file(str(file))
+            return spec, (*notes,)
+        except ValueError as error:
+            unknown = _UNKNOWN.search(str(error))
+            # MuJoCo names a line: every element gets one of its own.
+            known = text or " ".join(file.read_text().splitlines()).replace("<", "\n<")
+            if not unknown or "<include" in known:
+                raise
+            if text:
+                name, element, line = unknown.groups()
+                start = rf"\A((?:.*\n){{{int(line) - 1}}}.*?)"
+                known = re.sub(rf"{start}\s{name}\s*=\s*(['\"]).*?\2", r"\1", text)
+                note = f"{name} of {element} is unknown to MuJoCo: it is left out"
+                notes[note] = None
+            text = known
 
 
 def _find_assets(spec: mujoco.MjSpec, folder: Path) -> Names:

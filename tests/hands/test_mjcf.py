@@ -353,6 +353,26 @@ def test_attributes_of_older_versions_are_left_out(
         assert set(words) == dropped
 
 
+def test_an_unknown_attribute_is_left_out_of_the_element_that_mujoco_names(
+    tmp_path: Path,
+) -> None:
+    """A tendon's `joint` has no range, those of bodies have: they keep it, on any line."""
+    file = tmp_path / "hand.xml"
+    body = (
+        '<body><joint name="{}" axis="0 1 0" range="-.2 .9"/><geom size=".01"/></body>'
+    )
+    bodies = "\n".join(map(body.format, "xy"))
+    cord = '<joint joint="x" coef="2" range="0 1"/><joint joint="y"\n range = \'0 1\' coef="1"/>'
+    file.write_text(f"""<?xml version="1.0"?>
+      <mujoco><compiler angle="radian"/><!-- <joint range="0 1"/> --><worldbody>{bodies}</worldbody>
+      <tendon><fixed name="cord">{cord}</fixed></tendon></mujoco>""")
+    converted = convert_mjcf(file)
+    np.testing.assert_array_equal(converted.model.jnt_range, [[-0.2, 0.9]] * 2)
+    unknown = [note for note in converted.notes if "unknown" in note]
+    assert unknown == ["range of joint is unknown to MuJoCo: it is left out"]
+    assert any("cord = 2 x + 1 y" in note for note in converted.notes)
+
+
 def test_the_root_tells_what_a_file_is(tmp_path: Path) -> None:
     assert (
         root_tag(b"<?xml version='1.0'?>\n<!-- <robot> --><mujoco model='a'>")
