@@ -28,7 +28,7 @@ from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
 from .mjcf_couplings import read_couplings
 from .sources import find_mesh, root_tag
 from .spec import Names
-from .urdf import USUAL_SPEEDS, set_numbers, set_origin
+from .urdf import USUAL_SPEEDS, add_mimic, set_numbers, set_origin
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -354,10 +354,10 @@ class ConvertedMjcf:
         """Write an axis of a joint, its limits, dynamics and mimic rule."""
         model = self.model
         kind = model.jnt_type[joint]
-        rule = self._rules.get(joint)
+        rule = self._rules.get(element.get("name", ""))
         low, high = model.jnt_range[joint]
         ends: dict[str, float] = {}
-        if rule and rule.leader is None:
+        if rule and not rule.joint:
             ends = {"lower": rule.offset, "upper": rule.offset}
         elif model.jnt_limited[joint]:
             # MuJoCo's range of a ball is [0, largest angle].
@@ -372,9 +372,8 @@ class ConvertedMjcf:
         damping = np.ravel(model.dof_damping[dof])[:1]
         friction = model.dof_frictionloss[dof]
         set_numbers(SubElement(element, "dynamics"), damping=damping, friction=friction)
-        if rule and rule.leader is not None:
-            mimic = SubElement(element, "mimic", joint=self.joints[rule.leader])
-            set_numbers(mimic, multiplier=rule.multiplier, offset=rule.offset)
+        if rule and rule.joint:
+            add_mimic(element, rule)
 
     def _effort(self, joint: int) -> float:
         """Return the largest force or torque of a joint's actuators [N or N m]."""

@@ -6,17 +6,16 @@ curve is solved from MuJoCo's own constraints, and its best line is written.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from functools import partial
-from itertools import starmap
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from handmap_qp.se3 import Array
+from .spec import MimicSpec, Rules
 
 _DISABLE = mujoco.mjtDisableBit
 # Postures at which a curve is solved, Newton iterations of each, and the residual of a solution
@@ -24,6 +23,8 @@ _DISABLE = mujoco.mjtDisableBit
 _SAMPLES = 41
 _ITERATIONS = 20
 _CLOSED = 1e-6
+# Least share of the postures that must have one.
+_LEAST_CLOSED = 0.48
 # A joint takes part in a constraint if it moves it by more than this in `qpos0`, where loops are
 # closed [m/rad, or without unit]. Singular values below this share of the largest count as zero.
 _LEAST_EFFECT = 1e-4
@@ -33,24 +34,10 @@ _LARGEST_ERROR = 0.1
 _NO_ERROR = 1e-9
 
 
-class Coupling(NamedTuple):
-    """A linear rule for a joint: `q = multiplier * q[leader] + offset`.
-
-    Attributes:
-        leader: Index of the leading joint; None if the joint is held at `offset`.
-        multiplier: Motion of the follower per motion of the leader.
-        offset: Position where the leader's is zero [rad or m].
-    """
-
-    leader: int | None
-    multiplier: float
-    offset: float
-
-
 _Residual = Callable[[Array], tuple[Array, Array]]
 """Residuals of constraints and their derivatives at positions of joints."""
-_Solution = tuple[dict[int, Coupling], list[str]]
-"""Rules of followers, and notes on them."""
+_Solution = tuple[dict[str, MimicSpec], list[str]]
+"""Rules of followers by name, of those that are held without a leader, and notes on them."""
 
 
 def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> _Solution:
@@ -62,19 +49,19 @@ def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> _Solution
 
     Returns:
         The rules by follower, and a note on each coupling that a URDF cannot express exactly.
+        A joint that is held has a rule without a leader.
     """
     constraints = _Constraints(model, names)
     omitted = Counter[str]()
-    while unsolved := [
-        rows
-        for joints, rows in constraints.groups()
-        if not constraints.solve(joints, rows)
-    ]:
-        for rows in unsolved:
-            omitted.update(constraints.drop(rows))
-    rules: dict[int, Coupling] = {}
+    solutions: list[_Solution | None] = [None]
+    while None in solutions:
+        groups = constraints.groups()
+        solutions = [constraints.solve(*group) for group in groups]
+        for (_, rows), found in zip(groups, solutions, strict=True):
+            if found is None:
+                omitted.update(constraints.drop(rows))
+    rules: dict[str, MimicSpec] = {}
     notes: list[str] = []
-    solutions = starmap(constraints.solve, constraints.groups())
     for found, more in filter(None, solutions):
         rules |= found
         notes += more
@@ -96,18 +83,19 @@ def _fixed_tendon(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
 
 
 def _tendon_notes(
-    model: mujoco.MjModel, names: Mapping[int, str], rules: Mapping[int, Coupling]
+    model: mujoco.MjModel, names: Mapping[int, str], rules: Rules
 ) -> list[str]:
     """Name the independent joints that fixed tendons couple, and count the other tendons."""
     notes = []
     tendons = [_fixed_tendon(model, i) for i in range(model.ntendon)]
     coupled = []
     for i, factors in enumerate(tendons):
-        leaders = {rules[j].leader if j in rules else j for j in factors}
-        if len(leaders) > 1 and factors.keys() <= names.keys():
-            terms = [f"{factor:g} {names[j]}" for j, factor in factors.items()]
-            name = model.tendon(i).name or f"tendon {i}"
-            coupled.append(f"{name} = {' + '.join(terms)}")
+        if factors.keys() <= names.keys():
+            own = {names[j]: factor for j, factor in factors.items()}
+            if len({rules[n].joint if n in rules else n for n in own}) > 1:
+                terms = [f"{factor:g} {joint}" for joint, factor in own.items()]
+                name = model.tendon(i).name or f"tendon {i}"
+                coupled.append(f"{name} = {' + '.join(terms)}")
     if coupled:
         notes.append(
             f"tendons couple joints that are independent here: {'; '.join(coupled)}. Where one "
@@ -170,30 +158,33 @@ class _Constraints:
         residual = partial(self._residual, joints, constraints)
         slopes = residual(start)[1]
         freedom = len(joints) - np.linalg.matrix_rank(slopes, rtol=_RANK)
-        if freedom == 0:
-            held = _closed(residual, start, 0)
-            if held is None:
-                return None
-            rules = [Coupling(None, 0.0, position) for position in held.tolist()]
-            return dict(zip(joints, rules, strict=True)), []
-        curve = self._curve(residual, leader, start) if freedom == 1 else []
-        if len(curve) < _SAMPLES // 2:
+        if freedom > 1:
+            return None
+        ends = self._model.jnt_range[leader]
+        if not self._model.jnt_limited[leader]:
+            ends = start[0] + (-1.0, 1.0)
+        # Without freedom, one posture in which nothing leads.
+        grid = np.linspace(*ends, _SAMPLES) if freedom else start[:1]
+        curve = [*_followed(residual, start, grid, freedom)]
+        if len(curve) < _LEAST_CLOSED * len(grid):
             return None
         postures = np.array(curve)
-        powers = np.vander(postures[:, 0], 2)
-        followers = postures[:, 1:]
+        powers = np.vander(freedom * postures[:, 0], 2)
+        followers = postures[:, freedom:]
         # Digits beyond these are noise of the fit.
         lines = np.linalg.lstsq(powers, followers, rcond=None)[0].round(14)
         worst = float(np.abs(followers - powers @ lines).max())
         if worst > _LARGEST_ERROR:
             return None
-        rules = [Coupling(leader, *line) for line in lines.T.tolist()]
-        head, *others = (self._names[joint] for joint in joints)
+        named = [self._names[joint] for joint in joints]
+        head = named[0] if freedom else ""
+        others = named[freedom:]
+        rules = [MimicSpec(head, *line) for line in lines.T.tolist()]
         note = (
             f"curves couple {', '.join(others)} to {head}: lines within {worst:.2g} "
             "rad or m of them are written"
         )
-        return dict(zip(joints[1:], rules, strict=True)), [note] * (worst > _NO_ERROR)
+        return dict(zip(others, rules, strict=True)), [note] * (worst > _NO_ERROR)
 
     def _leader(self, coupled: set[int], constraints: list[int]) -> int:
         """Return the joint that leads in joint equalities, else one of a motor, else the first."""
@@ -206,24 +197,6 @@ class _Constraints:
         for tendon in targets[motors == int(mujoco.mjtTrn.mjTRN_TENDON)]:
             driven.update(_fixed_tendon(model, tendon))
         return max(sorted(coupled), key=lambda j: (j in leading, j in driven))
-
-    def _curve(self, residual: _Residual, leader: int, start: Array) -> list[Array]:
-        """Follow closed postures over the range of the leader, the first of the joints."""
-        ends = self._model.jnt_range[leader]
-        if not self._model.jnt_limited[leader]:
-            ends = start[0] + (-1.0, 1.0)
-        grid = np.linspace(*ends, _SAMPLES)
-        nearest = np.abs(grid - start[0]).argmin()
-        found = []
-        for way in (grid[nearest:], grid[:nearest][::-1]):
-            q = start
-            for position in way:
-                near = np.array([position, *q[1:]])
-                closed = _closed(residual, near, 1)
-                if closed is None:
-                    break
-                found.append(q := closed)
-        return found
 
     def _residual(
         self, joints: list[int], constraints: list[int], q: Array
@@ -242,6 +215,22 @@ class _Constraints:
             blocks.append(block / max(np.linalg.norm(block[:, 1:]), _LEAST_EFFECT))
         rows = np.vstack(blocks)
         return rows[:, 0], rows[:, 1:]
+
+
+def _followed(
+    residual: _Residual, start: Array, grid: Array, freedom: int
+) -> Iterator[Array]:
+    """Iterate over closed postures, both ways from the place on the grid that is nearest."""
+    nearest = np.abs(grid - start[0]).argmin()
+    for way in (grid[nearest:], grid[:nearest][::-1]):
+        q = start
+        for position in way:
+            near = np.array([position, *q[1:]])
+            closed = _closed(residual, near, freedom)
+            if closed is None:
+                break
+            q = closed
+            yield q
 
 
 def _closed(residual: _Residual, q: Array, first: int) -> Array | None:

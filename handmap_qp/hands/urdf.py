@@ -156,6 +156,12 @@ def mimics_of(robot: Element) -> Rules:
     return rules
 
 
+def add_mimic(joint: Element, rule: MimicSpec) -> None:
+    """Add a mimic rule to a joint."""
+    element = SubElement(joint, "mimic", joint=rule.joint)
+    set_numbers(element, multiplier=rule.multiplier, offset=rule.offset)
+
+
 # -- the tree of links and joints
 
 
@@ -331,8 +337,7 @@ def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
         for old in joint.findall("mimic"):
             joint.remove(old)
         if rule:
-            element = SubElement(joint, "mimic", joint=rule.joint)
-            set_numbers(element, multiplier=rule.multiplier, offset=rule.offset)
+            add_mimic(joint, rule)
     positions = lock_joints(robot, spec.locked)
     fix_free_joints(robot)
     for name in spec.limits:
