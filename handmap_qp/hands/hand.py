@@ -43,7 +43,6 @@ from .spec import (
     PointSpec,
     Positions,
     Problems,
-    Rules,
     Side,
     Values,
     check_point,
@@ -100,6 +99,7 @@ class Hand:
         joint_columns: Indices of `joint_names` in the active coordinates, shape (n,).
         all_joint_names: All movable joints: `joint_names`, then followers, then locked joints.
         all_joint_roles: What each is: `active`, `follower` or `locked`.
+        rules: How followers move, by name: none follows another one.
         notes: Oddities found while building the hand, a sentence each.
         reference_points: The points in use; m of them.
         point_weights: Their weights, shape (m,).
@@ -143,11 +143,11 @@ class Hand:
         self.is_floating = self.mount == "floating"
         chosen = _choose_points(spec, points)
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
-        text, locked, rules = compose_urdf(spec, file_text)
+        text, locked, self.rules = compose_urdf(spec, file_text)
         self._compose: Callable[[], str] = partial(str, text)
-        self.model = model = build_model(spec, text, self.mount, rules)
-        self.notes = tighten_model(model, rules)
-        self._index_joints(rules, locked)
+        self.model = model = build_model(spec, text, self.mount, self.rules)
+        self.notes = tighten_model(model, self.rules)
+        self._index_joints(locked)
         ends = np.array([model.lowerPositionLimit, model.upperPositionLimit])
         self.limits = frozen(ends.take(self.q_indices, axis=1))
         self.lower_limits, self.upper_limits = self.limits
@@ -465,9 +465,10 @@ class Hand:
         poses = [placed.frame_pose(frame) for frame in frames]
         return np.array(poses).reshape(-1, 4, 4)
 
-    def _index_joints(self, rules: Rules, locked: Positions) -> None:
+    def _index_joints(self, locked: Positions) -> None:
         """Name all joints, find them in Pinocchio's vectors, and map the active ones to all."""
         model = self.model
+        rules = self.rules
         names = self.spec.all_joints
         moving = (*names, *rules)
         count = len(names)

@@ -181,13 +181,9 @@ def _shape(spec: Any, shape: Any) -> Values:
 
 def _couple_followers(spec: Any, hand: Hand) -> None:
     """Hold every mimic joint at the position that the hand's rules give it."""
-    for name, role in zip(hand.all_joint_names, hand.all_joint_roles, strict=True):
-        if role == "follower" and hand.expansion:
-            coordinate = hand.model.idx_vs[hand.model.getJointId(name)]
-            factors = hand.expansion.matrix[coordinate, hand.joint_columns]
-            leader = np.argmax(np.abs(factors))
-            rule = _add_equality(spec, "JOINT", "JOINT", name, hand.joint_names[leader])
-            rule.data[:2] = [hand.expansion.offset[coordinate], factors[leader]]
+    for follower, rule in hand.rules.items():
+        made = _add_equality(spec, "JOINT", "JOINT", follower, rule.joint)
+        made.data[:2] = rule.offset, rule.multiplier
 
 
 def _add_equality(spec: Any, kind: str, of: str, one: str, other: str) -> Any:
