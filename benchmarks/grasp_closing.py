@@ -429,6 +429,6 @@ def _fingers(hand: Hand) -> list[Finger]:
 
 def _beyond_palm(hand: Hand, joint: int) -> list[int]:
     """Return the joints from the palm to this one, proximal first; none for an arm's joints."""
-    palm = hand.model.frames[hand.palm_frame_id].parentJoint
+    palm = hand.palm_frame.parentJoint
     chain = list(hand.model.supports[joint])
     return chain[chain.index(palm) + 1 :] if palm in chain else []

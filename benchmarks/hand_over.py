@@ -104,7 +104,7 @@ class Scene:
             names = ["world", *hand.model.names[1:]]
             pads = find_pads(hand, find_fingers(hand))
             self.tips[side] = {n: (names[p.joint], p.offset) for n, p in pads.items()}
-            wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
+            wrist = hand.wrist_frame.parentJoint
             self.own[side] = {names[k] for k in hand.model.subtrees[wrist]}
         rest = next(iter(robot.by_side.values())).rest
         starts = {s: hand.frame_pose("palm", rest) for s, hand in robot.by_side.items()}

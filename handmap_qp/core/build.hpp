@@ -102,7 +102,7 @@ inline nb::object item(const nb::object& sequence, size_t i) { return sequence[n
 
 // The wrist of a hand, and the range of its points among those of a robot.
 inline Part part_of(const Fields& hand, size_t first) {
-  const Fields wrist(item(hand.object("model.frames"), hand.get<size_t>("wrist_frame_id")));
+  const Fields wrist(hand.object("wrist_frame"));
   return {wrist.get<int>("parentJoint") - 1, wrist.pose("placement.homogeneous"), first,
           first + hand.get<Array>("point_weights").size()};
 }
@@ -153,7 +153,7 @@ inline Tree make_tree(const Fields& hand) {
   tree.wrist_origin = {own.joint, {}};
   tree.wrist = own.wrist;
   tree.parts = {{own.joint, own.wrist, 0, 0}};
-  const Fields palm(item(model.object("frames"), hand.get<size_t>("palm_frame_id")));
+  const Fields palm(hand.object("palm_frame"));
   tree.palm_origin = {palm.get<int>("parentJoint") - 1, {}};
   tree.palm = palm.pose("placement.homogeneous");
   tree.q_indices = hand.indices("q_indices");

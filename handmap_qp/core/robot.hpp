@@ -76,7 +76,7 @@ class RobotMover {
     together_share_ = constants.get<double>("_TOGETHER_SHARE");
     for (const nb::handle& each : nb::getattr(robot, "hands")) {
       const Fields hand(nb::borrow(each));
-      const Fields palm(item(hand.object("model.frames"), hand.get<size_t>("palm_frame_id")));
+      const Fields palm(hand.object("palm_frame"));
       hands_.push_back({palm.get<int>("parentJoint") - 1, palm.pose("placement.homogeneous")});
     }
     const nb::object own = nb::getattr(robot, "finger_joints");

@@ -103,8 +103,8 @@ class Hand:
         notes: Oddities found while building the hand, a sentence each.
         reference_points: The points in use; m of them.
         point_weights: Their weights, shape (m,).
-        palm_frame: The palm's `pinocchio.Frame`; `palm_frame_id` is its index in the model.
-        wrist_frame: The wrist's frame; `wrist_frame_id` is its index.
+        palm_frame: The palm's `pinocchio.Frame`, which the model does not have.
+        wrist_frame: The wrist's frame, likewise.
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
         unscaled: Of a hand scaled to a person, the one that was scaled; else None.
@@ -154,7 +154,7 @@ class Hand:
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
         self.zero = frozen(np.clip(0.0, *self.limits))
         self._take_postures()
-        self._add_wrist_and_palm()
+        self._find_wrist_and_palm()
         self.use_points(chosen)
 
     def _take_postures(self) -> None:
@@ -195,10 +195,7 @@ class Hand:
     @cached_property
     def model(self) -> pin.Model:
         """Pinocchio model, not to be changed: a floating wrist's six coordinates, then joints."""
-        model = build_model(self.spec, self.urdf_text, self.mount, {})
-        model.addFrame(self.palm_frame)
-        model.addFrame(self.wrist_frame)
-        return model
+        return build_model(self.spec, self.urdf_text, self.mount, {})
 
     @cached_property
     def point_frames(self) -> tuple[pin.Frame, ...]:
@@ -499,19 +496,15 @@ class Hand:
         self._moving = Expansion(self.joint_motion[at_v], shift[at_v])
         self.expansion = Expansion(self.spread, frozen(shift)) if rules else None
 
-    def _add_wrist_and_palm(self) -> None:
-        """Add frames of wrist and palm to the model."""
-        model, spec = self.model, self.spec
-        # A slash before the name keeps them apart from links.
+    def _find_wrist_and_palm(self) -> None:
+        """Find the frames of wrist and palm."""
+        spec = self.spec
         palm = spec.palm
         side = np.cross(palm.distal, palm.dorsal)
         pose = affine(np.column_stack([side, palm.distal, palm.dorsal]), palm.xyz)
-        self.palm_frame = self._frame("/palm", palm.link, "palm.link", pose)
-        # A robot has the wrists of several hands.
-        name = f"/wrist/{spec.name}"
-        self.wrist_frame = self._frame(name, spec.wrist.link, "wrist.link", np.eye(4))
-        self.palm_frame_id = model.addFrame(self.palm_frame)
-        self.wrist_frame_id = model.addFrame(self.wrist_frame)
+        self.palm_frame = self._frame("palm", palm.link, "palm.link", pose)
+        wrist = spec.wrist.link
+        self.wrist_frame = self._frame("wrist", wrist, "wrist.link", np.eye(4))
         spec.reject(self._wrist_problems())
         self._wrist_to_root = self.wrist_frame.placement.inverse()
         to_palm = self._wrist_to_root * self.palm_frame.placement
@@ -541,7 +534,7 @@ class Hand:
             yield f"{spec.palm.link!r} {what}", "palm.link", spec.palm.link
 
     def _frame(self, name: str, link: str, key: str, pose: Array) -> pin.Frame:
-        """Return a frame of a new name at a pose (4, 4) on a link, which a key of a spec names."""
+        """Return a frame at a pose (4, 4) on a link, which a key of a spec names."""
         model = self.model
         # By kind as well as by name: in many URDFs a joint has the name of its link.
         if not model.existBodyName(link):

@@ -306,7 +306,7 @@ def test_a_shared_waist_moves_both_palms(g1: Hand) -> None:
 def test_offsets_are_derivatives(g1: Hand) -> None:
     whole = joined("g1", *g1.by_side.values())
     places = [
-        (whole.model.frames[hand.wrist_frame_id].parentJoint, np.array([0.1, 0.0, 0.1]))
+        (hand.wrist_frame.parentJoint, np.array([0.1, 0.0, 0.1]))
         for hand in whole.hands
     ]
     task = PointOffset(whole, places, np.array([0.1, 0.2, 0.3]), 5.0)

@@ -139,7 +139,7 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
             if inertia.mass >= 1e-6:
                 _set_inertia(body, inertia, *_LEAST)
         bodies.append(body)
-    wrist = model.frames[hand.wrist_frame_id]
+    wrist = hand.wrist_frame
     bodies[wrist.parentJoint].add_site(name=WRIST, **_placed(wrist.placement))
     return bodies
 
