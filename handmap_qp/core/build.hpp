@@ -135,19 +135,14 @@ inline Tree make_tree(const Fields& hand) {
                            Fields(item(placements, j)).pose("homogeneous"),
                            joint.get<int>("idx_q"), joint.get<int>("idx_v")});
   }
-  tree.size = tree.nv;
-  tree.factor.assign(tree.nv, 1.0);
-  for (int c = 0; c < tree.nv; ++c) tree.leader.push_back(c);
-  if (!hand.object("expansion").is_none()) {
-    const Array matrix = hand.get<Array>("expansion.matrix");
-    tree.size = static_cast<int>(matrix.shape(1));
-    for (int c = 0; c < tree.nv; ++c) {
-      const double* row = matrix.data() + c * tree.size;
-      const double* most = std::max_element(
-          row, row + tree.size, [](double a, double b) { return std::abs(a) < std::abs(b); });
-      tree.leader[c] = static_cast<int>(most - row);
-      tree.factor[c] = *most;
-    }
+  const Array spread = hand.get<Array>("spread");
+  tree.size = static_cast<int>(spread.shape(1));
+  for (int c = 0; c < tree.nv; ++c) {
+    const double* row = spread.data() + c * tree.size;
+    const double* most = std::max_element(
+        row, row + tree.size, [](double a, double b) { return std::abs(a) < std::abs(b); });
+    tree.leader.push_back(static_cast<int>(most - row));
+    tree.factor.push_back(*most);
   }
   const Part own = part_of(hand, 0);
   tree.wrist_origin = {own.joint, {}};
@@ -166,8 +161,8 @@ inline Tree make_tree(const Fields& hand) {
 inline void make_frames(Tree& tree, const Fields& hand) {
   tree.rest = vector_of(nb::cast<Array>(hand.object("configuration_vector")(hand.object("rest"))));
   tree.set_by_joints = hand.indices("_moving_q");
-  tree.matrix = hand.numbers("_moving.matrix");
-  tree.offset = hand.numbers("_moving.offset");
+  tree.matrix = hand.numbers("_motion");
+  tree.offset = hand.numbers("_shift");
   for (const nb::handle& each : hand.object("model.frames")) {
     const Fields frame(nb::borrow(each));
     tree.frames.push_back({frame.get<std::string>("name"), frame.get<int>("type"),
@@ -438,7 +433,7 @@ inline void make_landmark_reader(LandmarkReader* self, const nb::object& owner) 
 
 inline void make_joint_reader(JointReader* self, const nb::object& owner) {
   const Fields from(owner), human(from.object("human"));
-  if (!human.object("expansion").is_none())
+  if (nb::len(human.object("rules")) > 0)
     throw std::domain_error("a human hand with joints that follow others");
   Tree tree = make_tree(human);
   tree.points = reference_points(human);

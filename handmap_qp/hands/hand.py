@@ -30,7 +30,6 @@ from handmap_qp.se3 import (
 from .configuration import Configuration, moved_by
 from .human import CONTACT_GAP, JointMove
 from .model import (
-    Expansion,
     build_model,
     choose_mount,
     compose_urdf,
@@ -91,9 +90,8 @@ class Hand:
         zero: Zero, or the limit next to it, of every joint [rad or m], shape (n,).
         rest: Rest posture [rad or m], shape (n,).
         matched: The spec's posture for the resting human hand [rad or m], shape (n,), or None.
-        expansion: From the k active tangent coordinates (wrist and `joint_names`, in the model's
-            order) to the model's: S, shape (nv, k), and offsets, (nv,). None without followers.
-        spread: S, also without followers, shape (nv, k).
+        spread: From the k active tangent coordinates (wrist and `joint_names`, in the model's
+            order) to the model's: S, shape (nv, k).
         joint_motion: Motion of the model per unit of every joint: columns of S, shape (nv, n).
         active_columns: Indices of the active coordinates in the model's tangent space, shape (k,).
         joint_columns: Indices of `joint_names` in the active coordinates, shape (n,).
@@ -279,7 +277,7 @@ class Hand:
     def __setstate__(self, state: Values) -> None:
         """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
         vars(self).update(state)
-        for value in (*state.values(), *(self.expansion or ())):
+        for value in state.values():
             if isinstance(value, Array):
                 value.setflags(write=False)
 
@@ -371,7 +369,7 @@ class Hand:
             InvalidInputError: On a wrong shape or type; the array may be written in part.
         """
         try:
-            vector[..., self._moving_q] = self._moving.all_joints(q)
+            vector[..., self._moving_q] = q @ self._motion.T + self._shift
             if wrist_pose is not None and self.is_floating:
                 vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
         except (TypeError, ValueError, IndexError) as error:
@@ -399,7 +397,8 @@ class Hand:
         is_right = angles.ndim in (1, 2) and angles.shape[-1] == count
         expect(is_right, "q", expected, value=q, got=f"shape {angles.shape}")
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
-        return np.concatenate([self._moving.all_joints(angles), locked], axis=-1)
+        moving = angles @ self._motion.T + self._shift
+        return np.concatenate([moving, locked], axis=-1)
 
     def points(self, q: ArrayLike, wrist_pose: PoseLike | None = None) -> Array:
         """Compute the positions of the reference points in the world (eq. 4) [m], shape (m, 3).
@@ -493,8 +492,8 @@ class Hand:
             shift[row] = rule.offset
         self.spread = frozen(spread[:, self.active_columns])
         self.joint_motion = frozen(spread[:, self.v_indices])
-        self._moving = Expansion(self.joint_motion[at_v], shift[at_v])
-        self.expansion = Expansion(self.spread, frozen(shift)) if rules else None
+        self._motion = self.joint_motion[at_v]
+        self._shift = shift[at_v]
 
     def _find_wrist_and_palm(self) -> None:
         """Find the frames of wrist and palm."""

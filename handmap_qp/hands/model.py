@@ -9,13 +9,12 @@ so followers are not variables of the QP. A leader may follow another joint itse
 """
 
 import math
-from typing import NamedTuple, get_args
+from typing import get_args
 from xml.etree.ElementTree import Element, tostring
 
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, expect, reason_of
-from handmap_qp.se3 import Array
 from .sources import read_urdf
 from .spec import (
     HandSpec,
@@ -121,22 +120,6 @@ def build_model(
         unknown = f"{name!r} is not a movable joint of the URDF"
         raise spec.error(unknown, "joints", name)
     return model
-
-
-class Expansion(NamedTuple):
-    """From the active joints to all joints: `q_all = matrix @ q_active + offset`.
-
-    Attributes:
-        matrix: S, shape (n_all, n_active).
-        offset: Position of every joint where the active ones are zero [rad or m], shape (n_all,).
-    """
-
-    matrix: Array
-    offset: Array
-
-    def all_joints(self, q: Array) -> Array:
-        """Return the positions of all joints [rad or m], shape (..., n_all), of (..., n_active)."""
-        return q @ self.matrix.T + self.offset
 
 
 def read_mimic_rules(robot: Element) -> Rules:

@@ -119,10 +119,8 @@ def test_the_jacobian_holds_the_followers_motion(hand: Hand, q: np.ndarray) -> N
 def test_a_step_in_the_active_coordinates_keeps_every_rule(
     hand: Hand, q: np.ndarray, generator: np.random.Generator
 ) -> None:
-    assert hand.expansion is not None
-    matrix, offset = hand.expansion
+    matrix = hand.spread
     assert matrix.shape == (hand.model.nv, len(hand.active_columns))
-    assert offset.shape == (hand.model.nv,)
     np.testing.assert_array_equal(
         matrix[hand.active_columns], np.eye(len(hand.active_columns))
     )
@@ -142,7 +140,6 @@ def test_a_step_in_the_active_coordinates_keeps_every_rule(
 def test_the_jacobian_of_the_active_coordinates_moves_the_points(
     hand: Hand, q: np.ndarray, generator: np.random.Generator
 ) -> None:
-    assert hand.expansion is not None
     workspace = hand.configuration()
     workspace.place(hand.configuration_vector(q))
     slope = workspace.point_jacobian() @ (
@@ -154,14 +151,14 @@ def test_the_jacobian_of_the_active_coordinates_moves_the_points(
             pin.integrate(
                 hand.model,
                 hand.configuration_vector(q),
-                hand.expansion.matrix @ (sign * step),
+                hand.spread @ (sign * step),
             )
         )
         ends.append(workspace.points.copy())
     np.testing.assert_allclose(slope, (ends[0] - ends[1]).ravel() / 2e-6, atol=3e-8)
 
 
-def test_a_hand_without_followers_has_no_expansion() -> None:
+def test_the_coordinates_of_a_hand_without_followers_are_the_models() -> None:
     hand = Hand(
         changed(
             mimic=dict.fromkeys(FOLLOWERS),
@@ -169,7 +166,8 @@ def test_a_hand_without_followers_has_no_expansion() -> None:
             rest=dict.fromkeys((*ACTIVE, *FOLLOWERS), 0.0),
         )
     )
-    assert hand.expansion is None
+    assert not hand.rules
+    np.testing.assert_array_equal(hand.spread, np.eye(hand.model.nv))
     assert hand.all_joint_names == hand.joint_names
     np.testing.assert_array_equal(hand.joint_columns, hand.v_indices)
 

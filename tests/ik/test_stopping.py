@@ -82,7 +82,7 @@ def test_a_way_is_clear_only_if_all_of_it_is(case: Case) -> None:
             continue
         step = 10.0 ** rng.uniform(-2, 0.3) * rng.normal(size=len(hand.active_columns))
         configuration.place(start)
-        end = start + (step if hand.expansion is None else hand.expansion.matrix @ step)
+        end = start + hand.spread @ step
         configuration.place(end)
         is_clear = limit.met_on(start, step) is None
         nearest = min(case.nearest_between(start, end), case.nearest(end))
@@ -166,9 +166,7 @@ def test_the_hand_can_stop_on_its_line_for_any_sample_times(case: Case) -> None:
             share = max(0.0, 1.0 - dt / left)
             assert (np.abs(velocity) * (1.0 - share) <= most * dt * (1.0 + 1e-9)).all()
             velocity, left = share * velocity, left - dt
-            q = q + dt * (
-                velocity if hand.expansion is None else hand.expansion.matrix @ velocity
-            )
+            q = q + dt * (hand.spread @ velocity)
             assert case.nearest(q) > 0.0
             angles = q[hand.q_indices]
             assert (angles <= hand.upper_limits + 1e-9).all()

@@ -136,7 +136,7 @@ class MujocoIk:
             )
             T[3:6, 3:6] = np.eye(3)
         T[self._v_indices, self._hand_v] = 1.0
-        return T if self.hand.expansion is None else T @ self.hand.expansion.matrix
+        return T @ self.hand.spread
 
     def problem(
         self, point_targets: np.ndarray, wrist_target: np.ndarray | None, dt: float
