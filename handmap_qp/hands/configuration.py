@@ -45,7 +45,8 @@ class Configuration:
     Attributes:
         model: The hand's model.
         spread: `Hand.spread`.
-        data: Its Pinocchio data. Read the joint Jacobian from `joint_jacobian`, not from here.
+        data: Its Pinocchio data. `data.J` has the spatial velocity at the world's origin per
+            velocity of the model, linear rows first, shape (6, model.nv): do not write to it.
         q: Configuration last placed, shape (nq,), read-only; a new array with every placement.
         parts: Where the points of each hand are among all.
     """
@@ -122,14 +123,6 @@ class Configuration:
             displacement: Displacement in the active coordinates [rad or m], shape (k,).
         """
         self.place(pin.integrate(self.model, start, self.spread.dot(displacement)))
-
-    def joint_jacobian(self) -> Array:
-        """Spatial velocity at the world's origin per velocity of the model.
-
-        Returns:
-            Jacobian, linear rows first, shape (6, model.nv); Pinocchio's own: do not write to it.
-        """
-        return self.data.J
 
     def point_jacobian(self) -> Array:
         """Jacobian of the points in the active coordinates, in world axes [m per unit].

@@ -451,7 +451,7 @@ class CollisionLimit:
         pairs, found = near
         normals = found[:, 1:4]
         wrenches = np.hstack([normals, np.cross(found[:, 4:], normals)])
-        G = self.bounds.signs[pairs] * wrenches.dot(configuration.joint_jacobian())
+        G = self.bounds.signs[pairs] * wrenches.dot(configuration.data.J)
         kept = self.margin if margins is None else margins
         kept = kept[pairs] if isinstance(kept, np.ndarray) else kept
         return configuration.contracted(G), _GAIN * (found[:, 0] - kept)

@@ -122,7 +122,7 @@ class _Distance:
         # S_ij = axis_i . sum_k (J_kj x force_k), for i an ancestor of j or j itself.
         levers = rows.reshape(len(forces), 3, -1)
         turning = np.cross(levers, forces[:, :, None], axis=1).sum(axis=0)
-        curvature = placed.joint_jacobian()[3:].T.dot(turning) * self._is_ancestor
+        curvature = placed.data.J[3:].T.dot(turning) * self._is_ancestor
         full = rows.T.dot(np.repeat(self._costs, 3, axis=0) * rows)
         full += curvature + np.triu(curvature, 1).T
         hessian = self._spread.T.dot(full).dot(self._spread)

@@ -140,7 +140,7 @@ class AttachedPoints:
 
     def velocities(self, hand: Configuration, positions: Array) -> Array:
         """Return the same in all coordinates of the model, shape (n, 3, model.nv)."""
-        linear, angular = hand.joint_jacobian().reshape(2, 3, -1)
+        linear, angular = hand.data.J.reshape(2, 3, -1)
         # The velocity at the world's origin plus w x p is that of the point p.
         turning = np.cross(angular[None], positions[:, :, None], axis=1)
         return (linear + turning) * self.moved
@@ -207,7 +207,7 @@ class PointDistances(Compiled):
         is_own = self.points.moved[self.first] != self.points.moved[self.second]
         columns = self.points.velocities(hand, positions)
         levers = hand.contracted((columns[self.first] - columns[self.second]) * is_own)
-        turns = hand.contracted(hand.joint_jacobian()[3:] * is_own)
+        turns = hand.contracted(hand.data.J[3:] * is_own)
         weights = self.weights / LENGTH_UNIT
         residual = weights * (apart - self.distances)
         force = weights * residual

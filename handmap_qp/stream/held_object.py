@@ -106,7 +106,7 @@ class _Touch(NamedTuple):
         gaps = np.array([gap for gap, _ in found])
         ends = [(near.normal, near.getNearestPoint2()) for _, near in found]
         normals, points = np.reshape(ends, (-1, 2, 3)).swapaxes(0, 1)
-        linear, angular = placed.joint_jacobian().reshape(2, 3, -1)
+        linear, angular = placed.data.J.reshape(2, 3, -1)
         slopes = normals @ linear + np.cross(points, normals) @ angular
         return gaps, placed.contracted(slopes * moved)
 
