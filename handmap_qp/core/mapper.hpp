@@ -114,28 +114,45 @@ inline nb::tuple targets_of(const TargetMap& map, const nb::object& given) {
   return nb::make_tuple(numbers_of(asked), asked.is_clamped);
 }
 
+// `IkResult` of a step of a hand, whose gate has the links of each pair.
+inline nb::object result_of(const Step& step, const nb::object& hand, const nb::object& links) {
+  static const nb::object& frozen = *new nb::object(module_of("handmap_qp.se3").object("frozen"));
+  static const nb::object& IkResult =
+      *new nb::object(module_of("handmap_qp.ik.qp").object("IkResult"));
+  static const nb::object& statuses =
+      *new nb::object(module_of("handmap_qp.ik.compiled").object("STATUSES"));
+  const Result& found = step.result;
+  const Vector signs(found.active.begin(), found.active.end());
+  return IkResult(item(statuses, static_cast<size_t>(found.status)), array_of(found.points),
+                  array_of(found.targets), array_of(step.motion.q), array_of(found.wrists),
+                  frozen(array_of(found.displacement)),
+                  frozen(array_of(signs).attr("astype")("int8")), hand, found.iterations,
+                  found.last_step, links[nb::int_(found.held_by)]);
+}
+
 // What Python needs to read the numbers of a step.
 struct StepReader {
+  nb::object hand, links;     // see `result_of`
+  nb::object targets;         // makes `Targets` of numbers; None for points and wrist alone
   nb::object joint_names;
-  nb::object targets;         // makes `Targets` of numbers
-  nb::object result;          // makes `IkResult` of a step
   std::vector<Vec3> centred = {};  // the human points that T is estimated from, at the reference
   std::vector<int> columns;   // see Hand.joint_columns
+  nb::object plain_targets = module_of("handmap_qp.mapping.method").object("Targets");
   nb::object command = module_of("handmap_qp.mapping.method").object("RobotCommand");
   nb::object summary = module_of("handmap_qp.mapping.method").object("StepSummary");
   nb::object statuses = module_of("handmap_qp.ik.compiled").object("STATUSES");
 
-  StepReader(const nb::object& robot, nb::object make_targets, nb::object make_result)
-      : joint_names(nb::getattr(robot, "joint_names")), targets(std::move(make_targets)),
-        result(std::move(make_result)), columns(Fields(robot).indices("joint_columns")) {}
+  StepReader(const nb::object& robot, const nb::object& gate, nb::object make_targets)
+      : hand(robot), links(nb::getattr(gate, "links")), targets(std::move(make_targets)),
+        joint_names(nb::getattr(robot, "joint_names")),
+        columns(Fields(robot).indices("joint_columns")) {}
 };
 
 // Of one hand, whose targets come from a map of Python.
 inline std::shared_ptr<const StepReader> reader_of(const nb::object& target_map,
                                                    const nb::object& robot,
-                                                   const nb::object& make_result) {
-  auto reader =
-      std::make_shared<StepReader>(robot, nb::getattr(target_map, "asked"), make_result);
+                                                   const nb::object& gate) {
+  auto reader = std::make_shared<StepReader>(robot, gate, nb::getattr(target_map, "asked"));
   reader->centred = Fields(target_map).points("estimator._centred");
   return reader;
 }
@@ -147,8 +164,12 @@ struct Stages : Step {
   nb::object asked_, ik_, command_, summary_;
 
   nb::object read_asked() {
-    if (!asked_.is_valid()) asked_ = reader->targets(numbers_of(asked), asked.is_clamped);
-    return asked_;
+    if (asked_.is_valid()) return asked_;
+    if (!reader->targets.is_none())
+      return asked_ = reader->targets(numbers_of(asked), asked.is_clamped);
+    const nb::object flags = asked.is_clamped ? nb::make_tuple("stretch_clamped") : nb::tuple();
+    return asked_ = reader->plain_targets(array_of(asked.points), array_of(asked.wrist),
+                                          nb::arg("flags") = flags);
   }
   nb::object read_command() {
     if (!command_.is_valid())
@@ -199,7 +220,7 @@ inline std::pair<nb::object, Stages&> new_stages(std::shared_ptr<const StepReade
 inline nb::object read_ik(const nb::object& self) {
   Stages& stages = nb::cast<Stages&>(self);
   if (!stages.ik_.is_valid())
-    stages.ik_ = stages.reader->result(self);
+    stages.ik_ = result_of(stages, stages.reader->hand, stages.reader->links);
   return stages.ik_;
 }
 
@@ -306,12 +327,11 @@ class SampleReader {
 // What a `HandMapper` does with the samples after its reference.
 class SampleMapper : public SampleReader {
  public:
-  // Of a core's `Ik`, its gate, a map of Python with a core, the robot hand, and a function that
-  // makes `IkResult`.
-  SampleMapper(nb::object ik, nb::object gate, const nb::object& target_map,
-               const nb::object& robot, const nb::object& result)
+  // Of a core's `Ik`, its gate, its hand, and a map of Python with a core.
+  SampleMapper(nb::object ik, nb::object gate, const nb::object& robot,
+               const nb::object& target_map)
       : SampleReader(target_map), ik_owner_(std::move(ik)), gate_(std::move(gate)),
-        ik_(nb::cast<Ik&>(ik_owner_)), reader_(reader_of(target_map, robot, result)) {}
+        ik_(nb::cast<Ik&>(ik_owner_)), reader_(reader_of(target_map, robot, gate_)) {}
 
   // Map samples of a recording; see run.hpp. Return the first that is left out, the verdict about it
   // if it was judged, and the pose that was mapped last, if any.

@@ -60,10 +60,10 @@ Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
   return vector_of(*margins);
 }
 
-nb::object solve(Ik& ik, const nb::object& gate, const Array& points,
+nb::object solve(Ik& ik, const nb::object& gate, const nb::object& hand, const Array& points,
                  const std::optional<Array>& wrists, double dt, double speed,
                  const std::optional<Array>& margins, const Postures& postures,
-                 const nb::list& distances, const nb::list& offsets, const nb::object& linearise) {
+                 const nb::list& distances, const nb::object& linearise) {
   expect_size(points, 3 * ik.tree.points.size(), "points");
   Goal goal;
   goal.points = points_of(points);
@@ -78,12 +78,6 @@ nb::object solve(Ik& ik, const nb::object& gate, const Array& points,
     goal.distances.push_back({nb::cast<const DistanceTask*>(task.object("core")),
                               task.numbers("distances"), task.numbers("weights")});
   }
-  for (const nb::handle& each : offsets) {
-    const Fields task(nb::borrow(each));
-    const std::vector<Attached> ends = attached_at(task.object("places"));
-    goal.offsets.push_back(
-        {ends[0], ends[1], task.point("aim"), task.get<double>("weight") / kLengthUnit});
-  }
   goal.further = rows_of(linearise, ik.tree.size);
   take_motion(ik, gate);
   Step step;
@@ -91,7 +85,7 @@ nb::object solve(Ik& ik, const nb::object& gate, const Array& points,
   finish(ik, step);
   nb::object made = nb::cast(std::move(step));
   leave_motion(gate, made);
-  return made;
+  return result_of(nb::cast<const Step&>(made), hand, nb::getattr(gate, "links"));
 }
 
 // The detour of each hand, as a `Detour` of Python has it.
@@ -364,30 +358,12 @@ NB_MODULE(_core, m) {
       .def("__init__", &make_ik)
       .def("set_motion", &set_motion)
       .def_prop_rw("detours", &detours_of, &set_detours)
-      .def("solve", &solve, "gate"_a, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
-           "margins"_a.none(), "postures"_a, "distances"_a, "offsets"_a, "linearise"_a.none())
+      .def("solve", &solve, "gate"_a, "hand"_a, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
+           "margins"_a.none(), "postures"_a, "distances"_a, "linearise"_a.none())
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
   nb::class_<Step>(m, "Step")
-      .def("__call__", &motion_of)
-      .def_prop_ro("q", [](const Step& step) { return array_of(step.q); })
-      .def_prop_ro("wrists", [](const Step& step) { return array_of(step.result.wrists); })
-      .def_prop_ro("points", [](const Step& step) { return array_of(step.result.points); })
-      .def_prop_ro("targets", [](const Step& step) { return array_of(step.result.targets); })
-      .def_prop_ro("configuration", [](const Step& step) { return array_of(step.motion.q); })
-      .def_prop_ro("displacement",
-                   [](const Step& step) { return array_of(step.result.displacement); })
-      .def_prop_ro("stop_times", [](const Step& step) { return array_of(step.motion.stop_times); })
-      .def_prop_ro("active",
-                   [](const Step& step) {
-                     const auto& active = step.result.active;
-                     return array_of(Vector(active.begin(), active.end()));
-                   })
-      .def_prop_ro("dt", [](const Step& step) { return step.motion.dt; })
-      .def_prop_ro("outcome", [](const Step& step) { return static_cast<int>(step.result.status); })
-      .def_prop_ro("held_by", [](const Step& step) { return step.result.held_by; })
-      .def_prop_ro("iterations", [](const Step& step) { return step.result.iterations; })
-      .def_prop_ro("last_step", [](const Step& step) { return step.result.last_step; });
+      .def("__call__", &motion_of);
   nb::class_<Stages, Step>(m, "Stages")
       .def("__reduce__", &reduced)
       .def_ro("pose", &Stages::pose)
@@ -406,13 +382,12 @@ NB_MODULE(_core, m) {
       .def("map_sample", &SampleReader::map_sample, "guard"_a, "smoother"_a, "reader"_a,
            "sample"_a, "dt"_a.none(), "arrival"_a.none());
   nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
-      .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&,
-                    const nb::object&>(),
-           "ik"_a, "gate"_a, "target_map"_a, "robot"_a, "result"_a)
+      .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&>(), "ik"_a,
+           "gate"_a, "robot"_a, "target_map"_a)
       .def("run", &SampleMapper::run);
   nb::class_<Asker, SampleReader>(m, "Asker")
-      .def(nb::init<const nb::object&, const nb::object&, const nb::object&>(), "target_map"_a,
-           "robot"_a, "result"_a);
+      .def(nb::init<const nb::object&, const nb::object&, const nb::object&, const nb::object&>(),
+           "ik"_a, "gate"_a, "hand"_a, "target_map"_a);
   nb::class_<Ask>(m, "Ask")
       .def("__reduce__", &reduced_ask)
       .def_ro("pose", &Ask::pose)
@@ -422,12 +397,12 @@ NB_MODULE(_core, m) {
       .def_prop_ro("rest", &Ask::rest)
       .def_prop_ro("targets", &Ask::read_targets);
   nb::class_<RobotMover>(m, "RobotMover")
-      .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&,
-                    const nb::list&, nb::dict, double>(),
-           "ik"_a, "gate"_a, "robot"_a, "result"_a, "pinching"_a, "leaders"_a, "turns_in"_a)
+      .def(nb::init<nb::object, nb::object, const nb::object&, const nb::list&, nb::dict,
+                    double>(),
+           "ik"_a, "gate"_a, "robot"_a, "pinching"_a, "leaders"_a, "turns_in"_a)
       .def("__reduce__", &without_copy<RobotMover>)
-      .def("map", &RobotMover::map, "reader"_a, "numbers"_a, "wrists"_a, "dt"_a.none(), "worlds"_a)
-      .def("move", &RobotMover::move);
+      .def("map", &RobotMover::map, "reader"_a, "numbers"_a, "wrists"_a, "dt"_a.none(), "base"_a)
+      .def("move", &RobotMover::move, "base"_a, "dt"_a);
   nb::class_<HumanPose>(m, "HumanPose")
       .def("__reduce__", &reduced_pose)
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })

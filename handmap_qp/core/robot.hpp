@@ -36,9 +36,10 @@ inline nb::tuple reduced_ask(const nb::object& self) {
 // Lets a `Leader` ask with each sample after its reference.
 class Asker : public SampleReader {
  public:
-  // Of a map of Python with a core, the robot's hand, and a function that makes `IkResult`.
-  Asker(const nb::object& target_map, const nb::object& robot, const nb::object& result)
-      : SampleReader(target_map), reader_(reader_of(target_map, robot, result)) {}
+  // Made as a `SampleMapper` is: of the gate of a robot, a hand of it, and a map of Python with a core.
+  Asker(const nb::object&, const nb::object& gate, const nb::object& hand,
+        const nb::object& target_map)
+      : SampleReader(target_map), reader_(reader_of(target_map, hand, gate)) {}
 
  protected:
   nb::object moved(HumanPose&& pose, double dt, double speed) override {
@@ -61,14 +62,15 @@ inline Pose turned(const Pose& palm, const Vec3& anchor, const Pose& to, double 
 // Moves a robot for what its hands ask.
 class RobotMover {
  public:
-  // Of a core's `Ik`, its gate, the robot as one hand, a function that makes `IkResult` of all,
-  // the pairs of each hand that pinch, the leaders by side, and the time in which palms turn.
-  RobotMover(nb::object ik, nb::object gate, const nb::object& robot, const nb::object& result,
-             const nb::list& pinching, nb::dict leaders, double turns_in)
+  // Of a core's `Ik`, its gate, the robot as one hand, the pairs of each hand that pinch, the
+  // leaders by side, and the time in which palms turn.
+  RobotMover(nb::object ik, nb::object gate, const nb::object& robot, const nb::list& pinching,
+             nb::dict leaders, double turns_in)
       : ik_owner_(std::move(ik)), gate_(std::move(gate)), ik_(nb::cast<Ik&>(ik_owner_)),
         rest_(Fields(robot).numbers("rest")), leaders_(std::move(leaders)), turns_in_(turns_in) {
     const Fields constants = module_of("handmap_qp.mapping.robot_mapper");
-    reader_ = std::make_shared<StepReader>(robot, constants.object("_targets_of"), result);
+    reader_ = std::make_shared<StepReader>(robot, gate_, nb::none());
+    home_ = constants.object("_HOME");
     map_step_ = constants.object("MapStep");
     robot_step_ = constants.object("RobotStep");
     near_ = constants.get<double>("_NEAR");
@@ -92,9 +94,9 @@ class RobotMover {
   RobotMover(const RobotMover&) = delete;
 
   // Map a sample of every hand as they come in, by the readers that leaders have under a name; None
-  // for samples that Python has to look at. `worlds` are those of `move`.
+  // for samples that Python has to look at. `base` is that of `move`.
   nb::object map(const nb::str& reader, const nb::object& given, const nb::object& given_wrists,
-                 const nb::object& dt, const std::vector<Array>& worlds) {
+                 const nb::object& dt, const nb::object& base) {
     static const nb::object &core = interned("core"), &map = interned("map"),
                             &own_dt = interned("dt"), &last = interned("last"),
                             &since = interned("since"), &stages = interned("stages");
@@ -125,7 +127,7 @@ class RobotMover {
       times.push_back(nb::cast<double>(nb::getattr(leader, since)) + own);
       longest = std::max(longest, own);
     }
-    const auto [whole, parts] = moved(asks, times, worlds, longest);
+    const auto [whole, parts] = moved(asks, times, worlds_from(base), longest);
     const double duration = std::chrono::duration<double>(Clock::now() - started).count();
     nb::dict hands;
     size_t k = 0;
@@ -137,14 +139,21 @@ class RobotMover {
     return robot_step_(whole, nb::tuple(), duration, nb::arg("hands") = hands);
   }
 
-  // Move the robot for an `Ask` of each hand, and times since their references; `worlds` say where the
-  // world of each reference is from the robot's base; none if that has not moved. Return the stages of
-  // the robot, and those of each hand.
-  nb::tuple move(const nb::list& given, const Vector& times, const std::vector<Array>& worlds,
-                 double dt) {
+  // Move the robot for what its leaders have asked last, with its base at a pose. Return the stages of
+  // the robot, and those of each hand; None if one has asked in Python.
+  nb::object move(const nb::object& base, double dt) {
+    static const nb::object &last = interned("last"), &since = interned("since"),
+                            &stages = interned("stages");
+    std::vector<nb::object> owners;
     std::vector<const Ask*> asks;
-    for (const nb::handle& each : given) asks.push_back(nb::cast<const Ask*>(each));
-    const auto [whole, parts] = moved(asks, times, worlds, dt);
+    Vector times;
+    for (const auto [side, leader] : leaders_) {
+      owners.push_back(nb::getattr(nb::getattr(leader, last), stages));
+      if (!nb::isinstance<Ask>(owners.back())) return nb::none();
+      asks.push_back(nb::cast<const Ask*>(owners.back()));
+      times.push_back(nb::cast<double>(nb::getattr(leader, since)));
+    }
+    const auto [whole, parts] = moved(asks, times, worlds_from(base), dt);
     nb::list of_hands;
     for (const nb::object& part : parts) of_hands.append(part);
     return nb::make_tuple(whole, of_hands);
@@ -152,16 +161,27 @@ class RobotMover {
 
  private:
   using Clock = std::chrono::steady_clock;
+
+  // Where the world of each reference is from a base; nothing if that has not moved.
+  std::vector<Pose> worlds_from(const nb::object& base) const {
+    if (base.is(home_)) return {};
+    const auto pose_at = [](const nb::object& from) { return Fields(from).pose(""); };
+    const Pose to_base = inverse(pose_at(base));
+    std::vector<Pose> worlds;
+    for (const auto [side, leader] : leaders_)
+      worlds.push_back(to_base * pose_at(nb::getattr(leader, "base")));
+    return worlds;
+  }
+
   struct RobotHand {
     int palm_joint;
     Pose palm;  // on that joint
     Indices is_finger = {}, pinching = {}, among_own = {};  // is_finger: see Hand.finger_joints
   };
 
-  // See `move`.
   using Moved = std::pair<nb::object, std::vector<nb::object>>;
   Moved moved(const std::vector<const Ask*>& asks, const Vector& times,
-              const std::vector<Array>& worlds, double dt) {
+              const std::vector<Pose>& worlds, double dt) {
     if (asks.size() != hands_.size() || times.size() != hands_.size() ||
         (!worlds.empty() && worlds.size() != hands_.size()))
       throw std::invalid_argument("wrong number of hands");
@@ -192,7 +212,7 @@ class RobotMover {
 
   // Set the goal to what the hands ask.
   void aim(const std::vector<const Ask*>& asks, const Vector& times,
-           const std::vector<Array>& worlds) {
+           const std::vector<Pose>& worlds) {
     const size_t count = asks.size();
     goal_.points.clear();
     goal_.wrists.clear();
@@ -209,8 +229,7 @@ class RobotMover {
         throw std::invalid_argument("the map is of another hand");
       Pose world;
       if (!worlds.empty()) {
-        expect_size(worlds[k], 16, "worlds");
-        world = pose_of(worlds[k].data());
+        world = worlds[k];
         move_targets(k, world);
       }
       if (const PalmMap* palm = asks[k]->map->palm()) {
@@ -289,7 +308,7 @@ class RobotMover {
     return made;
   }
 
-  nb::object ik_owner_, gate_, map_step_, robot_step_;
+  nb::object ik_owner_, gate_, map_step_, robot_step_, home_;
   Ik& ik_;
   std::shared_ptr<const StepReader> reader_;
   Vector rest_, margins_;

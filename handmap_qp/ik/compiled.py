@@ -11,7 +11,7 @@ from typing import Any, get_args
 import numpy as np
 
 from handmap_qp.hands import Configuration, Hand
-from handmap_qp.se3 import Array, frozen
+from handmap_qp.se3 import Array
 from .core import core
 from .limits import Gate
 from .options import IkOptions
@@ -29,8 +29,6 @@ class CompiledIk:
         self._hand = hand
         self.core = core_ik
         self._gate = gate
-        # Without the gate, which refers to the steps.
-        self._result = partial(_result_of, hand, gate.links)
 
     def solve(self, goal: Goal) -> IkResult:
         """Move the hand for one sample."""
@@ -40,8 +38,9 @@ class CompiledIk:
                 distances.append(task)
             else:
                 tasks.append(task)
-        step = self.core.solve(
+        return self.core.solve(
             self._gate,
+            self._hand,
             goal.points,
             goal.wrists,
             goal.dt,
@@ -49,10 +48,8 @@ class CompiledIk:
             goal.margins,
             goal.postures,
             distances,
-            [],  # offsets, for which only the core's own `RobotMover` asks
             partial(self._linearise, tasks) if tasks else None,
         )
-        return self._result(step)
 
     @property
     def detours(self) -> list[Any]:
@@ -65,22 +62,9 @@ class CompiledIk:
         self._gate.was_set = False
         self.core.detours = detours
 
-    def sample_mapper(self, target_map: Any) -> Any:
-        """Return the core's way from samples to steps, by a `TargetMap` that it has too."""
-        return core.SampleMapper(
-            self.core, self._gate, target_map, self._hand, self._result
-        )
-
-    def asker(self, target_map: Any, hand: Hand) -> Any:
-        """Return the core's way from samples of one hand to what it asks of the robot."""
-        result = partial(_result_of, hand, self._gate.links)
-        return core.Asker(target_map, hand, result)
-
-    def robot_mover(self, *arguments: Any) -> Any:
-        """Return the core's way from samples of all hands to a step; see `RobotMapper`."""
-        return core.RobotMover(
-            self.core, self._gate, self._hand, self._result, *arguments
-        )
+    def made(self, kind: str, hand: Hand, *arguments: Any) -> Any:
+        """Return the core's way from samples to steps of a hand, by the name of its class."""
+        return getattr(core, kind)(self.core, self._gate, hand, *arguments)
 
     def _linearise(self, tasks: Sequence[Task], q: Array) -> tuple[Array, Array, Array]:
         """Return the rows of tasks that are written in Python, at a configuration."""
@@ -94,23 +78,6 @@ class CompiledIk:
     @cached_property
     def _placed(self) -> Configuration:
         return self._hand.configuration()
-
-
-def _result_of(hand: Hand, links: Any, step: Any) -> IkResult:
-    """Return the result of a step of the core."""
-    return IkResult(
-        STATUSES[step.outcome],
-        step.points,
-        step.targets,
-        step.configuration,
-        step.wrists,
-        frozen(step.displacement),
-        frozen(step.active.astype(np.int8)),
-        hand,
-        step.iterations,
-        step.last_step,
-        links[step.held_by],
-    )
 
 
 @lru_cache(maxsize=16)

@@ -125,6 +125,9 @@ class HandMapper(Mover):
         InvalidInputError: If `dt` or `joint_tolerance` cannot be used.
     """
 
+    # The core's class that maps samples.
+    _core_kind = "SampleMapper"
+
     def __init__(
         self,
         human: Hand,
@@ -352,11 +355,7 @@ class HandMapper(Mover):
         is_python = self._is_released or self.tasks or ik.options.tasks
         if is_python or not (ik.core and getattr(target_map, "core", None)):
             return None
-        return self.core or self._core_by(ik.core, target_map)
-
-    def _core_by(self, core: Any, target_map: TargetMap) -> Any:
-        """Return the core's mapper by a map that it has too."""
-        return core.sample_mapper(target_map)
+        return self.core or ik.core.made(self._core_kind, self.robot, target_map)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Brake, and keep the robot's posture.

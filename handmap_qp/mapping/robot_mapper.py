@@ -92,6 +92,7 @@ class Leader(HandMapper):
     last: Any = None
     since = 0.0
     base = _HOME
+    _core_kind = "Asker"
 
     def join(self, ik: PointIk) -> None:
         """Ask the robot that a solver moves."""
@@ -109,9 +110,6 @@ class Leader(HandMapper):
         super().clutch()
         self.since = 0.0
         self.last = MapStep(self.asked, (), 0.0)
-
-    def _core_by(self, core: Any, target_map: TargetMap) -> Any:
-        return core.asker(target_map, self.robot)
 
     def _moved(
         self,
@@ -145,17 +143,23 @@ class Leader(HandMapper):
         return MapStep(asked._replace(pose=seen) if seen else asked, (), 0.0)
 
 
-def _aimed(asked: Asked, world: Array, turning: float) -> tuple[Targets, Array | None]:
+def _aimed(
+    leader: Leader, to_base: Array, turns_in: float
+) -> tuple[Targets, Array | None]:
     """Return targets whose palm is turning to the person's, and the person's palm.
 
-    All are seen from the robot's base, where its world at the reference is at (4, 4). There is no
-    palm, (4, 4), where the robot's hand stays, or the method moves none.
+    All are seen from the robot's base, where its world now is at (4, 4). There is no palm, (4, 4),
+    where the robot's hand stays, and goes with the base, or the method moves none.
     """
+    asked = leader.asked
+    if leader.is_staying:
+        return asked.targets, None
+    world = to_base @ leader.base
     targets = _moved_by(world, asked.targets)
     if not isinstance(asked.map, PalmMap):
         return targets, None
     person = world @ asked.map.person_at(asked.pose)
-    share = float(smoothstep(turning))
+    share = float(smoothstep(leader.since / turns_in))
     return _turned(asked.map, targets, person, share), person
 
 
@@ -333,7 +337,7 @@ class RobotMapper(Mover):
         """Map samples as they come in, by the readers that leaders have under a name."""
         core = self.core
         # None for samples that Python has to look at.
-        step = core and core.map(reader, numbers, wrists, dt, self._worlds())
+        step = core and core.map(reader, numbers, wrists, dt, self._base)
         if step:
             return step
 
@@ -400,34 +404,20 @@ class RobotMapper(Mover):
     def _moved(self, dt: float) -> tuple[Stages, list[Stages]]:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
         leaders = self.leaders.values()
-        asked = [leader.asked for leader in leaders]
-        worlds = self._worlds()
-        times = [leader.since for leader in leaders]
         core = self.point_ik.core
-        is_python = self._is_released or any(isinstance(each, Asked) for each in asked)
-        if is_python or not core:
-            turning = np.array(times) / self._turns_in
-            worlds = worlds or [_HOME] * len(asked)
-            targets, persons = map(
-                list, zip(*map(_aimed, asked, worlds, turning), strict=True)
+        if core and not self._is_released:
+            self.core = self.core or core.made(
+                "RobotMover", self.robot, self._pinching, self.leaders, self._turns_in
             )
-            tasks = self._together([each.map for each in asked], targets, persons)
-            return self._stages(asked, targets, self._solved(asked, targets, tasks, dt))
-        self.core = self.core or core.robot_mover(
-            self._pinching, self.leaders, self._turns_in
-        )
-        return self.core.move(asked, times, worlds, dt)
-
-    def _worlds(self) -> list[Array]:
-        """Return where each hand's world is from the base; nothing if that has not moved."""
-        if self._base is _HOME:
-            return []
+            # None where a leader has asked in Python.
+            if moved := self.core.move(self._base, dt):
+                return moved
         to_base = inverse_pose(self._base)
-        # A hand that stays goes with the base.
-        return [
-            _HOME if leader.is_staying else to_base @ leader.base
-            for leader in self.leaders.values()
-        ]
+        aimed = [_aimed(leader, to_base, self._turns_in) for leader in leaders]
+        targets, persons = map(list, zip(*aimed, strict=True))
+        asked = [leader.asked for leader in leaders]
+        tasks = self._together([each.map for each in asked], targets, persons)
+        return self._stages(asked, targets, self._solved(asked, targets, tasks, dt))
 
     def _solved(
         self, asked: list[Any], targets: list[Targets], tasks: list[Task], dt: float
@@ -588,13 +578,6 @@ class RobotMapper(Mover):
     def _leader(self, side: Side) -> Leader:
         _expect_sides([side], self.leaders, "side")
         return self.leaders[side]
-
-
-def _targets_of(numbers: Array, is_clamped: bool) -> Targets:
-    """Return the targets of all hands that the core computed."""
-    points, wrist = np.split(numbers, [-16])
-    flags = ("stretch_clamped",) if is_clamped else ()
-    return Targets(points.reshape(-1, 3), wrist.reshape(4, 4), flags=flags)
 
 
 def _expect_sides(sides: Iterable[Side], known: Mapping[Side, Any], name: str) -> None:

@@ -201,7 +201,7 @@ def test_one_call_for_all_hands_is_a_call_for_each(g1: Hand) -> None:
             np.testing.assert_array_equal(leader.asked.pose.wrist, wrists[side])
             assert leader.since == own.since
     if (core := at_once.core) is not None:
-        arguments = "_joints", q, wrists, DT, at_once._worlds()
+        arguments = "_joints", q, wrists, DT, at_once.base_pose
         assert isinstance(core.map(*arguments), RobotStep)
         # Python says what is wrong with the others.
         assert core.map("_joints", {"left": q["left"]}, *arguments[2:]) is None
