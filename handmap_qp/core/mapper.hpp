@@ -94,24 +94,30 @@ inline void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose)
 
 // -- steps
 
-// Points, wrist, aims, weights, margins and diagnostics, one after the other.
-inline NumpyArray numbers_of(const Asked& asked) {
-  Vector found;
-  append(asked.points, found);
-  append(asked.wrist, found);
-  for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins, &asked.diagnostics})
-    append(*part, found);
-  return array_of(found);
+// Points and wrist; where there are distances, their aims, weights and margins; and diagnostics.
+inline nb::list parts_of(const Asked& asked, const std::vector<ArrayShape>& shapes) {
+  nb::list found;
+  found.append(array_of(asked.points));
+  found.append(array_of(asked.wrist));
+  if (asked.distances)
+    for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins})
+      found.append(array_of(*part));
+  const double* from = asked.diagnostics.data();
+  for (const auto [rows, columns] : shapes) {
+    found.append(columns ? array_of({rows, columns}, from) : array_of({rows}, from));
+    from += rows * std::max<size_t>(columns, 1);
+  }
+  return found;
 }
 
-// The targets of a pose, as numbers for Python's `asked`.
+// The targets of a pose, as arrays for Python's `asked`.
 inline nb::tuple targets_of(const TargetMap& map, const nb::object& given) {
   const HumanPose pose = pose_from(given);
   if (pose.points.size() != map.human_points || !pose.has_wrist)
     throw std::invalid_argument("the map is of other hands");
   Asked asked;
   map.targets(pose.points, &pose.wrist, asked);
-  return nb::make_tuple(numbers_of(asked), asked.is_clamped);
+  return nb::make_tuple(parts_of(asked, map.shapes()), asked.is_clamped);
 }
 
 // `IkResult` of a step of a hand, whose gate has the links of each pair.
@@ -133,9 +139,10 @@ inline nb::object result_of(const Step& step, const nb::object& hand, const nb::
 // What Python needs to read the numbers of a step.
 struct StepReader {
   nb::object hand, links;     // see `result_of`
-  nb::object targets;         // makes `Targets` of numbers; None for points and wrist alone
+  nb::object targets;         // makes `Targets` of arrays; None for points and wrist alone
   nb::object joint_names;
   std::vector<Vec3> centred = {};  // the human points that T is estimated from, at the reference
+  std::vector<ArrayShape> shapes = {};  // see TargetMap
   std::vector<int> columns;   // see Hand.joint_columns
   nb::object plain_targets = module_of("handmap_qp.mapping.method").object("Targets");
   nb::object command = module_of("handmap_qp.mapping.method").object("RobotCommand");
@@ -153,6 +160,7 @@ inline std::shared_ptr<const StepReader> reader_of(const nb::object& target_map,
                                                    const nb::object& robot,
                                                    const nb::object& gate) {
   auto reader = std::make_shared<StepReader>(robot, gate, nb::getattr(target_map, "asked"));
+  reader->shapes = Fields(target_map).get<const TargetMap&>("core").shapes();
   reader->centred = Fields(target_map).points("estimator._centred");
   return reader;
 }
@@ -166,7 +174,7 @@ struct Stages : Step {
   nb::object read_asked() {
     if (asked_.is_valid()) return asked_;
     if (!reader->targets.is_none())
-      return asked_ = reader->targets(numbers_of(asked), asked.is_clamped);
+      return asked_ = reader->targets(parts_of(asked, reader->shapes), asked.is_clamped);
     const nb::object flags = asked.is_clamped ? nb::make_tuple("stretch_clamped") : nb::tuple();
     return asked_ = reader->plain_targets(array_of(asked.points), array_of(asked.wrist),
                                           nb::arg("flags") = flags);

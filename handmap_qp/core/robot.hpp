@@ -20,7 +20,7 @@ struct Ask {
   nb::object read_targets() const {
     Asked asked;
     targets(asked);
-    return reader->targets(numbers_of(asked), asked.is_clamped);
+    return reader->targets(parts_of(asked, reader->shapes), asked.is_clamped);
   }
 };
 

@@ -141,6 +141,11 @@ inline void append(const Pose& pose, Vector& to) {
 inline void append(const Vec3& v, Vector& to) { to.insert(to.end(), {v.x, v.y, v.z}); }
 inline void append(const Mat3& m, Vector& to) { to.insert(to.end(), m.m, m.m + 9); }
 
+// Shape of an array of Python, of one axis where there are no columns.
+struct ArrayShape {
+  size_t rows, columns = 0;
+};
+
 // What a map asks for, and the numbers that its diagnostics are made of.
 struct Asked {
   std::vector<Vec3> points;
@@ -185,6 +190,8 @@ class TargetMap {
   virtual void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const = 0;
   // How the palm follows; null for methods that move it otherwise.
   virtual const PalmMap* palm() const { return nullptr; }
+  // The arrays that the diagnostics of a sample are, one after the other.
+  virtual std::vector<ArrayShape> shapes() const = 0;
   size_t human_points = 0;
   bool needs_wrist = false;
   Vector rest;  // joint positions that the QP's rest term pulls to
@@ -210,6 +217,10 @@ class TeleoperationMap : public TargetMap, public PalmMap {
   DistanceTask distances;
 
   const PalmMap* palm() const override { return this; }
+  std::vector<ArrayShape> shapes() const override {
+    const size_t own = human_reach.size(), pinches = from.size() - own;
+    return {{3, 3}, {3}, {shape_points.size(), 3}, {4, 4}, {pinches}, {pinches}, {own}};
+  }
 
   void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const override {
     const Pose human = *wrist * human_wrist_to_palm, to_palm = inverse(human);
@@ -283,6 +294,10 @@ class HomogeneousMap : public TargetMap {
   Pose robot_wrist;  // from the robot's pivot
   std::vector<Vec3> human_offsets, robot_offsets;
   Vector share;  // (n_r, n_h), or empty
+
+  std::vector<ArrayShape> shapes() const override {
+    return {{3, 3}, {3}, {human_points, 3}, {3, 3}, {3, 3}, {3}, {3}, {3}};
+  }
 
   void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const override {
     const Mat3& Q = alignment;

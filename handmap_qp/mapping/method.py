@@ -102,7 +102,7 @@ class Targets(ArrayStruct, frozen=True):
 class TargetMap(Protocol):
     """Turns samples into targets, counted from one reference of both hands.
 
-    One that the core has too (`Compiled`) makes targets of its numbers by a method `asked`.
+    One that the core has too (`Compiled`) makes targets of its arrays by a method `asked`.
     """
 
     @property

@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands import Hand
-from handmap_qp.ik import Compiled, IkOptions, Parts
+from handmap_qp.ik import Compiled, IkOptions
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
@@ -78,8 +78,6 @@ class HomogeneousMap(Compiled):
         self.share = _residual_share(
             options.residual_gain, sample.points, robot.points, method.partners
         )
-        shapes = [(len(robot.points), 3), (4, 4), (3, 3), 3, sample.points.shape]
-        self._parts = Parts(*shapes, (3, 3), (3, 3), 3, 3, 3)
 
     def targets(self, sample: HumanPose) -> Targets:
         """Estimate T, split it about the pivot, and impose both parts on the robot."""
@@ -115,13 +113,10 @@ class HomogeneousMap(Compiled):
         )
         fit = estimate.linear, estimate.centroid_after, sample.points
         results = linear, rotation, rigid_image, image, factors.stretches
-        return self._made([points, wrist, *fit, *results], is_clamped)
+        return self.asked([points, wrist, *fit, *results], is_clamped)
 
-    def asked(self, numbers: Array, is_clamped: bool) -> Targets:
-        """Return the targets that the core computed."""
-        return self._made(self._parts.of(numbers), is_clamped)
-
-    def _made(self, parts: list[Array], is_clamped: bool) -> Targets:
+    def asked(self, parts: list[Array], is_clamped: bool) -> Targets:
+        """Return the targets whose arrays were computed here or by the core."""
         points, wrist, first, centroid, seen, *results = parts
         estimate = self.estimator.estimate_of(first, centroid, seen)
         return Targets(

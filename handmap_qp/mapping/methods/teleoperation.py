@@ -16,7 +16,7 @@ from typing import Annotated, Self
 import numpy as np
 
 from handmap_qp.hands import CONTACT_GAP, FINGERS, LINK_MARGIN, THUMB, Hand
-from handmap_qp.ik import AttachedPoints, Compiled, Parts, PointDistances
+from handmap_qp.ik import AttachedPoints, Compiled, PointDistances
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
@@ -120,11 +120,6 @@ class TeleoperationMap(Compiled, PalmMap):
         partners = pair.human_rest[pair.partners] - self.estimator.centroid
         self.offsets = pair.robot_rest - pair.robot_centre - self.gain * partners
         self._prepare_directions()
-        m = len(self.offsets)
-        k = len(self.to_points)
-        shapes = [(m, 3), (4, 4), k, k, len(method.base_margins)]
-        shapes += [(3, 3), 3, (len(pair.shape_points), 3), (4, 4)]
-        self._parts = Parts(*shapes, count, count, len(pair.fingers))
 
     def _prepare_directions(self) -> None:
         """Say how the person's vectors from the knuckles become the robot's, for each point."""
@@ -174,14 +169,11 @@ class TeleoperationMap(Compiled, PalmMap):
             pinching,
             extensions / pair.human_reach,
         ]
-        return self._made(parts)
+        return self.asked(parts)
 
-    def asked(self, numbers: Array, is_clamped: bool) -> Targets:
-        """Return the targets that the core computed."""
+    def asked(self, parts: list[Array], is_clamped: bool = False) -> Targets:
+        """Return the targets whose arrays were computed here or by the core."""
         del is_clamped
-        return self._made(self._parts.of(numbers))
-
-    def _made(self, parts: list[Array]) -> Targets:
         points, wrist, aims, weights, margins, *rest = parts
         estimate = self.estimator.estimate_of(*rest[:3])
         known = dict(zip(_KNOWN, rest[3:], strict=True))
