@@ -5,7 +5,6 @@ from . import solvers as solvers
 from .collision import pair_bounds as pair_bounds
 from .compiled import core_tree as core_tree
 from .core import Compiled as Compiled
-from .core import Parts as Parts
 from .core import in_core as in_core
 from .limits import SHORTEST_DT as SHORTEST_DT
 from .limits import Gate as Gate

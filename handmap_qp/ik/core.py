@@ -4,7 +4,6 @@ Everything that it does is in Python too: the readable reference, which runs whe
 """
 
 import importlib
-import math
 import os
 import zlib
 from functools import cached_property, wraps
@@ -69,25 +68,3 @@ class Compiled:
         state = vars(self).copy()
         save = getattr(state.pop("core", None), "save", None)
         return {**state, "_saved": save()} if save else state
-
-
-class Parts:
-    """Where arrays of given shapes lie in a flat one of the core.
-
-    Attributes:
-        size: Size of the flat one.
-    """
-
-    def __init__(self, *shapes: int | tuple[int, ...]) -> None:
-        self.size = 0
-        self._places: list[tuple[slice, tuple[int, ...]]] = []
-        for shape in shapes:
-            start = self.size
-            whole = shape if isinstance(shape, tuple) else (shape,)
-            self.size += math.prod(whole)
-            self._places.append((slice(start, self.size), whole))
-
-    def of(self, numbers: Any) -> list[Any]:
-        """Return views of the arrays of flat ones, shape (..., size)."""
-        lead = numbers.shape[:-1]
-        return [numbers[..., at].reshape(lead + shape) for at, shape in self._places]

@@ -6,7 +6,7 @@ import numpy as np
 
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import RULES
-from handmap_qp.ik import Parts, Status
+from handmap_qp.ik import Status
 from handmap_qp.mapping import MapStep
 from handmap_qp.se3 import Array
 
@@ -32,15 +32,16 @@ class StepTable:
         m = len(robot.reference_points)
         pose = (4, 4)
         points = (m, 3)
-        self._parts = Parts(n, pose, pose, points, points, n, *[()] * 6)
-        self.rows = np.full((count, self._parts.size), np.nan)
+        shapes = (n,), pose, pose, points, points, (n,), *[()] * 6
+        self._kind = np.dtype([("", float, shape) for shape in shapes])
+        self.rows = np.full((count, self._kind.itemsize // 8), np.nan)
         held, missing = STATUS_NAMES.index("held"), RULE_NAMES.index("missing")
         self.rows[:, -6:] = held, missing, 1, np.nan, 1, 0
 
     def write(self, index: int, step: MapStep, cpu: float) -> None:
         """Write the step of a sample, which took some CPU time [s]."""
         command = step.command
-        numbers = (
+        self._table[index] = (
             command.q,
             command.wrist,
             step.wrist_target,
@@ -54,9 +55,10 @@ class StepTable:
             step.confidence,
             cpu,
         )
-        views = self._parts.of(self.rows[index])
-        for view, number in zip(views, numbers, strict=True):
-            view[...] = number
+
+    @property
+    def _table(self) -> Array:
+        return self.rows.view(self._kind)[:, 0]
 
     @property
     def columns(self) -> list[Array]:
@@ -66,4 +68,5 @@ class StepTable:
         bound; indices of status and rule; whether the sample was held, its consistency, its
         confidence, and CPU time; see `MapStep`.
         """
-        return self._parts.of(self.rows)
+        table = self._table
+        return [table[name] for name in self._kind.names or ()]
