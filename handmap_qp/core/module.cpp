@@ -28,10 +28,11 @@ nb::tuple reduced_pose(const HumanPose& pose) {
   return nb::make_tuple(kind, nb::make_tuple(array_of(pose.points), wrist_of(pose)));
 }
 
-std::function<void(const Vector&, TaskRows&)> rows_of(const nb::object& linearise, int size) {
-  if (linearise.is_none()) return {};
-  return [&linearise, size](const Vector& q, TaskRows& rows) {
-    auto found = nb::cast<nb::tuple>(linearise(array_of(q)));
+std::function<void(const Vector&, TaskRows&)> rows_of(const nb::object& linearise,
+                                                      const nb::list& tasks, int size) {
+  if (tasks.size() == 0) return {};
+  return [&linearise, &tasks, size](const Vector& q, TaskRows& rows) {
+    auto found = nb::cast<nb::tuple>(linearise(tasks, array_of(q)));
     rows.residual = vector_of(nb::cast<Array>(found[0]));
     rows.jacobian = vector_of(nb::cast<Array>(found[1]));
     rows.damping = vector_of(nb::cast<Array>(found[2]));
@@ -60,28 +61,34 @@ Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
   return vector_of(*margins);
 }
 
-nb::object solve(Ik& ik, const nb::object& gate, const nb::object& hand, const Array& points,
-                 const std::optional<Array>& wrists, double dt, double speed,
-                 const std::optional<Array>& margins, const Postures& postures,
-                 const nb::list& distances, const nb::object& linearise) {
-  expect_size(points, 3 * ik.tree.points.size(), "points");
+// For a `Goal` of Python; `linearise` makes rows of those tasks that the core lacks.
+nb::object solve(Ik& ik, const nb::object& gate, const nb::object& hand, const nb::object& wanted,
+                 const nb::object& linearise) {
+  const Fields given(wanted);
   Goal goal;
-  goal.points = points_of(points);
-  if (wrists) {
+  goal.points = points_of(given.array("points", 3 * ik.tree.points.size()));
+  if (const auto wrists = given.get<std::optional<Array>>("wrists")) {
     expect_size(*wrists, 16 * ik.tree.parts.size(), "wrists");
     for (size_t i = 0; i < ik.tree.parts.size(); ++i)
       goal.wrists.push_back(pose_of(wrists->data() + 16 * i));
   }
-  goal.postures = postures_of(ik, postures);
-  for (const nb::handle& each : distances) {
-    const Fields task(nb::borrow(each));
-    goal.distances.push_back({nb::cast<const DistanceTask*>(task.object("core")),
-                              task.numbers("distances"), task.numbers("weights")});
+  goal.postures = postures_of(ik, given.get<Postures>("postures"));
+  nb::list others;
+  for (const nb::handle& each : given.object("tasks")) {
+    const DistanceTask* own = nullptr;
+    if (nb::try_cast(nb::getattr(each, "core", nb::none()), own, false) && own) {
+      const Fields task(nb::borrow(each));
+      goal.distances.push_back({own, task.numbers("distances"), task.numbers("weights")});
+    } else {
+      others.append(each);
+    }
   }
-  goal.further = rows_of(linearise, ik.tree.size);
+  goal.further = rows_of(linearise, others, ik.tree.size);
   take_motion(ik, gate);
   Step step;
-  seek(ik, goal, dt, margins_of(ik, margins), speed, step.result);
+  seek(ik, goal, given.get<double>("dt"),
+       margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
+       step.result);
   finish(ik, step);
   nb::object made = nb::cast(std::move(step));
   leave_motion(gate, made);
@@ -358,8 +365,7 @@ NB_MODULE(_core, m) {
       .def("__init__", &make_ik)
       .def("set_motion", &set_motion)
       .def_prop_rw("detours", &detours_of, &set_detours)
-      .def("solve", &solve, "gate"_a, "hand"_a, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
-           "margins"_a.none(), "postures"_a, "distances"_a, "linearise"_a.none())
+      .def("solve", &solve, "gate"_a, "hand"_a, "goal"_a, "linearise"_a)
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
   nb::class_<Step>(m, "Step")

@@ -5,7 +5,7 @@ rounding: they are its readable reference. It has kinematics, distances and a QP
 """
 
 from collections.abc import Sequence
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import Any, get_args
 
 import numpy as np
@@ -16,7 +16,7 @@ from .core import core
 from .limits import Gate
 from .options import IkOptions
 from .qp import IkResult, Status
-from .tasks import Goal, PointDistances, Task
+from .tasks import Goal, Task
 
 STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""
@@ -32,24 +32,7 @@ class CompiledIk:
 
     def solve(self, goal: Goal) -> IkResult:
         """Move the hand for one sample."""
-        distances, tasks = [], []
-        for task in goal.tasks:
-            if isinstance(task, PointDistances) and task.core:
-                distances.append(task)
-            else:
-                tasks.append(task)
-        return self.core.solve(
-            self._gate,
-            self._hand,
-            goal.points,
-            goal.wrists,
-            goal.dt,
-            goal.speed,
-            goal.margins,
-            goal.postures,
-            distances,
-            partial(self._linearise, tasks) if tasks else None,
-        )
+        return self.core.solve(self._gate, self._hand, goal, self._linearise)
 
     @property
     def detours(self) -> list[Any]:
