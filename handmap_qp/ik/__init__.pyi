@@ -20,6 +20,7 @@ from .qp import Status as Status
 from .qp import solve_by_daqp as solve_by_daqp
 from .qp import wrist_error as wrist_error
 from .tasks import AttachedPoints as AttachedPoints
+from .tasks import JointPositions as JointPositions
 from .tasks import PointDistances as PointDistances
 from .tasks import PointOffset as PointOffset
 from .tasks import Task as Task

@@ -249,6 +249,28 @@ class PointOffset:
         return TaskRows(residual, weight * (other - first))
 
 
+class JointPositions(NamedTuple):
+    """Pulls joints to positions.
+
+    Attributes:
+        hand: The hand.
+        columns: Indices of the joints in `Hand.joint_names`, shape (k,).
+        positions: Positions of all joints, of which theirs are wanted [rad or m], shape (n,).
+        weight: Weight [1/rad or 1/m].
+    """
+
+    hand: Hand
+    columns: Array
+    positions: Array
+    weight: float
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        """Return a row a joint; see `Task.linearise`."""
+        off = hand.q[self.hand.q_indices] - self.positions
+        rows = np.eye(hand.nv)[self.hand.joint_columns[self.columns]]
+        return TaskRows(self.weight * off[self.columns], self.weight * rows)
+
+
 def _check_numbers(values: ArrayLike, count: int, name: str) -> Array:
     array = as_floats(values, name, is_finite=True)
     expect(

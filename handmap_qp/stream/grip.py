@@ -19,9 +19,9 @@ from msgspec import structs
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
-from handmap_qp.hands import THUMB, Configuration, Hand
+from handmap_qp.hands import THUMB, Configuration
 from handmap_qp.human import HumanSample
-from handmap_qp.ik import AttachedPoints, Task, TaskRows
+from handmap_qp.ik import AttachedPoints, JointPositions, Task, TaskRows
 from handmap_qp.mapping import MapStep, Stages, robot_fingers
 from handmap_qp.options import Options, Positive
 from handmap_qp.se3 import Array, as_floats, lengths, unit
@@ -75,21 +75,6 @@ class GripOptions(Options, frozen=True):
     gentle: bool = False
     behind: Positive = 0.01
     opens_by: Positive = 0.008
-
-
-class _HeldJoints(NamedTuple):
-    """Pulls some joints, by their columns of q, to positions [rad], shape (n,)."""
-
-    hand: Hand
-    columns: Array
-    positions: Array
-    weight: float
-
-    def linearise(self, hand: Configuration) -> TaskRows:
-        """Return a row a joint; see `Task.linearise`."""
-        off = hand.q[self.hand.q_indices] - self.positions
-        rows = np.eye(hand.nv)[self.hand.joint_columns[self.columns]]
-        return TaskRows(self.weight * off[self.columns], self.weight * rows)
 
 
 class _PadPair(NamedTuple):
@@ -278,7 +263,7 @@ class GripFollower:
             return
         positions = grip.posture + self._torques(grip) / self.grip.stiffness
         weight = _HELD * (1.0 - grip.opening) ** 2
-        held = _HeldJoints(self._hand, grip.columns, positions, weight)
+        held = JointPositions(self._hand, grip.columns, positions, weight)
         self._terms = (held,)
 
     def _close(

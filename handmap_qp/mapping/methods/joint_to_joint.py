@@ -29,7 +29,6 @@ from handmap_qp.hands import (
     FINGERS,
     HUMAN_JOINTS,
     THUMB,
-    Configuration,
     Finger,
     Hand,
     Names,
@@ -39,7 +38,7 @@ from handmap_qp.hands import (
     nearing,
 )
 from handmap_qp.human import LANDMARK_NAMES
-from handmap_qp.ik import TaskRows
+from handmap_qp.ik import JointPositions
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
@@ -184,28 +183,6 @@ class JointLink(NamedTuple):
         return float(np.interp(self.human.dot(angles), self.angles, self.positions))
 
 
-class JointPositions:
-    """A task that pulls joints to positions; see `Task`.
-
-    Args:
-        robot: The hand.
-        columns: Indices of the joints in `Hand.joint_names`, shape (k,).
-        q: Positions of all joints, of which those are wanted [rad or m], shape (n,).
-    """
-
-    def __init__(self, robot: Hand, columns: Array, q: Array) -> None:
-        self._q_indices = robot.q_indices[columns]
-        self._wanted = q[columns]
-        self._active = robot.joint_columns[columns]
-
-    def linearise(self, hand: Configuration) -> TaskRows:
-        """Return a row a joint; see `Task.linearise`."""
-        errors = hand.q[self._q_indices] - self._wanted
-        return TaskRows(
-            _JOINT_WEIGHT * errors, _JOINT_WEIGHT * np.eye(hand.nv)[self._active]
-        )
-
-
 class JointMap(PalmMap):
     """From samples to targets; see `TargetMap`."""
 
@@ -221,7 +198,7 @@ class JointMap(PalmMap):
         return Targets(
             *self.placed(palm, points_in_palm(robot, q)),
             {"angles": angles, "q": q},
-            (JointPositions(robot, method.columns, q),),
+            (JointPositions(robot, method.columns, q, _JOINT_WEIGHT),),
         )
 
 
