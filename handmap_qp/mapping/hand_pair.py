@@ -229,7 +229,7 @@ class HandPair:
             return knuckles[0] + gain * (human - self.human_rest[self.knuckles[0]])
         middle = knuckles[self._others].mean(axis=0)
         above = middle + gain * (human - self.human_knuckles)
-        chains = _human_fingers(self.human)
+        chains = find_fingers(self.human)
         pads = find_pads(self.human, chains)
         human_pinching = _pinching_thumb(self.human, chains, pads)
         return (
@@ -400,21 +400,6 @@ def bone_lengths(human: Hand, fingers: Sequence[str]) -> Array:
     joints = landmarks_at_rest(human)[1:].reshape(len(FINGERS), 4, 3)
     reaches = lengths(np.diff(joints, axis=1)).sum(axis=1)
     return reaches[[FINGERS.index(finger) for finger in fingers]]
-
-
-def _human_fingers(human: Hand) -> dict[str, Finger]:
-    """Find a human's fingers; those of a scaled hand have their tips elsewhere."""
-    standard = human.unscaled
-    tree = core_tree(human)
-    if not (standard and tree):
-        return find_fingers(human)
-    chains = robot_fingers(standard).chains
-    named = {point.name: point for point in standard.spec.points}
-    places = tree.places([named[TIPS[finger]] for finger in chains])
-    return {
-        finger: Finger(human, chains[finger].joints, tip, name=finger)
-        for finger, tip in zip(chains, places, strict=True)
-    }
 
 
 def _pinching_thumb(
