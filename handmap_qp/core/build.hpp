@@ -310,10 +310,19 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
   return pairs;
 }
 
+// What moves a hand of Python, and its gate with it.
+struct PythonIk : Ik {
+  nb::object hand, gate;
+  nb::object placed = {};  // a `Configuration`, where tasks of Python are linearised
+
+  PythonIk(const Tree& tree, nb::object own_hand, nb::object own_gate)
+      : Ik(tree), hand(std::move(own_hand)), gate(std::move(own_gate)) {}
+};
+
 // Of a hand and its tree, `IkOptions` and a `Gate`.
-inline void make_ik(Ik* self, const Tree& tree, const nb::object& hand, const nb::object& options,
-                    const nb::object& gate) {
-  Ik& ik = *new (self) Ik(tree);
+inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
+                    const nb::object& options, const nb::object& gate) {
+  PythonIk& ik = *new (self) PythonIk(tree, hand, gate);
   ik.tree.points = reference_points(Fields(hand));
   ik.tree.parts.clear();
   for (const nb::handle& each : nb::getattr(hand, "hands")) {

@@ -25,11 +25,17 @@ inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double
   ik.motion.stop_times = vector_of(stop_times);
 }
 
+// Whether something else has moved the hand since.
+inline bool was_set(const PythonIk& ik) {
+  static const nb::object& was_set = interned("was_set");
+  return nb::cast<bool>(nb::getattr(ik.gate, was_set));
+}
+
 // Take the motion over if something else has moved the hand.
-inline void take_motion(Ik& ik, const nb::object& gate) {
-  static const nb::object &was_set = interned("was_set"), &motion = interned("motion");
-  if (!nb::cast<bool>(nb::getattr(gate, was_set))) return;
-  const nb::object from = nb::getattr(gate, motion);
+inline void take_motion(PythonIk& ik) {
+  static const nb::object& motion = interned("motion");
+  if (!was_set(ik)) return;
+  const nb::object from = nb::getattr(ik.gate, motion);
   set_motion(ik, nb::cast<Array>(item(from, 0)), nb::cast<Array>(item(from, 1)),
              nb::cast<double>(item(from, 2)), nb::cast<Array>(item(from, 3)));
 }
@@ -335,11 +341,10 @@ class SampleReader {
 // What a `HandMapper` does with the samples after its reference.
 class SampleMapper : public SampleReader {
  public:
-  // Of a core's `Ik`, its gate, its hand, and a map of Python with a core.
-  SampleMapper(nb::object ik, nb::object gate, const nb::object& robot,
-               const nb::object& target_map)
-      : SampleReader(target_map), ik_owner_(std::move(ik)), gate_(std::move(gate)),
-        ik_(nb::cast<Ik&>(ik_owner_)), reader_(reader_of(target_map, robot, gate_)) {}
+  // Of a core's `Ik`, its hand, and a map of Python with a core.
+  SampleMapper(nb::object ik, const nb::object& robot, const nb::object& target_map)
+      : SampleReader(target_map), ik_owner_(std::move(ik)),
+        ik_(nb::cast<PythonIk&>(ik_owner_)), reader_(reader_of(target_map, robot, ik_.gate)) {}
 
   // Map samples of a recording; see run.hpp. Return the first that is left out, the verdict about it
   // if it was judged, and the pose that was mapped last, if any.
@@ -352,7 +357,7 @@ class SampleMapper : public SampleReader {
         rows.shape(1) != width)
       throw std::invalid_argument("wrong sizes of samples or rows");
     check_map(ik_, map_, {std::vector<Vec3>(reader.used.size()), true, {}});
-    take_motion(ik_, gate_);
+    take_motion(ik_);
     Run run{ik_, map_, reader, guard.guard, smoother.smoother, unproven_speed()};
     size_t next = first;
     std::exception_ptr failure;
@@ -365,7 +370,7 @@ class SampleMapper : public SampleReader {
       }
     }
     guard.former = run.former;
-    if (run.count) leave_motion(gate_, nb::cast(std::move(run.step)));
+    if (run.count) leave_motion(ik_.gate, nb::cast(std::move(run.step)));
     if (failure) std::rethrow_exception(failure);
     return nb::make_tuple(next, run.leaves ? guard.verdict_of(run.verdict) : nb::none(),
                           run.has_seen ? nb::cast(std::move(run.seen)) : nb::none());
@@ -374,17 +379,17 @@ class SampleMapper : public SampleReader {
  protected:
   nb::object moved(HumanPose&& pose, double dt, double speed) override {
     check_map(ik_, map_, pose);
-    take_motion(ik_, gate_);
+    take_motion(ik_);
     auto [made, stages] = new_stages(reader_);
     stages.pose = std::move(pose);
     handmap::follow(ik_, map_, stages.pose, dt, speed, goal_, stages);
-    leave_motion(gate_, made);
+    leave_motion(ik_.gate, made);
     return made;
   }
 
  private:
-  nb::object ik_owner_, gate_;
-  Ik& ik_;
+  nb::object ik_owner_;
+  PythonIk& ik_;
   std::shared_ptr<const StepReader> reader_;
   Goal goal_;
 };

@@ -28,18 +28,32 @@ nb::tuple reduced_pose(const HumanPose& pose) {
   return nb::make_tuple(kind, nb::make_tuple(array_of(pose.points), wrist_of(pose)));
 }
 
-std::function<void(const Vector&, TaskRows&)> rows_of(const nb::object& linearise,
-                                                      const nb::list& tasks, int size) {
+// What makes the rows of tasks that are written in Python, at a configuration.
+std::function<void(const Vector&, TaskRows&)> rows_of(PythonIk& ik, const nb::list& tasks) {
   if (tasks.size() == 0) return {};
-  return [&linearise, &tasks, size](const Vector& q, TaskRows& rows) {
-    auto found = nb::cast<nb::tuple>(linearise(tasks, array_of(q)));
-    rows.residual = vector_of(nb::cast<Array>(found[0]));
-    rows.jacobian = vector_of(nb::cast<Array>(found[1]));
-    rows.damping = vector_of(nb::cast<Array>(found[2]));
+  if (!ik.placed.is_valid()) ik.placed = ik.hand.attr("configuration")();
+  return [&ik, &tasks](const Vector& q, TaskRows& rows) {
+    static const nb::object& plain = numpy_attribute("ascontiguousarray");
+    const auto numbers = [](const nb::handle& of) {
+      return vector_of(nb::cast<Array>(plain(of, "float64")));
+    };
+    const size_t size = ik.tree.size;
+    ik.placed.attr("place")(array_of(q));
+    rows.residual.clear();
+    rows.jacobian.clear();
+    rows.damping.assign(size, 0.0);
+    for (const nb::handle& task : tasks) {
+      const nb::object found = task.attr("linearise")(ik.placed);
+      const Vector residual = numbers(item(found, 0)), jacobian = numbers(item(found, 1)),
+                   damping = numbers(item(found, 2));
+      if (jacobian.size() != residual.size() * size ||
+          (damping.size() != size && damping.size() != 1))
+        throw std::invalid_argument("wrong sizes of a task's rows");
+      append(residual, rows.residual);
+      append(jacobian, rows.jacobian);
+      for (size_t i = 0; i < size; ++i) rows.damping[i] += damping[damping.size() == 1 ? 0 : i];
+    }
     rows.count = static_cast<int>(rows.residual.size());
-    if (rows.jacobian.size() != rows.residual.size() * size ||
-        rows.damping.size() != static_cast<size_t>(size))
-      throw std::invalid_argument("wrong sizes of a task's rows");
   };
 }
 
@@ -61,9 +75,8 @@ Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
   return vector_of(*margins);
 }
 
-// For a `Goal` of Python; `linearise` makes rows of those tasks that the core lacks.
-nb::object solve(Ik& ik, const nb::object& gate, const nb::object& hand, const nb::object& wanted,
-                 const nb::object& linearise) {
+// Move the hand for a `Goal` of Python.
+nb::object solve(PythonIk& ik, const nb::object& wanted) {
   const Fields given(wanted);
   Goal goal;
   goal.points = points_of(given.array("points", 3 * ik.tree.points.size()));
@@ -83,21 +96,23 @@ nb::object solve(Ik& ik, const nb::object& gate, const nb::object& hand, const n
       others.append(each);
     }
   }
-  goal.further = rows_of(linearise, others, ik.tree.size);
-  take_motion(ik, gate);
+  goal.further = rows_of(ik, others);
+  take_motion(ik);
   Step step;
   seek(ik, goal, given.get<double>("dt"),
        margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
        step.result);
   finish(ik, step);
   nb::object made = nb::cast(std::move(step));
-  leave_motion(gate, made);
-  return result_of(nb::cast<const Step&>(made), hand, nb::getattr(gate, "links"));
+  leave_motion(ik.gate, made);
+  return result_of(nb::cast<const Step&>(made), ik.hand, nb::getattr(ik.gate, "links"));
 }
 
-// The detour of each hand, as a `Detour` of Python has it.
-nb::list detours_of(const Ik& ik) {
+// The detour of each hand, as a `Detour` of Python has it; none where something else has moved the
+// robot since.
+nb::list detours_of(const PythonIk& ik) {
   nb::list found;
+  if (was_set(ik)) return found;
   for (size_t i = 0; i < ik.detours.size(); ++i) {
     const Detour& detour = ik.detours[i];
     const nb::object via = detour.via.empty() ? nb::none() : nb::cast(array_of(detour.via));
@@ -111,7 +126,10 @@ nb::list detours_of(const Ik& ik) {
   return found;
 }
 
-void set_detours(Ik& ik, const nb::object& given) {
+// Continue the gate's motion on detours, as the hands do that these are copies of.
+void go_on(PythonIk& ik, const nb::object& given) {
+  take_motion(ik);
+  nb::setattr(ik.gate, "was_set", nb::bool_(false));
   for (size_t i = 0; i < ik.detours.size(); ++i) {
     const nb::object detour = item(given, i), via = item(detour, 0);
     const Array points = nb::cast<Array>(item(detour, 1));
@@ -127,7 +145,7 @@ void set_detours(Ik& ik, const nb::object& given) {
 
 // Many samples of one goal each, one after the other and without the GIL, from where the hand is.
 // Returns for each sample its configuration, displacement, stop times and status, one after the other.
-NumpyArray solve_many(Ik& ik, const Array& points,
+NumpyArray solve_many(PythonIk& ik, const Array& points,
                                           const std::optional<Array>& wrists, const Array& dt,
                                           const Array& speed, const std::optional<Array>& margins,
                                           const Postures& postures) {
@@ -182,7 +200,7 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
 // the distances at which they touch, the thumb's first.
 nb::object pinching_thumb(const Tree& tree, const nb::object& solver, const nb::object& pads, const Array& touching, const nb::object& tip) {
   const Fields constants = module_of("handmap_qp.mapping.hand_pair");
-  const Ik& like = Fields(solver).get<const Ik&>("core.core");
+  const Ik& like = Fields(solver).get<const PythonIk&>("core");
   const double dt = constants.get<double>("_UNHURRIED");
   // The gaps alone count, and no point.
   Ik ik(tree);
@@ -304,14 +322,6 @@ nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array
   return nb::cast(array_of(problem.solve(vector_of(start))));
 }
 
-// Places of points: (joint of Pinocchio, offset).
-nb::list places_of(const Tree& tree, const nb::object& specs) {
-  nb::list places;
-  for (const Attached& point : attached_of(tree, specs))
-    places.append(nb::make_tuple(point.joint + 1, array_of({3}, &point.offset.x)));
-  return places;
-}
-
 // Points in palm axes, of joint positions.
 nb::object points_in_palm(const Tree& tree, const Array& q, const nb::object& points) {
   expect_size(q, tree.q_indices.size(), "q");
@@ -361,11 +371,14 @@ NB_MODULE(_core, m) {
   // Caches of Python modules may outlive this one when the interpreter ends.
   nb::set_leak_warnings(false);
   nb::class_<DistanceTask>(m, "PointDistances").def("__init__", &make_distances);
-  nb::class_<Ik>(m, "Ik")
+  nb::class_<PythonIk>(m, "Ik")
       .def("__init__", &make_ik)
-      .def("set_motion", &set_motion)
-      .def_prop_rw("detours", &detours_of, &set_detours)
-      .def("solve", &solve, "gate"_a, "hand"_a, "goal"_a, "linearise"_a)
+      .def("set_motion",
+           [](PythonIk& ik, const Array& q, const Array& displacement, double dt,
+              const Array& stop_times) { set_motion(ik, q, displacement, dt, stop_times); })
+      .def_prop_ro("detours", &detours_of)
+      .def("go_on", &go_on, "detours"_a)
+      .def("solve", &solve, "goal"_a)
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
   nb::class_<Step>(m, "Step")
@@ -388,12 +401,12 @@ NB_MODULE(_core, m) {
       .def("map_sample", &SampleReader::map_sample, "guard"_a, "smoother"_a, "reader"_a,
            "sample"_a, "dt"_a.none(), "arrival"_a.none());
   nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
-      .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&>(), "ik"_a,
-           "gate"_a, "robot"_a, "target_map"_a)
+      .def(nb::init<nb::object, const nb::object&, const nb::object&>(), "ik"_a, "robot"_a,
+           "target_map"_a)
       .def("run", &SampleMapper::run);
   nb::class_<Asker, SampleReader>(m, "Asker")
-      .def(nb::init<const nb::object&, const nb::object&, const nb::object&, const nb::object&>(),
-           "ik"_a, "gate"_a, "hand"_a, "target_map"_a);
+      .def(nb::init<const PythonIk&, const nb::object&, const nb::object&>(), "ik"_a, "hand"_a,
+           "target_map"_a);
   nb::class_<Ask>(m, "Ask")
       .def("__reduce__", &reduced_ask)
       .def_ro("pose", &Ask::pose)
@@ -403,9 +416,8 @@ NB_MODULE(_core, m) {
       .def_prop_ro("rest", &Ask::rest)
       .def_prop_ro("targets", &Ask::read_targets);
   nb::class_<RobotMover>(m, "RobotMover")
-      .def(nb::init<nb::object, nb::object, const nb::object&, const nb::list&, nb::dict,
-                    double>(),
-           "ik"_a, "gate"_a, "robot"_a, "pinching"_a, "leaders"_a, "turns_in"_a)
+      .def(nb::init<nb::object, const nb::object&, const nb::list&, nb::dict, double>(), "ik"_a,
+           "robot"_a, "pinching"_a, "leaders"_a, "turns_in"_a)
       .def("__reduce__", &without_copy<RobotMover>)
       .def("map", &RobotMover::map, "reader"_a, "numbers"_a, "wrists"_a, "dt"_a.none(), "base"_a)
       .def("move", &RobotMover::move, "base"_a, "dt"_a);
@@ -430,7 +442,6 @@ NB_MODULE(_core, m) {
              make_frames(*new (self) Tree(make_tree(Fields(hand))), Fields(hand));
            })
       .def("moved", &moved_tree)
-      .def("places", &places_of)
       .def("posture", &posture_of)
       .def("points", &points_in_palm)
       .def("nearest_posture", &nearest_posture)

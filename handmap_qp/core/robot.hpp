@@ -36,10 +36,9 @@ inline nb::tuple reduced_ask(const nb::object& self) {
 // Lets a `Leader` ask with each sample after its reference.
 class Asker : public SampleReader {
  public:
-  // Made as a `SampleMapper` is: of the gate of a robot, a hand of it, and a map of Python with a core.
-  Asker(const nb::object&, const nb::object& gate, const nb::object& hand,
-        const nb::object& target_map)
-      : SampleReader(target_map), reader_(reader_of(target_map, hand, gate)) {}
+  // Of the core's `Ik` of a robot, a hand of it, and a map of Python with a core.
+  Asker(const PythonIk& ik, const nb::object& hand, const nb::object& target_map)
+      : SampleReader(target_map), reader_(reader_of(target_map, hand, ik.gate)) {}
 
  protected:
   nb::object moved(HumanPose&& pose, double dt, double speed) override {
@@ -62,14 +61,14 @@ inline Pose turned(const Pose& palm, const Vec3& anchor, const Pose& to, double 
 // Moves a robot for what its hands ask.
 class RobotMover {
  public:
-  // Of a core's `Ik`, its gate, the robot as one hand, the pairs of each hand that pinch, the
-  // leaders by side, and the time in which palms turn.
-  RobotMover(nb::object ik, nb::object gate, const nb::object& robot, const nb::list& pinching,
-             nb::dict leaders, double turns_in)
-      : ik_owner_(std::move(ik)), gate_(std::move(gate)), ik_(nb::cast<Ik&>(ik_owner_)),
+  // Of a core's `Ik`, the robot as one hand, the pairs of each hand that pinch, the leaders by side,
+  // and the time in which palms turn.
+  RobotMover(nb::object ik, const nb::object& robot, const nb::list& pinching, nb::dict leaders,
+             double turns_in)
+      : ik_owner_(std::move(ik)), ik_(nb::cast<PythonIk&>(ik_owner_)),
         rest_(Fields(robot).numbers("rest")), leaders_(std::move(leaders)), turns_in_(turns_in) {
     const Fields constants = module_of("handmap_qp.mapping.robot_mapper");
-    reader_ = std::make_shared<StepReader>(robot, gate_, nb::none());
+    reader_ = std::make_shared<StepReader>(robot, ik_.gate, nb::none());
     home_ = constants.object("_HOME");
     map_step_ = constants.object("MapStep");
     robot_step_ = constants.object("RobotStep");
@@ -187,7 +186,7 @@ class RobotMover {
       throw std::invalid_argument("wrong number of hands");
     double speed = 1.0;
     for (const Ask* ask : asks) speed = std::min(speed, ask->speed);
-    take_motion(ik_, gate_);
+    take_motion(ik_);
     aim(asks, times, worlds);
     goal_.postures = ik_.postures(wanted_rest_, std::max(dt, kShortestDt));
     auto [made, whole] = new_stages(reader_);
@@ -202,7 +201,7 @@ class RobotMover {
       whole.asked.is_clamped |= asked_[k].is_clamped;
       parts.push_back(part_of(whole, *asks[k], k));
     }
-    leave_motion(gate_, made);
+    leave_motion(ik_.gate, made);
     return {made, parts};
   }
 
@@ -308,8 +307,8 @@ class RobotMover {
     return made;
   }
 
-  nb::object ik_owner_, gate_, map_step_, robot_step_, home_;
-  Ik& ik_;
+  nb::object ik_owner_, map_step_, robot_step_, home_;
+  PythonIk& ik_;
   std::shared_ptr<const StepReader> reader_;
   Vector rest_, margins_;
   const nb::dict leaders_;

@@ -24,6 +24,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.human import LANDMARK_COUNT, LANDMARK_NAMES, PALM, landmarks_at_rest
 from handmap_qp.ik import Compiled, IkOptions, IkResult, Motion, PointIk, Task
+from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
     PoseLike,
@@ -288,8 +289,8 @@ class HandMapper(Mover):
         bound = self.bound
         reference = self._reference or self._reference_at(sample)
         target_map = reference.map
-        core: Any = None if sample.wrist is None else self._core_at(target_map)
-        asked = None if core else _targets(target_map, sample)
+        own: Any = None if sample.wrist is None else self._core_at(target_map)
+        asked = None if own else _targets(target_map, sample)
         if bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             bound.start(sample, reference.posture)
@@ -298,8 +299,8 @@ class HandMapper(Mover):
         if asked:
             stages = self._moved(sample, asked, target_map, dt, speed)
         else:
-            stages = core.follow(sample, dt, speed)
-        self.core = core
+            stages = own.follow(sample, dt, speed)
+        self.core = own
         if bound.renews_reference:
             self.core = None
             self._reference = self._reference_at(sample)
@@ -313,10 +314,10 @@ class HandMapper(Mover):
         dt: float | None,
     ) -> MapStep:
         """Map one sample as it comes in."""
-        core = self.core
+        own = self.core
         seconds = self.dt if dt is None else dt
         # None for a sample that Python has to look at.
-        step = core and core.map(reader.core, numbers, wrist, seconds)
+        step = own and own.map(reader.core, numbers, wrist, seconds)
         if step:
             return step
         started = perf_counter()
@@ -355,7 +356,8 @@ class HandMapper(Mover):
         is_python = self._is_released or self.tasks or ik.options.tasks
         if is_python or not (ik.core and getattr(target_map, "core", None)):
             return None
-        return self.core or ik.core.made(self._core_kind, self.robot, target_map)
+        kind = getattr(core, self._core_kind)
+        return self.core or kind(ik.core, self.robot, target_map)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Brake, and keep the robot's posture.

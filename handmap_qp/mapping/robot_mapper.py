@@ -32,6 +32,7 @@ from handmap_qp.hands import (
 )
 from handmap_qp.human import Verdict, human_name
 from handmap_qp.ik import IkOptions, IkResult, Motion, PointIk, PointOffset, Task
+from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
     PoseLike,
@@ -335,9 +336,9 @@ class RobotMapper(Mover):
         dt: float | None,
     ) -> RobotStep:
         """Map samples as they come in, by the readers that leaders have under a name."""
-        core = self.core
+        own = self.core
         # None for samples that Python has to look at.
-        step = core and core.map(reader, numbers, wrists, dt, self._base)
+        step = own and own.map(reader, numbers, wrists, dt, self._base)
         if step:
             return step
 
@@ -404,10 +405,10 @@ class RobotMapper(Mover):
     def _moved(self, dt: float) -> tuple[Stages, list[Stages]]:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
         leaders = self.leaders.values()
-        core = self.point_ik.core
-        if core and not self._is_released:
-            self.core = self.core or core.made(
-                "RobotMover", self.robot, self._pinching, self.leaders, self._turns_in
+        own = self.point_ik.core
+        if own and not self._is_released:
+            self.core = self.core or core.RobotMover(
+                own, self.robot, self._pinching, self.leaders, self._turns_in
             )
             # None where a leader has asked in Python.
             if moved := self.core.move(self._base, dt):
