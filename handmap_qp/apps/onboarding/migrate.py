@@ -124,7 +124,7 @@ def migrate(path: Path, urdf: Path | None, name: str | None) -> Detection:
     }
     points = dict[str, PointSpec]()
     for point in found.spec.points:
-        if finger := names.get(point.finger or ""):
+        if finger := names.get(str(point.finger)):
             own = f"{finger}_{point.name.rpartition('_')[2]}"
             points[own] = replace(point, name=own, finger=finger, partner=None)
     for landmark, link in links.items():
