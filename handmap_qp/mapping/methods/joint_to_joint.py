@@ -51,7 +51,7 @@ from handmap_qp.mapping import (
     require_points,
     robot_fingers,
 )
-from handmap_qp.se3 import Array, lengths, unit
+from handmap_qp.se3 import Array, frozen, lengths, unit
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.
 _JOINT_WEIGHT = 10.0
@@ -198,7 +198,7 @@ class JointMap(PalmMap):
         return Targets(
             *self.placed(palm, points_in_palm(robot, q)),
             {"angles": angles, "q": q},
-            (JointPositions(robot, method.columns, q, _JOINT_WEIGHT),),
+            (JointPositions(robot, method.columns, q.copy(), _JOINT_WEIGHT),),
         )
 
 
@@ -228,7 +228,8 @@ class BoundJointToJoint(PalmMethod):
             for finger, leading in zip(self.fingers, self.angles.columns, strict=True)
             for link in self._links(self.chains[finger], leading)
         ]
-        self.columns = np.unique([link.column for link in self.links])
+        # Tasks hand it out.
+        self.columns = frozen(np.unique([link.column for link in self.links]))
 
     def positions(self, angles: Array) -> Array:
         """Return the joint positions (n,) for human angles (f, 4); the mean where fingers share."""
