@@ -222,6 +222,7 @@ class _HandFields(Document, frozen=True):
     root: str | None = None
     locked: Positions = {}
     limits: dict[str, LimitSpec] = {}
+    speeds: Literal["assumed", "maker", "urdf"] | None = None
     mimic: dict[str, MimicSpec | None] = {}
     shapes: dict[str, Vector] = {}
     arm: ArmSpec | None = None
@@ -256,6 +257,8 @@ class HandSpec(_HandFields, frozen=True):
             descendants are the hand. The URDF's own root if omitted.
         locked: Positions of movable joints to hold still [rad or m].
         limits: Limits by joint, in place of the URDF's.
+        speeds: Where the joints' speed limits are from, for people and `handmap hands check`: the
+            `urdf`, the `maker` (a data sheet, a measurement) or `assumed`. Not known if omitted.
         mimic: Rules by follower, in place of the URDF's; None makes a joint independent that mimics
             another in the URDF.
         shapes: Displacement in its link of each shape that the URDF or MJCF has in a wrong place,

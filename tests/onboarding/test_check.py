@@ -23,6 +23,7 @@ from handmap_qp.apps.onboarding.check import (
     _check_wrist,
     _compare_detection,
     check_hand,
+    check_speeds,
 )
 from handmap_qp.apps.onboarding.collision_pairs import (
     find_collision_pairs,
@@ -40,11 +41,13 @@ from handmap_qp.apps.onboarding.measure import (
     measure_arm,
 )
 from handmap_qp.apps.onboarding.picture import hand_scene
+from handmap_qp.apps.onboarding.speeds import MAKERS
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.sources import urdf_directory
+from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf import origin_of, parse_urdf, set_origin
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.se3 import inverse_pose, transform_points
@@ -183,17 +186,22 @@ def test_missing_meshes_are_counted(made: MadeHand, tmp_path: Path, tag: str) ->
 def test_speeds_that_nobody_knows_are_said_and_may_be_given(
     made: MadeHand, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    urdf = tmp_path / "made.urdf"
+    urdf = tmp_path / "leap.urdf"
     urdf.write_text(re.sub('velocity="[^"]*"', 'velocity="0.5"', made.urdf))
     said = {}
-    for name, words in (("slow", []), ("fast", ["--speed", "4"])):
+    for name, speed in (("urdf", 0.5), ("assumed", 4.0), ("maker", 8.48)):
         file = tmp_path / f"{name}.yaml"
+        words = [] if name == "urdf" else ["--speed", str(speed)]
         assert cli.main(["hands", "init", str(urdf), "--out", str(file), *words]) == 0
-        assert (load_hand(file).velocity_limits == (4.0 if words else 0.5)).all()
-        said[name] = [f.found for f in check(file).findings if "too slow" in f.found]
-    assert "the same speed: a placeholder?" in said["slow"][0]
-    assert said["fast"] == []
-    capsys.readouterr()
+        hand = load_hand(file)
+        assert (hand.velocity_limits == speed).all()
+        assert hand.spec.speeds == name
+        said[name] = [f for f in check(file).findings if "too slow" in f.found]
+    assert "the same speed: a placeholder?" in said["urdf"][0].found
+    # The maker's figure is proposed by the name of the file, by init too.
+    assert "8.48 by the LEAP hand's URDF" in said["urdf"][0].change
+    assert "8.48 by the LEAP" in capsys.readouterr().out.replace("\n", " ")
+    assert said["assumed"] == said["maker"] == []
     words = [
         "hands",
         "init",
@@ -205,6 +213,34 @@ def test_speeds_that_nobody_knows_are_said_and_may_be_given(
     ]
     assert cli.main(words) == 2
     assert "--speed: expected a speed > 0" in capsys.readouterr().err
+
+
+def test_followers_do_not_hide_placeholders() -> None:
+    """Followers that turn further slow some leaders: the file's speeds are the same still."""
+    spec = load_hand("three_finger").spec
+    limits = {joint: LimitSpec(velocity=0.5) for joint in spec.joints}
+    joints = tuple(joint for joint in spec.joints if joint != "f2_distal")
+    rest = {joint: spec.rest[joint] for joint in joints}
+    mimic = {"f2_distal": MimicSpec("f1_distal", 1.5)}
+    found = {}
+    for speeds in (None, "assumed", "maker"):
+        changes: dict[str, Any] = {"joints": joints, "rest": rest, "mimic": mimic}
+        given = msgspec.structs.replace(spec, limits=limits, speeds=speeds, **changes)
+        hand = load_hand(given)
+        assert np.ptp(hand.velocity_limits) > 0.1
+        (found[speeds],) = check_speeds(hand)
+    assert "a placeholder?" in found[None].found
+    assert "these speeds are assumed" in found["assumed"].found
+    assert (found["maker"].level, found["maker"].change) == ("fine", "")
+
+
+def test_every_maker_figure_has_a_source() -> None:
+    names = "|".join(MAKERS).split("|")
+    assert len(names) == len({*names})
+    assert len(MAKERS) == 18
+    for speed, source in MAKERS.values():
+        assert 0.1 <= speed <= 15.0
+        assert len(source) > 20
 
 
 def test_a_contradiction_is_an_exit_code(

@@ -15,7 +15,7 @@ import yaml
 
 from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
 from handmap_qp.apps.onboarding import picture
-from handmap_qp.apps.onboarding.check import _check_speeds, check_hand
+from handmap_qp.apps.onboarding.check import check_hand, check_speeds
 from handmap_qp.apps.onboarding.cli import HandsCheck, HandsInit
 from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import Detection, detect
@@ -244,7 +244,7 @@ def test_joints_too_slow_for_a_fist_are_found(speed: float, count: int) -> None:
     }
     hand = load_hand(msgspec.structs.replace(spec, limits=limits | spread))
     report = Report("hand")
-    report.add(_check_speeds(hand))
+    report.add(check_speeds(hand))
     if count == 0:
         assert report.findings == []
         return

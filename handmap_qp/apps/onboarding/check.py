@@ -5,6 +5,7 @@ limits, files, shapes and a detection; those of `measure` move the hand.
 """
 
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import coal
@@ -50,6 +51,7 @@ from .measure import (
     palm_rows,
 )
 from .robot import Robot
+from .speeds import maker_speed
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME = 0.5
@@ -163,22 +165,34 @@ def _check_limits(hand: Hand) -> Found:
             yield warning(f"limits.{names[wide[0]]}", what, "give limits in rad and m")
 
 
-def _check_speeds(hand: Hand) -> Found:
+def check_speeds(hand: Hand) -> Iterator[Finding]:
     """Find joints of the fingers that are too slow for a fist in half a second."""
     travel = np.abs(hand.limits - hand.zero).max(axis=0)
     times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
     times[hand.moves_wrist] = 0.0
     worst = np.argmax(times)
-    if count := (times > _FIST_TIME).sum():
-        what = (
-            f"{count} {'joints are' if count > 1 else 'joint is'} too slow for a fist in half a "
-            f"second; at {hand.velocity_limits[worst]:.3g} per second this one needs "
-            f"{times[worst]:.2g} s"
-        )
-        if times[worst] > _PLACEHOLDER and np.ptp(hand.velocity_limits) == 0.0:
-            what += "; all joints have the same speed: a placeholder?"
-        change = "give the maker's speeds in `limits`, or one for all by `hands init --speed`"
-        yield advice(f"limits.{hand.joint_names[worst]}", what, change)
+    if not (count := (times > _FIST_TIME).sum()):
+        return
+    key = f"limits.{hand.joint_names[worst]}"
+    what = (
+        f"{count} {'joints are' if count > 1 else 'joint is'} too slow for a fist in half a "
+        f"second; at {hand.velocity_limits[worst]:.3g} per second this one needs "
+        f"{times[worst]:.2g} s"
+    )
+    if hand.spec.speeds == "maker":
+        yield fine(key, f"{what}, as its maker says")
+        return
+    # Followers that turn further than their leaders slow them, whatever the URDF says.
+    plain = pin.buildModelFromXML(hand.urdf_text)
+    given = plain.velocityLimit[plain.nv - hand.model.nv + hand.v_indices]
+    if hand.spec.speeds == "assumed":
+        what += "; these speeds are assumed"
+    elif times[worst] > _PLACEHOLDER and np.ptp(given[~hand.moves_wrist]) == 0.0:
+        what += "; all joints have the same speed: a placeholder?"
+    change = "give the maker's speeds in `limits`, or one by `hands init --speed`"
+    if maker := maker_speed(hand.spec):
+        change += ": {:g} by {}".format(*maker)
+    yield advice(key, what, change)
 
 
 def _check_followers(hand: Hand) -> Found:
@@ -375,7 +389,7 @@ def _overlap(pairs: list[Links], change: str) -> Finding:
 _CHECKS = (
     _list_joints,
     _check_limits,
-    _check_speeds,
+    check_speeds,
     _check_followers,
     _check_points,
     _check_places,

@@ -24,7 +24,6 @@ from handmap_qp.hands import (
     LONGEST_STOP,
     Hand,
     HandSpec,
-    LimitSpec,
     Side,
     Values,
     hand_files,
@@ -39,7 +38,7 @@ from handmap_qp.hands import (
     why_missing,
 )
 from handmap_qp.output_files import check_output
-from .check import check_hand, check_robot
+from .check import check_hand, check_robot, check_speeds
 from .collision_pairs import with_collision_pairs
 from .detect import Detection, detect_hands
 from .findings import Rows
@@ -47,6 +46,7 @@ from .match import match_hand
 from .measure import check_fist, palm_rows
 from .migrate import migrate
 from .picture import draw_hand, draw_match, draw_robot, picture_path
+from .speeds import with_origin, with_speed
 from .write import RobotSource, check_free, open_source, write_hand, write_robot
 
 OwnName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
@@ -120,6 +120,7 @@ def describe_hand(hand: str | Path) -> Values:
         "wrist": f"{found.mount}, link {found.spec.wrist.link}",
         "palm": f"link {found.spec.palm.link}",
         "stops within": f"{LONGEST_STOP:g} s",
+        "speeds from": found.spec.speeds or "not said",
         "joints": _joint_rows(found),
         "points": [
             {
@@ -261,7 +262,7 @@ class HandsInit:
         side: Side of the hand.
         thumb: Name of a link or joint of the thumb.
         speed: Speed limit of all joints of the hand, where those of the URDF are placeholders, and
-            of their followers [rad/s or m/s].
+            of their followers [rad/s or m/s]. Where the maker's is known, init says so.
         name: Name of the hand or robot.
         out: File to write; for two hands, left.yaml, right.yaml and robot.yaml in its folder.
         overwrite: Replace the files if they exist.
@@ -332,16 +333,17 @@ class HandsInit:
         spec = replace(found.spec, urdf=source.reference, name=name)
         if (speed := self.speed) is not None:
             expect(speed > 0.0, "--speed", "a speed > 0", value=speed)
-            limits = {
-                joint: replace(spec.limits.get(joint, LimitSpec()), velocity=speed)
-                for joint in spec.joints
-            }
-            spec = replace(spec, limits=spec.limits | limits)
-        found = found._replace(spec=spec, notes=(*source.notes, *found.notes))
+            spec = with_speed(spec, speed)
+        spec = with_origin(spec, is_given=not source.notes)
+        found = found._replace(spec=spec)
         check_free(out, overwrite=self.overwrite)
         write_hand(found, out)
         hand = load_hand(out)
         found = with_collision_pairs(found, hand).doubted(check_fist(hand))
+        slow = [
+            f"{f.key}: {f.found}: {f.change}" for f in check_speeds(hand) if f.change
+        ]
+        found = found._replace(notes=(*source.notes, *found.notes, *slow))
         write_hand(found, out)
         rows = [
             {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}

@@ -38,9 +38,9 @@ _MOST_DIFFERENCE = 1e-9
 # Keys in their order, and those whose values are written on several lines.
 _KEYS = (
     *("name", "urdf", "root", "side", "palm", "wrist", "joints", "rest", "locked"),
-    *("limits", "mimic", "points", "sets", "reference", "collision"),
+    *("limits", "speeds", "mimic", "points", "sets", "reference", "collision"),
 )
-_BLOCKS = {*_KEYS[4:-2], "collision", "collision.pairs"}
+_BLOCKS = {*_KEYS[4:-2], "collision", "collision.pairs"} - {"speeds"}
 _ROBOT = """# {0}: written by `handmap hands init`; look at it with `handmap robots check`.
 name: {0}
 hands:
@@ -55,6 +55,7 @@ _ABOVE = {
     "joints": "Active joints, in the order of every q; mimic joints are not among them.",
     "locked": "Locked joints and their positions [rad or m].",
     "limits": "Limits that the URDF lacks, and speeds in place of its own [rad or m, and per s].",
+    "speeds": "Where the speed limits are from: urdf, maker or assumed.",
     "mimic": "Joints that mimic a joint outside this part of the robot: treated as independent.",
     "points": "Reference points on links [m]; `partner` names the corresponding human point.",
     "collision": "Links that self-collision avoidance keeps apart: thumb and fingers, thumb and "
