@@ -36,12 +36,13 @@ from handmap_qp.apps.onboarding.measure import (
     check_arm,
     check_contacts,
     check_fist,
+    check_following,
     check_motion,
     check_pinches,
     measure_arm,
 )
 from handmap_qp.apps.onboarding.picture import hand_scene
-from handmap_qp.apps.onboarding.speeds import MAKERS
+from handmap_qp.apps.onboarding.speeds import MAKERS, with_speed
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import find_fingers
@@ -232,6 +233,20 @@ def test_followers_do_not_hide_placeholders() -> None:
     assert "a placeholder?" in found[None].found
     assert "these speeds are assumed" in found["assumed"].found
     assert (found["maker"].level, found["maker"].change) == ("fine", "")
+
+
+def test_slow_joints_follow_less() -> None:
+    spec = load_hand("three_finger").spec
+    report = found_by(check_following(load_hand(with_speed(spec, 0.5))))
+    (finding,) = report.findings
+    own, fast, _ = re.findall(r"[\d.]+", finding.found)
+    assert finding.level == "advice"
+    assert float(own) < 0.8 < float(fast)
+    assert f"{fast} if the joints could do 4 rad/s" in finding.found
+    # The hand has 4 rad/s itself.
+    (whole,) = found_by(check_following(load_hand(spec))).findings
+    assert whole.level == "fine"
+    assert f"follows {fast} of your fingers" in whole.found
 
 
 def test_every_maker_figure_has_a_source() -> None:

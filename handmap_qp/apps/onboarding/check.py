@@ -44,6 +44,7 @@ from .measure import (
     check_contacts,
     check_directions,
     check_fist,
+    check_following,
     check_motion,
     check_pinches,
     check_reach,
@@ -405,4 +406,4 @@ _CHECKS = (
     check_size,
     check_arm,
 )
-_MOTIONS = (check_contacts, check_motion, check_directions)
+_MOTIONS = (check_contacts, check_following, check_motion, check_directions)

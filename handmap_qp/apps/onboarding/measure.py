@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from handmap_qp.apps.offline.fidelity import assess_fidelity
+from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
 from handmap_qp.apps.tables import rows_of, table_rows
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
     Finger,
     Hand,
+    HumanLengths,
     Pad,
     PalmKinematics,
     all_pairs,
@@ -29,6 +32,7 @@ from .anatomy import angle_between
 from .collision_pairs import joined_notes
 from .findings import MOST_NAMES, Found, Rows, advice, fine, warning
 from .flexion import HandFlexion
+from .speeds import with_speed
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
@@ -55,6 +59,9 @@ _SHORT = 25.0
 _SHARES = np.array([(1.0, 1.0, -0.6), *4 * [(1.0, 1.0, 0.8)]])
 # Thumb and finger meet in this part of a fist.
 _PINCHED = 0.65
+# A hand whose joints are this fast is not slow [rad/s]; slower ones cost more than this.
+_FAST = 4.0
+_SLOWER = 0.03
 # Contacts move a joint aside by more than this part of its range.
 _ASIDE = 0.25
 # A joint moves if its range is more than this [rad or m].
@@ -278,14 +285,13 @@ def check_contacts(hand: Hand) -> Found:
     method: Any = mapper.method
     if not getattr(method, "avoids_contact", False):
         return
-    pairs = gestures(mapper.human).reshape(-1, 2, len(mapper.human.rest))
     tours = []
     steps = list[MapStep]()
     # A detour would lead around what locks.
     plain = mapper.ik.replaced(takes_detours=False)
     for avoids in (False, True):
         mapper.configure(method.replaced(avoids_contact=avoids), ik=plain)
-        steps = [step for pair in pairs for step in _follow(mapper, *pair)]
+        steps = _tour(mapper)
         tours.append([step.command.q for step in steps])
     q = np.array(tours)
     free, held = np.ptp(q, axis=1)
@@ -307,14 +313,38 @@ def check_contacts(hand: Hand) -> Found:
         yield warning("urdf", what, "correct the collision shapes of these links")
 
 
-def gestures(human: Hand) -> Array:
-    """Return gestures: spread fingers, any of them bent, each at the thumb, shape (k, 20)."""
-    flat, spread, fist, *_ = standard_postures(human).values()
+def check_following(hand: Hand) -> Found:
+    """Correlate fingers' extensions with a person's in a tour of gestures, also at 4 rad/s."""
+    if not any(finger.flexion for finger in find_fingers(hand).values()):
+        return
+    person = HumanLengths.from_hand_length(HUMAN_LENGTH)
+    found = []
+    for given in (hand, load_hand(with_speed(hand.spec, _FAST))):
+        steps = _tour(_mapper(given, points="landmarks"))
+        points = np.array([step.human_points for step in steps])
+        q = np.array([step.command.q for step in steps])
+        human = trace_human(points, person, hand.side)
+        fidelity = assess_fidelity(human, trace_robot(hand, q), _DT * np.arange(len(q)))
+        found.append(fidelity.values["extension_correlation"])
+    own, fast = found
+    what = f"follows {own:.2f} of your fingers (extension) with its speed limits"
+    if fast > own + _SLOWER:
+        what += f", {fast:.2f} if the joints could do {_FAST:g} rad/s"
+        yield advice("limits", what, "check that these limits are true")
+    else:
+        yield fine("limits", what)
+
+
+def _tour(mapper: HandMapper) -> list[MapStep]:
+    """Map gestures, two from rest each time: spread, any fingers bent, each at the thumb."""
+    flat, spread, fist, *_ = standard_postures(mapper.human).values()
     each = np.eye(len(FINGERS))
     # The thumb comes first.
     pinches = _PINCHED * np.maximum(each, each[0])
     bends = np.array([*product((0.0, 1.0), repeat=len(each)), *pinches])
-    return np.vstack([spread, flat + bends.repeat(4, axis=1) * (fist - flat)])
+    postures = np.vstack([spread, flat + bends.repeat(4, axis=1) * (fist - flat)])
+    pairs = postures.reshape(-1, 2, len(flat))
+    return [step for pair in pairs for step in _follow(mapper, *pair)]
 
 
 def standard_postures(human: Hand) -> Arrays:
