@@ -59,9 +59,11 @@ from .sources import find_mesh as find_mesh
 from .sources import is_mjcf as is_mjcf
 from .sources import package_folder as package_folder
 from .sources import read_urdf as read_urdf
+from .sources import source_file as source_file
 from .sources import source_path as source_path
 from .sources import urdf_path as urdf_path
 from .spec import UPRIGHT as UPRIGHT
+from .spec import ArmSpec as ArmSpec
 from .spec import CollisionSpec as CollisionSpec
 from .spec import Document as Document
 from .spec import HandSpec as HandSpec

@@ -92,6 +92,25 @@ def test_what_is_written_is_what_was_found(name: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(hand.points(hand.rest), direct.points(direct.rest))
 
 
+@pytest.mark.parametrize("name", ["ur5_allegro", "human_left", "three_finger"])
+def test_a_description_that_was_read_keeps_all_its_keys(
+    name: str, tmp_path: Path
+) -> None:
+    """An arm, a mirrored hand, a path from the description's folder; and all optional keys."""
+    spec = load_hand(name).spec
+    spec = msgspec.structs.replace(
+        spec, matched=spec.rest, upright="+y up, -z forward", shapes={"a": (0, 0, 1)}
+    )
+    clues = chained_mimics().clues
+    write_hand(Detection(spec, clues, (), {}), tmp_path / "hand.yaml")
+    read = read_hand_spec(tmp_path / "hand.yaml")
+    assert urdf_path(read).samefile(urdf_path(spec))
+    for key in {*spec.__struct_fields__} - {"urdf", "arm", "directory", "file"}:
+        assert getattr(read, key) == getattr(spec, key), key
+    if spec.arm:
+        assert read.arm == msgspec.structs.replace(spec.arm, directory=tmp_path)
+
+
 def test_every_answer_has_its_evidence_in_the_file(tmp_path: Path) -> None:
     found = detect(DATA / "seven_fingers.urdf")
     text = " ".join(

@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import yaml
@@ -21,15 +21,19 @@ from handmap_qp.errors import (
     expect,
 )
 from handmap_qp.hands import (
+    ArmSpec,
+    HandSpec,
     Names,
     is_mjcf,
     is_named_source,
     package_folder,
+    source_file,
     source_path,
 )
 from handmap_qp.output_files import check_new, make_folder, writing
 from .detect import Detection
 
+_Part = TypeVar("_Part", HandSpec, ArmSpec)
 _wrapped = partial(
     textwrap.wrap, width=120, break_long_words=False, break_on_hyphens=False
 )
@@ -37,10 +41,11 @@ _wrapped = partial(
 _MOST_DIFFERENCE = 1e-9
 # Keys in their order, and those whose values are written on several lines.
 _KEYS = (
-    *("name", "urdf", "root", "side", "palm", "wrist", "joints", "rest", "locked"),
-    *("limits", "speeds", "mimic", "points", "sets", "reference", "collision"),
+    *("name", "urdf", "mirror", "upright", "root", "side", "palm", "wrist", "arm"),
+    *("joints", "rest", "matched", "locked", "limits", "speeds", "mimic", "shapes"),
+    *("points", "sets", "reference", "collision"),
 )
-_BLOCKS = {*_KEYS[4:-2], "collision", "collision.pairs"} - {"speeds"}
+_BLOCKS = {*_KEYS[6:-2], "collision", "collision.pairs"} - {"speeds"}
 _ROBOT = """# {0}: written by `handmap hands init`; look at it with `handmap robots check`.
 name: {0}
 hands:
@@ -163,13 +168,15 @@ def check_free(path: Path, *, overwrite: bool) -> None:
 
 def hand_text(detection: Detection, folder: Path) -> str:
     """Return the text of a `hand.yaml`; the URDF's path is relative to `folder`."""
-    spec = detection.spec
-    document = {key: getattr(spec, key) for key in _KEYS}
-    document["urdf"] = _urdf_reference(spec.urdf, folder)
+    spec = _beside(detection.spec, folder)
+    given = _given(spec)
+    document = {key: given[key] for key in _KEYS if key in given}
     document["palm"] = msgspec.structs.asdict(spec.palm)
+    if spec.arm:
+        document["arm"] = _beside(spec.arm, folder)
     intro = (
-        f"{spec.name}: written by `handmap hands init`. Comments say how each value was found and "
-        "how certain it is. Correct what is wrong, then run `handmap hands check`.",
+        f"{spec.name}: written by `handmap hands init` or `edit`. Comments say how each value was "
+        "found and how certain it is. Correct what is wrong, then run `handmap hands check`.",
         *(f"Note: {note}" for note in detection.notes),
     )
     lines = [line for note in intro for line in _comment(note, "")]
@@ -198,8 +205,6 @@ def _lines(values: Any, path: str, above: Mapping[str, str]) -> Iterator[str]:
     indent = "  " * path.count(".")
     for key, value in enumerate(values) if is_list else values.items():
         at = f"{path}{key}"
-        if value in (None, {}, ()) and not path:
-            continue
         yield from _comment(above.get(at, ""), indent)
         start = f"{indent}-" if is_list else f"{indent}{_flow(key)}:"
         if at in _BLOCKS:
@@ -223,15 +228,21 @@ def _given(value: Any) -> Any:
     return {
         field.name: given
         for field in msgspec.structs.fields(value)
-        if (given := getattr(value, field.name)) != field.default
+        if (given := getattr(value, field.name)) not in (field.default, {})
     }
 
 
-def _urdf_reference(urdf: str, folder: Path) -> str:
+def _beside(part: _Part, folder: Path) -> _Part:
+    """Return a hand or an arm whose URDF is given as a file in a folder gives it."""
+    urdf = _urdf_reference(part, folder)
+    return msgspec.structs.replace(part, urdf=urdf, directory=None)
+
+
+def _urdf_reference(part: HandSpec | ArmSpec, folder: Path) -> str:
     """Return a URDF's path as written in `folder`: in a package, relative, or absolute."""
-    if is_named_source(urdf):
-        return urdf
-    file = Path(urdf).resolve()
+    if is_named_source(part.urdf):
+        return part.urdf
+    file = source_file(part).resolve()
     if inside := file.as_posix().partition("/cmeel.prefix/share/")[2]:
         package, _, path = inside.partition("/")
         try:
