@@ -1,8 +1,6 @@
 """The command `handmap view`."""
 
-import contextlib
-import webbrowser
-from collections.abc import Iterator
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -31,7 +29,7 @@ from handmap_qp.mapping import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
 from .live import LiveViewer
 from .replay import Replay, ReplayViewer
-from .serving import ViserServer, run_frames, serving
+from .serving import ViserServer, run_frames, showing
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ class View:
         try:
             with self._serving() as server:
                 while True:
-                    with contextlib.closing(LiveViewer(server, source)) as window:
+                    with closing(LiveViewer(server, source)) as window:
                         # Until interrupted, or until its hands have changed.
                         run_frames(window.tick, partial(getattr, source, "is_outdated"))
                     server.gui.reset()
@@ -163,19 +161,8 @@ class View:
         finally:
             source.close()
 
-    @contextlib.contextmanager
-    def _serving(self) -> Iterator[ViserServer]:
-        """Serve until Ctrl-C; print the address, and open the browser if requested."""
-        with serving(self.host, self.port) as server:
-            host = server.get_host()
-            address = (
-                f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
-            )
-            print(f"open {address} in a browser (Ctrl-C ends the view)", flush=True)
-            if self.open:
-                webbrowser.open(address)
-            with contextlib.suppress(KeyboardInterrupt):
-                yield server
+    def _serving(self) -> AbstractContextManager[ViserServer]:
+        return showing(self.host, self.port, opens=self.open)
 
     def replay(self, file: Path, name: str) -> Replay:
         """Return a recording mapped to a robot, as the view shows it."""

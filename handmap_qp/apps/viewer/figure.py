@@ -334,10 +334,10 @@ class HandFigure(Figure):
             # sent once.
             q, wrist = posture
             poses = self.hand.link_poses(list(self._links), q, self._pose(wrist))
-            _place(self._body, poses[0])
+            place_node(self._body, poses[0])
             placed = inverse_pose(poses[0]) @ poses
             for node, pose in zip(self._links.values(), placed, strict=True):
-                _place(node, pose)
+                place_node(node, pose)
 
     def _is_in_view(self, link: str) -> bool:
         """Return whether the view is fitted to a link: no arm, nor what a robot does not move."""
@@ -465,7 +465,7 @@ class RobotFigure(HandFigure):
         super().draw(sample)
         self._targets.move(sample.targets)
         if self._solid and sample.object_pose is not None:
-            _place(self._solid, sample.object_pose)
+            place_node(self._solid, sample.object_pose)
         lines = self.hand.name, self.label, state_text(sample)
         self._label.text = "\n".join(filter(None, lines))
 
@@ -524,7 +524,7 @@ def _add_lines(server: ViserServer, path: str, colour: Colour, thickness: float)
     )
 
 
-def _place(node: Any, pose: Array) -> None:
+def place_node(node: Any, pose: Array) -> None:
     """Move a node of the scene to a pose (4, 4)."""
     node.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
     node.position = pose[:3, 3]

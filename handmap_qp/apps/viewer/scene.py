@@ -65,6 +65,7 @@ class HandScene:
 
     Attributes:
         display: What is drawn, and how.
+        robots: The figures of the robots.
         cameras: The browsers' cameras; call `cameras.update()` at every frame.
     """
 
@@ -87,7 +88,7 @@ class HandScene:
             figure = HumanFigure(server, f"human{whose}", hand)
             landmarks.part = figure.part = -place
             self._people.append((landmarks, figure))
-        self._robots: list[RobotFigure] = []
+        self.robots: list[RobotFigure] = []
         self.set_variants(variants)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
@@ -109,9 +110,9 @@ class HandScene:
             for figure in chain(*self._people):
                 figure.turn(upright)
         for i, variant in enumerate(variants):
-            if i == len(self._robots):
-                self._robots.append(RobotFigure(self.server, variant, i))
-            robot = self._robots[i]
+            if i == len(self.robots):
+                self.robots.append(RobotFigure(self.server, variant, i))
+            robot = self.robots[i]
             robot.turn(_robot_axes(variant, upright))
             robot.label = variant.label
         self.clear_trails()
@@ -163,7 +164,7 @@ class HandScene:
     @property
     def _figures(self) -> list[Figure]:
         """All figures from left to right."""
-        return [*chain(*self._people), *self._robots]
+        return [*chain(*self._people), *self.robots]
 
     def _lay_out(self, row: Sequence[Figure]) -> None:
         """Place the figures side by side above their names, and fit the cameras."""

@@ -4,8 +4,9 @@ import http
 import io
 import socket
 import time
+import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -59,6 +60,20 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[ViserServer]:
     finally:
         with redirect_stdout(io.StringIO()):
             server.stop()
+
+
+@contextmanager
+def showing(host: str, port: int, *, opens: bool) -> Iterator[ViserServer]:
+    """Serve until Ctrl-C, as `serving`; print the address, and open the browser if requested."""
+    with serving(host, port) as server:
+        listening = server.get_host()
+        name = f"[{listening}]" if ":" in listening else listening
+        address = f"http://{name}:{server.get_port()}"
+        print(f"open {address} in a browser (Ctrl-C ends the view)", flush=True)
+        if opens:
+            webbrowser.open(address)
+        with suppress(KeyboardInterrupt):
+            yield server
 
 
 @contextmanager
