@@ -76,6 +76,7 @@ _MODULES = {
     "hands migrate": "onboarding.cli",
     "hands check": "onboarding.cli",
     "hands match": "onboarding.cli",
+    "hands edit": "onboarding.editor",
     "robots list": "onboarding.cli",
     "robots show": "onboarding.cli",
     "robots check": "onboarding.cli",

@@ -294,7 +294,15 @@ def test_a_mistake_is_one_line_or_a_box_and_leaves_no_file(
 
 COMMANDS = (
     *("", "demo", "map", "calibrate", "compare", "view"),
-    *("hands list", "hands show", "hands init", "hands check", "hands match", "doctor"),
+    *(
+        "hands list",
+        "hands show",
+        "hands init",
+        "hands check",
+        "hands match",
+        "hands edit",
+    ),
+    "doctor",
     *("robots list", "robots show", "robots check"),
 )
 

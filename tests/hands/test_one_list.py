@@ -48,6 +48,7 @@ LINES = {
     "hands show": "hands show {}",
     "hands check": "hands check {}",
     "hands match": "hands match {}",
+    "hands edit": "hands edit {}",
     "track replay": "track replay demo --to 127.0.0.1 --robot {}",
     "track mediapipe": "track mediapipe --camera 0 --to 127.0.0.1 --robot {}",
 }

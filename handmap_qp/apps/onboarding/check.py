@@ -235,7 +235,7 @@ def _check_points(hand: Hand) -> Found:
         yield advice("sets", what, "add points of the same links")
 
 
-def _check_places(hand: Hand) -> Found:
+def check_places(hand: Hand) -> Iterator[Finding]:
     """Find reference points far outside the shape of their body."""
     try:
         robot = Robot(urdf_path(hand.spec), hand.urdf_text, root=hand.spec.wrist.link)
@@ -393,7 +393,7 @@ _CHECKS = (
     check_speeds,
     _check_followers,
     _check_points,
-    _check_places,
+    check_places,
     _check_tips,
     _check_meshes,
     _check_wrist,

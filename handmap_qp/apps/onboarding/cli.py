@@ -107,12 +107,12 @@ def _available(*hands: HandSpec) -> str:
     return f"no: {missing[0]}" if missing else "yes"
 
 
-def describe_hand(hand: str | Path) -> Values:
+def describe_hand(given: str | Path) -> Values:
     """Describe one hand in plain values for JSON: frames, joints with limits, reference points.
 
     Args and errors are those of `load_hand`.
     """
-    found = load_hand(hand)
+    found = load_hand(given)
     return {
         "name": found.name,
         "side": found.side,
@@ -135,12 +135,12 @@ def describe_hand(hand: str | Path) -> Values:
     }
 
 
-def describe_robot(robot: str | Path) -> Values:
+def describe_robot(given: str | Path) -> Values:
     """Describe a robot in plain values for JSON: its hands, and its joints by part.
 
     Args and errors are those of `load_robot`.
     """
-    found = load_robot(robot)
+    found = load_robot(given)
     first = found.hands[0]
     bases = parse_urdf(first.urdf_text).iterfind(_BASES)
     return {
@@ -226,10 +226,11 @@ class HandsShow:
 
     hand: Positional[HandName]
     json: bool = False
+    _describe = staticmethod(describe_hand)
 
     def run(self) -> None:
         """Print the description."""
-        print_description(describe_hand(self.hand), as_json=self.json)
+        print_description(self._describe(self.hand), as_json=self.json)
 
 
 @dataclass(frozen=True)
@@ -337,8 +338,7 @@ class HandsInit:
         spec = with_origin(spec, is_given=not source.notes)
         found = found._replace(spec=spec)
         check_free(out, overwrite=self.overwrite)
-        write_hand(found, out)
-        hand = load_hand(out)
+        hand = load_hand(spec)
         found = with_collision_pairs(found, hand).doubted(check_fist(hand))
         slow = [
             f"{f.key}: {f.found}: {f.change}" for f in check_speeds(hand) if f.change
@@ -499,7 +499,7 @@ class RobotsList(HandsList):
 
 
 @dataclass(frozen=True)
-class RobotsShow:
+class RobotsShow(HandsShow):
     """Describe a robot: its hands, and its joints with their limits, by part.
 
     Shows where each palm is at rest, how far the wrist moves from there, and which joints move both
@@ -510,20 +510,16 @@ class RobotsShow:
         handmap robots show humanoid/robot.yaml
 
     Attributes:
-        robot: Robot: a name of `handmap robots list`, or the path of its robot.yaml.
+        hand: Robot: a name of `handmap robots list`, or the path of its robot.yaml.
         json: Print JSON instead of tables.
     """
 
-    robot: Positional[RobotName]
-    json: bool = False
-
-    def run(self) -> None:
-        """Print the description."""
-        print_description(describe_robot(self.robot), as_json=self.json)
+    hand: Positional[RobotName]
+    _describe = staticmethod(describe_robot)
 
 
 @dataclass(frozen=True)
-class RobotsCheck:
+class RobotsCheck(HandsCheck):
     """Check a robot.yaml and both of its hands, and draw the robot.
 
     Checks each hand as `handmap hands check` does, and looks for links of arms, hands and body that
@@ -535,23 +531,20 @@ class RobotsCheck:
         handmap robots check g1 --picture g1.png
 
     Attributes:
-        robot: Path of a robot.yaml, or name of a robot of the package.
+        hand: Path of a robot.yaml, or name of a robot of the package.
         picture: Picture to draw, PNG, SVG or PDF.
         motion: Map motions of a human hand to each hand (takes seconds).
         json: Print one JSON object instead of tables.
     """
 
-    robot: Positional[RobotName]
-    picture: PictureFile = None
-    motion: bool = True
-    json: bool = False
+    hand: Positional[RobotName]
 
     def run(self) -> None:
         """Check the robot, draw it, and print the findings."""
         with progress("checking"):
-            robot = load_robot(self.robot)
+            robot = load_robot(self.hand)
             report = check_robot(robot, has_motion=self.motion)
-        picture = self.picture or picture_path(self.robot, "robot")
+        picture = self.picture or picture_path(self.hand, "robot")
         if picture:
             draw_robot(robot, picture)
         report.print(picture, as_json=self.json)

@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import msgspec
 import yaml
@@ -33,7 +33,6 @@ from handmap_qp.hands import (
 from handmap_qp.output_files import check_new, make_folder, writing
 from .detect import Detection
 
-_Part = TypeVar("_Part", HandSpec, ArmSpec)
 _wrapped = partial(
     textwrap.wrap, width=120, break_long_words=False, break_on_hyphens=False
 )
@@ -66,9 +65,9 @@ _ABOVE = {
     "collision": "Links that self-collision avoidance keeps apart: thumb and fingers, thumb and "
     "palm, and neighbouring fingers.",
 }
-_FOUND = {
+FOUND = {
     "side": ("side", ""),
-    "palm": ("palm", "the palm: "),
+    "palm.link": ("palm", "the palm: "),
     "palm.xyz": ("palm origin", "origin, at the wrist [m]: "),
     "palm.distal": ("distal", "distal, the direction of the straight fingers: "),
     "palm.dorsal": ("dorsal", "dorsal, out of the back of the hand: "),
@@ -186,7 +185,10 @@ def hand_text(detection: Detection, folder: Path) -> str:
 def _comments(detection: Detection) -> dict[str, str]:
     """Return the comments above keys by their paths: evidence, and each finger's first joint."""
     said = {clue.what: f"{clue.how} ({clue.certainty})" for clue in detection.clues}
-    found = {key: f"{what}{said[name]}" for key, (name, what) in _FOUND.items()}
+    found = {
+        key: f"{what}{said.get(name, 'as given')}"
+        for key, (name, what) in FOUND.items()
+    }
     above = _ABOVE | found
     for i, point in enumerate(detection.spec.points):
         above[f"points.{i}"] = said.get(point.name, "")
@@ -232,7 +234,7 @@ def _given(value: Any) -> Any:
     }
 
 
-def _beside(part: _Part, folder: Path) -> _Part:
+def _beside(part: Any, folder: Path) -> Any:
     """Return a hand or an arm whose URDF is given as a file in a folder gives it."""
     urdf = _urdf_reference(part, folder)
     return msgspec.structs.replace(part, urdf=urdf, directory=None)

@@ -1,6 +1,6 @@
 """The command `handmap view`."""
 
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ from handmap_qp.mapping import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
 from .live import LiveViewer
 from .replay import Replay, ReplayViewer
-from .serving import ViserServer, run_frames, showing
+from .serving import run_frames, showing
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class View:
                 check_output("--html", self.html, (".html", ".htm"))
             replay = self.replay(self.recording, self.robot)
             if not self.html:
-                with self._serving() as server:
+                with showing(self.host, self.port, opens=self.open) as server:
                     run_frames(ReplayViewer(server, replay).tick)
                 return
             page = replay.page()
@@ -150,7 +150,7 @@ class View:
         )
         source = connect(session=self.session)
         try:
-            with self._serving() as server:
+            with showing(self.host, self.port, opens=self.open) as server:
                 while True:
                     with closing(LiveViewer(server, source)) as window:
                         # Until interrupted, or until its hands have changed.
@@ -160,9 +160,6 @@ class View:
                     source = connect(session=source.name)
         finally:
             source.close()
-
-    def _serving(self) -> AbstractContextManager[ViserServer]:
-        return showing(self.host, self.port, opens=self.open)
 
     def replay(self, file: Path, name: str) -> Replay:
         """Return a recording mapped to a robot, as the view shows it."""

@@ -1,0 +1,143 @@
+"""Corrections of a hand's description: each takes a hand, and returns its new description."""
+
+from contextlib import suppress
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec.structs import replace
+
+from handmap_qp.errors import HandError, expect
+from handmap_qp.hands import (
+    THUMB,
+    Hand,
+    HandSpec,
+    find_fingers,
+    finger_tips,
+    load_hand,
+    urdf_path,
+)
+from handmap_qp.se3 import Array
+from .check import check_places
+from .collision_pairs import with_collision_pairs
+from .detect import Detection, detect
+from .measure import check_fist
+from .write import FOUND
+
+
+def open_description(hand: str | Path) -> Detection:
+    """Load a description, and detect the same hand for its evidence; errors as of `load_hand`."""
+    built = load_hand(hand)
+    spec = built.spec
+    if not finger_tips(built):
+        raise spec.error("no point names its finger", "points")
+    found = Detection(spec, (), (), {})
+    # A description may be of a hand that the detection does not find.
+    with suppress(HandError):
+        found = detect(urdf_path(spec), root=spec.wrist.link)
+        found = with_collision_pairs(found, built).doubted(check_fist(built))
+    return corrected(found, spec)
+
+
+def corrected(found: Detection, spec: HandSpec, *known: str) -> Detection:
+    """Return a detection with another description, and the evidence for what stays the same.
+
+    Evidence with the names `known` is left out too. Chains stay if the fingertips are the same.
+    """
+    before, after = map(_values, (found.spec, spec))
+    clues = tuple(
+        clue
+        for clue in found.clues
+        if clue.what not in known and before.get(clue.what) == after.get(clue.what)
+    )
+    chains = found.chains if before.keys() == after.keys() else {}
+    return found._replace(spec=spec, clues=clues, chains=chains)
+
+
+def with_other_side(hand: Hand) -> HandSpec:
+    """Return a left hand as a right one, and a right one as a left one."""
+    return replace(hand.spec, side="left" if hand.side == "right" else "right")
+
+
+def with_palm_turned(hand: Hand) -> HandSpec:
+    """Return a hand whose back is where its palm was.
+
+    Joints that curl a finger equally far both ways then rest as far to the other side.
+    """
+    q = hand.rest
+    for finger in find_fingers(hand).values():
+        flexion = finger.flexion
+        if flexion and flexion.sense == 0.0:
+            q = np.where(flexion.signs, 2.0 * flexion.straight - q, q)
+    spec = with_rest(hand, q)
+    dorsal = 0.0 - np.array(spec.palm.dorsal)
+    return replace(spec, palm=replace(spec.palm, dorsal=dorsal))
+
+
+def with_other_palm(hand: Hand) -> HandSpec:
+    """Return the other hand that the thumb's place allows: turned over, of the other side."""
+    return with_other_side(load_hand(with_palm_turned(hand)))
+
+
+def with_rest(hand: Hand, q: Array) -> HandSpec:
+    """Return a hand that rests at joint angles q [rad or m], shape (n,), rounded to 1e-4."""
+    joints = hand.spec.joints
+    # Joints of an arm come first.
+    inside = np.clip(q.round(4) + 0.0, *hand.limits)[-len(joints) :]
+    return replace(hand.spec, rest=dict(zip(joints, inside, strict=True)))
+
+
+def with_finger(hand: Hand, finger: str, name: str) -> HandSpec:
+    """Return a hand with a finger renamed; another one of that name takes its name.
+
+    Raises:
+        InvalidInputError: If no finger would be the thumb.
+    """
+    keeps = finger != THUMB or name in finger_tips(hand)
+    advice = "call another finger the thumb"
+    expect(keeps, "finger", "one that is the thumb", got="none", advice=advice)
+    names = {finger: name, name: finger}
+
+    def called(text: str) -> str:
+        stem, _, kind = text.partition("_")
+        return f"{names[stem]}_{kind}" if stem in names else text
+
+    spec = hand.spec
+    points = [
+        replace(
+            point,
+            name=called(point.name),
+            finger=names[point.finger],
+            partner=point.partner and called(point.partner),
+        )
+        if point.finger in names
+        else point
+        for point in spec.points
+    ]
+    sets = {key: [*map(called, members)] for key, members in spec.sets.items()}
+    return replace(spec, points=points, sets=sets)
+
+
+def with_tip(hand: Hand, finger: str, xyz: Array) -> HandSpec:
+    """Return a hand with a fingertip at a place on its link [m], rounded to 0.1 mm.
+
+    Raises:
+        HandError: If it is far outside the shape of its link.
+    """
+    name = finger_tips(hand)[finger]
+    place = np.round(xyz, 4) + 0.0
+    points = [
+        replace(point, xyz=place) if point.name == name else point
+        for point in hand.spec.points
+    ]
+    spec = replace(hand.spec, points=points)
+    for wrong in check_places(load_hand(spec, points=[name])):
+        raise spec.error(wrong.found, wrong.key, place)
+    return spec
+
+
+def _values(spec: HandSpec) -> dict[str, Any]:
+    """Return the values of a description by the names of their clues."""
+    values = {what: attrgetter(key)(spec) for key, (what, _) in FOUND.items()}
+    return values | {point.name: point.xyz for point in spec.points}

@@ -1,0 +1,285 @@
+"""`handmap hands edit`: corrections of a description, and the page in a headless Chromium."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip(
+    "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
+)
+
+from browser import Browser, find_chromium
+from made_hands import make_hand
+from patience import wait_until
+
+from handmap_qp import Hand, HandError, InvalidInputError, load_hand
+from handmap_qp.apps.onboarding import edit
+from handmap_qp.apps.onboarding.cli import HandsInit
+from handmap_qp.apps.onboarding.detect import detect
+from handmap_qp.apps.onboarding.editor import HandEditor, HandsEdit
+from handmap_qp.apps.onboarding.findings import Report
+from handmap_qp.apps.onboarding.gestures import GESTURES, draw_gestures
+from handmap_qp.apps.onboarding.measure import check_fist
+from handmap_qp.apps.onboarding.write import write_hand
+from handmap_qp.apps.viewer.serving import serving
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.spec import HandSpec, read_hand_spec
+
+# Whole hands and a browser: not for the fast suite.
+pytestmark = pytest.mark.slow
+
+DATA = Path(__file__).parents[1] / "data" / "urdf"
+HANDS = ("three_finger", "allegro_left")
+
+
+def applied(hand: Hand, *corrections: Callable[[Hand], HandSpec]) -> Hand:
+    for correct in corrections:
+        hand = load_hand(correct(hand))
+    return hand
+
+
+def renaming(finger: str, name: str) -> Callable[[Hand], HandSpec]:
+    return lambda hand: edit.with_finger(hand, finger, name)
+
+
+@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize(
+    "correct",
+    [
+        edit.with_palm_turned,
+        edit.with_other_side,
+        edit.with_other_palm,
+        renaming("index", "middle"),
+        renaming("thumb", "index"),
+        renaming("middle", "little"),
+    ],
+)
+def test_a_correction_is_one_and_two_are_none(
+    name: str, correct: Callable[[Hand], HandSpec]
+) -> None:
+    hand = load_hand(name)
+    once = applied(hand, correct)
+    twice = applied(once, correct)
+    assert once.spec != hand.spec
+    assert twice.spec == hand.spec
+
+
+def test_turning_the_palm_and_the_side_is_what_the_detection_makes_of_that_side(
+    tmp_path: Path,
+) -> None:
+    """Joints are symmetric: the thumb's place allows a right hand and a left one, turned over."""
+    generator = np.random.default_rng(3)
+    made = make_hand(generator)
+    while made.is_one_sided:
+        made = make_hand(generator)
+    file = tmp_path / "hand.urdf"
+    file.write_text(made.urdf)
+    right, left = (detect(file, side=side).spec for side in ("right", "left"))
+    turned = edit.with_other_palm(load_hand(right))
+    assert turned.side == left.side
+    np.testing.assert_allclose(turned.palm.dorsal, left.palm.dorsal)
+    for joint, at in turned.rest.items():
+        assert at == pytest.approx(left.rest[joint], abs=2e-3), joint
+    # The fingers close to the palm, whichever that is.
+    for spec in (right, turned):
+        hand = load_hand(spec, points="fingertips")
+        _, *moved = hand.points(hand.rest) - hand.points(hand.zero)
+        assert (moved @ np.array(spec.palm.dorsal) < -0.01).all()
+
+
+def test_a_palm_turned_over_is_found_and_turned_back() -> None:
+    hand = load_hand("allegro_left")
+    turned = applied(hand, edit.with_palm_turned)
+    levels = []
+    for each in (hand, turned):
+        report = Report(each.name)
+        report.add(check_fist(each))
+        levels.append([finding.level for finding in report.findings])
+    assert levels == [["fine"], ["warning"]]
+    # Ranges say how its fingers close, so that it rests as before.
+    assert turned.spec.rest == hand.spec.rest
+
+
+def test_fingers_exchange_all_that_names_them() -> None:
+    hand = load_hand("allegro_left")
+    renamed = applied(hand, renaming("index", "ring"))
+    joints = {name: finger.joints for name, finger in find_fingers(hand).items()}
+    for name, finger in find_fingers(renamed).items():
+        other = {"index": "ring", "ring": "index"}.get(name, name)
+        assert finger.joints == joints[other]
+    partners = {
+        point.name: point.partner
+        for point in edit.with_finger(load_hand("three_finger"), "index", "ring").points
+    }
+    assert partners["finger3_tip"] == "ring_tip"
+    assert partners["finger2_tip"] == "middle_tip"
+    with pytest.raises(InvalidInputError, match="one that is the thumb"):
+        edit.with_finger(hand, "thumb", "little")
+
+
+def test_a_tip_is_where_it_was_put_unless_that_is_far_outside() -> None:
+    hand = load_hand("allegro_left")
+    xyz = np.array([0.00312, -0.002, 0.004])
+    moved = applied(hand, lambda each: edit.with_tip(each, "middle", xyz))
+    (pose,) = moved.link_poses([moved.spec.points[2].link], moved.rest)
+    tip = moved.with_points(["middle_tip"]).points(moved.rest)[0]
+    np.testing.assert_allclose(tip, pose[:3, :3] @ xyz + pose[:3, 3], atol=5e-5)
+    with pytest.raises(HandError, match="outside the shape") as caught:
+        edit.with_tip(hand, "middle", xyz + 0.1)
+    assert caught.value.key == "points.middle_tip"
+
+
+def test_a_rest_is_inside_the_limits_and_leaves_the_arm() -> None:
+    hand = load_hand("ur5_allegro")
+    spec = edit.with_rest(hand, hand.upper_limits + 1.0)
+    assert spec.arm == hand.spec.arm
+    assert load_hand(spec).rest[6:] == pytest.approx(hand.upper_limits[6:])
+
+
+@pytest.mark.parametrize("name", ["seven_fingers", "absent_limits"])
+def test_what_is_opened_is_written_as_init_wrote_it(name: str, tmp_path: Path) -> None:
+    file, again = tmp_path / "hand.yaml", tmp_path / "again.yaml"
+    HandsInit(DATA / f"{name}.urdf", out=file).run()
+    found = edit.open_description(file)
+    write_hand(found, again)
+    assert comments(again) == comments(file)
+    assert read_hand_spec(again).points == read_hand_spec(file).points
+    # What the user knows has no evidence of the detection.
+    spec = edit.with_palm_turned(load_hand(file))
+    write_hand(edit.corrected(found, spec), again)
+    new = comments(again) - comments(file)
+    # Fingers that curl equally far both ways rest on the other side.
+    new -= {"# rest posture [rad or m]: as given"}
+    assert new == {"# dorsal, out of the back of the hand: as given"}
+
+
+def comments(file: Path) -> set[str]:
+    lines = file.read_text().splitlines()
+    return {line.strip() for line in lines if line.strip().startswith("# ")}
+
+
+def test_scores_tell_a_palm_that_is_turned_over() -> None:
+    hand = load_hand("allegro_left")
+    scores = []
+    for each in (hand, applied(hand, edit.with_palm_turned)):
+        shown, said = draw_gestures(each)
+        assert tuple(shown) == GESTURES
+        scores.append(
+            [float(number) for number in re.findall(r"[\d.]+$|[\d.]+(?=,)", said)]
+        )
+    (extension, direction, closed), wrong = scores
+    assert extension > 0.9 > wrong[0]
+    assert direction < 20.0 < wrong[1]
+    assert closed == 1.0 > wrong[2]
+
+
+def test_mistakes_are_found_before_a_page_is_shown(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("mine")
+    for out in (file, tmp_path / "mine.txt"):
+        with pytest.raises(InvalidInputError):
+            HandsEdit("three_finger", out=out).run()
+    with pytest.raises(HandError):
+        HandsEdit(str(file)).run()
+    assert file.read_text() == "mine"
+    with pytest.raises(HandError, match="hands init"):
+        HandsEdit(str(DATA / "seven_fingers.urdf"), out=tmp_path / "new.yaml").run()
+    assert not (tmp_path / "new.yaml").exists()
+
+
+def test_a_tip_is_dragged_and_one_that_is_too_far_goes_back(tmp_path: Path) -> None:
+    with serving() as server:
+        found = edit.open_description("allegro_left")
+        editor = HandEditor(server, found, tmp_path / "mine.yaml")
+        editor.tick()
+        tip = editor.hand.reference_points[1]
+        arrows = editor.arrows[tip.link]
+        start = np.array(arrows.position)
+        across = np.array([0.0, 1.0, 0.0])
+        for step, is_possible in ((0.004, True), (0.5, False)):
+            before = editor.found
+            arrows.position = start + step * across
+            editor._press("tip", tip.link)
+            editor.tick()
+            assert editor.message.visible is not is_possible
+            assert (editor.found is before) is not is_possible
+            moved = editor.hand.points(editor.hand.rest)[1]
+            np.testing.assert_allclose(moved, start + 0.004 * across, atol=1e-4)
+            np.testing.assert_allclose(arrows.position, moved)
+        assert "outside the shape" in editor.message.content
+
+
+def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:
+    program = find_chromium()
+    if program is None:
+        pytest.skip(
+            "no Chromium: install one (on Debian: chromium), or name one in HANDMAP_CHROMIUM"
+        )
+    out = tmp_path / "mine.yaml"
+    found = edit.open_description("three_finger")
+    text = "document.body.innerText.includes('{}')"
+
+    def click(query: str, label: str) -> None:
+        """Click what has a label once it is there; viser drops what comes within 50 ms."""
+        time.sleep(0.3)
+        node = f"[...document.querySelectorAll('{query}')].find({label})"
+        browser.wait_for(f"!!{node}")
+        browser.evaluate(f"{node}.click()")
+
+    def press(button: str) -> None:
+        click("button", f"e => e.innerText.trim() == '{button}'")
+
+    with serving() as server, Browser(program) as browser:
+        editor = HandEditor(server, found, out)
+        with kept_going(editor.tick):
+            browser.open(f"http://127.0.0.1:{server.get_port()}")
+            press("Turn the palm over")
+            press("Left / right")
+            wait_until(lambda: editor.hand.side == "left", "the side does not change")
+            # Move a slider by its keys, as a user does.
+            sliders = "[...document.querySelectorAll('[role=slider]')]"
+            browser.evaluate(f"{sliders}[1].focus()")
+            browser.press("End", 35)
+            upper = editor.hand.upper_limits[1]
+            wait_until(
+                lambda: editor.joints[1].value == upper, "the slider does not move"
+            )
+            press("Rest as shown")
+            click("input", "e => e.value == 'thumb'")
+            click("[role=option]", "e => e.innerText.trim() == 'little'")
+            browser.wait_for(text.format("one that is the thumb"))
+            press("Save")
+            browser.wait_for(text.format("wrote"))
+            browser.wait_for(text.format("finger dir."))
+            assert not browser.errors
+    spec = read_hand_spec(out)
+    assert spec.side == "left"
+    assert spec.palm.dorsal == tuple(-np.array(found.spec.palm.dorsal))
+    assert spec.rest == found.spec.rest | {spec.joints[1]: upper}
+    assert [p.finger for p in spec.points] == [p.finger for p in found.spec.points]
+
+
+@contextmanager
+def kept_going(act: Callable[[], object]) -> Iterator[None]:
+    """Call a function repeatedly in a thread."""
+    is_over = threading.Event()
+
+    def keep_going() -> None:
+        while not is_over.wait(0.05):
+            act()
+
+    thread = threading.Thread(target=keep_going)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()
