@@ -281,7 +281,7 @@ class ServiceSession:
             for k, robot in enumerate(self.robot.parts)
         ]
         targets = [row for each in details for row in each.get("targets", ())]
-        held_by = max(each.get("held_by", []) for each in details)
+        held_by = max(each.get("held_by", ()) for each in details)
         whole = details[0] | {"targets": targets, "held_by": held_by}
         return self._shown(command, self.robot, whole, hands=hands)
 
