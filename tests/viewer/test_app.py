@@ -222,12 +222,11 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(
     scene = HandScene(server, replay.human, replay.variants)
     scene.draw([sample])
     handle = server.scene.get_handle_by_name("/human/ellipsoid")
-    assert sample.deformation is not None
+    assert sample.motion_deformation is not None
+    linear = sample.motion_deformation[:3, :3]
     axes = rotation_from_quat_wxyz(handle.wxyz) * np.array(handle.scale)
     # Two maps A deform a ball equally if their A A^T are equal.
-    np.testing.assert_allclose(
-        axes @ axes.T, sample.deformation @ sample.deformation.T, atol=1e-9
-    )
+    np.testing.assert_allclose(axes @ axes.T, linear @ linear.T, atol=1e-9)
     assert sample.pivot is not None
     np.testing.assert_allclose(handle.position, sample.pivot, atol=1e-12)
     assert not np.allclose(handle.scale, 1.0, atol=0.05), "the motion should deform"
@@ -242,8 +241,9 @@ def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
     cube = server.scene.get_handle_by_name("/human/cube")
     assert cube.visible
     assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
-    assert sample.deformation is not None
-    corners = np.linalg.solve(sample.deformation, cube.points.reshape(-1, 3).T).T
+    assert sample.motion_deformation is not None
+    linear = sample.motion_deformation[:3, :3]
+    corners = np.linalg.solve(linear, cube.points.reshape(-1, 3).T).T
     # Points are sent as 32-bit floats.
     np.testing.assert_allclose(np.abs(corners), np.abs(corners).max(), rtol=1e-4)
     assert len(np.unique(np.sign(corners), axis=0)) == 8

@@ -153,7 +153,7 @@ def test_a_source_of_commands_only_is_drawn_without_targets(
     server: Any, source: Any
 ) -> None:
     source.given.put(
-        replace(source.samples[-1], targets=None, deformation=None, pivot=None)
+        replace(source.samples[-1], targets=None, motion_deformation=None, pivot=None)
     )
     viewer = LiveViewer(server, source)
     viewer.tick()

@@ -175,14 +175,14 @@ def test_teleoperation_is_shown_with_the_points_that_it_moves(service: Server) -
         command = sent[tuple(sample.robot_q.tolist())]
         assert command.detail is not None
         assert sample.targets is not None
-        assert sample.deformation is not None
+        assert sample.motion_deformation is not None
         assert sample.held_by == command.detail["held_by"]
         np.testing.assert_allclose(
             sample.targets, command.detail["targets"], atol=1e-12
         )
         np.testing.assert_allclose(
-            sample.deformation,
-            np.array(command.detail["motion_deformation"])[:3, :3],
+            sample.motion_deformation,
+            command.detail["motion_deformation"],
             atol=1e-12,
         )
         assert len(sample.robot_points) == len(session.robot.reference_points)

@@ -412,13 +412,14 @@ class HumanFigure(HandFigure):
     def draw(self, sample: ViewSample) -> None:
         """Draw the hand, its points and the deformation."""
         super().draw(sample)
-        linear = sample.deformation
+        motion = sample.motion_deformation
         pivot = sample.pivot
-        shape = "off" if linear is None else self.shape
+        shape = "off" if motion is None else self.shape
         self._ball.visible = self._ellipsoid.visible = shape == "ellipsoid"
         self._cube.visible = shape == "cube"
-        if linear is None or pivot is None:
+        if motion is None or pivot is None:
             return
+        linear = motion[:3, :3]
         self._ball.position = self._ellipsoid.position = self._cube.position = pivot
         if shape == "ellipsoid":
             # A rotation leaves the ball unchanged, so the rotation that T_def contains with

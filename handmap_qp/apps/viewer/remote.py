@@ -303,7 +303,6 @@ class ServiceSession:
         if "human_points" in arrays:
             posture = self._human_posture(arrays, detail["human_wrist"], k)
             arrays["human_q"], arrays["human_wrist"] = posture
-            arrays["deformation"] = arrays.pop("motion_deformation")[:3, :3]
         # The last detail of a held robot may be of another method.
         count = len(arrays.get("targets", ()))
         if self.is_released or count != len(robot.reference_points):

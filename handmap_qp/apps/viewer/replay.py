@@ -202,7 +202,6 @@ class Replay:
         hands: dict[Side, MapStep] = getattr(step, "hands", {})
         # The newest sample of the hand.
         k = np.searchsorted(recording.time[1:], self._time[i], "right")
-        motion = results.get("motion_deformation")
         return ViewSample(
             time=float(self.time[i]),
             robot_q=step.command.q,
@@ -214,7 +213,7 @@ class Replay:
             human_wrist=fitted.wrist[k],
             human_points=step.human_points,
             landmarks=recording.landmarks[k] if recording.valid[k] else None,
-            deformation=None if motion is None else motion[:3, :3],
+            motion_deformation=results.get("motion_deformation"),
             pivot=results.get("pivot_image"),
             object_pose=results.get("object_pose"),
             is_limited=step.at_bound,

@@ -28,8 +28,8 @@ class ViewSample:
         human_wrist: Human wrist pose in W, shape (4, 4); None without a human hand.
         human_points: Human reference points in W [m], shape (n_h, 3); None without a human hand.
         landmarks: Landmarks in W as they were tracked [m], shape (21, 3); None if there are none.
-        deformation: Linear part of T_def, shape (3, 3); None if the source does not report it.
-        pivot: The human's pivot after T, in W [m], shape (3,); given with `deformation`.
+        motion_deformation: T_def, shape (4, 4); None if the source does not report it.
+        pivot: The human's pivot after T, in W [m], shape (3,); given with `motion_deformation`.
         object_pose: Pose in V of the variant's object, shape (4, 4); None if there is none.
         is_limited: Whether a position or speed limit held each robot joint in this step, shape
             (n,); False if the source does not report it.
@@ -52,7 +52,7 @@ class ViewSample:
     human_wrist: Array | None = None
     human_points: Array | None = None
     landmarks: Array | None = None
-    deformation: Array | None = None
+    motion_deformation: Array | None = None
     pivot: Array | None = None
     object_pose: Array | None = None
     is_limited: Array | bool = False
