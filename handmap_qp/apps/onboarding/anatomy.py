@@ -73,7 +73,9 @@ class Anatomy:
         self._labels = named_fingers(self._names)
         self.flexion = flexion = HandFlexion(robot, fingers)
         # The thumb, if there are several fingers, and the other ones.
-        self._thumb, self._thumb_clue = self._find_thumb(thumb)
+        self._thumb, self._thumb_clue = (
+            self._find_thumb() if thumb is None else self._given_thumb(thumb)
+        )
         self.others = [i for i in range(len(fingers)) if i != self._thumb]
         axes = flexion.axes[self.others]
         values, vectors = np.linalg.eigh(axes.T @ axes)
@@ -110,15 +112,17 @@ class Anatomy:
             # The side turned the palm over: joints with symmetric ranges flex the other way.
             self.flexion = HandFlexion(robot, fingers, palmar=-self.dorsal)
 
-    def _find_thumb(self, given: str | None) -> tuple[int | None, Clue]:
+    def _given_thumb(self, given: str) -> tuple[int, Clue]:
+        """Return the finger of a link or joint."""
+        for i, group in enumerate(self._names):
+            if given in group:
+                return i, Clue("thumb", group[-1], "as given", 1.0)
+        raise self.robot.error(f"no finger has a link or joint {given!r}", given)
+
+    def _find_thumb(self) -> tuple[int | None, Clue]:
         """Find the finger that differs from the others, or that the names call a thumb."""
         names = self._names
         count = len(names)
-        if given is not None:
-            for i, group in enumerate(names):
-                if given in group:
-                    return i, Clue("thumb", group[-1], "as given", 1.0)
-            raise self.robot.error(f"no finger has a link or joint {given!r}", given)
         if count < 2:
             return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
         peaks = [_stands_out(part) for part in _differences(self.flexion)]

@@ -168,9 +168,8 @@ def _describe(hand: Anatomy, name: str | None, part: Robot) -> HandSpec:
     joints = (*arm, *own)
     still = robot.positions(robot.rest) | part.positions(part.rest)
     origin = _palm_origin(hand)
-    points, sets = point_sets(
-        point for finger in hand.fingers for point in _points(hand, finger)
-    )
+    found = (_points(hand, finger) for finger in hand.fingers)
+    points, sets = point_sets(chain.from_iterable(found))
     rest = robot.positions(_rest(hand))
     palm = robot.palm_frame.name
     if arm:
