@@ -40,7 +40,11 @@ _LAST_SHOWN_GROUP = 2
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
 _CONVERSION = 7
-_UNKNOWN = re.compile(r"unrecognized attribute: '(\w+)'\s+Element '(\w+)', line (\d+)")
+# In a file that this one names, the message has other words before these.
+_UNKNOWN = re.compile(
+    r"XML Error: Schema violation: unrecognized attribute: '(\w+)'\s+"
+    r"Element '(\w+)', line (\d+)"
+)
 # Radius of a ball in the place of a lost mesh [m].
 _RADIUS = 0.006
 # A range of this size in radians is one of pi in degrees [rad].
@@ -108,7 +112,7 @@ def _parse(file: Path) -> tuple[mujoco.MjSpec, Names]:
             spec = parse.from_string(text) if text else parse.from_file(str(file))
             return spec, (*notes,)
         except ValueError as error:
-            unknown = _UNKNOWN.search(str(error))
+            unknown = _UNKNOWN.match(str(error))
             # MuJoCo names a line: every element gets one of its own.
             known = text or " ".join(file.read_text().splitlines()).replace("<", "\n<")
             if not unknown or "<include" in known:
@@ -117,6 +121,8 @@ def _parse(file: Path) -> tuple[mujoco.MjSpec, Names]:
                 name, element, line = unknown.groups()
                 start = rf"\A((?:.*\n){{{int(line) - 1}}}.*?)"
                 known = re.sub(rf"{start}\s{name}\s*=\s*(['\"]).*?\2", r"\1", text)
+                if known == text:
+                    raise
                 note = f"{name} of {element} is unknown to MuJoCo: it is left out"
                 notes[note] = None
             text = known

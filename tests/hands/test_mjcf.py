@@ -373,6 +373,23 @@ def test_an_unknown_attribute_is_left_out_of_the_element_that_mujoco_names(
     assert any("cord = 2 x + 1 y" in note for note in converted.notes)
 
 
+def test_an_unknown_attribute_of_an_attached_file_is_refused_in_its_words(
+    tmp_path: Path,
+) -> None:
+    """Its line is one of the other file, which is not read again."""
+    part = tmp_path / "part.xml"
+    part.write_text(
+        '<mujoco><worldbody><body name="s"><geom size=".01" foo="3"/></body></worldbody></mujoco>'
+    )
+    file = tmp_path / "hand.xml"
+    file.write_text(
+        f'''<mujoco><asset><model name="x" file="{part}"/></asset><worldbody>
+        <body name="b"><attach model="x" body="s" prefix="p"/></body></worldbody></mujoco>'''
+    )
+    with pytest.raises(HandError, match="unrecognized attribute: 'foo'"):
+        convert_mjcf(file)
+
+
 def test_the_root_tells_what_a_file_is(tmp_path: Path) -> None:
     assert (
         root_tag(b"<?xml version='1.0'?>\n<!-- <robot> --><mujoco model='a'>")
