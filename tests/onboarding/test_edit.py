@@ -215,6 +215,12 @@ def test_a_tip_is_dragged_and_one_that_is_too_far_goes_back(tmp_path: Path) -> N
             np.testing.assert_allclose(moved, start + 0.004 * across, atol=1e-4)
             np.testing.assert_allclose(arrows.position, moved)
         assert "outside the shape" in editor.message.content
+        # A name that is chosen while a tip is dragged comes after it.
+        editor._press("tip", tip.link)
+        editor.names[tip.link].value = "little"
+        editor.tick()
+        fingers = {point.link: point.finger for point in editor.hand.reference_points}
+        assert fingers[tip.link] == "little"
 
 
 def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:

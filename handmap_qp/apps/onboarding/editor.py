@@ -170,7 +170,7 @@ class HandEditor:
                 (pose,) = hand.link_poses([which], self._q)
                 place = np.array(self.arrows[which].position)
                 xyz = transform_points(inverse_pose(pose), place)
-                spec = edit.with_tip(hand, self.names[which].value, xyz)
+                spec = edit.with_tip(hand, self._labels[which].text, xyz)
             case "right":
                 spec = edit.with_other_palm(hand)
         known = ("dorsal", "side") if request == "left" else ()
@@ -220,7 +220,6 @@ class HandEditor:
         """
         if self._mapped is self.found:
             return
-        self._mapped = self.found
         gui = self._gui
         with reporting(self.status, "mapping the gestures …"):
             shown, scores = draw_gestures(self.hand)
@@ -239,3 +238,4 @@ class HandEditor:
                     add_controls(gui, "choosing", self._press)
                 for name, picture in shown.items():
                     gui.add_image(np.hstack([*picture]), label=name)
+        self._mapped = self.found
