@@ -135,6 +135,15 @@ def test_options_of_another_preset_are_refused_by_name(
     assert about(session) == before
 
 
+def test_an_empty_name_is_no_preset() -> None:
+    session = make_session(preset="paper")
+    session.step(Sampler()(), 0.0)
+    with pytest.raises(RefusedError) as raised:
+        session.configure(change(preset=""))
+    assert raised.value.field == "preset"
+    assert about(session).preset == "paper"
+
+
 def test_options_alone_do_not_change_the_preset() -> None:
     session = opened({})
     with pytest.raises(RefusedError) as raised:

@@ -408,7 +408,7 @@ def reopened(request: Open, preset: str, changes: Configure) -> Open:
     is_alien = request.grip is None and changes.grip
     refuse_if(is_alien, "this session was opened without it", "grip")
     opened = structs.asdict(request) | {"preset": preset}
-    if changes.preset:
+    if changes.preset is not None:
         with naming_field("preset"):
             opened["options"] = kept_options(request.options, changes.preset)
     return structs.replace(request, **with_changes(opened, structs.asdict(changes)))
