@@ -42,7 +42,7 @@ from handmap_qp.apps.onboarding.measure import (
     measure_arm,
 )
 from handmap_qp.apps.onboarding.picture import hand_scene
-from handmap_qp.apps.onboarding.speeds import MAKERS, with_speed
+from handmap_qp.apps.onboarding.speeds import MAKERS, maker_speed, with_speed
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import find_fingers
@@ -256,6 +256,16 @@ def test_every_maker_figure_has_a_source() -> None:
     for speed, source in MAKERS.values():
         assert 0.1 <= speed <= 15.0
         assert len(source) > 20
+    spec = load_hand("three_finger").spec
+    for name, speed in (
+        ("robotiq_hande", 0.15),
+        ("hand-e", 0.15),
+        ("inmoov_hand_eef", None),
+        ("ability_hand", 8.07),
+        ("capability", None),
+    ):
+        said = maker_speed(msgspec.structs.replace(spec, name=name))
+        assert (said and said[0]) == speed, name
 
 
 def test_a_contradiction_is_an_exit_code(
