@@ -56,11 +56,11 @@ class Limit(NamedTuple):
 
 
 BUDGET = {
-    "lines": Limit(45_009, 34_000),
+    "lines": Limit(44_930, 34_000),
     "tokens": Limit(238_600, 200_000),
     "tokens per code line": Limit(8.51, 8),
-    "closure: files": Limit(21, None),
-    "closure: lines": Limit(7_130, 7_500),
+    "closure: files": Limit(20, None),
+    "closure: lines": Limit(6_840, 7_500),
     "files of a sample: map_landmarks": Limit(10, 10),
     "files of a sample: map_sample": Limit(15, None),
     "files of a sample: service": Limit(22, 20),
@@ -68,7 +68,7 @@ BUDGET = {
     "top view: arrows": Limit(49, 60),
     "circles": Limit(0, 0),
     "files of a method": Limit(1, 1),
-    "functions with more than 10 paths": Limit(21, 40),
+    "functions with more than 10 paths": Limit(20, 40),
     "functions with more than 20 paths": Limit(0, 0),
     "imports inside functions": Limit(0, 0),
 }
