@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 PATIENCE = 30.0
@@ -31,3 +33,26 @@ def wait_until(
         assert time.monotonic() < end, complaint
         time.sleep(0.005)
     return seen
+
+
+@contextmanager
+def kept_going(act: Callable[[], object], period: float = 0.2) -> Iterator[None]:
+    """Call a function repeatedly in a thread.
+
+    Args:
+        act: The function.
+        period: Time between two calls [s].
+    """
+    is_over = threading.Event()
+
+    def keep_going() -> None:
+        while not is_over.wait(period):
+            act()
+
+    thread = threading.Thread(target=keep_going)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        thread.join()

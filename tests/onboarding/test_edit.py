@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +16,7 @@ pytest.importorskip(
 
 from browser import Browser, find_chromium
 from made_hands import make_hand
-from patience import wait_until
+from patience import kept_going, wait_until
 
 from handmap_qp import Hand, HandError, InvalidInputError, load_hand
 from handmap_qp.apps.onboarding import edit
@@ -245,7 +243,7 @@ def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:
 
     with serving() as server, Browser(program) as browser:
         editor = HandEditor(server, found, out)
-        with kept_going(editor.tick):
+        with kept_going(editor.tick, 0.05):
             browser.open(f"http://127.0.0.1:{server.get_port()}")
             press("Turn the palm over")
             press("Left / right")
@@ -271,21 +269,3 @@ def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:
     assert spec.palm.dorsal == tuple(-np.array(found.spec.palm.dorsal))
     assert spec.rest == found.spec.rest | {spec.joints[1]: upper}
     assert [p.finger for p in spec.points] == [p.finger for p in found.spec.points]
-
-
-@contextmanager
-def kept_going(act: Callable[[], object]) -> Iterator[None]:
-    """Call a function repeatedly in a thread."""
-    is_over = threading.Event()
-
-    def keep_going() -> None:
-        while not is_over.wait(0.05):
-            act()
-
-    thread = threading.Thread(target=keep_going)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_over.set()
-        thread.join()

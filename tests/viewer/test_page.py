@@ -7,10 +7,8 @@ import gzip
 import json
 import re
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +23,7 @@ pytest.importorskip(
 )
 
 from browser import DRAWING, Browser, find_chromium
-from patience import PATIENCE, wait_until
+from patience import PATIENCE, kept_going, wait_until
 from viewer_cases import COUNT, make_replay, plotted, write_recording
 from viser import ViserServer
 
@@ -213,24 +211,6 @@ def light_simply(server: ViserServer) -> None:
     """
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(cast_shadow=False)
-
-
-@contextmanager
-def kept_going(act: Callable[[], object]) -> Iterator[None]:
-    """Call a function repeatedly in a thread."""
-    is_over = threading.Event()
-
-    def keep_going() -> None:
-        while not is_over.wait(0.2):
-            act()
-
-    thread = threading.Thread(target=keep_going)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_over.set()
-        thread.join()
 
 
 def skin(pixels: np.ndarray) -> int:
