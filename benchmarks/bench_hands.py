@@ -162,19 +162,10 @@ def _shortened(recording: Recording) -> Recording:
 
 def draw(rows: list[dict[str, Any]]) -> Any:
     """Draw the correlation of the fingers' extension, a bar each hand."""
-    from matplotlib.figure import Figure
-
     heading = _heading(_metrics()[0])
-    values = [
-        float(row[heading]) if row[heading] not in ("-", "") else 0.0 for row in rows
-    ]
-    figure = Figure(figsize=(7, 0.3 * len(rows) + 1.2), layout="constrained")
-    axes = figure.subplots()
-    axes.barh([row["hand"] for row in rows], values, color="0.4")
-    axes.invert_yaxis()
-    axes.set_xlim(0.0, 1.0)
-    axes.set_xlabel("correlation of the fingers' extension with the human's")
-    return figure
+    shares = {row["hand"]: row[heading] for row in rows}
+    label = "correlation of the fingers' extension with the human's"
+    return common.draw_shares(shares, label)
 
 
 def write_page(page: Path, rows: list[dict[str, Any]], recordings: list[str]) -> None:

@@ -222,17 +222,9 @@ def intended(horizon: float, take: Take) -> Array:
 
 def draw(rows: list[dict[str, Any]]) -> Any:
     """Draw the share of pinches that close, a bar each way."""
-    from matplotlib.figure import Figure
-
     label = next(m.label for m in _metrics() if m.key == "pinch_closed")
-    values = [0.0 if row[label] == "-" else float(row[label]) for row in rows]
-    figure = Figure(figsize=(7, 0.3 * len(rows) + 1.2), layout="constrained")
-    axes = figure.subplots()
-    axes.barh([row["way"] for row in rows], values, color="0.4")
-    axes.invert_yaxis()
-    axes.set_xlim(0.0, 1.0)
-    axes.set_xlabel("share of pinches that close")
-    return figure
+    shares = {row["way"]: row[label] for row in rows}
+    return common.draw_shares(shares, "share of pinches that close")
 
 
 if __name__ == "__main__":

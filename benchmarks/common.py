@@ -345,6 +345,28 @@ def save_picture(file: Path | None, draw: Callable[[], Any]) -> None:
     print(f"wrote {file}", file=sys.stderr)
 
 
+def draw_shares(shares: dict[str, str], label: str) -> Any:
+    """Draw a bar from 0 to 1 for each name.
+
+    Args:
+        shares: What is printed of each, by name; a dash and nothing count as 0.
+        label: What the bars are.
+
+    Returns:
+        The `matplotlib.figure.Figure`.
+    """
+    from matplotlib.figure import Figure
+
+    values = [0.0 if share in ("-", "") else float(share) for share in shares.values()]
+    figure = Figure(figsize=(7, 0.3 * len(shares) + 1.2), layout="constrained")
+    axes = figure.subplots()
+    axes.barh([*shares], values, color="0.4")
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 1.0)
+    axes.set_xlabel(label)
+    return figure
+
+
 def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
