@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from handmap_qp import load_hand
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import OTHER_SIDE, Side
 from handmap_qp.human.sample import human_name
 from handmap_qp.se3 import affine
 from handmap_qp.trackers.layouts.angles import AngleLayout
@@ -325,7 +325,7 @@ def _gesture(
 
 
 def _other_side(take: Take) -> Take:
-    return take._replace(side="left" if take.side == "right" else "right")
+    return take._replace(side=OTHER_SIDE[take.side])
 
 
 def _mirrored(take: Take) -> Take:

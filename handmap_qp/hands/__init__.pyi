@@ -62,6 +62,7 @@ from .sources import read_urdf as read_urdf
 from .sources import source_file as source_file
 from .sources import source_path as source_path
 from .sources import urdf_path as urdf_path
+from .spec import OTHER_SIDE as OTHER_SIDE
 from .spec import UPRIGHT as UPRIGHT
 from .spec import ArmSpec as ArmSpec
 from .spec import CollisionSpec as CollisionSpec

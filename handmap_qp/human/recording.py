@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands import UPRIGHT, Hand, Side
+from handmap_qp.hands import OTHER_SIDE, UPRIGHT, Hand, Side
 from handmap_qp.se3 import Array, affine, as_floats, check_poses, frozen
 from .sample import LANDMARK_COUNT, HumanSample, check_side
 
@@ -207,8 +207,7 @@ def mirrored(recording: Recording) -> Recording:
     expect(is_plain, "object_shape", "a shape that its mirror image is", value=shape)
     kept = recording.upright or "yz"
     mirror = np.diag([1.0 if axis in kept else -1.0 for axis in "xyz"])
-    side = "left" if recording.side == "right" else "right"
-    return turned(recording, mirror, _MIRROR, side=side)
+    return turned(recording, mirror, _MIRROR, side=OTHER_SIDE[recording.side])
 
 
 class SampleColumns(NamedTuple):

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import FINGERS, Side
+from handmap_qp.hands import FINGERS, OTHER_SIDE, Side
 from handmap_qp.human import (
     HAND_LENGTHS,
     LANDMARK_COUNT,
@@ -265,7 +265,7 @@ class InputCheck(Compiled):
 
     def _other_side(self, landmarks: Array, wrists: Array | None) -> Finding:
         """Tell the other hand from a mirrored world, which only the wrist's orientation can."""
-        other = "left" if self.side == "right" else "right"
+        other = OTHER_SIDE[self.side]
         say = f"say that the hand is the {other} one"
         negate = "negate one axis of the data if its coordinates are left-handed"
         if wrists is None:

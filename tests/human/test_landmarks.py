@@ -18,7 +18,7 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import OTHER_SIDE, Side
 from handmap_qp.human.fit import LandmarkFitter, fit_recording
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.sample import TIPS, human_name
@@ -103,7 +103,7 @@ def test_a_palm_that_is_not_flat_is_measured_the_right_way_round(side: Side) -> 
     assert handedness(measured.bases) == pytest.approx(handedness(bases), rel=1e-6)
     # The palm's axes are those of the standard hand, except for the angle of its arch.
     np.testing.assert_allclose(measured.bases, bases, atol=0.006)
-    other: Side = "left" if side == "right" else "right"
+    other = OTHER_SIDE[side]
     mirrored = recording.landmarks * (-1.0, 1.0, 1.0)
     again = measure_hand(replace(recording, landmarks=mirrored, side=other))
     np.testing.assert_allclose(again.bases, measured.bases, atol=1e-12)

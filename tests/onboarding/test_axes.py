@@ -13,7 +13,7 @@ from strategies import generators
 from handmap_qp import HandError, load_hand
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import OTHER_SIDE, Side
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -106,7 +106,7 @@ def symmetric(has_names: bool) -> MadeHand:
 def test_a_given_side_turns_the_palm_over_and_renames_no_finger(tmp_path: Path) -> None:
     made, file = symmetric(has_names=False), tmp_path / "hand.urdf"
     file.write_text(made.urdf)
-    other: Side = "left" if made.side == "right" else "right"
+    other = OTHER_SIDE[made.side]
     right, wrong = found_in(made, made.side, file), found_in(made, other, file)
     assert (wrong.spec.side, tips(wrong)) == (other, tips(right))
     np.testing.assert_allclose(
@@ -124,7 +124,7 @@ def test_a_side_that_contradicts_clear_flexion_is_a_guess() -> None:
     made = make_hand(generator)
     while not made.is_one_sided or made.has_names:
         made = make_hand(generator)
-    found = found_in(made, "left" if made.side == "right" else "right")
+    found = found_in(made, OTHER_SIDE[made.side])
     assert {"side", "dorsal", "rest"}.isdisjoint(certain(found))
     how = next(clue.how for clue in found.clues if clue.what == "side")
     assert f"suggest {made.side}" in how

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from handmap_qp.errors import HandError, expect
 from handmap_qp.hands import (
+    OTHER_SIDE,
     THUMB,
     Hand,
     HandSpec,
@@ -57,7 +58,7 @@ def corrected(found: Detection, spec: HandSpec, *known: str) -> Detection:
 
 def with_other_side(hand: Hand) -> HandSpec:
     """Return a left hand as a right one, and a right one as a left one."""
-    return replace(hand.spec, side="left" if hand.side == "right" else "right")
+    return replace(hand.spec, side=OTHER_SIDE[hand.side])
 
 
 def with_palm_turned(hand: Hand) -> HandSpec:

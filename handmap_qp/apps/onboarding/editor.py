@@ -38,7 +38,6 @@ class HandsEdit:
     with comments. `handmap hands init` describes the hand of a URDF or MJCF file first.
 
     Examples:
-        handmap hands edit my_hand.yaml
         handmap hands edit my_hand/hand.yaml --open
         handmap hands edit allegro_right --out mine.yaml
 
