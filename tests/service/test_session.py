@@ -295,7 +295,7 @@ def test_what_cannot_be_opened_is_refused_by_field(
 
 
 @pytest.mark.parametrize("choices", [{}, {"preset": "teleoperation"}], ids=str)
-def test_a_posture_that_is_read_from_the_mapper_is_that_of_its_motion(
+def test_the_posture_of_a_session_is_that_of_its_motion(
     choices: dict[str, Any],
 ) -> None:
     session = make_session(**choices)
@@ -312,12 +312,20 @@ def test_a_posture_that_is_read_from_the_mapper_is_that_of_its_motion(
         np.testing.assert_array_equal(q, session.posture[0])
 
 
-def test_a_robot_that_was_moved_by_nobody_else_is_not_read_from_its_mapper() -> None:
-    session = make_session(preset="teleoperation")
-    follow(session, Sampler(), 0.0)
-    gate = session._hands.mapper.point_ik.gate
-    if gate._read is None:
-        pytest.skip("the Python path has nothing to read")
-    assert session._commanded.is_led_by(gate)
+def test_a_robot_moves_as_its_mapper_until_something_else_moves_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session, sample = make_session(preset="teleoperation"), Sampler()
+    now = follow(session, sample, 0.0)
+    mapper = session._hands.mapper
+    assert session.motion is mapper.motion
+    moved: list[Any] = []
+    monkeypatch.setattr(mapper, "_was_moved", lambda: moved.append(mapper))
+    # Other options do not move the robot.
+    session.configure(change(ik={"rest_weight": 0.1}))
+    now = follow(session, sample, now + PERIOD)
+    assert not moved
     session._commanded.brake(PERIOD)
-    assert not session._commanded.is_led_by(gate)
+    assert session.motion is not mapper.motion
+    follow(session, sample, now + PERIOD)
+    assert len(moved) == 1

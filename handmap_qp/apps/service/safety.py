@@ -30,7 +30,6 @@ from handmap_qp.ik import (
     feasible,
     solve_by_daqp,
 )
-from handmap_qp.mapping import RobotCommand
 from handmap_qp.se3 import Array
 
 # Displacements of a sample are near this size [rad]; the solver is exact near one.
@@ -236,7 +235,7 @@ class SessionClock:
 class CommandedRobot(Gate):
     """A robot as last commanded.
 
-    Set its `motion` to what the gate of a mapper with the same limits admitted, or `follow` it.
+    Set its `motion` to what the gate of a mapper with the same limits admitted.
 
     Args:
         robot: The robot hand.
@@ -261,23 +260,9 @@ class CommandedRobot(Gate):
             ik.hand, self.motion, max_acceleration=limit, collisions=ik.gate.collisions
         )
 
-    def follow(self, gate: Gate, command: RobotCommand) -> None:
-        """Take over the motion of a mapper's gate, which is read when asked, and its command."""
-        self._motion = gate._motion
-        self._read = gate._read
-        self._command = command
-
-    def is_led_by(self, gate: Gate) -> bool:
-        """Return whether the robot still moves as a gate that it follows."""
-        if self._read is not None:
-            return self._read is gate._read
-        return all(map(np.array_equal, self.motion, gate.motion))
-
     @property
     def q(self) -> Array:
         """Joint angles last commanded [rad], shape (n,)."""
-        if self._read is not None:
-            return self._command.q
         return self.motion.q[self.hand.q_indices]
 
     @property
@@ -285,8 +270,6 @@ class CommandedRobot(Gate):
         """Pose of the wrist last commanded, shape (4, 4); None if it is not known yet."""
         if not self.is_placed:
             return None
-        if self._read is not None:
-            return self._command.wrist
         self._placed.place(self.motion.q)
         return self._placed.wrist.homogeneous
 

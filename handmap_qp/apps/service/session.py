@@ -607,10 +607,12 @@ class Session:
         if self.request.resume == "clutch" and self._state.is_silent:
             self._reset_mapper()
         mapper = self._hands.mapper
-        is_led = self._commanded.is_led_by(mapper.point_ik.gate)
+        motion = self._commanded.motion
+        is_led = motion is mapper.motion
+        is_led = is_led or all(map(np.array_equal, motion, mapper.motion))
         if not (self._is_slewing or is_led):
             # It may have braked meanwhile, or a sample was refused half-way.
-            mapper.motion = self._commanded.motion
+            mapper.motion = motion
 
     def _accept(self, now: float) -> list[str]:
         """Note a sample that can be used, which ends a hold; return flags for its command."""
@@ -624,7 +626,7 @@ class Session:
         mapper = self._hands.mapper
         target = step.command
         if mapper.ik.has_velocity_limits and not self._is_slewing:
-            self._commanded.follow(mapper.point_ik.gate, target)
+            self._commanded.motion = mapper.motion
             return []
         is_there = self._commanded.advance(target.q, target.wrist, self._dt)
         self._is_slewing = not is_there
