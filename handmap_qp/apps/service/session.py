@@ -364,7 +364,7 @@ class Session:
         if step.is_held:
             # The sample makes no sense: the robot holds, and the watchdog ignores the sample.
             self.counts["held"] += 1
-            self._stay(step)
+            self._commanded.brake(self._dt)
         else:
             self.counts["steps"] += 1
             flags = self._accept(now) + flags
@@ -372,7 +372,7 @@ class Session:
                 flags += self._follow(step)
                 self._measure_gap(sample.time, humans)
             else:
-                self._stay(step)
+                self._commanded.brake(self._dt)
             flags += step.stages.summary.flags
             if self._state.is_stopped:
                 status = self._state.mode
@@ -506,13 +506,6 @@ class Session:
     def _check_not_stopped(self) -> None:
         message = f"the robot was stopped: clear the stop {self._stop} first"
         refuse_if(self._state.is_stopped, message, code="stopped")
-
-    def _stay(self, step: MapStep) -> None:
-        """Bring a robot that is not led to a stop, as the mapper did if it leads the robot."""
-        if not self._is_slewing and step.ik.status == "released":
-            self._commanded.motion = self._hands.mapper.motion
-        else:
-            self._commanded.brake(self._dt)
 
     def _handle(self, event: Event) -> None:
         self._state = next_state(self._state, event)
