@@ -209,7 +209,7 @@ def test_touches_correct_the_contact_gap_of_a_session() -> None:
 def test_a_contact_gap_that_is_given_is_not_measured(given: dict[str, Any]) -> None:
     session = make_session(**TELEOPERATION, hand_length=0.18, **given)
     assert contact_gap_of(session) == 0.013
-    assert session._gap_meter is None
+    assert session._hands.gap_meter is None
 
 
 TELEOPERATION: dict[str, Any] = {

@@ -41,6 +41,7 @@ from handmap_qp.hands import (
 )
 from handmap_qp.human import (
     TOUCH_GAP,
+    ContactGapMeter,
     HumanSample,
     Recording,
     Rule,
@@ -248,6 +249,7 @@ class Hands(NamedTuple):
         lengths: The measured human hand, of two one of them; None for the model's own.
         calibration: Measures the human hand from the first landmarks, if it is not known; until
             then it is the model's own.
+        gap_meter: Measures the contact gap by touches, if nobody gave it.
     """
 
     mapper: HandMapper | RobotMapper
@@ -255,7 +257,8 @@ class Hands(NamedTuple):
     robot: Hand
     choice: Choice
     lengths: HumanLengths | None
-    calibration: "Calibration | None" = None
+    calibration: "Calibration | None"
+    gap_meter: ContactGapMeter | None
 
 
 def prepare_hands(
@@ -317,7 +320,10 @@ def prepare_hands(
     calibration = None
     if has_landmarks and lengths is None and defer is not None:
         calibration = Calibration(request, cache, defer)
-    return Hands(mapper, follower, hand, choice, lengths, calibration)
+    is_known = request.contact_gap is not None or "contact_gap" in request.options
+    gap = None if robot.parts or is_known else choice.method.values.get("contact_gap")
+    gap_meter = None if gap is None else ContactGapMeter(gap)
+    return Hands(mapper, follower, hand, choice, lengths, calibration, gap_meter)
 
 
 def read_grip(request: Open) -> GripOptions | None:

@@ -39,7 +39,7 @@ from handmap_qp.client.messages import (
 )
 from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
-from handmap_qp.human import UNSEEN, ContactGapMeter, HumanSample, PalmShape
+from handmap_qp.human import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik import Motion
 from handmap_qp.mapping import MapStep, check_joints
 from handmap_qp.se3 import Array
@@ -235,7 +235,7 @@ class Session:
         self.payload = b""
         self.answer: AnyReply = Done()
         self._form = SampleForm(request, self.robot)
-        self._adopt(hands)
+        self._hands = hands
         start = self._start(self.robot.rest, None, request)
         self._place(*(start if former is None else former.posture), motion)
         self._clock = SessionClock(request, now)
@@ -556,22 +556,13 @@ class Session:
         if hands is not None:
             # Options may have changed since the hands were prepared.
             self._choose(hands, self.request)
-            self._adopt(self._hands)
             self._reset_mapper()
         return command
 
-    def _adopt(self, hands: Hands) -> None:
-        """Make these the hands of the session, and measure their contact gap if nobody gave it."""
-        self._hands = hands
-        wanted = self.request
-        is_known = wanted.contact_gap is not None or "contact_gap" in wanted.options
-        gap = hands.choice.method.values.get("contact_gap")
-        self._gap_meter = None if gap is None or is_known else ContactGapMeter(gap)
-
     def _measure_gap(self, time: float, humans: Humans) -> None:
         """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
-        meter = self._gap_meter
-        human = None if self.robot.parts else humans[self.request.side]
+        meter = self._hands.gap_meter
+        human = humans.get(self.request.side)
         if meter is None or human is None or "contact_gap" in self.request.options:
             return
         if meter.add(time, human.landmarks):
@@ -581,8 +572,8 @@ class Session:
         """Make these the hands, with the options of a request; all or nothing."""
         mapper = hands.mapper
         human = mapper.human
-        if self._gap_meter is not None and hands is self._hands:
-            human = human.with_contact_gap(self._gap_meter.gap)
+        if hands.gap_meter is not None:
+            human = human.with_contact_gap(hands.gap_meter.gap)
         choice = read_choice(wanted, human, hands.robot)
         method = None if choice.method == hands.choice.method else choice.method
         grip = read_grip(wanted)
