@@ -25,6 +25,7 @@ from service_tools import (
     WEB,
     Sampler,
     human_q,
+    in_loop,
     opening,
     serving,
     streamed,
@@ -35,6 +36,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.protocol import Protocol
 from websockets.typing import Origin, Subprotocol
 
+from handmap_qp.apps.service import websocket
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.settings import MOST_SESSIONS, Settings
 from handmap_qp.apps.service.websocket import WebSocketTransport
@@ -392,6 +394,42 @@ def test_clients_that_vanish_with_answers_outstanding_leave_no_connection() -> N
             wait_until(lambda: can_connect(server))
             ask_and_reset(server.ports["web"], count)
         wait_until(lambda: can_connect(server))
+
+
+def test_a_reader_that_is_slow_gets_the_newest_and_one_that_stops_is_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    count = 40
+
+    async def work(connection: ClientConnection) -> None:
+        name = (await ask(connection, opening()))["name"]
+        await ask(connection, Subscribe(protocol=PROTOCOL, seq=2, name=name))
+
+        def publish() -> None:
+            # Far more than buffers hold, each in its own turn of the server.
+            for i in range(count):
+                message = msgspec.msgpack.encode((i, bytes(500_000)))
+                in_loop(
+                    server, lambda m=message: server.dispatcher.sessions.send(name, m)
+                )
+
+        await asyncio.to_thread(publish)
+        found = [0]
+        while found[-1] < count - 1:
+            message: Any = await connection.recv()
+            found.append(msgspec.msgpack.decode(message)[0])
+        assert found == sorted(found)
+        assert len(found) < count
+        monkeypatch.setattr(websocket, "_SEND_TIMEOUT", 0.0)
+        await asyncio.to_thread(publish)
+        transport: Any = server.dispatcher.sessions.publish[-1]
+        await asyncio.to_thread(
+            wait_until,
+            lambda: in_loop(server, lambda: not transport.__self__._connections),
+        )
+
+    with serving(**WEB) as server:
+        run(work, server, max_queue=1)
 
 
 def test_a_handshake_that_stays_away_does_not_hold_up_the_stop() -> None:

@@ -132,10 +132,7 @@ class WebSocketTransport:
         return None if is_admitted else connection.respond(*refusal)
 
     async def _handle(self, connection: Any) -> None:
-        """Serve one connection, and release it however it ends.
-
-        A client that reads no longer ends the writer, which ends the reader.
-        """
+        """Serve one connection, and release it however it ends."""
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self.settings.sessions:
             # The new client may come to stop a robot.
             least = min(self._connections, key=_Connection.use)
@@ -143,12 +140,9 @@ class WebSocketTransport:
             self._connections.discard(least)
         self._connections.add(connection)
         try:
-            async with asyncio.TaskGroup() as tasks:
-                writer = tasks.create_task(connection.write())
-                await self._read(connection)
-                writer.cancel()
-        except* Exception as failures:
-            report(ERROR, "failed", failure=failures)
+            await self._read(connection)
+        except Exception as failure:
+            report(ERROR, "failed", failure=failure)
         finally:
             self._connections.discard(connection)
 
@@ -175,9 +169,7 @@ class WebSocketTransport:
                     by=by,
                 )
                 # Stop reading from clients that do not read, and slow those over the rate limit.
-                if connection.transport.get_write_buffer_size():
-                    async with asyncio.timeout(_SEND_TIMEOUT):
-                        await connection.drain()
+                await connection.drain()
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
 
@@ -198,15 +190,15 @@ _Form = Callable[[bytes], bytes | str]
 
 
 class _Connection(ServerConnection, asyncio.BufferedProtocol):
-    """A connection, which sends answers at once, and the newest of each stream in its turn.
+    """A connection, which sends answers at once, and the newest of each stream when it can.
 
     It reads little in a turn, and bounds empty fragments and control frames: the library does not.
+    It ends if its client accepts nothing for too long.
     """
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.streams: dict[str, _Form] = {}
-        self._newest: dict[str, bytes] = {}
-        self._has_work = asyncio.Event()
+        self._newest: dict[str, bytes | str] = {}
         # Time of its last message, at first of its beginning [s].
         self.heard = self._begun = monotonic()
         self._fragments = 0
@@ -244,21 +236,21 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
 
     def offer(self, name: str, payload: bytes) -> None:
         if name in self.streams:
-            self._newest[name] = payload
-            self._has_work.set()
+            self._newest[name] = self.streams[name](payload)
+            self._send_newest()
 
-    async def write(self) -> None:
-        """Send waiting messages until the connection closes or accepts none for too long."""
-        with contextlib.suppress(ConnectionClosed, TimeoutError):
-            while True:
-                await self._has_work.wait()
-                self._has_work.clear()
-                newest = self._newest
-                self._newest = {}
-                for name, payload in newest.items():
-                    async with asyncio.timeout(_SEND_TIMEOUT):
-                        await self.send(self.streams.get(name, bytes)(payload))
-        self.transport.abort()
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._ending = self.loop.call_later(_SEND_TIMEOUT, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._ending.cancel()
+        self._send_newest()
+
+    def _send_newest(self) -> None:
+        while self._newest and not self.paused:
+            broadcast((self,), self._newest.pop(next(iter(self._newest))))
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
