@@ -227,9 +227,7 @@ def parse(arguments: Sequence[str]) -> Command:
             return tyro.cli(
                 command, prog=prog, description=about, args=rest, config=settings
             )
-    except SystemExit as end:
-        if cause := _cause(end):
-            raise cause from None
+    except SystemExit:
         _print_page(message.getvalue(), sys.stderr)
         _print_page(_wrapped(page.getvalue().replace("None)", "none)")), sys.stdout)
         raise
@@ -318,14 +316,6 @@ def _any_command() -> Any:
         kinds[group].append(named(word, place.load(), place.about))
     groups = [named(group, reduce(or_, kinds[group])) for group in _GROUPS]
     return reduce(or_, [*kinds[""], *groups])
-
-
-def _cause(end: BaseException) -> HandmapError | None:
-    """Return the error of this package that ended a call of tyro, if there is one."""
-    error: BaseException | None = end
-    while error is not None and not isinstance(error, HandmapError):
-        error = error.__context__
-    return error
 
 
 class _Page(io.StringIO):
