@@ -39,23 +39,17 @@ LARGEST = float(np.finfo(float).max)
 """Bound of numbers that need only be finite."""
 
 
-def number(
-    about: str = "", low: float = 0.0, high: float = LARGEST, *, above: bool = False
-) -> Meta:
-    """Describe a number and its range.
+def number(low: float = 0.0, high: float = LARGEST, *, above: bool = False) -> Meta:
+    """Describe the range of a number.
 
     Args:
-        about: What it means, with its unit; what 0 or the default stands for. What the docstring
-            says if empty.
         low: Least value.
         high: Largest value.
         above: Whether `low` itself is too small.
     """
-    bounds = {"gt" if above else "ge": low}
-    if high < math.inf:
-        # msgspec has no infinite bounds; NaN fails the lower one.
-        bounds["le"] = high
-    return Meta(description=about, **bounds)  # ty: ignore[no-matching-overload]
+    # NaN fails the lower bound.
+    bounds = {"gt" if above else "ge": low, "le": high}
+    return Meta(**bounds)  # ty: ignore[no-matching-overload]
 
 
 NotNegative = Annotated[float, number()]
@@ -71,20 +65,14 @@ class Option(NamedTuple):
         type: Its type, annotated with the range.
         plain: Its type alone.
         default: Value if omitted.
-        said: What the docstring says of it.
+        about: What the docstring says of it.
     """
 
     name: str
     type: Any
     plain: Any
     default: Any
-    said: str = ""
-
-    @property
-    def about(self) -> str:
-        """What it means."""
-        texts = (meta.description for _, meta in _parts(self.type))
-        return self.said or next(filter(None, texts), "")
+    about: str = ""
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -189,14 +177,14 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def options_of(kind: type[Options]) -> tuple[Option, ...]:
     """Return the options of a kind, in their order."""
     plain = get_type_hints(kind)
-    said = _documented(kind)
+    about = _documented(kind)
     return tuple(
         Option(
             field.name,
             field.type,
             plain[field.name],
             field.default,
-            said.get(field.name, ""),
+            about.get(field.name, ""),
         )
         for field in msgspec.structs.fields(kind)
     )

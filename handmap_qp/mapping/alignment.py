@@ -22,7 +22,7 @@ from handmap_qp.se3 import (
 )
 from .method import BoundMethod, MethodOptions
 
-Coordinate = Annotated[float, number("Finite.", -FARTHEST, FARTHEST)]
+Coordinate = Annotated[float, number(-FARTHEST, FARTHEST)]
 Row = tuple[Coordinate, Coordinate, Coordinate]
 Alignment = Literal["world", "palm", "y-up"] | tuple[Row, Row, Row]
 """Rotation from the human's world axes to the robot's."""

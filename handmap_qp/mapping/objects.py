@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -12,14 +12,13 @@ import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands import Configuration, convex_hull, prism_around
-from handmap_qp.options import Options, number
+from handmap_qp.options import Options, Positive
 from handmap_qp.se3 import Array, as_floats
 
 KINDS = ("box", "sphere", "cylinder")
 """Names of shapes with one size."""
 # A point, as a ball [m].
 _POINT = coal.Sphere(1e-6)
-Length = Annotated[float, number("Length [m].", above=True)]
 
 
 class Box(Options, frozen=True):
@@ -32,7 +31,7 @@ class Box(Options, frozen=True):
         InvalidOptionsError: If a side is not > 0.
     """
 
-    size: tuple[Length, Length, Length]
+    size: tuple[Positive, Positive, Positive]
 
     @property
     def width(self) -> float:
@@ -43,7 +42,7 @@ class Box(Options, frozen=True):
 class _Round(Options, frozen=True):
     """A shape that is round about z."""
 
-    radius: Length
+    radius: Positive
 
     @property
     def width(self) -> float:
@@ -73,7 +72,7 @@ class Cylinder(_Round, frozen=True):
         InvalidOptionsError: If radius or length is not > 0.
     """
 
-    length: Length
+    length: Positive
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,9 +26,13 @@ from handmap_qp.options import number
 
 
 class Follow(MethodOptions, frozen=True):
-    \"\"\"The robot keeps its posture, and its wrist follows by a share.\"\"\"
+    \"\"\"The robot keeps its posture, and its wrist follows by a share.
 
-    wrist_share: Annotated[float, number("Share of the wrist's way.", 0.0, 1.0)] = 0.5
+    Attributes:
+        wrist_share: Share of the wrist's way.
+    \"\"\"
+
+    wrist_share: Annotated[float, number(0.0, 1.0)] = 0.5
 
     def bind(self, human, robot):
         return Bound(self, robot)

@@ -2,15 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
-from msgspec import Meta
 
 from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands import Vector
 from handmap_qp.mapping import Shape
-from handmap_qp.options import Options, number
+from handmap_qp.options import NotNegative, Options, Positive
 from handmap_qp.se3 import Array, as_floats, lengths, unit
 
 
@@ -43,45 +41,30 @@ class Physics(Options, frozen=True):
 
     Actuators press with `K (q_command - q) - D dq`, D critical, up to their limits; the hand's own
     weight is compensated beside them.
+
+    Attributes:
+        friction: Coulomb coefficient between hand and object.
+        torsion: Coefficient of friction against spinning about the contact normal [m]: the radius
+            of a soft pad's patch times `friction`. 0 for hard fingers, as in Sec. IV.
+        joint_stiffness: Stiffness of the fingers' actuators [N m/rad, N/m].
+        torque: Largest torque of the fingers' actuators [N m, N], and at most the effort limits of
+            the URDF; 1000 stands for none.
+        armature: Inertia of each motor at its joint [kg m^2].
+        density: Density of links whose URDF gives no mass [kg/m^3].
+        gravity: Acceleration [m/s^2], in world axes.
+        time_step: Step of the simulation [s].
+        contact_time: Time constant with which a penetration is corrected [s].
     """
 
-    friction: Annotated[
-        float, number("Coulomb coefficient between hand and object.")
-    ] = 0.8
-    torsion: Annotated[
-        float,
-        number(
-            "Coefficient of friction against spinning about the contact normal [m]: the radius of "
-            "a soft pad's patch times `friction`. 0 for hard fingers, as in Sec. IV."
-        ),
-    ] = 0.005
-    joint_stiffness: Annotated[
-        float, number("Stiffness of the fingers' actuators [N m/rad, N/m].", above=True)
-    ] = 3.0
-    torque: Annotated[
-        float,
-        number(
-            "Largest torque of the fingers' actuators [N m, N], and at most the effort limits of "
-            "the URDF; 1000 stands for none.",
-            above=True,
-        ),
-    ] = 1e3
-    armature: Annotated[
-        float, number("Inertia of each motor at its joint [kg m^2].")
-    ] = 5e-4
-    density: Annotated[
-        float, number("Density of links whose URDF gives no mass [kg/m^3].", above=True)
-    ] = 1000.0
-    gravity: Annotated[
-        Vector, Meta(description="Acceleration [m/s^2], in world axes.")
-    ] = (0.0, 0.0, -9.81)
-    time_step: Annotated[float, number("Step of the simulation [s].", above=True)] = (
-        2e-3
-    )
-    contact_time: Annotated[
-        float,
-        number("Time constant with which a penetration is corrected [s].", above=True),
-    ] = 4e-3
+    friction: NotNegative = 0.8
+    torsion: NotNegative = 0.005
+    joint_stiffness: Positive = 3.0
+    torque: Positive = 1e3
+    armature: NotNegative = 5e-4
+    density: Positive = 1000.0
+    gravity: Vector = (0.0, 0.0, -9.81)
+    time_step: Positive = 2e-3
+    contact_time: Positive = 4e-3
 
     @property
     def up(self) -> Array:
