@@ -97,17 +97,19 @@ def test_replay_gives_the_commands_of_map_recording(preset: str) -> None:
     mapper = HandMapper(motion.human, load_hand("three_finger"), preset)
     expected = map_recording(mapper, closing_recording())
     np.testing.assert_allclose(
-        [sample.robot_q for sample in replay.samples], expected.q, atol=1e-12
+        [sample.robot_q for sample in replay.variant.samples], expected.q, atol=1e-12
     )
     targets = [
-        sample.targets for sample in replay.samples if sample.targets is not None
+        sample.targets
+        for sample in replay.variant.samples
+        if sample.targets is not None
     ]
     np.testing.assert_allclose(targets, expected.targets, atol=1e-12)
     np.testing.assert_array_equal(
-        [sample.is_seen for sample in replay.samples], expected.valid
+        [sample.is_seen for sample in replay.variant.samples], expected.valid
     )
     assert not expected.valid[~motion.valid].any()
-    assert replay.robot.reference_points == mapper.robot.reference_points
+    assert replay.variant.robot.reference_points == mapper.robot.reference_points
 
 
 def test_every_preset_of_a_replay_is_aligned_as_the_first_one() -> None:
@@ -126,11 +128,11 @@ def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
     recording = replace(closing_recording(), valid=valid)
     robot = load_hand("three_finger")
     replay = Replay(motion.human, robot, PAPER, (recording, motion))
-    for sample in replay.samples[:7]:
+    for sample in replay.variant.samples[:7]:
         np.testing.assert_allclose(
-            sample.robot_q, replay.samples[7].robot_q, atol=1e-12
+            sample.robot_q, replay.variant.samples[7].robot_q, atol=1e-12
         )
-    assert [sample.is_seen for sample in replay.samples] == valid.tolist()
+    assert [sample.is_seen for sample in replay.variant.samples] == valid.tolist()
 
 
 def test_replay_refuses_a_motion_without_a_hand() -> None:
@@ -141,10 +143,10 @@ def test_replay_refuses_a_motion_without_a_hand() -> None:
 
 def test_options_that_cannot_be_used_leave_the_replay_as_it_was() -> None:
     replay = make_replay()
-    before = replay.samples
+    before = replay.variant.samples
     with pytest.raises(InvalidOptionsError, match="abacus"):
         replay.remap(PAPER.with_changes({"ridge": 0.3, "solver": "abacus"}))
-    assert replay.samples is before
+    assert replay.variant.samples is before
     assert replay.choice.method == MappingOptions()
 
 
@@ -158,12 +160,12 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
     server: Any, robot: str, alignment: str
 ) -> None:
     replay = make_replay(robot, alignment=alignment)
-    sample = replay.samples[-1]
+    sample = replay.variant.samples[-1]
     scene = HandScene(server, replay.human, replay.variants)
     scene.draw([sample])
     for side, hand, points in (
         ("human", replay.human, sample.human_points),
-        ("robot", replay.robot, sample.robot_points),
+        ("robot", replay.variant.robot, sample.robot_points),
     ):
         meshes = figure.link_meshes(hand)
         for i, point in enumerate(hand.reference_points):
@@ -202,11 +204,11 @@ def test_links_are_drawn_where_the_model_has_them(server: Any, name: str) -> Non
 
 def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
     replay = make_replay(alignment="palm")
-    first = replay.samples[0]
+    first = replay.variant.samples[0]
     HandScene(server, replay.human, replay.variants).draw([first])
     for side, hand, wrist in (
         ("human", replay.human, first.human_wrist),
-        ("robot", replay.robot, first.robot_wrist),
+        ("robot", replay.variant.robot, first.robot_wrist),
     ):
         palm = pose_in_scene(server, f"/{side}") @ wrist @ hand.wrist_to_palm
         np.testing.assert_allclose(palm[:3, :3], np.eye(3), atol=1e-9)
@@ -218,7 +220,7 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(
     server: Any, preset: str
 ) -> None:
     replay = make_replay(preset=preset)
-    sample = replay.samples[-1]
+    sample = replay.variant.samples[-1]
     scene = HandScene(server, replay.human, replay.variants)
     scene.draw([sample])
     handle = server.scene.get_handle_by_name("/human/ellipsoid")
@@ -234,7 +236,7 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(
 
 def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
     replay = make_replay(rigid_from="wrist")
-    sample = replay.samples[-1]
+    sample = replay.variant.samples[-1]
     scene = HandScene(server, replay.human, replay.variants)
     scene.display = Display(shape="cube")
     scene.draw([sample])
@@ -258,7 +260,7 @@ def test_hands_stay_in_place_or_travel_as_asked(
     scene = HandScene(server, replay.human, replay.variants)
     scene.display = Display(follow)
     human, places = HandFigure(server, "other", replay.human), []
-    for sample in (replay.samples[0], replay.samples[-1]):
+    for sample in (replay.variant.samples[0], replay.variant.samples[-1]):
         scene.draw([sample])
         assert sample.human_q is not None
         assert sample.human_wrist is not None
@@ -278,7 +280,7 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
     replay = make_replay()
     scene = HandScene(server, replay.human, replay.variants)
     scene.display = Display(follow)
-    for sample in replay.samples[::7]:
+    for sample in replay.variant.samples[::7]:
         scene.draw([sample])
         camera = server.initial_camera
         forward = (camera.look_at - camera.position) / np.linalg.norm(
@@ -421,7 +423,7 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(
     replay, steering = viewer.replay, viewer.steering
     assert steering.controls["preset"].handle.options == tuple(PRESETS)
     before = viewer.sample.robot_q
-    few = len(replay.robot.reference_points)
+    few = len(replay.variant.robot.reference_points)
     assert shown(viewer.server, "/robot/points") == [True] * few
     option_handles(steering)["ridge"].value = 0.3
     viewer.tick(0.0)
@@ -429,7 +431,7 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(
     viewer.tick(0.0)
     assert replay.choice == preset_choice("teleoperation")
     assert np.abs(viewer.sample.robot_q - before).max() > 0.05
-    many = len(replay.robot.reference_points)
+    many = len(replay.variant.robot.reference_points)
     assert many > few
     for part in ("points", "targets"):
         assert shown(viewer.server, f"/robot/{part}") == [True] * many
@@ -482,10 +484,10 @@ def test_an_impossible_option_is_explained_and_changes_nothing(server: Any) -> N
     replay.human = replay.human.with_points(("thumb_tip", "index_tip", "middle_tip"))
     replay.remap(PAPER)
     viewer = ReplayViewer(server, replay)
-    samples = replay.samples
+    samples = replay.variant.samples
     option_handles(viewer.steering)["ridge"].value = 0.0
     viewer.tick(0.0)
-    assert replay.samples is samples
+    assert replay.variant.samples is samples
     assert viewer.steering.message.visible
     assert "ridge: 0 needs 4" in viewer.steering.message.content
     option_handles(viewer.steering)["ridge"].value = 0.2
@@ -505,7 +507,7 @@ def test_release_holds_the_robot_and_clutch_goes_on_from_there(
     seek(viewer, 45)
     press(viewer.steering.clutch)
     viewer.tick(0.0)
-    samples = viewer.replay.samples
+    samples = viewer.replay.variant.samples
     held = np.array([sample.robot_q for sample in samples[29:45]])
     np.testing.assert_allclose(held, np.tile(held[0], (16, 1)))
     assert {sample.status for sample in samples[30:45]} == {"released"}
@@ -516,7 +518,7 @@ def test_release_holds_the_robot_and_clutch_goes_on_from_there(
     press(viewer.steering.reset)
     viewer.tick(0.0)
     assert not viewer.replay.switches
-    assert viewer.replay.samples[40].status != "released"
+    assert viewer.replay.variant.samples[40].status != "released"
 
 
 def test_a_frame_dropped_by_visers_race_loses_no_request(
@@ -557,7 +559,7 @@ def test_time_runs_at_the_chosen_speed_and_starts_over(viewer: ReplayViewer) -> 
 @pytest.mark.slow
 def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
     seek(viewer, 40)
-    samples = viewer.replay.samples
+    samples = viewer.replay.variant.samples
     time, error = plotted(viewer.gauges.error.content, FIRST)
     expected = 1e3 * np.array([sample.point_error.mean() for sample in samples])
     is_known = np.isfinite(expected)
@@ -573,7 +575,7 @@ def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
     np.testing.assert_allclose(step, durations, atol=0.005 * step.max())
     bars = viewer.gauges.joints.content
     for name, q in zip(
-        viewer.replay.robot.joint_names, samples[40].robot_q, strict=True
+        viewer.replay.variant.robot.joint_names, samples[40].robot_q, strict=True
     ):
         assert name in bars
         assert f"{np.degrees(q):.0f}°" in bars
@@ -581,11 +583,11 @@ def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
 
 def test_joint_bars_tell_a_position_limit_from_a_speed_limit() -> None:
     replay = make_replay()
-    robot, sample = replay.robot, replay.samples[0]
+    robot, sample = replay.variant.robot, replay.variant.samples[0]
     q, is_limited = robot.rest.copy(), np.zeros(len(robot.rest), dtype=bool)
     q[0], q[1] = robot.upper_limits[0], robot.lower_limits[1]
     is_limited[[0, 2]] = True
-    bars = InstantGauges(replay.robot, None).bars(
+    bars = InstantGauges(replay.variant.robot, None).bars(
         [replace(sample, robot_q=q, is_limited=is_limited)]
     )
     colours = re.findall(r"text-align:right;color:(#\w+)", bars)

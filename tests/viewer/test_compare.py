@@ -72,7 +72,7 @@ def test_a_second_robot_follows_the_same_samples_by_its_own_method(
         viewer.replay,
     )
     assert set(compare.options) == {NOTHING, KEPT, *PRESETS}
-    before = [sample.robot_q for sample in replay.samples]
+    before = [sample.robot_q for sample in replay.variant.samples]
     compare.value = "finger-vectors"
     seek(viewer, COUNT - 1)
     method, ik = METHODS["finger-vectors"](), PRESETS["object"].ik
@@ -82,7 +82,9 @@ def test_a_second_robot_follows_the_same_samples_by_its_own_method(
     np.testing.assert_allclose(
         [sample.robot_q for sample in replay.other.samples], expected.q, atol=1e-12
     )
-    np.testing.assert_array_equal([sample.robot_q for sample in replay.samples], before)
+    np.testing.assert_array_equal(
+        [sample.robot_q for sample in replay.variant.samples], before
+    )
     assert node(viewer, "/robot_2_name").text == "three_finger\nfinger-vectors"
     for robot_node, sample in (
         ("/robot", viewer.sample),
@@ -116,7 +118,7 @@ def test_a_second_robot_follows_the_same_samples_by_its_own_method(
 
 def test_kept_options_stay_while_others_change(viewer: ReplayViewer) -> None:
     replay = viewer.replay
-    before = replay.samples
+    before = replay.variant.samples
     press(viewer.steering.keep)
     viewer.tick(0.0)
     option_handles(viewer.steering)["deformation_gain"].value = 0.0
@@ -128,7 +130,7 @@ def test_kept_options_stay_while_others_change(viewer: ReplayViewer) -> None:
     ]
     for kept, sample in zip(replay.other.samples, before, strict=True):
         np.testing.assert_allclose(kept.robot_q, sample.robot_q, atol=1e-12)
-    assert np.abs(replay.samples[-1].robot_q - before[-1].robot_q).max() > 0.05
+    assert np.abs(replay.variant.samples[-1].robot_q - before[-1].robot_q).max() > 0.05
 
 
 def test_the_landmarks_stand_beside_the_hand_as_they_were_tracked(

@@ -38,8 +38,8 @@ class Source:
         replay = make_replay(robot)
         self.human, self.robot, self.samples = (
             replay.human,
-            replay.robot,
-            replay.samples,
+            replay.variant.robot,
+            replay.variant.samples,
         )
         self.choice = replay.choice
         self.is_shared, self.is_released, self.is_busy, self.is_outdated = (

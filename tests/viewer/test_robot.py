@@ -41,7 +41,7 @@ def test_both_hands_are_mapped_as_by_the_command_map() -> None:
     hands = list(read_hands([DEMO]).values())
     robot = load_robot("g1")
     expected, *_ = map_hands(hands, robot, measure_person(*hands), MappingArguments())
-    samples = replay.samples
+    samples = replay.variant.samples
     np.testing.assert_allclose([s.robot_q for s in samples], expected.q, atol=1e-12)
     np.testing.assert_allclose(
         [s.robot_points for s in samples], expected.points, atol=1e-12
@@ -92,12 +92,12 @@ def test_the_scene_has_both_human_hands_and_an_upright_robot(server: Any) -> Non
 
 def test_the_gauges_tell_the_hands_apart() -> None:
     replay = replay_of_demo()
-    sample = replay.samples[60]
-    gauges = InstantGauges(replay.robot, replay.human)
-    groups = joints_by_finger(replay.robot)
+    sample = replay.variant.samples[60]
+    gauges = InstantGauges(replay.variant.robot, replay.human)
+    groups = joints_by_finger(replay.variant.robot)
     assert {"left thumb", "right thumb", "body and arms"} <= groups.keys()
     assert sorted(i for group in groups.values() for i in group) == list(
-        range(len(replay.robot.joint_names))
+        range(len(replay.variant.robot.joint_names))
     )
     assert gauges.pinches(sample, 0) != gauges.pinches(sample, 1)
     table = gauges.table([sample], ["paper"])
@@ -115,10 +115,10 @@ def test_options_clutch_and_comparison_move_the_whole_robot(server: Any) -> None
     replay = View().replay(DEMO, "g1")
     viewer = ReplayViewer(server, replay)
     viewer.play_bar.toggle()
-    before = replay.samples[-1].robot_q
+    before = replay.variant.samples[-1].robot_q
     option_handles(viewer.steering)["pinch_weight"].value = 0.0
     viewer.tick(0.0)
-    assert np.abs(replay.samples[-1].robot_q - before).max() > 1e-3
+    assert np.abs(replay.variant.samples[-1].robot_q - before).max() > 1e-3
     viewer.steering.controls["compare"].handle.value = "paper"
     viewer.tick(0.0)
     assert len(replay.variants) == 2
@@ -126,8 +126,8 @@ def test_options_clutch_and_comparison_move_the_whole_robot(server: Any) -> None
     viewer.tick(0.0)
     replay.switch("release", viewer.index)
     replay.remap(replay.choice)
-    assert replay.samples[-1].status == "released"
-    assert replay.samples[-1].targets is None
+    assert replay.variant.samples[-1].status == "released"
+    assert replay.variant.samples[-1].targets is None
 
 
 def test_recordings_that_do_not_fit_the_robot_are_refused() -> None:

@@ -1,6 +1,5 @@
 """A recording, mapped by one method or two (`Replay`), and in the browser (`ReplayViewer`)."""
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -79,16 +78,6 @@ class Replay:
         self.remap(choice)
 
     @property
-    def robot(self) -> Hand:
-        """The robot hand, with the reference points that the method moves."""
-        return self.variant.robot
-
-    @property
-    def samples(self) -> Sequence[ViewSample]:
-        """The samples of `variant`, one per instant."""
-        return self.variant.samples
-
-    @property
     def variants(self) -> tuple[Variant, ...]:
         """The robots to show: `variant`, and `other` if there is one."""
         return (self.variant, self.other) if self.other else (self.variant,)
@@ -112,7 +101,7 @@ class Replay:
     def page(self) -> bytes:
         """Return a page of the recording, with the mapping that it is compared with."""
         methods = " against ".join(variant.label for variant in self.variants)
-        title = f"{self._recording.name} on {self.robot.name}, {methods}"
+        title = f"{self._recording.name} on {self.variant.robot.name}, {methods}"
         return make_page(title, self.human, self.variants)
 
     def remap(self, choice: Choice) -> None:
@@ -267,7 +256,7 @@ class ReplayViewer(Window):
     @property
     def sample(self) -> ViewSample:
         """The sample of the first robot that is shown."""
-        return self.replay.samples[self.index]
+        return self.replay.variant.samples[self.index]
 
     def tick(self, elapsed: float) -> None:
         """Carry out the user's requests, advance time, and draw.
