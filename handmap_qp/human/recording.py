@@ -70,7 +70,7 @@ class Recording:
         _expect_each(increases, "time", increasing, time, "{} at sample {}")
         shape = (count, LANDMARK_COUNT, 3)
         landmarks = as_floats(self.landmarks, "landmarks", shape=shape)
-        valid = as_flags(self.valid, "valid", count)
+        valid = as_flags(self.valid, count)
         columns = {"time": time, "landmarks": landmarks, "valid": valid}
         check_side(self.side)
         if self.upright != "":
@@ -264,15 +264,15 @@ def recording_samples(
     return [columns.sample(i) for i in range(len(recording))]
 
 
-def as_flags(values: Any, name: str, count: int) -> Array:
-    """Return truth values, shape (count,), of booleans or of zeros and ones.
+def as_flags(valid: Any, count: int) -> Array:
+    """Return which samples are valid, shape (count,), of booleans or of zeros and ones.
 
     Raises:
         InvalidInputError: If they are something else.
     """
-    flags = as_floats(values, name, shape=(count,))
+    flags = as_floats(valid, "valid", shape=(count,))
     is_flag = np.isin(flags, (0.0, 1.0)).all()
-    expect(is_flag, name, "truth values, or 0 and 1", value=values)
+    expect(is_flag, "valid", "truth values, or 0 and 1", value=valid)
     return flags.astype(bool)
 
 

@@ -268,7 +268,7 @@ def build_recording(
             points = points.reshape(-1, LANDMARK_COUNT, 3)
         seen = finite_samples(points)
         if valid is not None:
-            seen &= as_flags(valid, "valid", seen.size)
+            seen &= as_flags(valid, seen.size)
         poses = _poses(wrist, "wrist")
         if wrist is None and wrist_pose is not None:
             sevens = as_floats(wrist_pose, "wrist_pose", shape=(len(seen), 7))[seen]

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect
 from handmap_qp.hands import (
+    OTHER_SIDE,
     Document,
     Hand,
     HumanLengths,
@@ -315,7 +316,7 @@ class Layout(
         count = len(array)
         seen = finite_samples(array)
         if valid is not None:
-            seen &= as_flags(valid, "valid", count)
+            seen &= as_flags(valid, count)
         beside = None
         if wrists is not None:
             beside = self._wrists_beside(np.asarray(wrists), side, seen)
@@ -343,7 +344,7 @@ class Layout(
         Raises:
             InvalidInputError: If one is missing.
         """
-        other = {"left": "right", "right": "left"}[side]
+        other = OTHER_SIDE[side]
         own = [name for name in names if other not in name.lower()]
         found = {}
         for column in self.columns:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands import HumanLengths, Side
+from handmap_qp.hands import OTHER_SIDE, HumanLengths, Side
 from handmap_qp.human import LANDMARK_COUNT, Recording
 from handmap_qp.se3 import Array, Arrays
 from handmap_qp.trackers.formats.archive import read_archive
@@ -168,7 +168,7 @@ def _wrists_beside(
     """Return wrist poses beside the values, where the layout takes them."""
     if layout.wrist_table is None or layout.has_wrist:
         return None
-    other = {"left": "right", "right": "left", None: "neither"}[side]
+    other = OTHER_SIDE[side] if side else "neither"
     names = [name for name in _WRISTS if name in arrays and not name.startswith(other)]
     if not names:
         return None
