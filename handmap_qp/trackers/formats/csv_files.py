@@ -15,7 +15,7 @@ from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import Recording
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import Array
+from handmap_qp.se3 import Arrays
 from .base import (
     COLUMNS,
     WORDS,
@@ -57,12 +57,13 @@ class CsvFormat(RecordingFormat):
             sides = _by_side(header, rows)
             own = (row for side, row in sides if side == entry.side)
             given = {f: names for f, names in COLUMNS.items() if names[0] in header}
-            places = {name: header[name] for name in chain(*given.values())}
-            table = numbers(own, places)
-        columns: Values = {}
-        for field, names in given.items():
-            block, table = np.split(table, [len(names)], axis=1)
-            columns[field] = block if len(names) > 1 else block[:, 0]
+            table = numbers(own, header, [*chain(*given.values())])
+        columns: Values = {
+            field: table[names[0]]
+            if len(names) == 1
+            else np.column_stack([table[name] for name in names])
+            for field, names in given.items()
+        }
         return build_recording(path, entry, **columns)
 
     def unread(self, path: Path) -> Names:
@@ -143,25 +144,26 @@ def _rows(reader: Iterable[Row], is_padded: bool) -> Iterator[Row]:
             yield row
 
 
-def numbers(rows: Iterable[Row], places: Mapping[str, int]) -> Array:
+def numbers(
+    rows: Iterable[Row], header: Mapping[str, int], names: Sequence[str]
+) -> Arrays:
     """Read columns of a table; an empty field is NaN.
 
     Args:
         rows: Rows of `opened_table`.
-        places: Places of the columns by name.
+        header: Places of the columns by name.
+        names: Names of those to read.
 
     Returns:
-        The numbers, columns in the order of `places`, shape (T, n).
+        The columns by name, shape (T,) each.
 
     Raises:
         InvalidInputError: If a field is no number, or if there are no rows.
     """
-    table = [
-        [_number(name, row[place]) for name, place in places.items()] for row in rows
-    ]
+    table = [[_number(name, row[header[name]]) for name in names] for row in rows]
     if not table:
         raise InvalidInputError("has no rows below its header")
-    return np.array(table)
+    return dict(zip(names, np.transpose(table), strict=True))
 
 
 def _number(name: str, text: str) -> float:

@@ -186,8 +186,7 @@ def _read_columns(
         hand = side or _named_side(" ".join(header).lower())
         own = layout.find_columns(header, hand or "right").values()
         times = [name for name in _time_units(layout) if name in header][:1]
-        places = {name: header[name] for name in (*times, *own)}
-        columns = dict(zip(places, numbers(rows, places).T, strict=True))
+        columns = numbers(rows, header, [*times, *own])
     arrays = {name: columns[name] for name in times}
     arrays["values"] = layout.from_columns(columns, hand or "right")
     if hand is not None:
