@@ -125,15 +125,15 @@ def test_a_real_headset_is_read_by_its_table(side: Side, recordings: Path) -> No
     poses = content["joints_pose"][recording.valid][
         :, :, [0, 1, 2, 4, 5, 6, 3]
     ]  # to xyzw
-    hands = load_layout("webxr25").hands(poses, side, None, None)
+    landmarks, wrists = load_layout("webxr25").hands(poses, side, None, None)
     np.testing.assert_allclose(
-        hands.landmarks, recording.landmarks[recording.valid], atol=1e-9
+        landmarks, recording.landmarks[recording.valid], atol=1e-9
     )
-    assert hands.wrists is not None
+    assert wrists is not None
     sign = 1.0 if side == "right" else -1.0
-    palms = palm_axes(hands.landmarks, sign)
+    palms = palm_axes(landmarks, sign)
     turns = Rotation.from_matrix(
-        palms.transpose(0, 2, 1) @ hands.wrists[:, :3, :3]
+        palms.transpose(0, 2, 1) @ wrists[:, :3, :3]
     ).magnitude()
     # The wrist's axes are ours, but for what trackers mean by distal.
     assert np.degrees(turns).max() < 15.0

@@ -109,7 +109,7 @@ class AngleLayout(Layout, tag="angles", kw_only=True):
         landmarks = np.array([human.points(q) for q in postures])
         if wrists is not None:
             landmarks = transform_points(wrists, landmarks)
-        return Hands(landmarks, wrists)
+        return landmarks, wrists
 
     def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return the angles of a posture; see `Layout.write_posture`."""

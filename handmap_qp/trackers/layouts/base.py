@@ -8,7 +8,7 @@ how the wrist's pose is obtained, and what the tracker does not give.
 import abc
 from collections.abc import Collection, Mapping
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from msgspec import Struct, StructMeta
@@ -84,18 +84,8 @@ class WristTable(Document, frozen=True):
     quaternion: QuatOrder = "xyzw"
 
 
-class Hands(NamedTuple):
-    """Samples of one hand as arrays.
-
-    Attributes:
-        landmarks: Landmarks in our order [m], shape (T, 21, 3).
-        wrists: Wrist poses with our axes, shape (T, 4, 4); None if there are none.
-    """
-
-    landmarks: Array
-    wrists: Array | None
-
-
+Hands = tuple[Array, Array | None]
+"""Landmarks in our order [m], (T, 21, 3), and wrist poses with our axes, (T, 4, 4), if any."""
 Rows = list[Values]
 """A table: values by column, row by row."""
 

@@ -94,7 +94,7 @@ class MarkerLayout(Layout, tag="markers", kw_only=True):
         ik.place(human.configuration_vector(human.rest, wrist))
         fits = [ik.solve(sample, None, 1.0) for sample in markers]
         found = [landmarks.points(fit.q[human.q_indices], fit.wrist) for fit in fits]
-        return Hands(np.array(found), np.array([fit.wrist for fit in fits]))
+        return np.array(found), np.array([fit.wrist for fit in fits])
 
     def write_posture(self, human: Hand, q: ArrayLike, wrist: Array) -> Array:
         """Return the markers on the human hand; see `Layout.write_posture`."""

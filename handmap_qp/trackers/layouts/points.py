@@ -141,7 +141,7 @@ class PointLayout(Layout, tag="points", kw_only=True):
             if form == (7,):
                 poses = pose_from_xyz_quat(poses, self.quaternion)
             wrists = self.world @ poses @ self.wrist_axes(side)
-        return Hands(transform_points(frames, positions[:, self.order(side)]), wrists)
+        return transform_points(frames, positions[:, self.order(side)]), wrists
 
     def write(self, sample: HumanSample) -> Array:
         """Return the joints of a sample; those between landmarks are placed on lines."""
