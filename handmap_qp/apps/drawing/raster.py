@@ -137,16 +137,6 @@ class Camera(NamedTuple):
         seen[..., :2] += self.centre
         return seen
 
-    def magnified(self, factor: int) -> Camera:
-        """Return the same view with `factor` times as many pixels along each side."""
-        x, y = self.centre
-        width, height = self.size
-        return self._replace(
-            focal_length=factor * self.focal_length,
-            centre=(factor * x, factor * y),
-            size=(factor * width, factor * height),
-        )
-
 
 _NO_CORNERS = np.zeros((0, 3, 3))
 _NOTHING = Triangles.painted(_NO_CORNERS, _NO_CORNERS, (0.0, 0.0, 0.0))
@@ -176,15 +166,16 @@ def render(
         Red, green, blue (not premultiplied) and opacity in 0..1, shape (height, width, 4), first
         row on top.
     """
-    fine = camera.magnified(supersampling)
+    pose, focal_length, (x, y), (width, height) = camera
+    n = supersampling
+    fine = Camera(pose, n * focal_length, (n * x, n * y), (n * width, n * height))
     picture, depth = _shaded(triangles, fine)
     picture[..., :3] *= 1.0 - _CREASE_DEPTH * _creases(depth, fine)[..., None]
     if marks:
         shaded, place = _shaded(marks, fine)
         seen = np.where(place > depth, _HIDDEN_MARK_OPACITY, 1.0)[..., None]
         picture += seen * shaded[..., 3:] * (shaded - picture)
-    width, height = camera.size
-    blocks = picture.reshape(height, supersampling, width, supersampling, 4)
+    blocks = picture.reshape(height, n, width, n, 4)
     picture = blocks.mean(axis=(1, 3))
     # Colours were averaged premultiplied by opacity: divide by it, then apply gamma.
     light = picture[..., :3] / np.maximum(picture[..., 3:], 1e-6)
