@@ -187,11 +187,7 @@ def draw_hands(
         camera: The camera; see `Camera.framing`.
         marks: `spheres` and `tube`s that stay visible behind solid parts.
         supersampling: Samples per pixel along each side.
-
-    Raises:
-        MissingExtraError: If matplotlib is not installed.
     """
-    require_matplotlib()
     image = render(triangles, camera, marks=marks, supersampling=supersampling)
     width, height = camera.size
     axes.imshow(image, extent=(0.0, width, height, 0.0), interpolation="antialiased")
