@@ -85,7 +85,7 @@ def pages() -> dict[Path, str]:
 
 
 def _wrist(layout: Layout) -> str:
-    table = layout.wrist_table
+    table = layout.wrist
     if table is None:
         return (
             "fitted"

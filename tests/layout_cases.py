@@ -13,7 +13,7 @@ def wrist_beside(layout: Layout, wrist: np.ndarray, side: Side) -> np.ndarray | 
 
     None for a tracker that has none beside its values.
     """
-    if layout.wrist_table is None or layout.has_wrist:
+    if layout.wrist is None or layout.has_wrist:
         return None
     world, axes = np.linalg.inv([layout.world, layout.wrist_axes(side)])
     return world @ wrist @ axes

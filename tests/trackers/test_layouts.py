@@ -67,7 +67,7 @@ def test_a_posture_of_the_model_comes_back(layout: Layout, side: Side) -> None:
     sample = layout.read(values, time=2.0, side=side, wrist=beside)
     assert (sample.time, sample.side, sample.valid) == (2.0, side, True)
     expected = wrist
-    if layout.wrist_table is None and not layout.has_wrist:
+    if layout.wrist is None and not layout.has_wrist:
         assert sample.wrist is None
     else:
         assert sample.wrist is not None
@@ -146,9 +146,9 @@ def test_a_wrist_beside_the_values_may_be_seven_numbers(name: str) -> None:
     values = layout.write_posture(sized_human("left"), q, wrist)
     beside = wrist_beside(layout, wrist, "left")
     assert beside is not None
-    assert layout.wrist_table is not None
+    assert layout.wrist is not None
     xyzw = Rotation.from_matrix(beside[:3, :3]).as_quat()
-    quat = np.roll(xyzw, 1) if layout.wrist_table.quaternion == "wxyz" else xyzw
+    quat = np.roll(xyzw, 1) if layout.wrist.quaternion == "wxyz" else xyzw
     seven = np.concatenate([beside[:3, 3], quat])
     sample = layout.read(values, time=0.0, side="left", wrist=seven)
     assert sample.wrist is not None

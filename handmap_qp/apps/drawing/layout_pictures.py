@@ -153,7 +153,7 @@ def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
 
 def _wrist_axes(layout: Layout, side: Side) -> Array:
     """Return the wrist's x, y and z axes in our wrist frame, shape (3, 3); zeros if unknown."""
-    if layout.wrist_table is None:
+    if layout.wrist is None:
         return np.eye(3) * isinstance(layout, MarkerLayout)
     # Axes of left-handed data point where the data says, mirrored into the right-handed world.
     return unit(layout.wrist_axes(side)[:3, :3].T).T

@@ -82,7 +82,7 @@ class Layouts:
 
 def _summary(layout: Layout) -> Values:
     """Return one row of the list."""
-    wrist = "beside them" if layout.wrist_table else "none"
+    wrist = "beside them" if layout.wrist else "none"
     if layout.has_wrist:
         wrist = "in the values"
     return {
@@ -105,7 +105,7 @@ def _facts(layout: Layout) -> Values:
     }
     if layout.mirror:
         facts["left-handed"] = f"{layout.mirror} is negated"
-    wrist = layout.wrist_table
+    wrist = layout.wrist
     facts["wrist pose"] = "fitted" if layout.has_wrist else "none; fitted to the palm"
     if wrist:
         own = f"of the joint {wrist.joint}"

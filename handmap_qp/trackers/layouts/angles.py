@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands import HUMAN_JOINTS, Document, Hand, HumanLengths, Names, Side
 from handmap_qp.se3 import Array, transform_points
-from .base import Hands, Layout, Rows, WristTable, sized_human
+from .base import Hands, Layout, Rows, sized_human
 
 _UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
 """Size of a unit of angle [rad]."""
@@ -46,14 +46,12 @@ class AngleLayout(Layout, tag="angles", kw_only=True):
 
     Attributes:
         angles: The angles, in their order.
-        wrist: Axes of a wrist pose that comes from another tracker.
 
     Raises:
         InvalidInputError: If the table names no joint, or one twice.
     """
 
     angles: tuple[AngleEntry, ...]
-    wrist: WristTable | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -120,7 +120,8 @@ class Layout(
         mirror: Axis to negate, where the coordinates are left-handed; None where they are not.
         arrays: Names that a file's array of these values usually has.
         time: Names that a table's column of time usually has, with the length of its unit [s].
-        wrist_table: How a wrist pose is obtained; None if it cannot be.
+        wrist: How a wrist pose is obtained, or its axes where it comes from another tracker; None
+            if it cannot be.
         shapes: Shapes that one sample may have, the usual one first.
         columns: Names of the numbers of one sample in a table of columns.
         aliases: Further names of columns.
@@ -140,10 +141,10 @@ class Layout(
     mirror: Literal["x", "y", "z"] | None = None
     arrays: Names = ()
     time: dict[str, float] = {}
+    wrist: WristTable | None = None
     has_wrist = False
 
     def __post_init__(self) -> None:
-        self.wrist_table: WristTable | None = getattr(self, "wrist", None)
         self.shapes: tuple[tuple[int, ...], ...] = ()
         self.columns: Names = ()
         self.aliases: dict[str, Names] = {}
@@ -159,7 +160,7 @@ class Layout(
         A wrist pose of the tracker is ours as `world @ pose @ wrist_axes`.
         """
         turn = np.eye(3)
-        table = self.wrist_table
+        table = self.wrist
         if table is not None:
             axes = table.left if side == "left" and table.left else table.right
             reflection = np.sign(self.world[:3, :3])
@@ -393,7 +394,7 @@ class Layout(
 
     def _wrists_beside(self, values: Array, side: Side, seen: Array) -> Array:
         """Return poses that came beside the values, with our axes, of the samples seen."""
-        table = self.wrist_table
+        table = self.wrist
         if table is None:
             expected = f"none: {self.name} says nothing about its axes"
             raise InvalidInputError(argument="wrist", expected=expected)

@@ -166,7 +166,7 @@ def _wrists_beside(
     side: Side | None,
 ) -> Array | None:
     """Return wrist poses beside the values, where the layout takes them."""
-    if layout.wrist_table is None or layout.has_wrist:
+    if layout.wrist is None or layout.has_wrist:
         return None
     other = OTHER_SIDE[side] if side else "neither"
     names = [name for name in _WRISTS if name in arrays and not name.startswith(other)]

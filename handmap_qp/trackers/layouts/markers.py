@@ -39,12 +39,14 @@ class MarkerLayout(Layout, tag="markers", kw_only=True):
 
     Attributes:
         markers: The markers, in their order.
+        wrist: None: the markers on the palm show it.
 
     Raises:
         InvalidInputError: If a marker is on no link, or fewer than three are on the palm.
     """
 
     markers: tuple[MarkerEntry, ...]
+    wrist: None = None  # ty: ignore[incompatible-mutable-override]
     has_wrist = True
 
     def __post_init__(self) -> None:

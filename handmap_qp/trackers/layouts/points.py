@@ -22,7 +22,7 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
-from .base import Hands, Layout, Rows, WristTable, sized_human
+from .base import Hands, Layout, Rows, sized_human
 
 _FORMS = {3: (3,), 7: (7,), 16: (4, 4)}
 """Shapes of a joint, by how many numbers it has."""
@@ -53,7 +53,6 @@ class PointLayout(Layout, tag="points", kw_only=True):
         names: Names of the joints by index; `joint 0` and so on for those without.
         poses: Forms of a joint: its position (3), position and quaternion (7), a 4 x 4 matrix.
         quaternion: Order of the quaternions.
-        wrist: How a wrist pose is obtained; None if it cannot be.
         is_relative: Whether joints are given in the frame of the wrist instead of in the world.
         between: Joints besides the landmarks, for writing.
 
@@ -67,7 +66,6 @@ class PointLayout(Layout, tag="points", kw_only=True):
     names: dict[int, str] = {}
     poses: tuple[int, ...] = (3,)
     quaternion: QuatOrder = "xyzw"
-    wrist: WristTable | None = None
     is_relative: bool = False
     between: dict[int, BetweenTable] = {}
 
