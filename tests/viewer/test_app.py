@@ -238,8 +238,7 @@ def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
     replay = make_replay(rigid_from="wrist")
     sample = replay.variant.samples[-1]
     scene = HandScene(server, replay.human, replay.variants)
-    scene.display = Display(shape="cube")
-    scene.draw([sample])
+    scene.draw([sample], Display(shape="cube"))
     cube = server.scene.get_handle_by_name("/human/cube")
     assert cube.visible
     assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
@@ -258,10 +257,9 @@ def test_hands_stay_in_place_or_travel_as_asked(
 ) -> None:
     replay = make_replay()
     scene = HandScene(server, replay.human, replay.variants)
-    scene.display = Display(follow)
     human, places = HandFigure(server, "other", replay.human), []
     for sample in (replay.variant.samples[0], replay.variant.samples[-1]):
-        scene.draw([sample])
+        scene.draw([sample], Display(follow))
         assert sample.human_q is not None
         assert sample.human_wrist is not None
         posed = replace(sample, robot_q=sample.human_q, robot_wrist=sample.human_wrist)
@@ -279,9 +277,8 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
 ) -> None:
     replay = make_replay()
     scene = HandScene(server, replay.human, replay.variants)
-    scene.display = Display(follow)
     for sample in replay.variant.samples[::7]:
-        scene.draw([sample])
+        scene.draw([sample], Display(follow))
         camera = server.initial_camera
         forward = (camera.look_at - camera.position) / np.linalg.norm(
             camera.look_at - camera.position

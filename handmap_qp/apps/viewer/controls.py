@@ -448,14 +448,13 @@ class Window:
         *settings, clear = self.display
         display = Display(*[setting.value for setting in settings])
         # viser sets a button's value when it is pressed.
-        if clear.value or (self.scene.display.has_trails and not display.has_trails):
+        if clear.value or not display.has_trails:
             clear.value = False
             self.scene.clear_trails()
-        self.scene.display = display
         samples = tuple(variant.samples[index] for variant in variants)
         state = (samples, display)
         if state != self._drawn:
-            self.scene.draw(samples)
+            self.scene.draw(*state)
             self._drawn = state
         self.scene.cameras.update()
         now = time.monotonic()

@@ -46,12 +46,11 @@ def make_page(
     instants = list(zip(*(variant.samples for variant in variants), strict=True))
     with serving() as server:
         scene = HandScene(server, human, variants)
-        scene.display = display
-        scene.draw(instants[0])
+        scene.draw(instants[0], display)
         serializer = server.get_scene_serializer()
         for before, samples in pairwise(_at_rate(instants, _RATE)):
             serializer.insert_sleep(samples[0].time - before[0].time)
-            scene.draw(samples)
+            scene.draw(samples, display)
         page = serializer.as_html()
     gauges = InstantGauges(variants[0].robot, human)
     start, end = (instants[i][0].time for i in (0, -1))

@@ -64,7 +64,6 @@ class HandScene:
             gives the scene's axes.
 
     Attributes:
-        display: What is drawn, and how.
         robots: The figures of the robots.
         cameras: The browsers' cameras; call `cameras.update()` at every frame.
     """
@@ -73,7 +72,6 @@ class HandScene:
         self, server: ViserServer, human: Hand | None, variants: Sequence[Variant]
     ) -> None:
         self.server = server
-        self.display = Display()
         # Turn +y up, and draw the floor.
         server.scene.set_up_direction("+y")
         server.scene.world_axes.visible = False
@@ -127,23 +125,24 @@ class HandScene:
         for figure in self._figures:
             figure.trail.clear()
 
-    def draw(self, samples: Sequence[ViewSample]) -> None:
+    def draw(self, samples: Sequence[ViewSample], display: Display = Display()) -> None:
         """Show one instant.
 
         Args:
             samples: One sample for each variant; the human hand is that of the first.
+            display: What is drawn, and how.
         """
-        is_pinned = self.display.follow == "hands"
+        is_pinned = display.follow == "hands"
         for landmarks, human in self._people:
-            landmarks.is_shown = self.display.has_landmarks
-            human.shape = self.display.shape
+            landmarks.is_shown = display.has_landmarks
+            human.shape = display.shape
         row = [
             figure
             for figure in self._figures
             if figure.is_shown and np.isfinite(figure.room).all()
         ]
         with self.server.atomic():
-            self._lay_out(row)
+            self._lay_out(row, is_pinned=is_pinned)
             for figure in row:
                 sample = samples[figure.variant].parts[figure.part]
                 figure.draw(sample)
@@ -152,7 +151,7 @@ class HandScene:
                 centre, _ = place
                 middle = figure.room[0].mean(axis=0)
                 figure.place(figure.axes @ centre if is_pinned else middle)
-                tips = figure.tips(sample) if self.display.has_trails else None
+                tips = figure.tips(sample) if display.has_trails else None
                 if tips is not None:
                     figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
 
@@ -166,11 +165,11 @@ class HandScene:
         """All figures from left to right."""
         return [*chain(*self._people), *self.robots]
 
-    def _lay_out(self, row: Sequence[Figure]) -> None:
+    def _lay_out(self, row: Sequence[Figure], *, is_pinned: bool) -> None:
         """Place the figures side by side above their names, and fit the cameras."""
         # Without the centres' travel if the hands stay in place.
-        first = 0 if self.display.follow == "world" else 1
-        sizes = [np.ptp(figure.room[first:], axis=1).sum(axis=0) for figure in row]
+        rooms = [figure.room[int(is_pinned) :] for figure in row]
+        sizes = [np.ptp(room, axis=1).sum(axis=0) for room in rooms]
         widths, heights, depths = np.transpose(sizes)
         height = heights.max()
         ends = (widths + _GAP).cumsum() - _GAP
