@@ -28,8 +28,7 @@ import shared_hands
 from handmap_qp import Hand, HandMapper, Recording, read_recording
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
-from handmap_qp.apps.offline.hand_trace import trace_robot
-from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.offline.hand_trace import RobotMotion, trace_robot
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
 from handmap_qp.human.recording import mirrored
 from handmap_qp.mapping.alignment import rotation_of
@@ -68,15 +67,16 @@ def follow(
     mapper = HandMapper(take.human, robot, method, ik=ik)
     recording = take.recording
     found = map_recording(mapper, recording, wrist_poses=take.wrist, is_guarded=False)
-    values = assess_fidelity(
+    fidelity = assess_fidelity(
         take.trace,
         trace_robot(robot, found.q, found.wrist if robot.is_floating else None),
         recording.time,
-        valid=recording.valid,
-        q=found.q,
-        gaps=GapMeter(robot),
-    ).values
-    return found, values
+        recording.valid,
+        robot,
+        RobotMotion(found.q, found.wrist, found.step_cpu),
+        take.q,
+    )
+    return found, fidelity.values
 
 
 def measure(name: str, recording: Recording) -> list[dict[str, Any]]:

@@ -30,8 +30,7 @@ from overlap import OverlapMeter
 from handmap_qp import Hand, HandMapper, Recording, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
-from handmap_qp.apps.offline.hand_trace import trace_robot
-from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.offline.hand_trace import RobotMotion, trace_robot
 from handmap_qp.hands.robot import (
     load_robot,
     read_hands,
@@ -186,16 +185,10 @@ def changed(
         (robot, q, None),
         (bare, np.array([step.command.q for step in steps]), wrist),
     ):
-        found.append(
-            assess_fidelity(
-                trace,
-                trace_robot(hand, angles, poses if hand.is_floating else None),
-                clock,
-                valid=counts,
-                q=angles,
-                gaps=GapMeter(hand),
-            ).values
-        )
+        other = trace_robot(hand, angles, poses if hand.is_floating else None)
+        motion = RobotMotion(angles, poses, np.full(len(clock), np.nan))
+        fidelity = assess_fidelity(trace, other, clock, counts, hand, motion)
+        found.append(fidelity.values)
     return {short: found[0][key] - found[1][key] for short, key in _FIGURES}
 
 

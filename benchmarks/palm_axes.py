@@ -27,7 +27,6 @@ from handmap_qp import Hand, read_recording
 from handmap_qp.apps.offline.comparison import Take, own_method, prepare_take
 from handmap_qp.apps.offline.fidelity import SETTLING, angles_between, assess_fidelity
 from handmap_qp.apps.offline.hand_trace import KNUCKLE, TIP, HandTrace, trace_robot
-from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands.human import THUMB
 from handmap_qp.se3 import rigid_fit, unit
 from handmap_qp.stream.measurement import measure_person
@@ -88,8 +87,8 @@ def turned_takes(file: str, robot: Hand) -> dict[str, Take]:
 
 def measure(take: Take, robot: Hand) -> dict[str, float]:
     """Map a take; return angles of the fingers [deg] and some metrics of `handmap compare`."""
-    q, wrist, *_ = own_method("teleoperation").map_take(take, robot)
-    human, other = take.trace, trace_robot(robot, q, wrist)
+    motion = own_method("teleoperation").map_take(take, robot)
+    human, other = take.trace, trace_robot(robot, motion.q, motion.wrist)
     time, valid = take.recording.time, take.recording.valid
     counts = valid & (time >= time[0] + SETTLING)
     shared = [name for name in human.names if name in other.names]
@@ -99,13 +98,12 @@ def measure(take: Take, robot: Hand) -> dict[str, float]:
     one, two = (np.concatenate([v, -v]).reshape(-1, 3) for v in (a, b))
     best = rigid_fit(one, two)[:3, :3]
     apart = angles_between(a, b)
-    gaps = GapMeter(robot)
-    values = assess_fidelity(human, other, time, valid=valid, q=q, gaps=gaps).values
+    found = assess_fidelity(human, other, time, valid, robot, motion, take.q)
     return {
         "direction": apart.mean(),
         "thumb": np.median(apart[:, shared.index(THUMB)]),
         "turned": angles_between(a @ best.T, b).mean(),
-    } | {key: values[key] for key in _KEYS}
+    } | {key: found.values[key] for key in _KEYS}
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import sys
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.apps.offline.fidelity import (
     angles_between,
     assess_fidelity,
+    gap_metrics,
     key_vector_metrics,
     latency,
     object_metrics,
@@ -28,6 +28,7 @@ from handmap_qp.apps.offline.hand_trace import (
     KNUCKLE,
     TIP,
     HandTrace,
+    RobotMotion,
     trace_human,
     trace_robot,
 )
@@ -116,8 +117,10 @@ def times(trace: HandTrace) -> np.ndarray:
     return np.arange(len(trace.palm)) / RATE
 
 
-def assess(one: HandTrace, other: HandTrace, **more: Any) -> dict[str, float]:
-    return assess_fidelity(one, other, times(one), **more).values
+def assess(
+    one: HandTrace, other: HandTrace, valid: np.ndarray | None = None
+) -> dict[str, float]:
+    return assess_fidelity(one, other, times(one), valid).values
 
 
 SAME = {
@@ -266,7 +269,10 @@ def test_joints_outside_limits_and_too_fast_are_counted(
 ) -> None:
     q = wave(human)
     q[200:225] = human.upper_limits + 0.01
-    result = assess(trace, trace, hand=human, q=q, human_q=q)
+    motion = RobotMotion(q, None, np.full(len(q), 0.002))
+    found = assess_fidelity(trace, trace, times(trace), None, human, motion, q)
+    result = found.values
+    assert result["step_time_ms"] == pytest.approx(2.0)
     assert result["outside_limits"] == pytest.approx(25 / 250)
     jump = np.abs(np.diff(q, axis=0)) * RATE / human.velocity_limits
     assert result["speed_ratio"] == pytest.approx(jump[50:].max())
@@ -287,9 +293,14 @@ def test_pinches_are_judged_by_the_surfaces(trace: HandTrace) -> None:
     gaps: Any = SimpleNamespace(
         pinches=lambda _: {"index": closed}, nearest=lambda _: nearest
     )
-    measured = partial(assess_fidelity, q=np.zeros((len(closed), 1)), gaps=gaps)
-    found = measured(pinching(trace, 0.01), trace, times(trace))
-    assert found.pinch_samples == 250
+    counts = times(trace) >= 0.5
+
+    def measured(gap: float) -> tuple[int, dict[str, float]]:
+        human = samples(pinching(trace, gap), counts)
+        return gap_metrics(human, gaps, np.zeros((count, 1)), counts)
+
+    pinch_samples, values = measured(0.01)
+    assert pinch_samples == 250
     expected = {
         "pinch_closed": 200 / 250,
         "pinch_gap_mm": 0.5,
@@ -297,12 +308,12 @@ def test_pinches_are_judged_by_the_surfaces(trace: HandTrace) -> None:
         "pinch_depth_mm": 2.0,
         "self_penetration": 50 / 250,
     }
-    assert {key: found.values[key] for key in expected} == pytest.approx(expected)
-    assert np.isnan(found.values["pinch_false"])
-    apart = measured(pinching(trace, 0.05), trace, times(trace))
-    assert apart.pinch_samples == 0
-    assert np.isnan(apart.values["pinch_closed"])
-    assert apart.values["pinch_false"] == pytest.approx(200 / 250)
+    assert {key: values[key] for key in expected} == pytest.approx(expected)
+    assert np.isnan(values["pinch_false"])
+    pinch_samples, values = measured(0.05)
+    assert pinch_samples == 0
+    assert np.isnan(values["pinch_closed"])
+    assert values["pinch_false"] == pytest.approx(200 / 250)
 
 
 def test_order_of_tip_distances(trace: HandTrace) -> None:

@@ -48,11 +48,10 @@ from handmap_qp.se3 import Array, as_floats, inverse_pose
 from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import NpzFormat, read_archive
 from .contacts import contact_metrics
-from .fidelity import SETTLING, assess_fidelity, sample_workspace
-from .hand_trace import ByFinger, HandTrace, fingers_of, trace_human, trace_robot
+from .fidelity import SETTLING, assess_fidelity
+from .hand_trace import HandTrace, RobotMotion, fingers_of, trace_human, trace_robot
 from .look_ahead import look_ahead, smooth_poses
 from .metrics import mean_values
-from .surface_gaps import GapMeter
 from .trajectory import held_samples, map_recording
 
 PROGRAM = "compare.py"
@@ -102,29 +101,6 @@ class Take:
     def has_wrist(self) -> bool:
         """Whether the palm is the tracker's; otherwise it is fitted to its landmarks."""
         return self.recording.wrist is not None
-
-
-class RobotMotion(NamedTuple):
-    """What a method makes of a take.
-
-    Attributes:
-        q: Joint positions in the order of `robot.joint_names` [rad or m], shape (T, n).
-        wrist: Poses of the robot's wrist frame in the human's world, shape (T, 4, 4). None if the
-            method does not move the wrist: the robot's palm then lies on the human's.
-        step_time: CPU time of each sample [s], NaN where the robot was held, shape (T,).
-        about: Version and settings, in words.
-    """
-
-    q: Array
-    wrist: Array | None
-    step_time: Array
-    about: str = ""
-
-    def wrist_in(self, take: Take, robot: Hand) -> Array:
-        """Return the wrist's poses; if it is not moved, those that put the palm on the human's."""
-        if self.wrist is not None:
-            return self.wrist
-        return take.trace.palm @ inverse_pose(robot.wrist_to_palm)
 
 
 class ComparedMethod(NamedTuple):
@@ -301,13 +277,12 @@ def compare_methods(
             argument="robot",
             advice="name the fingers of its points in hand.yaml",
         )
-    workspace = sample_workspace(robot)
     runs = []
     total = len(takes) * len(methods)
     for take, method in product(takes, methods):
         done = len(runs)
         progress(done, f"{method.name} on {take.name} ({done} of {total})")
-        runs.append(_run(method, take, robot, workspace))
+        runs.append(_run(method, take, robot))
     progress(total, "measured")
     return Comparison(robot, takes, names, runs)
 
@@ -432,30 +407,28 @@ def _call(program: Path, *words: str | Path) -> str:
     return done.stdout
 
 
-def _run(method: ComparedMethod, take: Take, robot: Hand, workspace: ByFinger) -> Run:
+def _run(method: ComparedMethod, take: Take, robot: Hand) -> Run:
     try:
         motion = method.map_take(take, robot)
     except HandmapError as error:
         return Run(method.name, take, mean_values([]), problem=reason_of(error))
-    wrist = motion.wrist_in(take, robot) if robot.is_floating else None
+    recording = take.recording
+    wrist = motion.wrist_by(take.trace, robot) if robot.is_floating else None
     trace = trace_robot(robot, motion.q, wrist)
     fidelity = assess_fidelity(
         take.trace,
         trace,
-        take.recording.time,
-        valid=take.recording.valid,
-        q=motion.q,
-        gaps=GapMeter(robot),
-        hand=robot,
-        human_q=take.q,
-        workspace=workspace,
-        step_time=motion.step_time,
+        recording.time,
+        recording.valid,
+        robot,
+        motion,
+        take.q,
     )
     if motion.wrist is None:
         fidelity.values.update(palm_deg=np.nan, palm_mm=np.nan)
     if take.shape:
         found = contact_metrics(
-            take.trace, trace, take.recording, take.shape, robot, motion.q
+            take.trace, trace, recording, take.shape, robot, motion.q
         )
         fidelity.values.update(found)
     return Run(method.name, take, *fidelity, motion)

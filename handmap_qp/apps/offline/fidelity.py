@@ -10,6 +10,7 @@ landmarks are laid on the robot's by a similarity (Umeyama 1991) in every sample
 displacements are then compared.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,7 @@ from .hand_trace import (
     TIP,
     ByFinger,
     HandTrace,
+    RobotMotion,
     angles_between,
     trace_robot,
 )
@@ -87,14 +89,10 @@ def assess_fidelity(
     human: HandTrace,
     robot: HandTrace,
     time: Array,
-    *,
     valid: Array | None = None,
-    q: Array | None = None,
-    gaps: GapMeter | None = None,
     hand: Hand | None = None,
+    motion: RobotMotion | None = None,
     human_q: Array | None = None,
-    workspace: ByFinger | None = None,
-    step_time: Array | None = None,
 ) -> Fidelity:
     """Measure how well a robot's motion does what a human's meant.
 
@@ -103,12 +101,9 @@ def assess_fidelity(
         robot: The robot's, of the same samples (`trace_robot`).
         time: Instants, increasing [s], shape (T,).
         valid: Samples in which the hand was seen, shape (T,); all if omitted.
-        q: The robot's joint angles [rad or m], shape (T, n).
-        gaps: Measures its surface gaps at `q`, for pinches and self-penetration.
-        hand: The robot hand, for the limits of its joints.
+        hand: The robot hand, for its surfaces, joints and workspace; with `motion`.
+        motion: Its joint angles and step times.
         human_q: The fitted human's joint angles [rad], shape (T, m), for the jerk ratio only.
-        workspace: Points that each fingertip can reach (`sample_workspace`).
-        step_time: Time that the mapping took for every sample [s], shape (T,).
 
     Raises:
         InvalidInputError: If the numbers of samples differ, no sample counts, or the hands have no
@@ -133,14 +128,12 @@ def assess_fidelity(
         values |= compare(h, r)
     values["latency_ms"] = latency(h, r, time[counts])
     pinch_samples = 0
-    if gaps and q is not None:
-        pinch_samples, found = gap_metrics(h, gaps, q, counts)
-        values |= found | {"pinch_order": pinch_order(h, r)}
-    if hand and q is not None:
-        values |= joint_metrics(hand, q, time, counts, human_q)
-    values["workspace"] = workspace_share(r, workspace or {})
-    if step_time is not None:
-        values["step_time_ms"] = 1e3 * step_time[counts].mean()
+    if hand and motion:
+        pinch_samples, found = gap_metrics(h, GapMeter(hand), motion.q, counts)
+        values |= found | joint_metrics(hand, motion.q, time, counts, human_q)
+        values["pinch_order"] = pinch_order(h, r)
+        values["workspace"] = workspace_share(r, sample_workspace(hand))
+        values["step_time_ms"] = 1e3 * motion.step_time[counts].mean()
     by_finger = dict(zip(shared, rows_of(fingers), strict=True))
     return Fidelity(values, by_finger, pinch_samples)
 
@@ -359,6 +352,7 @@ def workspace_share(robot: HandTrace, workspace: ByFinger) -> float:
     return _mean(np.array(distances) <= WORKSPACE_RADIUS)
 
 
+@lru_cache(maxsize=1)
 def sample_workspace(hand: Hand, *, count: int = 20_000) -> ByFinger:
     """Draw points that each fingertip can reach, joints uniform within their limits.
 

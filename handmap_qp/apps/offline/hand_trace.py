@@ -79,6 +79,29 @@ class HandTrace(NamedTuple):
         return HandTrace(tuple(names), points, self.reach[chosen], palm, self.size)
 
 
+class RobotMotion(NamedTuple):
+    """A robot's motion after a human's.
+
+    Attributes:
+        q: Joint positions in the order of `robot.joint_names` [rad or m], shape (T, n).
+        wrist: Poses of the robot's wrist frame in the human's world, shape (T, 4, 4). None if the
+            method does not move the wrist: the robot's palm then lies on the human's.
+        step_time: CPU time of each sample [s], NaN where the robot was held, shape (T,).
+        about: Version and settings, in words.
+    """
+
+    q: Array
+    wrist: Array | None
+    step_time: Array
+    about: str = ""
+
+    def wrist_by(self, human: HandTrace, robot: Hand) -> Array:
+        """Return the wrist's poses; if it is not moved, those that put the palm on the human's."""
+        if self.wrist is not None:
+            return self.wrist
+        return human.palm @ inverse_pose(robot.wrist_to_palm)
+
+
 def angles_between(a: Array, b: Array) -> Array:
     """Angles between vectors of shape (..., 3) [deg], shape (...)."""
     return np.degrees(np.arctan2(norms(np.cross(a, b)), np.vecdot(a, b)))
