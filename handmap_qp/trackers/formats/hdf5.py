@@ -94,7 +94,8 @@ def numbers(
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
     if problem:
         raise InvalidInputError(problem, argument=f"{group.name.rstrip('/')}/{name}")
-    return item[()]
+    # By its name, because h5py's own type is no native one to the compiled core.
+    return np.array(item[()], item.dtype.str)
 
 
 @contextmanager
