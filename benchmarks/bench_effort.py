@@ -96,16 +96,12 @@ class LateSimulator(Simulator):
         while len(self._waiting) > 1 and self._waiting[1][0] <= self._told - DELAY:
             self._waiting.popleft()
         _, q, wrist = self._waiting[0]
-        before, at = self._simulator.target
+        start = self._simulator.target
+        goal = self.hand.configuration_vector(q, wrist)
         count = max(1, round(duration / self.physics.time_step))
         for share in np.arange(1, count + 1) / count:
-            place = wrist
-            if wrist is not None and at is not None:
-                place = pin.SE3.Interpolate(pin.SE3(at), pin.SE3(wrist), share)
-                place = place.homogeneous
-            self._simulator.follow(
-                before + share * (q - before), place, duration / count
-            )
+            now = pin.interpolate(self.hand.model, start, goal, share)
+            self._simulator.move_to(now, duration / count)
             self._note(duration / count)
 
     def _note(self, duration: float) -> None:

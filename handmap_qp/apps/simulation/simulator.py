@@ -95,7 +95,7 @@ class Simulator:
         physics: Contacts, actuators and time steps.
         model: The `mujoco.MjModel`.
         data: The state, `mujoco.MjData`.
-        target: Commanded joint angles [rad], shape (n,), and wrist pose, None if it does not float.
+        target: Commanded configuration (`Hand.configuration_vector`), shape (nq,).
 
     Raises:
         HandError: If the hand has no collision shapes.
@@ -107,7 +107,7 @@ class Simulator:
         self.physics = physics
         self.model = build_model(hand, body, self.physics)
         self.data = mujoco.MjData(self.model)
-        self.target: tuple[Array, Array | None] = (hand.rest, None)
+        self.target = hand.configuration_vector(hand.rest)
         self._due = 0.0
         # The actuators are in the order of the joints' names.
         self._places = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
@@ -146,7 +146,7 @@ class Simulator:
         return Instant(
             time=np.array(self.time),
             q=self.q,
-            command=self.target[0],
+            command=self.target[self.hand.q_indices],
             wrist=self.wrist,
             object_pose=self.object_pose,
             normal_force=np.array(sum(forces)),
@@ -167,19 +167,18 @@ class Simulator:
         """
         hand = self.hand
         data = self.data
-        positions = hand.configuration_vector(q, wrist)
+        self.target = hand.configuration_vector(q, wrist)
         pose = check_pose(object_pose, "object_pose")
         mujoco.mj_resetData(self.model, data)
         self.set_stand(holds=False)
         quat = quat_wxyz_from_rotation(pose[:3, :3])
         data.joint(OBJECT).qpos = np.concatenate([pose[:3, 3], quat])
         for joint in hand.model.joints[1:]:
-            own = positions[joint.idx_q :][: joint.nq]
+            own = self.target[joint.idx_q :][: joint.nq]
             name = hand.model.names[joint.id]
             data.joint(name).qpos = own[_SEVEN] if joint.nq == 7 else own
-        self.target = (np.array(q, dtype=float), wrist)
         self._due = 0.0
-        self._lead(*self.target)
+        self._lead(self.target)
         mujoco.mj_forward(self.model, data)
 
     def set_stand(self, holds: bool) -> None:
@@ -195,33 +194,37 @@ class Simulator:
         self.model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
 
     def follow(self, q: ArrayLike, wrist: Array | None, duration: float) -> None:
-        """Move the command at an even speed to a posture, and simulate meanwhile.
+        """Move the command to a posture, as `move_to`.
 
         Args:
             q: Commanded joint angles at the end [rad], shape (n,).
             wrist: Commanded wrist pose at the end, shape (4, 4); None for a hand that does not
                 float.
-            duration: Time that it takes [s]. It ends at a whole step of the simulation; later calls
-                make up for the rest, so that the time of a recording is kept.
+            duration: Time that it takes [s].
         """
-        goal = np.array(q, dtype=float)
-        start, start_wrist = self.target
-        self._due += duration
-        steps = max(1, round((self._due - self.time) / self.physics.time_step))
-        for share in np.arange(1, steps + 1) / steps:
-            place = None
-            if wrist is not None and start_wrist is not None:
-                ends = pin.SE3(start_wrist), pin.SE3(wrist)
-                place = pin.SE3.Interpolate(*ends, share).homogeneous
-            self._lead(start + share * (goal - start), place)
-            mujoco.mj_step(self.model, self.data)
-        self.target = (goal, None if wrist is None else wrist.copy())
-        # Contacts and velocities of the state after the last step.
-        mujoco.mj_forward(self.model, self.data)
+        self.move_to(self.hand.configuration_vector(q, wrist), duration)
 
     def hold(self, duration: float) -> None:
         """Keep the last command, and simulate."""
-        self.follow(*self.target, duration)
+        self.move_to(self.target, duration)
+
+    def move_to(self, goal: Array, duration: float) -> None:
+        """Move the command at an even speed to a configuration, and simulate meanwhile.
+
+        Args:
+            goal: Commanded configuration at the end (`Hand.configuration_vector`), shape (nq,).
+            duration: Time that it takes [s]. It ends at a whole step of the simulation; later calls
+                make up for the rest, so that the time of a recording is kept.
+        """
+        start = self.target
+        self.target = goal
+        self._due += duration
+        steps = max(1, round((self._due - self.time) / self.physics.time_step))
+        for share in np.arange(1, steps + 1) / steps:
+            self._lead(pin.interpolate(self.hand.model, start, goal, share))
+            mujoco.mj_step(self.model, self.data)
+        # Contacts and velocities of the state after the last step.
+        mujoco.mj_forward(self.model, self.data)
 
     def pressing(self) -> dict[str, float]:
         """Return the normal forces of the links on each joint that touch the object [N].
@@ -259,11 +262,11 @@ class Simulator:
         """Tell the actuators a command [rad], shape (n,)."""
         self.data.ctrl[:] = command
 
-    def _lead(self, command: Array, wrist: Array | None) -> None:
+    def _lead(self, command: Array) -> None:
         """Command joints and, of a hand that floats, the body that leads its base."""
-        self.tell_actuators(command)
-        if wrist is not None:
-            base = self.hand.configuration_vector(command, wrist)[_SEVEN]
+        self.tell_actuators(command[self.hand.q_indices])
+        if self.hand.is_floating:
+            base = command[_SEVEN]
             # The only one.
             self.data.mocap_pos[0] = base[:3]
             self.data.mocap_quat[0] = base[3:]
