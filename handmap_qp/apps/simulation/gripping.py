@@ -60,7 +60,6 @@ class GripScene(PinchScene):
         for i in range(start + 1, self.window.end + 1):
             place = simulator.object_pose[:3, 3] if self._sees else None
             sample = self._samples.sample(i)
-            command = grip.map_sample(sample, simulator.q, place).command
-            wrist = command.wrist if self.commands.hand.is_floating else None
-            simulator.follow(command.q, wrist, time[i] - time[i - 1])
+            step = grip.map_sample(sample, simulator.q, place)
+            simulator.move_to(step.ik.q, time[i] - time[i - 1])
             yield time[i]
