@@ -259,7 +259,7 @@ def carry(
     start_object = simulator.object_pose
     step = options.duration / (len(motion.q) - 1)
     for q, wrist in zip(motion.q[1:], motion.wrist[1:], strict=True):
-        simulator.follow(q + offset, wrist, step)
+        simulator.follow(simulator.hand.configuration_vector(q + offset, wrist), step)
         instants.append(simulator.instant())
     simulator.hold(_RESTING)
     instants.append(simulator.instant())
@@ -283,10 +283,14 @@ def take_hold(simulator: Simulator, grasp: Grasp, offset: np.ndarray) -> None:
     wrist = grasp.wrist_pose if grasp.hand.is_floating else None
     if grasp.hand.is_floating and wrist is None:
         wrist = np.eye(4)
-    simulator.reset(grasp.q, wrist, grasp.object_pose)
+    simulator.reset(
+        simulator.hand.configuration_vector(grasp.q, wrist), grasp.object_pose
+    )
     gravity = simulator.model.opt.gravity
     gravity[:] = 0.0
-    simulator.follow(grasp.q + offset, wrist, _CLOSING)
+    simulator.follow(
+        simulator.hand.configuration_vector(grasp.q + offset, wrist), _CLOSING
+    )
     simulator.hold(_RESTING)
     for share in np.linspace(0.1, 1.0, 10):
         gravity[:] = share * np.array(simulator.physics.gravity)

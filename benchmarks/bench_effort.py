@@ -85,23 +85,22 @@ class LateSimulator(Simulator):
         vars(self).update(vars(simulator))
         self._scene = scene
         self._simulator = simulator
-        self._waiting: deque[tuple[float, Any, Any]] = deque()
+        self._waiting: deque[tuple[float, np.ndarray]] = deque()
         self._told = 0.0
         self._gripped = 0.0
 
-    def follow(self, q: Any, wrist: np.ndarray | None, duration: float) -> None:
+    def follow(self, goal: np.ndarray, duration: float) -> None:
         """Move to the newest command that is old enough, as `Simulator.follow`."""
         self._told += duration
-        self._waiting.append((self._told, q, wrist))
+        self._waiting.append((self._told, goal))
         while len(self._waiting) > 1 and self._waiting[1][0] <= self._told - DELAY:
             self._waiting.popleft()
-        _, q, wrist = self._waiting[0]
+        _, goal = self._waiting[0]
         start = self._simulator.target
-        goal = self.hand.configuration_vector(q, wrist)
         count = max(1, round(duration / self.physics.time_step))
         for share in np.arange(1, count + 1) / count:
             now = pin.interpolate(self.hand.model, start, goal, share)
-            self._simulator.move_to(now, duration / count)
+            self._simulator.follow(now, duration / count)
             self._note(duration / count)
 
     def _note(self, duration: float) -> None:

@@ -76,7 +76,8 @@ def tried(
     for start in range(_LATEST, _EARLIEST, -1):
         command = steps[start].command
         simulator.reset(
-            command.q, command.wrist, affine(np.eye(3), offset) @ poses[start]
+            hand.configuration_vector(command.q, command.wrist),
+            affine(np.eye(3), offset) @ poses[start],
         )
         if simulator.clearance() > 0.0:
             break
@@ -92,7 +93,7 @@ def tried(
             simulator.set_stand(holds=False)
         command = steps[i].command
         wait = recording.time[i] - recording.time[i - 1]
-        simulator.follow(command.q, command.wrist, wait)
+        simulator.follow(hand.configuration_vector(command.q, command.wrist), wait)
         if i > made.closed + _FREED:
             pressing = simulator.pressing()
             forces.append(sum(pressing.values()))

@@ -129,14 +129,14 @@ class Scene:
         simulator = self._start(NOMINAL, FAR)
         self.empty = [{side: self._grip(simulator, side) for side in SIDES}]
         for q in self.q[1:]:
-            simulator.follow(q, None, 1.0 / RATE)
+            simulator.follow(simulator.hand.configuration_vector(q, None), 1.0 / RATE)
             self.empty.append({side: self._grip(simulator, side) for side in SIDES})
 
     def _start(self, bar: Bar, pose: np.ndarray) -> Simulator:
         """Put a bar on its stand, and the robot where the recording starts."""
         body = Body(Box((bar.width, bar.width, LENGTH)), bar.mass)
         simulator = Simulator(self.whole, body, Physics(friction=bar.friction))
-        simulator.reset(self.q[0], None, pose)
+        simulator.reset(simulator.hand.configuration_vector(self.q[0], None), pose)
         simulator.set_stand(holds=True)
         return simulator
 
@@ -204,7 +204,7 @@ class Scene:
         found = Outcome("", [self.q[0]], [pose])
         stands = True
         for k, q in enumerate(self.q[1:until], 1):
-            simulator.follow(q, None, 1.0 / RATE)
+            simulator.follow(simulator.hand.configuration_vector(q, None), 1.0 / RATE)
             is_late = k > met + 0.3 * RATE
             if stands and (is_late or self.pads["right"].is_pinched(simulator)):
                 simulator.set_stand(holds=False)

@@ -75,7 +75,8 @@ class StandIn:
         self._client = client
         self._pads = Pads(simulator.hand)
         client.watch(session)
-        self._goal: tuple[np.ndarray, np.ndarray | None] | None = None
+        self._goal: np.ndarray | None = None
+        self._wrist: np.ndarray | None = None
         self._epoch = 0
         self._count = 0
         self._is_standing = True
@@ -102,7 +103,7 @@ class StandIn:
                 self._advance(self._goal, min(now - last, _LONGEST))
                 last = now
                 if now - told >= 1.0:
-                    report(self._report(self._goal))
+                    report(self._report())
                     told = now
 
     def _accept(self, command: Command) -> None:
@@ -118,28 +119,28 @@ class StandIn:
         q = np.array([angles[name] for name in hand.joint_names])
         pose = np.eye(4) if command.wrist is None else command.wrist.matrix
         wrist = pose if hand.is_floating else None
+        goal = hand.configuration_vector(q, wrist)
         if self._goal is None or command.epoch != self._epoch:
             # The hand must be there before its pads are.
-            self.simulator.reset(q, wrist, _FAR)
+            self.simulator.reset(goal, _FAR)
             middle = self._pads.middle(self._pads.places(self.simulator))
-            self.simulator.reset(q, wrist, affine(np.eye(3), middle))
+            self.simulator.reset(goal, affine(np.eye(3), middle))
             self.simulator.set_stand(holds=True)
             self._is_standing = True
-        self._goal = (q, wrist)
+        self._goal = goal
+        self._wrist = wrist
         self._epoch = command.epoch
         self._count += 1
 
-    def _advance(
-        self, goal: tuple[np.ndarray, np.ndarray | None], duration: float
-    ) -> None:
+    def _advance(self, goal: np.ndarray, duration: float) -> None:
         """Simulate towards the goal, and let the object go once it is pinched."""
-        self.simulator.follow(*goal, duration)
+        self.simulator.follow(goal, duration)
         if self._is_standing and self._pads.is_pinched(self.simulator):
             self.simulator.set_stand(holds=False)
             self._is_standing = False
 
-    def _report(self, goal: tuple[np.ndarray, np.ndarray | None]) -> Report:
-        now, wrist = self.simulator.instant(), goal[1]
+    def _report(self) -> Report:
+        now, wrist = self.simulator.instant(), self._wrist
         off = np.zeros(3) if wrist is None else (now.wrist - wrist)[:3, 3]
         return Report(now, self._count, self._epoch, float(np.linalg.norm(off)))
 

@@ -60,6 +60,11 @@ def simulate(
     return SoftSimulator(hand, body, physics, compliance)
 
 
+def posed(simulator: Simulator, q: np.ndarray, wrist: np.ndarray | None) -> np.ndarray:
+    """Return the configuration of the hand at joint angles and a wrist pose."""
+    return simulator.hand.configuration_vector(q, wrist)
+
+
 def held(
     physics: Physics, normal_force: float = 6.0, compliance: np.ndarray | None = None
 ) -> tuple[Simulator, Grasp, np.ndarray]:
@@ -88,7 +93,7 @@ def test_a_free_object_falls_as_galileo_said(
 ) -> None:
     grasp = cube_grasp()
     simulator = Simulator(grasp.hand, Body(shape, MASS))
-    simulator.reset(grasp.q, grasp.wrist_pose, FAR)
+    simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), FAR)
     simulator.hold(0.3)
     step, time = simulator.physics.time_step, simulator.time
     fallen = 2.0 - simulator.object_pose[2, 3]
@@ -134,7 +139,7 @@ def test_contact_forces_stay_in_their_friction_cones(
     target = grasp.wrist_pose.copy()
     target[0, 3] += 0.02
     for _ in range(10):
-        simulator.follow(grasp.q + offset, target, 0.02)
+        simulator.follow(posed(simulator, grasp.q + offset, target), 0.02)
         touching = contacts(simulator)
         normal = touching.normal_forces
         tangential = np.linalg.norm(
@@ -247,7 +252,10 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
     )
     for column, change in enumerate(0.01 * synergies.T):
         base, rest = simulator.object_pose[:3, 3], contacts(simulator).forces
-        simulator.follow(grasp.q + offset + change, grasp.wrist_pose, 0.5)
+        simulator.follow(
+            posed(simulator, grasp.q + offset + change, grasp.wrist_pose),
+            0.5,
+        )
         simulator.hold(0.2)
         forces = (contacts(simulator).forces - rest).ravel()
         wanted = 0.01 * predicted.contact_forces[:, column]
@@ -259,14 +267,17 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
         moved = simulator.object_pose[:3, 3] - base
         error = np.linalg.norm(moved - 0.01 * predicted.object_motion[:3, column])
         assert error < 1e-4, column
-        simulator.follow(grasp.q + offset, grasp.wrist_pose, 0.3)
+        simulator.follow(posed(simulator, grasp.q + offset, grasp.wrist_pose), 0.3)
 
 
 def test_the_same_commands_give_the_same_motion() -> None:
     poses = []
     for _ in range(2):
         simulator, grasp, offset = held(Physics())
-        simulator.follow(grasp.q + 0.5 * offset, grasp.wrist_pose, 0.2)
+        simulator.follow(
+            posed(simulator, grasp.q + 0.5 * offset, grasp.wrist_pose),
+            0.2,
+        )
         poses.append(np.concatenate([simulator.data.qpos, simulator.data.qvel]))
     np.testing.assert_array_equal(poses[0], poses[1])
 
@@ -276,9 +287,12 @@ def test_the_simulation_keeps_the_time_of_its_commands() -> None:
     grasp = cube_grasp()
     simulator = Simulator(grasp.hand, Body(CUBE))
     for _ in range(2):
-        simulator.reset(grasp.q, grasp.wrist_pose, FAR)
+        simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), FAR)
         for k in range(1, 116):
-            simulator.follow(grasp.q, grasp.wrist_pose, 1.0 / 115.0)
+            simulator.follow(
+                posed(simulator, grasp.q, grasp.wrist_pose),
+                1.0 / 115.0,
+            )
             assert simulator.time == pytest.approx(k / 115.0, abs=1.01e-3)
 
 
@@ -293,8 +307,8 @@ def test_torques_are_those_of_the_maker_at_most() -> None:
         bounds = simulator.model.actuator_forcerange
         np.testing.assert_array_equal(bounds[:, 0], -bounds[:, 1])
         assert set(bounds[:, 1]) == wanted
-    simulator.reset(hand.rest, np.eye(4), FAR)
-    simulator.follow(hand.upper_limits, np.eye(4), 0.02)
+    simulator.reset(posed(simulator, hand.rest, np.eye(4)), FAR)
+    simulator.follow(posed(simulator, hand.upper_limits, np.eye(4)), 0.02)
     torque = np.abs(simulator.instant().torque)
     assert torque.max() == pytest.approx(0.4)
     assert torque[bounds[:, 1] == 0.05] == pytest.approx(0.05)
@@ -311,14 +325,20 @@ def test_torques_are_those_of_the_maker_at_most() -> None:
 def test_the_clearance_is_the_distance_of_the_nearest_link() -> None:
     grasp = cube_grasp()
     simulator = Simulator(grasp.hand, Body(Sphere(0.02)))
-    simulator.reset(grasp.q, np.eye(4), affine(np.eye(3), (0.0, 0.0, -0.3)))
+    simulator.reset(
+        posed(simulator, grasp.q, np.eye(4)),
+        affine(np.eye(3), (0.0, 0.0, -0.3)),
+    )
     far = simulator.clearance()
-    simulator.reset(grasp.q, np.eye(4), affine(np.eye(3), (0.0, 0.0, -0.2)))
+    simulator.reset(
+        posed(simulator, grasp.q, np.eye(4)),
+        affine(np.eye(3), (0.0, 0.0, -0.2)),
+    )
     assert far - simulator.clearance() == pytest.approx(0.1, abs=0.02)
     body = simulator.hand.model.names[-1]
     tip = simulator.body_pose(body)[:3, 3]
     assert simulator.clearance() <= simulator.clearance([body])
-    simulator.reset(grasp.q, np.eye(4), affine(np.eye(3), tip))
+    simulator.reset(posed(simulator, grasp.q, np.eye(4)), affine(np.eye(3), tip))
     assert simulator.clearance([body]) < 0.0
     assert simulator.clearance() <= simulator.clearance([body])
 
@@ -328,7 +348,7 @@ def test_a_stand_holds_the_object_until_it_lets_go() -> None:
     pose = FAR.copy()
     pose[:3, :3] = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     simulator = Simulator(grasp.hand, Body(CUBE, 0.3))
-    simulator.reset(grasp.q, grasp.wrist_pose, pose)
+    simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), pose)
     simulator.set_stand(holds=True)
     simulator.hold(0.3)
     np.testing.assert_allclose(simulator.object_pose, pose, atol=1e-3)
@@ -342,7 +362,7 @@ def test_an_object_slides_on_its_stand_by_coulombs_law(push: float) -> None:
     """A push of `push` times mu m g moves it by (push - 1) mu g t^2 / 2, or not at all."""
     grasp, physics = cube_grasp(), Physics(friction=0.5)
     simulator = Simulator(grasp.hand, Body(CUBE, 0.3), physics)
-    simulator.reset(grasp.q, grasp.wrist_pose, FAR)
+    simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), FAR)
     simulator.set_stand(holds=True)
     weight = 0.3 * np.linalg.norm(physics.gravity)
     held_body = simulator.model.body("/object").id
@@ -361,11 +381,11 @@ def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
     grasp = cube_grasp()
     assert grasp.wrist_pose is not None
     simulator = simulate(grasp.hand, Physics(), compliance)
-    simulator.reset(grasp.q, grasp.wrist_pose, FAR)
+    simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), FAR)
     np.testing.assert_allclose(simulator.wrist, grasp.wrist_pose, atol=1e-12)
     target = grasp.wrist_pose.copy()
     target[:3, 3] += 0.1
-    simulator.follow(grasp.q, target, 0.5)
+    simulator.follow(posed(simulator, grasp.q, target), 0.5)
     simulator.hold(0.3)
     np.testing.assert_allclose(simulator.wrist, target, atol=1e-3)
     np.testing.assert_allclose(simulator.q, grasp.q, atol=1e-3)
@@ -377,9 +397,9 @@ def test_mimic_joints_follow_their_leaders() -> None:
     """One motor bends all fingers of Romeo's hand."""
     hand = load_hand("romeo_left")
     simulator = Simulator(hand, Body(CUBE, MASS))
-    simulator.reset(hand.rest, np.eye(4), FAR)
+    simulator.reset(posed(simulator, hand.rest, np.eye(4)), FAR)
     q = hand.rest + 0.2 * (hand.upper_limits - hand.rest)
-    simulator.follow(q, np.eye(4), 0.4)
+    simulator.follow(posed(simulator, q, np.eye(4)), 0.4)
     simulator.hold(0.4)
     wanted = dict(zip(hand.all_joint_names, hand.all_joints(simulator.q), strict=True))
     roles = zip(hand.all_joint_names, hand.all_joint_roles, strict=True)
@@ -402,7 +422,7 @@ def test_bodies_are_where_pinocchio_has_them(name: str) -> None:
     if hand.is_floating:
         turn = Rotation.random(random_state=1).as_matrix()
         wrist = affine(turn, np.array([0.1, 0.2, 0.3]))
-    simulator.reset(q, wrist, FAR)
+    simulator.reset(posed(simulator, q, wrist), FAR)
     np.testing.assert_allclose(simulator.q, q, atol=1e-12)
     wanted = hand.frame_pose("wrist", q, wrist)
     np.testing.assert_allclose(simulator.wrist, wanted, atol=1e-12)
@@ -455,9 +475,9 @@ def test_impossible_bodies_and_starts_are_refused() -> None:
     grasp = cube_grasp()
     simulator = Simulator(grasp.hand, Body(CUBE, MASS))
     with pytest.raises(InvalidInputError, match="wrist"):
-        simulator.reset(grasp.q, np.zeros((4, 4)), FAR)
+        simulator.reset(posed(simulator, grasp.q, np.zeros((4, 4))), FAR)
     with pytest.raises(InvalidInputError, match="q"):
-        simulator.reset(grasp.q[1:], grasp.wrist_pose, FAR)
+        simulator.reset(posed(simulator, grasp.q[1:], grasp.wrist_pose), FAR)
     with pytest.raises(InvalidInputError, match="three contacts"):
         holding_forces(
             Grasp(

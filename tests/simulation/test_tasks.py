@@ -95,7 +95,9 @@ def test_the_middle_is_as_far_from_the_surfaces_of_both_pads() -> None:
     thumb, finger = find_pads(hand, {n: chains[n] for n in ("thumb", "index")}).values()
     assert thumb.radius > finger.radius + 1e-3
     simulator = Simulator(hand, Body(CUBE))
-    simulator.reset(hand.rest, np.eye(4), np.eye(4))
+    simulator.reset(
+        simulator.hand.configuration_vector(hand.rest, np.eye(4)), np.eye(4)
+    )
     places = pads.places(simulator)
     middle = pads.middle(places)
     to_thumb, to_finger = np.linalg.norm(places - middle, axis=1)
@@ -148,7 +150,7 @@ def test_a_trial_starts_where_the_open_hand_is_last_clear_of_the_object(
     simulator = Simulator(pinching.commands.hand, episode.body, pinching.physics)
     gaps = []
     for i in range(9):
-        simulator.reset(*pinching.commands.at(i), place)
+        simulator.reset(pinching.commands.at(i), place)
         gaps.append(simulator.clearance(scene.pads.bodies))
     start = 60 - len(episode.at.time)
     assert gaps[start] >= 0.015 > gaps[start + 1]

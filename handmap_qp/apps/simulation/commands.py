@@ -53,9 +53,10 @@ class Commands(NamedTuple):
     q: Array
     wrist: Array
 
-    def at(self, i: int) -> tuple[Array, Array | None]:
-        """Return joint angles and wrist pose of a sample; no wrist if the hand does not float."""
-        return self.q[i], self.wrist[i] if self.hand.is_floating else None
+    def at(self, i: int) -> Array:
+        """Return the configuration of the hand in a sample, shape (nq,)."""
+        wrist = self.wrist[i] if self.hand.is_floating else None
+        return self.hand.configuration_vector(self.q[i], wrist)
 
 
 class PinchWindow(NamedTuple):

@@ -61,5 +61,5 @@ class GripScene(PinchScene):
             place = simulator.object_pose[:3, 3] if self._sees else None
             sample = self._samples.sample(i)
             step = grip.map_sample(sample, simulator.q, place)
-            simulator.move_to(step.ik.q, time[i] - time[i - 1])
+            simulator.follow(step.ik.q, time[i] - time[i - 1])
             yield time[i]

@@ -259,7 +259,7 @@ class PinchScene:
         """The robot's own motion by the commands, with nothing between the pads."""
         simulator = Simulator(self.commands.hand, _NOTHING, self.physics)
         start = self.window.opened
-        simulator.reset(*self.commands.at(start), _FAR)
+        simulator.reset(self.commands.at(start), _FAR)
         simulator.set_stand(holds=True)
         # Not by what a subclass makes of the touch.
         played = PinchScene._play(self, simulator, start)
@@ -270,7 +270,7 @@ class PinchScene:
         """Put the object on its stand, and the hand where it is last clear; return that sample."""
         pads = others = 0.0
         for start in range(self.window.start, self.window.opened - 1, -1):
-            simulator.reset(*self.commands.at(start), pose)
+            simulator.reset(self.commands.at(start), pose)
             pads = simulator.clearance(self.pads.bodies)
             others = simulator.clearance()
             if others > 0.0 and pads >= _CLEAR:
@@ -286,7 +286,7 @@ class PinchScene:
         """Follow the recording to the end of the pinch, and yield the time of each sample [s]."""
         time = self.commands.time
         for i in range(start + 1, self.window.end + 1):
-            simulator.follow(*self.commands.at(i), time[i] - time[i - 1])
+            simulator.follow(self.commands.at(i), time[i] - time[i - 1])
             yield time[i]
 
 

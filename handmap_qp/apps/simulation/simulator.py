@@ -154,31 +154,30 @@ class Simulator:
             torque=self.data.actuator_force.copy(),
         )
 
-    def reset(self, q: ArrayLike, wrist: Array | None, object_pose: ArrayLike) -> None:
+    def reset(self, configuration: Array, object_pose: ArrayLike) -> None:
         """Put hand and object at rest.
 
         Args:
-            q: Joint angles [rad], shape (n,).
-            wrist: Pose of the wrist, shape (4, 4); None for a hand that does not float.
+            configuration: That of the hand (`Hand.configuration_vector`), shape (nq,).
             object_pose: Pose of the object, shape (4, 4).
 
         Raises:
-            InvalidInputError: On a wrong shape, or a wrist for a hand that does not float.
+            InvalidInputError: On a wrong pose.
         """
         hand = self.hand
         data = self.data
-        self.target = hand.configuration_vector(q, wrist)
+        self.target = configuration
         pose = check_pose(object_pose, "object_pose")
         mujoco.mj_resetData(self.model, data)
         self.set_stand(holds=False)
         quat = quat_wxyz_from_rotation(pose[:3, :3])
         data.joint(OBJECT).qpos = np.concatenate([pose[:3, 3], quat])
         for joint in hand.model.joints[1:]:
-            own = self.target[joint.idx_q :][: joint.nq]
+            own = configuration[joint.idx_q :][: joint.nq]
             name = hand.model.names[joint.id]
             data.joint(name).qpos = own[_SEVEN] if joint.nq == 7 else own
         self._due = 0.0
-        self._lead(self.target)
+        self._lead(configuration)
         mujoco.mj_forward(self.model, data)
 
     def set_stand(self, holds: bool) -> None:
@@ -193,22 +192,11 @@ class Simulator:
         friction = self.physics.friction * weight if holds else 0.0
         self.model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
 
-    def follow(self, q: ArrayLike, wrist: Array | None, duration: float) -> None:
-        """Move the command to a posture, as `move_to`.
-
-        Args:
-            q: Commanded joint angles at the end [rad], shape (n,).
-            wrist: Commanded wrist pose at the end, shape (4, 4); None for a hand that does not
-                float.
-            duration: Time that it takes [s].
-        """
-        self.move_to(self.hand.configuration_vector(q, wrist), duration)
-
     def hold(self, duration: float) -> None:
         """Keep the last command, and simulate."""
-        self.move_to(self.target, duration)
+        self.follow(self.target, duration)
 
-    def move_to(self, goal: Array, duration: float) -> None:
+    def follow(self, goal: Array, duration: float) -> None:
         """Move the command at an even speed to a configuration, and simulate meanwhile.
 
         Args:
