@@ -135,9 +135,11 @@ class SoftSimulator(Simulator):
         model.actuator_gainprm[:, 0] = 1.0
         model.actuator_biasprm[:, :3] = 0.0
 
-    def tell_actuators(self, command: np.ndarray) -> None:
+    def lead(self, command: np.ndarray) -> None:
         """Tell the motors the torques of springs and dampers [N m]."""
-        self.data.ctrl[:] = self.torques(command, self.q, self.data.qvel[self._dofs])
+        super().lead(command)
+        joints = command[self.hand.q_indices]
+        self.data.ctrl[:] = self.torques(joints, self.q, self.data.qvel[self._dofs])
 
     def torques(
         self, command: np.ndarray, q: np.ndarray, velocity: np.ndarray

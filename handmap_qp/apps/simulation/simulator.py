@@ -177,7 +177,7 @@ class Simulator:
             name = hand.model.names[joint.id]
             data.joint(name).qpos = own[_SEVEN] if joint.nq == 7 else own
         self._due = 0.0
-        self._lead(configuration)
+        self.lead(configuration)
         mujoco.mj_forward(self.model, data)
 
     def set_stand(self, holds: bool) -> None:
@@ -209,7 +209,7 @@ class Simulator:
         self._due += duration
         steps = max(1, round((self._due - self.time) / self.physics.time_step))
         for share in np.arange(1, steps + 1) / steps:
-            self._lead(pin.interpolate(self.hand.model, start, goal, share))
+            self.lead(pin.interpolate(self.hand.model, start, goal, share))
             mujoco.mj_step(self.model, self.data)
         # Contacts and velocities of the state after the last step.
         mujoco.mj_forward(self.model, self.data)
@@ -246,13 +246,13 @@ class Simulator:
             if not bodies or model.body(model.geom_bodyid[shape]).name in bodies
         )
 
-    def tell_actuators(self, command: Array) -> None:
-        """Tell the actuators a command [rad], shape (n,)."""
-        self.data.ctrl[:] = command
+    def lead(self, command: Array) -> None:
+        """Command the joints and, of a hand that floats, the body that leads its base.
 
-    def _lead(self, command: Array) -> None:
-        """Command joints and, of a hand that floats, the body that leads its base."""
-        self.tell_actuators(command[self.hand.q_indices])
+        Args:
+            command: Configuration of the hand, shape (nq,).
+        """
+        self.data.ctrl[:] = command[self.hand.q_indices]
         if self.hand.is_floating:
             base = command[_SEVEN]
             # The only one.
