@@ -166,7 +166,10 @@ class Batch:
         lines = [*tally.plan.done, *tally.done]
         if self.format == "npz" or self.shard or not (tally.is_complete and lines):
             return None
-        robots = {side: options.load_robot(side) for side in options.robots}
+        robots = {
+            side: load_whole(name, self.arguments.robot_points)
+            for side, name in options.robots.items()
+        }
         return assemble(lines, self.out, self.format, self.fps, robots)
 
     def _report(self, tally: "Tally", written: Path | None) -> None:

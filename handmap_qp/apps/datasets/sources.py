@@ -12,7 +12,7 @@ import msgspec
 from handmap_qp.apps.arguments import MappingArguments, check_names
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import HandmapError, InvalidInputError, reason_of
-from handmap_qp.hands import Hand, load_whole, urdf_path
+from handmap_qp.hands import load_whole, urdf_path
 from handmap_qp.trackers.formats import (
     FORMATS,
     SEPARATOR,
@@ -45,17 +45,13 @@ class JobOptions:
     arguments: MappingArguments = MappingArguments()
     look_ahead: bool = False
 
-    def load_robot(self, side: str) -> Hand:
-        """Load the robot of a side, with its reference points; `HandError` without one."""
-        return load_whole(self.robots[side], self.arguments.robot_points)
-
     @property
     def digest(self) -> str:
         """A short text that changes if the robots, their URDFs or the options do."""
         digest = sha256(repr((self.arguments, self.look_ahead or None)).encode())
         files = [self.arguments.options] if self.arguments.options else []
-        for side in sorted(self.robots):
-            robot = self.load_robot(side)
+        for side, name in sorted(self.robots.items()):
+            robot = load_whole(name, self.arguments.robot_points)
             for hand in robot.hands:
                 digest.update(
                     side.encode() + msgspec.json.encode(hand.spec, enc_hook=str)
