@@ -26,7 +26,7 @@ from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Hand, Names, Values, load_hand
-from handmap_qp.human import Person, read_person
+from handmap_qp.human import read_person
 from handmap_qp.output_files import make_folder, writing
 from .comparison import (
     SMOOTH,
@@ -122,13 +122,12 @@ class Compare:
         """
         expect(self.recordings, "RECORDING", "at least one file", got="none")
         robot = load_hand(self.robot)
-        person = read_person(self.person) if self.person else None
         methods = _methods(self)
         if self.out:
             require_matplotlib()
             make_folder(self.out, "--out")
         with progress("comparing") as say:
-            takes = _takes(self, robot, person, say)
+            takes = _takes(self, robot, say)
             comparison = compare_methods(takes, robot, methods, say)
             written = _write(self.out, comparison, say) if self.out else []
         if self.json:
@@ -243,13 +242,9 @@ def _methods(request: Compare) -> list[ComparedMethod]:
     return [outside.get(name) or own_method(name, tuple(outside)) for name in names]
 
 
-def _takes(
-    request: Compare,
-    robot: Hand,
-    person: Person | None,
-    say: Progress,
-) -> list[Take]:
+def _takes(request: Compare, robot: Hand, say: Progress) -> list[Take]:
     """Read all recordings before any is prepared."""
+    person = read_person(request.person) if request.person else None
     side = robot.side
     # All methods, of others too, are given the robot's world, and are measured there.
     recordings = [

@@ -166,7 +166,15 @@ class Comparison(NamedTuple):
 
     def notes(self) -> list[str]:
         """Return a line for everything that a method did not do."""
-        lines = [line for method in self.methods for line in self._failures(method)]
+        lines = []
+        for method in self.methods:
+            runs = self.of_method(method)
+            problems = {run.problem for run in runs}
+            if len(problems) == 1 and all(problems):
+                lines.append(f"{method}: {runs[0].problem}")
+                continue
+            failed = [run for run in runs if run.problem]
+            lines += [f"{method} on {run.take.name}: {run.problem}" for run in failed]
         still = {
             run.method: None
             for run in self.runs
@@ -178,15 +186,6 @@ class Comparison(NamedTuple):
                 "human's, and the palm's error is not measured"
             )
         return lines
-
-    def _failures(self, method: str) -> list[str]:
-        """Return a line for each take on which a method failed, or one for all of them."""
-        runs = self.of_method(method)
-        problems = {run.problem for run in runs}
-        if len(problems) == 1 and all(problems):
-            return [f"{method}: {runs[0].problem}"]
-        failed = [run for run in runs if run.problem]
-        return [f"{method} on {run.take.name}: {run.problem}" for run in failed]
 
 
 def prepare_take(

@@ -347,7 +347,6 @@ def workspace_share(robot: HandTrace, workspace: ByFinger) -> float:
     distances = [
         KDTree(tips).query(workspace[name])[0]
         for name, tips in _tips_by_finger(robot).items()
-        if name in workspace
     ]
     return _mean(np.array(distances) <= WORKSPACE_RADIUS)
 

@@ -5,8 +5,7 @@ whatever mapping found those. So every mapping is measured in the same way.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache, partial
-from itertools import repeat
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -147,8 +146,10 @@ def trace_robot(
         wrist: Wrist poses in the world, shape (T, 4, 4); omitted for a fixed hand.
     """
     chains = fingers_of(hand)
-    wrists = repeat(None) if wrist is None else wrist
-    palm = np.array([*map(partial(hand.frame_pose, "palm"), q, wrists)])
+    if wrist is None:
+        palm = np.array([hand.frame_pose("palm", each) for each in q])
+    else:
+        palm = wrist @ hand.wrist_to_palm
     fingers = chains.values()
     places = [place for one in fingers for place in (one.knuckle, one.middle, one.tip)]
     local = PalmKinematics(hand).points(np.vstack([hand.zero, q]), places)
