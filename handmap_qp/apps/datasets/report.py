@@ -187,9 +187,7 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
 
 def _ranks(values: Array) -> Array:
     """Return the shares of episodes that are better, 0 where there is no value, shape (E, m)."""
-    signs = np.array([1.0 if measure.better == "low" else -1.0 for measure in MEASURES])
-    # Values that are all good enough do not tell episodes apart.
-    costs = np.maximum(signs * values, signs * [measure.enough for measure in MEASURES])
+    costs = np.array([[*map(Metric.cost, MEASURES, row)] for row in values])
     better = rankdata(costs, method="min", axis=0, nan_policy="omit") - 1.0
     others = np.maximum(np.isfinite(values).sum(axis=0) - 1, 1)
     return np.nan_to_num(better / others)

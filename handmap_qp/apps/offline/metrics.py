@@ -22,7 +22,7 @@ class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         better: Whether `high` or `low` values are better, or those near `zero` or `one`.
         about: What it says, in a few words.
         digits: Decimals to print.
-        enough: Values as good as this are equally good; in `best` only where `low` is better.
+        enough: Values as good as this are equally good; 0 for none where `high` is better.
         in_short: Whether it is one of those that say most, for one table.
     """
 
@@ -57,19 +57,18 @@ class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def best(self, values: list[float]) -> set[int]:
         """Return the indices of the best values as printed; none if fewer than two are finite."""
-        costs = np.array([*map(self._cost, values)])
+        costs = np.array([self.cost(round(x, self.digits)) for x in values])
         if np.isfinite(costs).sum() < 2:
             return set()
         return {*np.flatnonzero(costs == np.nanmin(costs))}
 
-    def _cost(self, value: float) -> float:
-        """Smaller is better; values that print alike are alike."""
-        x = round(value, self.digits)
+    def cost(self, value: float) -> float:
+        """Return a number that is smaller for better values, and NaN for NaN."""
         costs = {
-            "high": -x,
-            "low": max(x, self.enough),
-            "zero": abs(x),
-            "one": abs(x - 1.0),
+            "high": -min(value, self.enough or np.inf),
+            "low": max(value, self.enough),
+            "zero": abs(value),
+            "one": abs(value - 1.0),
         }
         return costs[self.better]
 
