@@ -263,7 +263,7 @@ def carry(
     for q, wrist in zip(motion.q[1:], motion.wrist[1:], strict=True):
         simulator.follow(simulator.hand.configuration_vector(q + offset, wrist), step)
         instants.append(simulator.instant())
-    simulator.hold(_RESTING)
+    simulator.follow(simulator.target, _RESTING)
     instants.append(simulator.instant())
     episode = Episode.of(simulator, instants)
     pairs = zip(episode.at.wrist, episode.at.object_pose, strict=True)
@@ -293,11 +293,11 @@ def take_hold(simulator: Simulator, grasp: Grasp, offset: np.ndarray) -> None:
     simulator.follow(
         simulator.hand.configuration_vector(grasp.q + offset, wrist), _CLOSING
     )
-    simulator.hold(_RESTING)
+    simulator.follow(simulator.target, _RESTING)
     for share in np.linspace(0.1, 1.0, 10):
         gravity[:] = share * np.array(simulator.physics.gravity)
-        simulator.hold(_LOADING / 10.0)
-    simulator.hold(_RESTING)
+        simulator.follow(simulator.target, _LOADING / 10.0)
+    simulator.follow(simulator.target, _RESTING)
 
 
 def _slip(

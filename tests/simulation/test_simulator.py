@@ -94,7 +94,7 @@ def test_a_free_object_falls_as_galileo_said(
     grasp = cube_grasp()
     simulator = Simulator(grasp.hand, Body(shape, MASS))
     simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), FAR)
-    simulator.hold(0.3)
+    simulator.follow(simulator.target, 0.3)
     step, time = simulator.physics.time_step, simulator.time
     fallen = 2.0 - simulator.object_pose[2, 3]
     # The semi-implicit scheme falls half a step's speed farther than g t^2 / 2.
@@ -104,7 +104,7 @@ def test_a_free_object_falls_as_galileo_said(
 
 def test_forces_on_the_object_are_its_weight_once_it_rests() -> None:
     simulator, _, _ = held(Physics(torsion=0.0))
-    simulator.hold(0.5)
+    simulator.follow(simulator.target, 0.5)
     touching = contacts(simulator)
     np.testing.assert_allclose(touching.forces.sum(axis=0), -WEIGHT[:3], atol=2e-3)
     arms = touching.points - simulator.object_pose[:3, 3]
@@ -169,7 +169,7 @@ def test_too_little_friction_drops_the_object_and_enough_holds_it() -> None:
             gravity=(float(gravity[0]), float(gravity[1]), float(gravity[2])),
         )
         simulator, _, _ = held(physics, 1.5)
-        simulator.hold(0.6)
+        simulator.follow(simulator.target, 0.6)
         moved[share] = np.linalg.norm(grasp.centre - simulator.object_pose[:3, 3])
     assert moved[0.02] > 0.01
     assert moved[2.0] < 3e-3
@@ -231,7 +231,7 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
         contact_time=2e-3,
     )
     simulator, grasp, offset = held(physics, compliance=compliance)
-    simulator.hold(1.0)
+    simulator.follow(simulator.target, 1.0)
     start, q, pose = contacts(simulator), simulator.q, simulator.object_pose
     links = [name.replace("f", "finger", 1) for name in start.bodies]
     frames = grasp.hand.link_poses(links, q, simulator.wrist)
@@ -256,7 +256,7 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
             posed(simulator, grasp.q + offset + change, grasp.wrist_pose),
             0.5,
         )
-        simulator.hold(0.2)
+        simulator.follow(simulator.target, 0.2)
         forces = (contacts(simulator).forces - rest).ravel()
         wanted = 0.01 * predicted.contact_forces[:, column]
         cosine = forces @ wanted / np.linalg.norm(forces) / np.linalg.norm(wanted)
@@ -350,10 +350,10 @@ def test_a_stand_holds_the_object_until_it_lets_go() -> None:
     simulator = Simulator(grasp.hand, Body(CUBE, 0.3))
     simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), pose)
     simulator.set_stand(holds=True)
-    simulator.hold(0.3)
+    simulator.follow(simulator.target, 0.3)
     np.testing.assert_allclose(simulator.object_pose, pose, atol=1e-3)
     simulator.set_stand(holds=False)
-    simulator.hold(0.3)
+    simulator.follow(simulator.target, 0.3)
     assert simulator.object_pose[2, 3] < 1.7
 
 
@@ -367,7 +367,7 @@ def test_an_object_slides_on_its_stand_by_coulombs_law(push: float) -> None:
     weight = 0.3 * np.linalg.norm(physics.gravity)
     held_body = simulator.model.body("/object").id
     simulator.data.xfrc_applied[held_body, 0] = push * 0.5 * weight
-    simulator.hold(0.2)
+    simulator.follow(simulator.target, 0.2)
     moved = simulator.object_pose[:3, 3] - FAR[:3, 3]
     free = max(0.0, push - 1.0) * 0.5 * np.linalg.norm(physics.gravity) * 0.2**2 / 2.0
     # One step of 2 ms is 1 % of 0.2 s.
@@ -386,7 +386,7 @@ def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
     target = grasp.wrist_pose.copy()
     target[:3, 3] += 0.1
     simulator.follow(posed(simulator, grasp.q, target), 0.5)
-    simulator.hold(0.3)
+    simulator.follow(simulator.target, 0.3)
     np.testing.assert_allclose(simulator.wrist, target, atol=1e-3)
     np.testing.assert_allclose(simulator.q, grasp.q, atol=1e-3)
     # The hand's own weight is compensated beside the actuators.
@@ -400,7 +400,7 @@ def test_mimic_joints_follow_their_leaders() -> None:
     simulator.reset(posed(simulator, hand.rest, np.eye(4)), FAR)
     q = hand.rest + 0.2 * (hand.upper_limits - hand.rest)
     simulator.follow(posed(simulator, q, np.eye(4)), 0.4)
-    simulator.hold(0.4)
+    simulator.follow(simulator.target, 0.4)
     wanted = dict(zip(hand.all_joint_names, hand.all_joints(simulator.q), strict=True))
     roles = zip(hand.all_joint_names, hand.all_joint_roles, strict=True)
     moving = [name for name, role in roles if role != "locked"]

@@ -192,10 +192,6 @@ class Simulator:
         friction = self.physics.friction * weight if holds else 0.0
         self.model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
 
-    def hold(self, duration: float) -> None:
-        """Keep the last command, and simulate."""
-        self.follow(self.target, duration)
-
     def follow(self, goal: Array, duration: float) -> None:
         """Move the command at an even speed to a configuration, and simulate meanwhile.
 
