@@ -64,8 +64,12 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
         )
     held = spec.worldbody.add_body(name=OBJECT)
     held.add_freejoint(name=OBJECT)
-    is_round = isinstance(body.shape, Cylinder)
-    shape = body.shape if is_round else geometry_of(body.shape)
+    match body.shape:
+        # Not the prism that stands for it elsewhere.
+        case Cylinder(radius, length):
+            shape = coal.Cylinder(radius, length)
+        case _:
+            shape = geometry_of(body.shape)
     held.add_geom(name=OBJECT, mass=body.mass, **_shape(spec, shape), **_HELD)
     _couple_followers(spec, hand)
     # A spring with critical damping for each joint of the hand, and of its arm.
@@ -161,17 +165,13 @@ def _set_inertia(
 
 
 def _shape(spec: Any, shape: Any) -> Values:
-    """Return what makes a geom of a cylinder or of a shape of coal; of a mesh, its convex hull."""
+    """Return what makes a geom of a shape of coal; of a mesh, its convex hull."""
     kind = type(shape).__name__.upper()
     match shape:
         case coal.Box():
             size = shape.halfSide
-        case coal.Sphere():
-            size = [shape.radius, 0.0, 0.0]
-        case coal.Capsule():
-            size = [shape.radius, shape.halfLength, 0.0]
-        case Cylinder():
-            size = [shape.radius, shape.length / 2.0, 0.0]
+        case coal.Sphere() | coal.Capsule() | coal.Cylinder():
+            size = [shape.radius, getattr(shape, "halfLength", 0.0), 0.0]
         case _:
             name = f"hull{len(spec.meshes)}"
             spec.add_mesh(name=name, uservert=np.ravel(shape.points()).tolist())
