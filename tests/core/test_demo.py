@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handmap_qp.apps.offline import demo
-from handmap_qp.apps.offline.demo import FILES, run_demo
+from handmap_qp.apps.offline.demo import FILES, Demo
 from handmap_qp.apps.offline.trajectory import Trajectory
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.trackers.formats import DEMO, read_recording
@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def trajectory(folder: Path) -> Trajectory:
     seen: list[int] = []
-    done = run_demo(HAND, folder, seen.append)
+    done = Demo(HAND, folder).write(seen.append)
     # The core maps many samples before it tells.
     assert seen == sorted(seen)
     assert seen[-1] == len(done.time)
@@ -117,7 +117,7 @@ def test_a_failure_keeps_earlier_files(
 
     monkeypatch.setattr(demo, "joints_figure", fail)
     with pytest.raises(RuntimeError, match="no picture"):
-        run_demo(HAND, folder)
+        Demo(HAND, folder).write()
     assert [path.name for path in tmp_path.iterdir()] == ["demo"]
     assert [path.name for path in folder.iterdir()] == ["trajectory.npz"]
     assert (folder / "trajectory.npz").read_text() == "old"
@@ -127,7 +127,7 @@ def test_a_failure_keeps_earlier_files(
 @pytest.mark.usefixtures("light_demo")
 def test_files_of_the_user_stay(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    run_demo(HAND, tmp_path)
+    Demo(HAND, tmp_path).write()
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == sorted([*FILES, "notes.txt"])
     assert all(file.stat().st_size > 0 for file in tmp_path.iterdir())
@@ -138,6 +138,6 @@ def test_files_of_the_user_stay(tmp_path: Path) -> None:
 def test_a_file_in_the_way_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "demo").write_text("a file")
     with pytest.raises(InvalidInputError, match="expected a folder"):
-        run_demo(HAND, tmp_path / "demo")
+        Demo(HAND, tmp_path / "demo").write()
     with pytest.raises(InvalidInputError, match="cannot be written"):
-        run_demo(HAND, tmp_path / "demo" / "inside")
+        Demo(HAND, tmp_path / "demo" / "inside").write()

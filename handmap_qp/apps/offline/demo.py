@@ -54,44 +54,40 @@ class Demo:
     def run(self) -> None:
         """Run the demo, and print its errors and files."""
         with progress("mapping") as advance:
-            trajectory = run_demo(self.robot, self.out, advance)
+            trajectory = self.write(advance)
         title = f"the package's recording to {trajectory.robot.name}"
         print_rows(title, table_rows(summarise(trajectory)))
         for name in FILES:
             print(f"wrote {self.out / name}")
 
+    def write(self, progress: Told = None) -> Trajectory:
+        """Map the recording that comes with the package, and write all of `FILES`, or none.
 
-def run_demo(name: str, directory: Path, progress: Told = None) -> Trajectory:
-    """Map the recording that comes with the package, and write all of `FILES`, or none.
+        The robot's side decides which of the two recorded hands leads.
 
-    Args:
-        name: Robot hand, by name or by the path of its hand.yaml; its side decides which of the two
-            recorded hands leads.
-        directory: Folder to write to; created if it does not exist. Files of the same names are
-            replaced.
-        progress: Called after each sample with the number of samples done.
+        Args:
+            progress: Called after each sample with the number of samples done.
 
-    Raises:
-        HandmapError: If the hand cannot be loaded, the folder cannot be written, or matplotlib or
-            trimesh is not installed.
-    """
-    matplotlib = require_matplotlib()
-    robot = load_hand(name)
-    recording = read_recording(DEMO, robot.side)
-    person = measure_person(recording)
-    with output_folder(directory) as folder:
-        trajectory, *_ = map_hands(
-            [recording], robot, person, MappingArguments(), progress
-        )
-        save_npz(folder / "trajectory.npz", trajectory.all_columns)
-        columns = [(robot.name, robot, trajectory.q)]
-        save_contact_sheet(
-            folder / "gestures.png", recording, find_poses(recording), columns
-        )
-        with matplotlib.rc_context(fname=_STYLE):
-            errors_figure(trajectory).savefig(folder / "errors.png")
-            joints_figure(trajectory).savefig(folder / "joints.png")
-    return trajectory
+        Raises:
+            HandmapError: If the hand cannot be loaded, the folder cannot be written, or matplotlib
+                or trimesh is not installed.
+        """
+        matplotlib = require_matplotlib()
+        robot = load_hand(self.robot)
+        recording = read_recording(DEMO, robot.side)
+        person = measure_person(recording)
+        with output_folder(self.out) as folder:
+            trajectory, *_ = map_hands(
+                [recording], robot, person, MappingArguments(), progress
+            )
+            save_npz(folder / "trajectory.npz", trajectory.all_columns)
+            columns = [(robot.name, robot, trajectory.q)]
+            poses = find_poses(recording)
+            save_contact_sheet(folder / "gestures.png", recording, poses, columns)
+            with matplotlib.rc_context(fname=_STYLE):
+                errors_figure(trajectory).savefig(folder / "errors.png")
+                joints_figure(trajectory).savefig(folder / "joints.png")
+        return trajectory
 
 
 def errors_figure(trajectory: Trajectory) -> Any:
