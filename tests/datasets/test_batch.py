@@ -40,7 +40,7 @@ from handmap_qp.apps.datasets.batch import plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import (
     SERIAL,
     Engine,
-    Workers,
+    Submit,
     _next_group,
     pool_engine,
 )
@@ -212,16 +212,16 @@ def test_a_worker_may_die_before_the_next_recording_is_given_to_it(
     given: list[Job] = []
 
     @contextmanager
-    def start(_: int) -> Iterator[Workers]:
-        with SERIAL.start(1) as workers:
+    def start(_: int) -> Iterator[Submit]:
+        with SERIAL.start(1) as begin:
 
             def submit(jobs: tuple[Job, ...]) -> Any:
                 given.extend(jobs)
                 if len(given) == 2:
                     raise BrokenProcessPool
-                return workers.submit(jobs)
+                return begin(jobs)
 
-            yield Workers(submit, 2)
+            yield submit
 
     tally = batch(inputs, tmp_path, engine=Engine(start, 2))
     # The second one is tried alone then, and is not to blame.

@@ -83,8 +83,9 @@ class Batch:
     def run(self) -> None:
         """List, map, and say what was done."""
         shard = _shard(self.shard)
-        engine = self._engine()
         options = self._options()
+        # Ray starts here.
+        engine = self._engine()
         tally = self._map(options, engine, shard)
         try:
             written = self._assemble(options, tally)

@@ -10,7 +10,12 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import (
+    AbstractContextManager,
+    contextmanager,
+    nullcontext,
+    suppress,
+)
 from dataclasses import replace
 from functools import partial
 from itertools import accumulate, islice
@@ -39,30 +44,22 @@ Asked = Callable[[], bool]
 """Asked now and then whether to stop: what is under way is finished, and nothing more begun."""
 
 
-class Workers(NamedTuple):
-    """What runs groups of jobs.
-
-    Attributes:
-        submit: Begins a group; the result is the lines of its jobs, when they are on the disk.
-        count: Number of workers.
-        death: What the result raises if its worker has died.
-    """
-
-    submit: Callable[[Group], Work]
-    count: int
-    death: type[Exception] = BrokenProcessPool
+Submit = Callable[[Group], Work]
+"""Begins a group."""
 
 
 class Engine(NamedTuple):
     """Where jobs are run: `SERIAL`, `pool_engine` or `ray_engine`.
 
     Attributes:
-        start: Starts so many workers for a block.
-        count: Number of workers.
+        start: Starts so many workers for a block, to which groups are submitted.
+        count: Number of workers; 0 for this process.
+        death: What a result raises if its worker has died.
     """
 
-    start: Callable[[int], AbstractContextManager[Workers]]
-    count: int = 1
+    start: Callable[[int], AbstractContextManager[Submit]]
+    count: int
+    death: type[Exception] = BrokenProcessPool
 
     def outcomes(self, jobs: Sequence[Job], is_stopped: Asked) -> Iterator[Line]:
         """Run jobs, the first ones first.
@@ -88,17 +85,17 @@ class Engine(NamedTuple):
     ) -> Iterator[Line]:
         """Run jobs until all are done, or a worker dies: what was under way is suspect then."""
         flying: dict[Work, Group] = {}
-        with self.start(self.count) as workers:
-            most = max(1, _IN_FLIGHT * workers.count)
+        with self.start(self.count) as submit:
+            most = max(1, _IN_FLIGHT * self.count)
 
             def has_room() -> bool:
                 return not suspects and len(flying) < most and not is_stopped()
 
             while True:
                 while waiting and has_room():
-                    jobs = _next_group(waiting, workers.count)
-                    with suppress(workers.death):
-                        flying[workers.submit(jobs)] = jobs
+                    jobs = _next_group(waiting, self.count)
+                    with suppress(self.death):
+                        flying[submit(jobs)] = jobs
                         continue
                     suspects.extend(jobs)
                 if is_stopped():
@@ -110,12 +107,12 @@ class Engine(NamedTuple):
                     jobs = flying.pop(future)
                     try:
                         yield from _lines(future)
-                    except workers.death:
+                    except self.death:
                         suspects.extend(jobs)
 
     def _try_alone(self, suspects: deque[Job], is_stopped: Asked) -> Iterator[Line]:
         """Run jobs whose worker may have died over them one at a time, until one dies."""
-        with self.start(1) as workers:
+        with self.start(1) as submit:
             while suspects and not is_stopped():
                 job = suspects.popleft()
                 remove_torn(job.folder / job.out)
@@ -123,8 +120,8 @@ class Engine(NamedTuple):
                 line = structs.replace(job.line, status="killed", kills=kills)
                 yield structs.replace(line, error=f"try {kills} has not ended")
                 try:
-                    yield from _lines(workers.submit((job,)))
-                except workers.death:
+                    yield from _lines(submit((job,)))
+                except self.death:
                     break
             else:
                 return
@@ -136,31 +133,25 @@ class Engine(NamedTuple):
             yield structs.replace(line, status="failed", error=error)
 
 
-@contextmanager
-def _here(_: int) -> Iterator[Workers]:
-    """Run each group at once, in this process."""
-
-    def submit(jobs: Group) -> Work:
-        future: Work = Future()
-        future.set_result(run_group(jobs))
-        return future
-
-    yield Workers(submit, 0)
+def _run_here(jobs: Group) -> Work:
+    future: Work = Future()
+    future.set_result(run_group(jobs))
+    return future
 
 
-SERIAL = Engine(_here)
+SERIAL = Engine(lambda _: nullcontext(_run_here), 0)
 """Runs jobs one after the other in this process."""
+
+
+@contextmanager
+def _pool(count: int) -> Iterator[Submit]:
+    with started_pool(count) as pool:
+        yield partial(pool.submit, run_group)
 
 
 def pool_engine(count: int) -> Engine:
     """Return what runs jobs in processes of their own on this machine, with one thread each."""
-
-    @contextmanager
-    def start(count: int) -> Iterator[Workers]:
-        with started_pool(count) as pool:
-            yield Workers(partial(pool.submit, run_group), count)
-
-    return Engine(start, count)
+    return Engine(_pool, count)
 
 
 def ray_engine(most: int) -> Engine:
@@ -176,32 +167,28 @@ def ray_engine(most: int) -> Engine:
         MissingExtraError: If Ray is not installed.
     """
     ray = require("ray", "cluster")
+    if not ray.is_initialized():
+        ray.init(
+            include_dashboard=False,
+            log_to_driver=False,
+            runtime_env={"env_vars": ONE_THREAD},
+            num_cpus=None if os.environ.get("RAY_ADDRESS") else most,
+        )
+    remote = ray.remote(num_cpus=1, max_retries=0)(run_group)
 
-    @contextmanager
-    def start(count: int) -> Iterator[Workers]:
-        if not ray.is_initialized():
-            ray.init(
-                include_dashboard=False,
-                log_to_driver=False,
-                runtime_env={"env_vars": ONE_THREAD},
-                num_cpus=None if os.environ.get("RAY_ADDRESS") else most,
-            )
-        remote = ray.remote(num_cpus=1, max_retries=0)(run_group)
+    def submit(jobs: Group) -> Work:
+        future = remote.remote(jobs).future()
+        # A task cannot be taken back.
+        future.set_running_or_notify_cancel()
+        return future
 
-        def submit(jobs: Group) -> Work:
-            future = remote.remote(jobs).future()
-            # A task cannot be taken back.
-            future.set_running_or_notify_cancel()
-            return future
-
-        cpus = int(ray.cluster_resources().get("CPU", count))
-        yield Workers(submit, max(1, cpus), ray.exceptions.RayError)
-
-    return Engine(start, most)
+    cpus = int(ray.cluster_resources().get("CPU", most))
+    death = ray.exceptions.RayError
+    return Engine(lambda _: nullcontext(submit), max(1, cpus), death)
 
 
 def _lines(future: Work) -> Sequence[Line]:
-    """Return the lines of a group; raises `Workers.death` if its worker has died."""
+    """Return the lines of a group; raises `Engine.death` if its worker has died."""
     try:
         return future.result()
     except HandmapError as error:
