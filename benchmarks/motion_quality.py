@@ -18,6 +18,7 @@ from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import PointSpec
 from handmap_qp.human.recording import HumanMotion
 
 # Percentiles between which a range is taken; they exclude outliers of the tracker.
@@ -221,8 +222,10 @@ def _match(finger: str, human: np.ndarray, robot: np.ndarray) -> FingerMatch:
     )
 
 
-def _tip_distances(hand: Hand, points: tuple[str, ...], q: np.ndarray) -> np.ndarray:
-    """Distance from named points to the origin of the palm frame [m], shape (T, k)."""
+def _tip_distances(
+    hand: Hand, points: tuple[PointSpec, ...], q: np.ndarray
+) -> np.ndarray:
+    """Distance from points to the origin of the palm frame [m], shape (T, k)."""
     placed = hand.with_points(points)
     palm = hand.wrist_to_palm[:3, 3]
     return np.array(

@@ -435,7 +435,7 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
     Returns:
         Fingers by name, in the order of `FINGERS`.
     """
-    tips = {f: place_of(hand, point) for f, point in _tip_points(hand).items()}
+    tips = {f: place_of(hand, point) for f, point in finger_tips(hand).items()}
     supports = hand.model.supports
     in_palm = {*supports[hand.palm_frame.parentJoint]}
     chains = {f: sorted({*supports[joint]} - in_palm) for f, (joint, _) in tips.items()}
@@ -449,11 +449,6 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
         if point.finger in fingers:
             fingers[point.finger].take(point)
     return fingers
-
-
-def finger_tips(hand: Hand) -> dict[str, str]:
-    """Return the name of the description's point at the tip of each finger, by finger."""
-    return {finger: point.name for finger, point in _tip_points(hand).items()}
 
 
 def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
@@ -471,7 +466,8 @@ def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
         Names in the order of `robot.reference_points`; a point's own name where there is no such
         landmark.
     """
-    last = {name: f"{finger}_tip" for finger, name in finger_tips(robot).items()}
+    tips = finger_tips(robot).items()
+    last = {point.name: f"{finger}_tip" for finger, point in tips}
     return [
         point.partner
         or (point.name if point.name in landmarks else last.get(point.name, point.name))
@@ -479,8 +475,8 @@ def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
     ]
 
 
-def _tip_points(hand: Hand) -> dict[str, PointSpec]:
-    """Return the point at each finger's tip: the named one, else the farthest from the palm."""
+def finger_tips(hand: Hand) -> dict[str, PointSpec]:
+    """Return the description's point at each finger's tip: a named one, else the farthest out."""
     view = PalmKinematics(hand)
 
     def reach(point: PointSpec) -> float:

@@ -126,14 +126,14 @@ def with_tip(hand: Hand, finger: str, xyz: Array) -> HandSpec:
     Raises:
         HandError: If it is far outside the shape of its link.
     """
-    name = finger_tips(hand)[finger]
+    tip = finger_tips(hand)[finger]
     place = np.round(xyz, 4) + 0.0
     points = [
-        replace(point, xyz=place) if point.name == name else point
+        replace(point, xyz=place) if point == tip else point
         for point in hand.spec.points
     ]
     spec = replace(hand.spec, points=points)
-    for wrong in check_places(load_hand(spec, points=[name])):
+    for wrong in check_places(load_hand(spec, points=[tip.name])):
         raise spec.error(wrong.found, wrong.key, place)
     return spec
 
