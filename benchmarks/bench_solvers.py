@@ -36,7 +36,6 @@ import synthetic
 from scipy.optimize import nnls
 
 from handmap_qp import HandMapper, IkOptions, hand_names, load_hand
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.human.recording import HumanMotion
@@ -242,7 +241,7 @@ def hostile_problems(count: int, seed: int = 0) -> list[Problem]:
     for k, (name, has_contacts) in enumerate(kinds):
         recorder = Recorder(-(-(count - len(problems)) // (len(kinds) - k)))
         hand, rng = load_hand(name), np.random.default_rng(seed + k)
-        shapes = all_pairs(hand, find_fingers(hand)) if has_contacts else None
+        shapes = all_pairs(hand) if has_contacts else None
         while not recorder.is_full:
             options = hostile.wild_options(rng).replaced(
                 formulation="direct", max_acceleration=rng.choice([None, 40.0])

@@ -47,7 +47,6 @@ from handmap_qp import (
     PointDistances,
     load_hand,
 )
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.human.recording import HumanMotion
@@ -232,7 +231,7 @@ def measure_contacts(
     The fingertips are sent to one place, so that pairs are near and rows hold.
     """
     robot = load_hand(ROBOTS[0])
-    every = all_pairs(robot, find_fingers(robot))
+    every = all_pairs(robot)
     rows = []
     for count in counts:
         geometry = pin.GeometryModel(every.geometry)

@@ -37,7 +37,6 @@ import numpy as np
 import shared_hands
 
 from handmap_qp import HandmapError, load_hand
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 
@@ -188,7 +187,7 @@ def _is_there(name: str) -> bool:
 
 @cache
 def _pairs(hand: Hand) -> ShapePairs:
-    return all_pairs(hand, find_fingers(hand))
+    return all_pairs(hand)
 
 
 def memory_growth(samples: np.ndarray) -> dict[str, float]:

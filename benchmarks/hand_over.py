@@ -36,7 +36,6 @@ from handmap_qp import Hand
 from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.pinch import Pads, success_rate
 from handmap_qp.apps.simulation.simulator import Simulator
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.spec import Side
@@ -102,7 +101,7 @@ class Scene:
         self.tips, self.own = {}, {}
         for side, hand in robot.by_side.items():
             names = ["world", *hand.model.names[1:]]
-            pads = find_pads(hand, find_fingers(hand))
+            pads = find_pads(hand)
             self.tips[side] = {n: (names[p.joint], p.offset) for n, p in pads.items()}
             wrist = hand.wrist_frame.parentJoint
             self.own[side] = {names[k] for k in hand.model.subtrees[wrist]}

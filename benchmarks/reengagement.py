@@ -34,7 +34,6 @@ from handmap_qp.client.messages import (
     Reset,
     Step,
 )
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.trackers.formats import read_recording
@@ -298,7 +297,7 @@ def drive_randomly(
     """Drive a robot with random events and limits; return a row of the table."""
     rng, started = np.random.default_rng(seed), time.process_time()
     run = Run(robot, recording, 20.0, 0.5, robot_wrist=_HERE)
-    judge = Judge(run, all_pairs(run.session.robot, find_fingers(run.session.robot)))
+    judge = Judge(run, all_pairs(run.session.robot))
     while judge.checker.commands < count:
         run.period = float(rng.choice([PERIOD, 0.2 * PERIOD, 1.9 * PERIOD]))
         run.lead(int(rng.integers(1, 25)))

@@ -21,7 +21,6 @@ from checker import Checker
 from overlap import OverlapMeter
 
 from handmap_qp import HandMapper, IkOptions, load_hand
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
 from handmap_qp.human.measure import measure_hand
@@ -192,7 +191,7 @@ def main(words: Sequence[str] | None = None) -> None:
     rows: list[dict[str, Any]] = []
     runs: list[tuple[Hand, str, ShapePairs]] = []
     for hand in map(load, arguments.hands):
-        runs.append((hand, "all", all_pairs(hand, find_fingers(hand))))
+        runs.append((hand, "all", all_pairs(hand)))
         if hand.spec.collision is not None:
             runs.append(
                 (hand, "hand.yaml", named_pairs(hand, hand.spec.collision.pairs))

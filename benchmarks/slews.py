@@ -23,7 +23,6 @@ from self_collision import HANDS, load
 
 from handmap_qp import IkOptions
 from handmap_qp.apps.service.safety import CommandedRobot
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.qp import PointIk
@@ -45,7 +44,7 @@ class Slews:
 
     def __init__(self, hand: Hand, is_checked: bool, seed: int) -> None:
         self._hand, self._is_checked = hand, is_checked
-        self._pairs = all_pairs(hand, find_fingers(hand))
+        self._pairs = all_pairs(hand)
         self._meter = OverlapMeter(hand, self._pairs)
         self._rng = np.random.default_rng(seed)
         self.checker = Checker(hand, self._pairs)

@@ -9,7 +9,7 @@ it, or bring a thumb before the palm.
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain, compress
 from typing import NamedTuple
 
@@ -426,8 +426,9 @@ def ends_of(
     return ends
 
 
+@lru_cache(maxsize=32)
 def find_fingers(hand: Hand) -> dict[str, Finger]:
-    """Find the fingers that a hand's description names.
+    """Find the fingers that a hand's description names, once: a reach takes a search.
 
     Points that it names after landmarks (as name or partner) are taken from there. Otherwise the
     tip is the finger's named point farthest from the palm when stretched.

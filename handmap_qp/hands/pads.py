@@ -4,7 +4,6 @@ A description names them, or they are found in the collision shapes.
 """
 
 from collections import defaultdict
-from collections.abc import Mapping
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
@@ -15,7 +14,7 @@ import numpy as np
 
 from handmap_qp.se3 import Array, transform_points, unit
 from .collision_shapes import read_collision_shapes
-from .fingers import Finger, Place, place_of
+from .fingers import Finger, Place, find_fingers, place_of
 from .hand import Hand
 from .spec import PointSpec
 
@@ -57,7 +56,7 @@ class Pad(NamedTuple):
         return self.joint, self.offset
 
 
-def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
+def find_pads(hand: Hand) -> dict[str, Pad]:
     """Find the pad of every finger: that of its description, or in the shapes of its last joint.
 
     The depth of a point under a convex surface is the smallest of `support(n) - n p` over
@@ -70,7 +69,8 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
         HandError: If a shape cannot be read.
     """
     given = {point.finger: point for point in hand.spec.points if point.pad}
-    return {finger: _pad(hand, c, given.get(finger)) for finger, c in chains.items()}
+    chains = find_fingers(hand)
+    return {name: _pad(hand, chains[name], given.get(name)) for name in chains}
 
 
 @lru_cache(maxsize=32)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.se3 import Array
 from .collision_shapes import read_collision_shapes
-from .fingers import Finger
+from .fingers import Finger, find_fingers
 from .hand import Hand
 from .human import THUMB
 from .spec import Links, Names
@@ -96,7 +96,7 @@ def named_pairs(hand: Hand, pairs: Sequence[Links]) -> ShapePairs:
     return ShapePairs(geometry, ("",) * len(geometry.collisionPairs))
 
 
-def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
+def all_pairs(hand: Hand) -> ShapePairs:
     """Pair all shapes that may collide.
 
     Pairs on one joint, on neighbouring joints, on one finger, that overlap at rest or with the hand
@@ -107,6 +107,7 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     Raises:
         HandError: If a shape cannot be read.
     """
+    chains = find_fingers(hand)
     shapes = read_collision_shapes(hand)
     parents = hand.model.parents
     joints = [shape.parentJoint for shape in shapes.geometryObjects]

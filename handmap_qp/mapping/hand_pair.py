@@ -229,9 +229,8 @@ class HandPair:
             return knuckles[0] + gain * (human - self.human_rest[self.knuckles[0]])
         middle = knuckles[self._others].mean(axis=0)
         above = middle + gain * (human - self.human_knuckles)
-        chains = find_fingers(self.human)
-        pads = find_pads(self.human, chains)
-        human_pinching = _pinching_thumb(self.human, chains, pads)
+        found = find_fingers(self.human), find_pads(self.human)
+        human_pinching = _pinching_thumb(self.human, *found)
         return (
             _THUMB_FROM_PINCH
             * (self.measured.pinching_thumb + gain * (human - human_pinching))
@@ -263,7 +262,7 @@ class RobotFingers:
     @cached_property
     def pads(self) -> dict[str, Pad]:
         """The pads of the fingers, by name."""
-        return find_pads(self.hand, self.chains)
+        return find_pads(self.hand)
 
     @cached_property
     def with_points(self) -> Hand:
@@ -280,7 +279,7 @@ class RobotFingers:
     @cached_property
     def contacts(self) -> ShapePairs:
         """All pairs of collision shapes that may collide."""
-        return all_pairs(self.hand, self.chains)
+        return all_pairs(self.hand)
 
 
 robot_fingers = lru_cache(maxsize=32)(RobotFingers)

@@ -178,7 +178,7 @@ def test_links_that_are_to_stay_apart_are_apart_at_rest(name: str) -> None:
 @pytest.mark.parametrize("name", ["hey5", "romeo_right"])
 def test_the_pairs_of_a_description_are_those_that_are_found(name: str) -> None:
     hand = load_hand(name)
-    found = find_collision_pairs(hand, all_pairs(hand, find_fingers(hand)))
+    found = find_collision_pairs(hand, all_pairs(hand))
     assert found is not None
     assert hand.spec.collision is not None
     assert set(hand.spec.collision.pairs) == set(found.pairs)

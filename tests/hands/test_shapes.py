@@ -174,7 +174,7 @@ def test_a_round_fingertip_is_its_own_pad() -> None:
     robot = hand("allegro_right")
     chains = find_fingers(robot)
     geometry = read_collision_shapes(robot)
-    for finger, pad in find_pads(robot, chains).items():
+    for finger, pad in find_pads(robot).items():
         sphere = next(
             geometry.geometryObjects[i]
             for i in distal_shapes(chains[finger], geometry)
@@ -207,7 +207,7 @@ def test_a_pad_lies_inside_its_finger(name: str) -> None:
     robot = hand(name)
     chains = find_fingers(robot)
     geometry = read_collision_shapes(robot)
-    for finger, pad in find_pads(robot, chains).items():
+    for finger, pad in find_pads(robot).items():
         joint, tip = chains[finger].tip
         assert 0.003 <= pad.radius <= 0.03
         assert np.linalg.norm(pad.offset - tip) <= 0.0161
@@ -228,7 +228,7 @@ def test_a_pad_lies_inside_its_finger(name: str) -> None:
 def test_pairs_are_of_different_fingers_and_apart_at_rest(name: str) -> None:
     robot = hand(name)
     chains = find_fingers(robot)
-    pairs = all_pairs(robot, chains)
+    pairs = all_pairs(robot)
     owner = {
         joint: finger for finger, chain in chains.items() for joint in chain.joints
     }
@@ -271,7 +271,7 @@ def test_a_pair_that_never_parts_is_left_out(gap: float, count: int) -> None:
     )
     tip = PointSpec("tip", "disc", (0.02, 0.0, 0.0))
     robot = two_joint_hand(urdf, ("swing", "disc"), tip, (1.0, 0.0, 0.0))
-    pairs = all_pairs(robot, {})
+    pairs = all_pairs(robot)
     assert len(pairs.fingers) == count
     assert pairs.joined == (("palm", "disc"),)[count:]
 

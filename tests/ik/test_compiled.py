@@ -27,7 +27,6 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.compiled import core_tree
@@ -129,7 +128,7 @@ def test_hostile_targets_times_and_speeds_have_one_answer(
 @pytest.mark.parametrize("has_wrist", [True, False], ids=["wrist", "free"])
 def test_many_samples_in_one_call_are_those_one_by_one(has_wrist: bool) -> None:
     hand = load_hand("allegro_right")
-    shapes = all_pairs(hand, find_fingers(hand))
+    shapes = all_pairs(hand)
     ik = PointIk(hand, IkOptions(max_acceleration=25.0), contacts=shapes)
     rng = np.random.default_rng(2)
     count = 150

@@ -7,7 +7,6 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import Hand, hand_names, load_hand
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.pads import _corners as corners
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.ik.collision import CollisionLimit
@@ -21,7 +20,7 @@ def hand() -> Hand:
 
 
 def test_distances_are_those_of_each_pair_measured_alone(hand: Hand) -> None:
-    geometry = all_pairs(hand, find_fingers(hand)).geometry
+    geometry = all_pairs(hand).geometry
     measured = CollisionLimit(hand, ShapePairs(geometry, ()))
     alone, data = geometry.createData(), hand.model.createData()
     for request in alone.distanceRequests:
@@ -55,7 +54,7 @@ def test_distances_are_those_of_each_pair_measured_alone(hand: Hand) -> None:
 def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(
     hand: Hand,
 ) -> None:
-    geometry = all_pairs(hand, find_fingers(hand)).geometry
+    geometry = all_pairs(hand).geometry
     used, fresh = (CollisionLimit(hand, ShapePairs(geometry, ())) for _ in range(2))
     for posture in (hand.rest, hand.lower_limits, hand.upper_limits):
         q = hand.configuration_vector(posture, np.eye(4))
@@ -66,7 +65,7 @@ def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(
 
 
 def test_a_hand_without_pairs_has_no_distances(hand: Hand) -> None:
-    geometry = all_pairs(hand, find_fingers(hand)).geometry
+    geometry = all_pairs(hand).geometry
     geometry.removeAllCollisionPairs()
     near = CollisionLimit(hand, ShapePairs(geometry, ())).within(
         hand.configuration().q, horizon=HORIZON
@@ -79,7 +78,7 @@ def test_a_hand_without_pairs_has_no_distances(hand: Hand) -> None:
 def test_no_pair_of_any_hand_is_nearer_than_it_is_measured(name: str) -> None:
     # Between two planes across the normal, the shapes are apart by what their own points say.
     hand = load_hand(name)
-    geometry = all_pairs(hand, find_fingers(hand)).geometry
+    geometry = all_pairs(hand).geometry
     measured, placed = (
         CollisionLimit(hand, ShapePairs(geometry, ())),
         geometry.createData(),

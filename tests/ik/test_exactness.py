@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 
 from handmap_qp import MissingExtraError, hand_names, load_hand
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import all_pairs
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -82,7 +81,7 @@ def test_a_violation_would_be_seen(hostile: ModuleType) -> None:
 def planted(hostile: ModuleType) -> Any:
     """Return a judge, a robot that starts at rest, and its rest posture."""
     hand = load_hand("three_finger", mount="fixed")
-    checker = hostile.Checker(hand, all_pairs(hand, find_fingers(hand)))
+    checker = hostile.Checker(hand, all_pairs(hand))
     checker.start(hand.rest)
     return checker, hand, hand.rest
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from handmap_qp import HandMapper, IkOptions, load_hand, read_recording
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.qp import IkResult, PointIk
@@ -26,7 +25,7 @@ def pressed(
     """Lead the thumb of an Allegro hand through its index finger's place."""
     hand = load_hand("allegro_right")
     options = IkOptions(formulation=formulation, max_acceleration=limit)
-    ik = PointIk(hand, options, contacts=all_pairs(hand, find_fingers(hand)))
+    ik = PointIk(hand, options, contacts=all_pairs(hand))
     ik.place(hand.configuration_vector(hand.rest))
     points, wrist = ik.configuration.points.copy(), ik.configuration.wrist.homogeneous
     names = [point.finger for point in hand.reference_points]
@@ -62,7 +61,7 @@ def test_links_that_press_on_each_other_are_named(
 def test_an_open_hand_is_held_by_nothing(formulation: Any) -> None:
     hand = load_hand("allegro_right")
     options = IkOptions(formulation=formulation)
-    for contacts in (None, all_pairs(hand, find_fingers(hand))):
+    for contacts in (None, all_pairs(hand)):
         ik = PointIk(hand, options, contacts=contacts)
         ik.place(hand.configuration_vector(hand.rest))
         placed = ik.configuration
@@ -77,7 +76,7 @@ def test_both_paths_name_the_same_links_on_hostile_input(
     name: str, limit: float | None
 ) -> None:
     hand = load_hand(name)
-    pairs = all_pairs(hand, find_fingers(hand))
+    pairs = all_pairs(hand)
     options = IkOptions(max_acceleration=limit, speed_weight=0.1)
     fast = PointIk(hand, options, contacts=pairs)
     slow = PointIk(hand, options.replaced(formulation="direct"), contacts=pairs)

@@ -19,7 +19,6 @@ from handmap_qp import (
     PointSpec,
     load_hand,
 )
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import CollisionSpec
@@ -40,7 +39,7 @@ class Case:
             self.hand: Hand = load_hand(name, mount="fixed")
         except MissingExtraError:
             pytest.skip("example-robot-data is not installed")
-        self.pairs: ShapePairs = all_pairs(self.hand, find_fingers(self.hand))
+        self.pairs: ShapePairs = all_pairs(self.hand)
         self._limit = CollisionLimit(self.hand, pairs=self.pairs)
         self._configuration = self.hand.configuration()
 
@@ -219,7 +218,7 @@ def test_a_floating_hand_is_guarded_alike(case: Case) -> None:
         load_hand(case.hand.name, mount="floating"),
         np.random.default_rng(5),
     )
-    pairs = all_pairs(floating, find_fingers(floating))
+    pairs = all_pairs(floating)
     ik = PointIk(floating, IkOptions(max_acceleration=30.0), contacts=pairs)
     ik.place(floating.configuration_vector(floating.rest))
     nearest, targets = np.inf, ik.configuration.points.copy()

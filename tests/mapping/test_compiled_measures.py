@@ -15,7 +15,6 @@ import pytest
 from handmap_qp import HumanLengths, load_hand
 from handmap_qp.apps.offline import surface_gaps
 from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.human.sample import landmarks_at_rest
@@ -171,8 +170,8 @@ def test_pads_of_a_scaled_hand_are_those_of_its_urdf(name: str) -> None:
         scaled = load_hand(name, points="landmarks", lengths=lengths)
         plain = msgspec.structs.replace(scaled.spec, mirror=False)
         read = Hand(plain, points="landmarks", urdf_text=scaled.urdf_text)
-        found = find_pads(scaled, find_fingers(scaled))
-        for finger, pad in find_pads(read, find_fingers(read)).items():
+        found = find_pads(scaled)
+        for finger, pad in find_pads(read).items():
             np.testing.assert_allclose(pad.offset, found[finger].offset, atol=1e-12)
             assert pad.radius == pytest.approx(found[finger].radius, abs=1e-12)
 

@@ -45,7 +45,6 @@ from handmap_qp.apps.onboarding.picture import hand_scene
 from handmap_qp.apps.onboarding.speeds import MAKERS, maker_speed, with_speed
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
@@ -444,7 +443,7 @@ def test_axes_of_leap_that_were_called_certain_are_refuted(tmp_path: Path) -> No
 
 def test_pairs_for_self_collision_are_apart_at_rest_and_named() -> None:
     hand = load_hand("allegro_right")
-    collision = find_collision_pairs(hand, all_pairs(hand, find_fingers(hand)))
+    collision = find_collision_pairs(hand, all_pairs(hand))
     assert collision is not None
     described_hand = load_hand(msgspec.structs.replace(hand.spec, collision=collision))
     limit = CollisionLimit(described_hand)
@@ -461,7 +460,7 @@ def test_pairs_for_self_collision_are_apart_at_rest_and_named() -> None:
 
 def test_pairs_for_self_collision_let_pinches_close() -> None:
     hand = load_hand("allegro_right")
-    collision = find_collision_pairs(hand, all_pairs(hand, find_fingers(hand)))
+    collision = find_collision_pairs(hand, all_pairs(hand))
     assert collision is not None
     # A pinch counts as closed with surfaces nearer than 3 mm.
     assert collision.margin < 0.001
@@ -508,7 +507,7 @@ def test_a_joint_that_contacts_lock_is_found(tmp_path: Path) -> None:
 def test_coarse_shapes_at_a_joint_are_left_out() -> None:
     # A box of the palm and the thumb's base, 2 mm inside to 4 mm apart, halved the thumb's range.
     robot = load("svh_right")
-    joined = all_pairs(robot, find_fingers(robot)).joined
+    joined = all_pairs(robot).joined
     assert {frozenset(links) for links in joined} == {
         frozenset({"right_hand_e1", "right_hand_a"})
     }
@@ -522,7 +521,7 @@ def test_links_that_are_always_close_are_noted(tmp_path: Path) -> None:
 
 def test_a_hand_without_shapes_has_no_pairs(made: MadeHand, tmp_path: Path) -> None:
     hand = load_hand(described(tmp_path, made.urdf))
-    assert find_collision_pairs(hand, all_pairs(hand, find_fingers(hand))) is None
+    assert find_collision_pairs(hand, all_pairs(hand)) is None
     found = detect(tmp_path / "hand.urdf")
     assert with_collision_pairs(found, hand).spec.collision is None
 

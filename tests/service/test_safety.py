@@ -11,7 +11,6 @@ from service_tools import CACHE, opening
 from strategies import generators, motion_of, rotations, translations
 
 from handmap_qp.apps.service.safety import CommandedRobot, SessionClock
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.collision import CollisionLimit
@@ -104,7 +103,7 @@ class Ways:
     """Straight ways of a hand, and the distances of its links on them."""
 
     def __init__(self, hand: Hand) -> None:
-        self.hand, self.pairs = hand, all_pairs(hand, find_fingers(hand))
+        self.hand, self.pairs = hand, all_pairs(hand)
         self._distances, self._placed = (
             CollisionLimit(hand, pairs=self.pairs),
             hand.configuration(),
@@ -166,7 +165,7 @@ def test_the_joints_stop_on_their_line_while_the_wrist_still_brakes() -> None:
     # The mapper has found the joints' own stop to be clear, not a longer one.
     most, dt = 20.0, 0.01
     guard = CommandedRobot(ROBOT, ROBOT.rest, np.eye(4))
-    pairs = all_pairs(ROBOT, find_fingers(ROBOT))
+    pairs = all_pairs(ROBOT)
     guard.obey(PointIk(ROBOT, IkOptions(max_acceleration=most), contacts=pairs))
     far, goal = motion_of(np.eye(3), np.array([0.0, 0.0, 9.0])), guard.q + 0.02
     postures = [guard.q]

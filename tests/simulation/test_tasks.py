@@ -29,7 +29,6 @@ from handmap_qp.apps.simulation.pinch import (
     success_rate,
 )
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
-from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.spec import PadSpec
@@ -91,8 +90,8 @@ def test_the_middle_is_as_far_from_the_surfaces_of_both_pads() -> None:
     )
     sets = {"fingertips": spec.sets["fingertips"]}
     hand = load_hand(msgspec.structs.replace(spec, points=points, sets=sets))
-    pads, chains = Pads(hand), find_fingers(hand)
-    thumb, finger = find_pads(hand, {n: chains[n] for n in ("thumb", "index")}).values()
+    pads = Pads(hand)
+    thumb, finger = (find_pads(hand)[name] for name in ("thumb", "index"))
     assert thumb.radius > finger.radius + 1e-3
     simulator = Simulator(hand, Body(CUBE))
     simulator.reset(

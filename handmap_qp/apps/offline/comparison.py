@@ -27,7 +27,7 @@ import numpy as np
 
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
-from handmap_qp.hands import Hand, Names, Side, Values
+from handmap_qp.hands import Hand, Names, Side, Values, find_fingers
 from handmap_qp.human import (
     Person,
     Recording,
@@ -49,7 +49,7 @@ from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import NpzFormat, read_archive
 from .contacts import contact_metrics
 from .fidelity import SETTLING, assess_fidelity
-from .hand_trace import HandTrace, RobotMotion, fingers_of, trace_human, trace_robot
+from .hand_trace import HandTrace, RobotMotion, trace_human, trace_robot
 from .look_ahead import look_ahead, smooth_poses
 from .metrics import mean_values
 from .trajectory import held_samples, map_recording
@@ -270,7 +270,7 @@ def compare_methods(
             got=f"{take.name} ({take.recording.side})",
             advice="prepare_take mirrors it",
         )
-    if not fingers_of(robot):
+    if not find_fingers(robot):
         raise InvalidInputError(
             f"{robot.name} has no finger with a human name, so nothing can be compared",
             argument="robot",

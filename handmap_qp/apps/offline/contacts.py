@@ -6,12 +6,18 @@ a hand on an arm or a stand, both palms lay it in the robot's world at the first
 
 import numpy as np
 
-from handmap_qp.hands import Hand, Values, distal_shapes, read_collision_shapes
+from handmap_qp.hands import (
+    Hand,
+    Values,
+    distal_shapes,
+    find_fingers,
+    read_collision_shapes,
+)
 from handmap_qp.human import Recording
 from handmap_qp.mapping import Shape, distances_to, nearest
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
 from .fidelity import SETTLING
-from .hand_trace import TIP, HandTrace, fingers_of
+from .hand_trace import TIP, HandTrace
 
 SKIN = 0.01
 """A person's fingertip touches where its landmark, inside the finger, is as near as this [m]."""
@@ -94,7 +100,7 @@ def _touched(
 ) -> tuple[Array, float]:
     """Return which fingers touch an object, (T, k), and how deep the deepest link is in it [m]."""
     links = read_collision_shapes(hand)
-    own = [distal_shapes(fingers_of(hand)[name], links) for name in robot.names]
+    own = [distal_shapes(find_fingers(hand)[name], links) for name in robot.names]
     placed = hand.configuration()
     wrists = robot.palm @ inverse_pose(hand.wrist_to_palm)
     gaps = []

@@ -5,7 +5,6 @@ whatever mapping found those. So every mapping is measured in the same way.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -35,8 +34,6 @@ MIDDLES = np.array([3, 6, 10, 14, 18])
 """Landmarks of the middle joints: the thumb's IP and the other fingers' PIP."""
 KNUCKLE, MIDDLE, TIP = range(3)
 """Indices of a finger's points: the thumb's CMC or MCP, its IP or PIP, and its tip."""
-fingers_of = lru_cache(maxsize=32)(find_fingers)
-"""The fingers of a hand, which are found once: a reach takes a search."""
 ByFinger = dict[str, Array]
 """Arrays by the anatomical names of fingers."""
 
@@ -145,7 +142,7 @@ def trace_robot(
         q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
         wrist: Wrist poses in the world, shape (T, 4, 4); omitted for a fixed hand.
     """
-    chains = fingers_of(hand)
+    chains = find_fingers(hand)
     if wrist is None:
         palm = np.array([hand.frame_pose("palm", each) for each in q])
     else:

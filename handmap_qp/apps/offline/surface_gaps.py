@@ -11,12 +11,13 @@ from handmap_qp.hands import (
     Hand,
     all_pairs,
     distal_shapes,
+    find_fingers,
     pair_distances,
     read_collision_shapes,
 )
 from handmap_qp.ik import core_tree, pair_bounds
 from handmap_qp.se3 import Array
-from .hand_trace import ByFinger, fingers_of
+from .hand_trace import ByFinger
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
@@ -39,7 +40,7 @@ class GapMeter:
         self._groups: dict[str, int] = {}
         shapes = {
             finger: distal_shapes(chain, self._geometry)
-            for finger, chain in fingers_of(hand).items()
+            for finger, chain in find_fingers(hand).items()
         }
         thumb = shapes.pop(THUMB, [])
         for finger, others in shapes.items():
@@ -77,7 +78,7 @@ class GapMeter:
 
     @cached_property
     def _colliding(self) -> pin.GeometryModel:
-        return all_pairs(self._hand, fingers_of(self._hand)).geometry
+        return all_pairs(self._hand).geometry
 
     def _smallest(
         self,

@@ -43,7 +43,7 @@ def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
     """Return a detected hand with its `collision`, or with a note if it has no shapes."""
     spec = found.spec
     try:
-        pairs = all_pairs(hand, find_fingers(hand))
+        pairs = all_pairs(hand)
         collision = find_collision_pairs(hand, pairs)
         spec = msgspec.structs.replace(spec, collision=collision)
         notes = joined_notes(pairs)

@@ -279,7 +279,7 @@ def check_contacts(hand: Hand) -> Found:
     contacts. The table has the range of each joint [rad or m], and the links that hold the hand
     most often where contacts move the joint aside; none if the hand's preset avoids no contacts.
     """
-    joined = joined_notes(all_pairs(hand, find_fingers(hand)))
+    joined = joined_notes(all_pairs(hand))
     yield from map(partial(fine, "collision"), joined)
     mapper = _mapper(hand, points="landmarks")
     method: Any = mapper.method
@@ -373,7 +373,7 @@ def check_fist(hand: Hand) -> Found:
 
     Nothing is found if fewer than two of them close, or they close about different axes.
     """
-    chains = find_fingers(hand)
+    chains = find_fingers(hand).copy()
     chains.pop(THUMB, None)
     fingers = [
         finger
@@ -406,8 +406,8 @@ def check_fist(hand: Hand) -> Found:
 
 def check_pinches(hand: Hand) -> Found:
     """Find how near the thumb's pad can come to every other finger's; an arm stays at rest."""
-    fingers = find_fingers(hand)
-    pads = find_pads(hand, fingers)
+    fingers = find_fingers(hand).copy()
+    pads = find_pads(hand)
     rows: Rows = [
         {
             "finger": finger,
