@@ -109,7 +109,7 @@ def _open_and_closing(
             q[curls] = finger.flexion.straight[curls]
         else:
             for column in finger.columns:
-                ends = ends_of(hand, hand.rest, [column])
+                ends = ends_of(hand, hand.rest, np.arange(len(hand.rest)) == column)
                 senses[column] = np.sign(round(nearing(view, ends, tips, i), 4))
                 if senses[column] != 0.0:
                     q[column] = ends[int(senses[column] < 0.0), column]

@@ -173,9 +173,10 @@ class Finger:
         self.tip = tip
         self.name = name
         self._own = tuple(own) or self.joints
-        # Which joints move as each q does.
+        # Which joints move as each q does, and which q moves any.
         rows = [hand.model.idx_vs[joint] for joint in self.joints]
         self._moves = hand.joint_motion[rows] != 0.0
+        self.moves = self._moves.any(axis=0)
         self._zero = hand.zero
         self._view = PalmKinematics(hand)
 
@@ -187,7 +188,7 @@ class Finger:
     @cached_property
     def columns(self) -> Array:
         """Columns of q that move the finger, from the palm outwards, shape (c,)."""
-        columns = np.flatnonzero(self._moves.any(axis=0))
+        columns = np.flatnonzero(self.moves)
         # In the order of the last joints that they move: the last key counts most.
         return columns[np.lexsort([columns, *self._moves[:, columns]])]
 
@@ -209,7 +210,7 @@ class Finger:
             return frame.parentJoint, frame.placement.translation
         if self.name == THUMB:
             return self._own[0], np.zeros(3)
-        return self._on_axis(self.bending[0])
+        return self._view.on_axis(self._zero, self.bending[0], self.tip)
 
     @cached_property
     def middle(self) -> Place:
@@ -233,10 +234,7 @@ class Finger:
         """The last joint: the middle one of a thumb, else where its axis is nearest to the tip."""
         if self.name == THUMB:
             return self.middle
-        return self._on_axis(self.bending[-1])
-
-    def _on_axis(self, joint: int) -> Place:
-        return self._view.on_axis(self._zero, joint, self.tip)
+        return self._view.on_axis(self._zero, self.bending[-1], self.tip)
 
     def find_middle(self) -> Place | None:
         """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.
@@ -311,17 +309,17 @@ class Finger:
         columns = turning[(np.abs(units[:, -1:].T @ units) > PARALLEL).any(axis=0)]
         if not len(columns):
             return None
-        _, base, signs, gears = self._axis(columns, self._zero)
+        _, base, gears = self._axis(columns, self._zero)
 
         def lengths_at(postures: Array) -> Array:
             return lengths(view.points(postures, [self.tip])[..., 0, :] - base)
 
         q = self._straightened(columns, lengths_at)
-        ways = ends_of(self.hand, q, columns, signs)[::-1] - q
+        ways = ends_of(self.hand, q, gears)[::-1] - q
         bent = lengths_at(q + np.linspace(0.0, 1.0, _SWEEP)[:, None, None] * ways)
         shares = 1.0 - bent.min(axis=0) / bent[0].clip(1e-9)
         # The finger is closed where it is shorter, or to which the ranges [rad] are longer.
-        travels = np.abs(gears * ways[:, columns]).sum(axis=1)
+        travels = np.abs(gears * ways).sum(axis=1)
         by_share = shares[0] - shares[1]
         by_range = (travels[0] - travels[1]) / max(travels.sum(), 1e-9)
         has_share = abs(by_share) > _EVEN_LENGTH
@@ -330,11 +328,11 @@ class Finger:
         certainty = 0.75 * abs(sense)
         if has_share and has_range:
             certainty = 0.95 if by_share * by_range > 0.0 else 0.5
-        q[columns] = self._with_knuckle(columns, q[columns], sense * signs)
-        every = np.zeros_like(q)
-        axis, base, every[columns], _ = self._axis(columns, q)
+        senses = sense * np.sign(gears[columns])
+        q[columns] = self._with_knuckle(columns, q[columns], senses)
+        axis, base, gears = self._axis(columns, q)
         curls = bool(shares.max() > _LEAST_CURL)
-        return Flexion(every, axis, base, q, sense, certainty, curls)
+        return Flexion(np.sign(gears), axis, base, q, sense, certainty, curls)
 
     @cached_property
     def closing(self) -> Array:
@@ -352,16 +350,17 @@ class Finger:
         """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""
         return self._view.axes(self._zero, joints)[0]
 
-    def _axis(self, columns: Array, q: Array) -> tuple[Array, Array, Array, Array]:
-        """Return axis (3,), knuckle on it (3,), and each column's sense and gear about it (k,)."""
+    def _axis(self, columns: Array, q: Array) -> tuple[Array, Array, Array]:
+        """Return axis (3,), knuckle on it (3,), and the turn about it per unit of a column (n,)."""
         turns = self._view.motion(q, self.tip)[3:, columns]
         # The sense of the axis is that of the last joint, in every posture.
         axis = unit(turns[:, -1])
-        along = axis @ turns
+        gears = np.zeros_like(q)
+        gears[columns] = axis @ turns
         axes, points = self._view.axes(q, self.joints, self.tip)
         turning = self._moves[:, columns[0]] & axes.any(axis=1)
         base = points[turning.argmax()]
-        return axis, base, np.sign(along), np.abs(along)
+        return axis, base, gears
 
     def _straightened(
         self, columns: Array, lengths_at: Callable[[Array], Array]
@@ -413,17 +412,10 @@ def nearing(
     return float(before - after)
 
 
-def ends_of(
-    hand: Hand,
-    q: Array,
-    columns: Array | Sequence[int],
-    signs: ArrayLike = 1.0,
-) -> Array:
-    """Return two postures: some joints at one end of their ranges, then at the other, (2, n)."""
-    ends = np.tile(q, (2, 1))
-    limits = hand.limits[:, columns]
-    ends[:, columns] = np.where(np.greater(signs, 0.0), limits, limits[::-1])
-    return ends
+def ends_of(hand: Hand, q: Array, signs: ArrayLike) -> Array:
+    """Return two postures: joints with a sign at one end of their range, then the other, (2, n)."""
+    limits = np.where(np.greater(signs, 0.0), hand.limits, hand.limits[::-1])
+    return np.where(signs, limits, q)
 
 
 @lru_cache(maxsize=32)

@@ -101,7 +101,7 @@ class HandFlexion:
         self._close_jaws()
         self.slides |= (self.sign != 0.0) & ~self._curls.any(axis=0)
         self._sign_base_joints()
-        start, self.q_closed = self._ends(self.sign)
+        start, self.q_closed = ends_of(robot, self.q_open, self.sign)
         # A jaw is open at one end of its range, which need not be zero.
         self.q_open = np.where(self.slides, start, self.q_open)
         self.tips_open = self.tips(self.q_open)
@@ -201,9 +201,5 @@ class HandFlexion:
     def _nearing(self, i: int, signs: Array) -> float:
         """Return how much joints bring a tip to another on average from end to end [m]."""
         others = max(1, len(self._tips) - 1)
-        return nearing(self._view, self._ends(signs), self._tips, i) / others
-
-    def _ends(self, signs: Array) -> Array:
-        """Return postures of the joints with a sign at both ends of their ranges, shape (2, n)."""
-        columns = np.flatnonzero(signs)
-        return ends_of(self._view.hand, self.q_open, columns, signs[columns])
+        ends = ends_of(self._view.hand, self.q_open, signs)
+        return nearing(self._view, ends, self._tips, i) / others

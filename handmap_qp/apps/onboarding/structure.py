@@ -157,7 +157,7 @@ def _jaws(robot: Robot, leaf: int) -> list[RobotFinger]:
     if is_finger or jaw.length > LONGEST_FINGER or math.dist(*tips) < _OPEN:
         return []
     # Of ends that are equally near, the one nearer to zero is closed.
-    gaps = 1e-6 * np.abs(ends_of(robot, robot.rest, jaw.columns)).sum(axis=1)
+    gaps = 1e-6 * np.abs(ends_of(robot, robot.rest, jaw.moves)).sum(axis=1)
     cloud = robot.surface(palm)
     if len(cloud):
         gaps += lengths(tips - tips.clip(*box_of(cloud)))
@@ -333,7 +333,7 @@ def _poses(finger: RobotFinger, other: int) -> Array:
     """Return poses of a finger's last body on another, over all its joints' ranges, (5, 4, 4)."""
     robot = finger.robot
     base = robot.links[other][0]
-    postures = np.linspace(*ends_of(robot, robot.rest, finger.columns), 5)
+    postures = np.linspace(*ends_of(robot, robot.rest, finger.moves), 5)
     return np.array([robot.pose_in(finger.links[-1], base, q) for q in postures])
 
 

@@ -295,9 +295,10 @@ class BoundJointToJoint(PalmMethod):
         closing = finger.closing[column]
         is_thumb = finger.name == THUMB
         start = robot.rest
+        own = np.arange(len(start)) == column
         if is_thumb:
             straight = finger.stretched
-            ends = ends_of(robot, straight, [column])
+            ends = ends_of(robot, straight, own)
             places = view.points(ends, [finger.tip, finger.knuckle])
             reaches = lengths(places[:, 0] - places[:, 1])
             if finger.reach - reaches.min() > _CURLING * finger.reach:
@@ -314,7 +315,7 @@ class BoundJointToJoint(PalmMethod):
             is_upper = sense * wanted[:3].dot(motion[:3]) >= 0.0
         else:
             # A jaw closes towards the other fingertips.
-            ends = ends_of(robot, robot.rest, [column])
+            ends = ends_of(robot, robot.rest, own)
             tips = [each.tip for each in self.chains.values()]
             i = self.fingers.index(finger.name)
             is_upper = nearing(view, ends, tips, i) >= 0.0
