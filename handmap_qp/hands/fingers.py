@@ -172,7 +172,7 @@ class Finger:
         self.joints = tuple(joints)
         self.tip = tip
         self.name = name
-        self._own = tuple(own) or self.joints
+        self.own = tuple(own) or self.joints
         # Which joints move as each q does, and which q moves any.
         rows = [hand.model.idx_vs[joint] for joint in self.joints]
         self._moves = hand.joint_motion[rows] != 0.0
@@ -195,9 +195,9 @@ class Finger:
     @cached_property
     def bending(self) -> list[int]:
         """Its own joints with axes parallel to the last one's; all if there is none."""
-        turns = self._turns(self._own)
+        turns = self._turns(self.own)
         parallel = np.abs(turns @ turns[-1]) > PARALLEL
-        return [*compress(self._own, parallel)] or [*self._own]
+        return [*compress(self.own, parallel)] or [*self.own]
 
     @cached_property
     def knuckle(self) -> Place:
@@ -209,7 +209,7 @@ class Finger:
             frame = self.hand.palm_frame
             return frame.parentJoint, frame.placement.translation
         if self.name == THUMB:
-            return self._own[0], np.zeros(3)
+            return self.own[0], np.zeros(3)
         return self._view.on_axis(self._zero, self.bending[0], self.tip)
 
     @cached_property
@@ -218,7 +218,7 @@ class Finger:
         if not self.joints:
             return self.tip
         found = self.find_middle() if self.name != THUMB else None
-        return found or (self._own[-1], np.zeros(3))
+        return found or (self.own[-1], np.zeros(3))
 
     def take(self, point: PointSpec) -> None:
         """Take knuckle or middle from a point of the description that stands for one."""
@@ -250,9 +250,9 @@ class Finger:
         is_thumb = self.name == THUMB
         joints = self.bending
         turns, points = view.axes(q, joints, self.tip)
-        if is_thumb and len(joints) < 2 and self._own[0] != joints[0]:
+        if is_thumb and len(joints) < 2 and self.own[0] != joints[0]:
             # A thumb's joint at its root counts as its knuckle, whatever its axis.
-            joints = [self._own[0], *joints]
+            joints = [self.own[0], *joints]
             points = np.vstack([view.axes(q, joints[:1])[1], points])
         ways = np.cumsum(lengths(np.diff([*points, tip], axis=0)))
         shares = ways[:-1] / max(ways[-1], 1e-6)

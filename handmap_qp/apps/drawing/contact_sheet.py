@@ -320,11 +320,12 @@ def _human_triangles(landmarks: Array) -> Triangles:
 
 def _coloured(shape: HandShape) -> HandShape:
     """The same shape without an arm, grey, with every finger's links in the finger's colour."""
-    fingers = find_fingers(shape.hand).values()
+    fingers = find_fingers(shape.hand).items()
+    colours = {
+        joint: FINGER_COLOURS[name] for name, one in fingers for joint in one.own
+    }
     links = {}
     for link, solid in shape.without_arm().links.items():
-        joint = carrier_of(shape.hand, link)
-        moved = [finger.name for finger in fingers if joint in finger.joints]
-        colour = FINGER_COLOURS[moved[0]] if len(moved) == 1 else _ROBOT_COLOUR
+        colour = colours.get(carrier_of(shape.hand, link), _ROBOT_COLOUR)
         links[link] = Triangles.painted(solid.vertices, solid.normals, colour)
     return HandShape(shape.hand, links)

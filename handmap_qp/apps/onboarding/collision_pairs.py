@@ -11,7 +11,6 @@ from handmap_qp.errors import HandmapError
 from handmap_qp.hands import (
     THUMB,
     CollisionSpec,
-    Finger,
     Hand,
     Links,
     ShapePairs,
@@ -72,7 +71,10 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
         HandError: If a collision shape cannot be read.
     """
     fingers = find_fingers(hand)
-    owners = _owners(hand, fingers)
+    # The palm's joint and those that fingers share are the palm's.
+    owners = {hand.palm_frame.parentJoint: "palm"}
+    for name, finger in fingers.items():
+        owners |= {j: name if j in finger.own else "palm" for j in finger.joints}
     others = [finger for finger in fingers if finger != THUMB]
     beside = [{THUMB, other} for other in ("palm", *others)]
     beside += map(set, pairwise(others))
@@ -95,15 +97,6 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
     touching = {*compress(every.links, at_rest < 2.0 * MARGIN)}
     found = tuple(pair for pair in wanted if pair not in touching)
     return CollisionSpec(found, MARGIN) if found else None
-
-
-def _owners(hand: Hand, fingers: dict[str, Finger]) -> dict[int, str]:
-    """Return the finger of each joint; `palm` for the palm's and those that fingers share."""
-    owners = {hand.palm_frame.parentJoint: "palm"}
-    for name, finger in fingers.items():
-        for joint in finger.joints:
-            owners[joint] = "palm" if joint in owners else name
-    return owners
 
 
 def colliding_links(hand: Hand, q: Array, wrists: Sequence[int] = ()) -> list[Links]:
