@@ -290,8 +290,9 @@ class HandsInit:
         # Two hands are written to other files than that of the default.
         check_free(self.out, overwrite=self.overwrite or self.out == HandsInit.out)
         source = open_source(self.urdf, self.out.parent, overwrite=self.overwrite)
+        urdf, reference, _ = source
         hands = detect_hands(
-            source.urdf,
+            urdf,
             root=self.root,
             base=self.base,
             side=self.side,
@@ -305,8 +306,9 @@ class HandsInit:
         if self.json:
             print(json.dumps(result))
             return
-        for path in source.written:
-            print(f"wrote {path}, with the kinematics of {self.urdf}")
+        # What lies beside the hand.yaml is a file, and not that which was given.
+        if reference == str(urdf) != str(self.urdf):
+            print(f"wrote {urdf}, with the kinematics of {self.urdf}")
         for hand in result.get("hands", ()):
             print(f"wrote {hand['out']}")
         kind = "robots" if "hands" in result else "hands"
@@ -331,11 +333,12 @@ class HandsInit:
         self, source: RobotSource, found: Detection, out: Path, name: str
     ) -> Values:
         """Write a hand, and print what was found unless JSON is to be printed; return that."""
-        spec = replace(found.spec, urdf=source.reference, name=name)
+        _, reference, notes = source
+        spec = replace(found.spec, urdf=reference, name=name)
         if (speed := self.speed) is not None:
             expect(speed > 0.0, "--speed", "a speed > 0", value=speed)
             spec = with_speed(spec, speed)
-        spec = with_origin(spec, is_given=not source.notes)
+        spec = with_origin(spec, is_given=not notes)
         found = found._replace(spec=spec)
         check_free(out, overwrite=self.overwrite)
         hand = load_hand(spec)
@@ -343,7 +346,7 @@ class HandsInit:
         slow = [
             f"{f.key}: {f.found}: {f.change}" for f in check_speeds(hand) if f.change
         ]
-        found = found._replace(notes=(*source.notes, *found.notes, *slow))
+        found = found._replace(notes=(*notes, *found.notes, *slow))
         write_hand(found, out)
         rows = [
             {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}

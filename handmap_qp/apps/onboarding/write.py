@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import yaml
@@ -75,20 +75,8 @@ FOUND = {
 }
 
 
-class RobotSource(NamedTuple):
-    """A URDF to detect a hand in.
-
-    Attributes:
-        urdf: The URDF file.
-        reference: How `hand.yaml` refers to it.
-        notes: What a conversion from MJCF left out, one sentence each.
-        written: Files that were written.
-    """
-
-    urdf: Path
-    reference: str
-    notes: Names = ()
-    written: tuple[Path, ...] = ()
+RobotSource = tuple[Path, str, Names]
+"""A URDF, how `hand.yaml` refers to it, and what a conversion from MJCF left out, in sentences."""
 
 
 def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotSource:
@@ -110,10 +98,10 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     source = source_path(given)
     path = source or robot
     if not is_mjcf(path):
-        return RobotSource(path, given if source else str(path))
+        return path, given if source else str(path), ()
     mjcf = hands.mjcf
     if source:
-        return RobotSource(mjcf.cached_urdf(path), given, mjcf.convert_mjcf(path).notes)
+        return mjcf.cached_urdf(path), given, mjcf.convert_mjcf(path).notes
     urdf = folder / f"{path.stem}.urdf"
     check_new("--out", urdf, overwrite=overwrite)
     converted = mjcf.convert_mjcf(path, f"{path.stem}_meshes")
@@ -123,7 +111,7 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
         raise HandError(f"{problem}: please report it", file=path)
     with writing(urdf, "--out"):
         mjcf.write_converted(converted, urdf)
-    return RobotSource(urdf, str(urdf), converted.notes, (urdf,))
+    return urdf, str(urdf), converted.notes
 
 
 def write_hand(detection: Detection, path: Path) -> None:
