@@ -363,8 +363,8 @@ def test_a_picture_is_drawn_without_shapes(
 
 
 def test_pictures_lie_beside_their_descriptions(tmp_path: Path) -> None:
-    assert picture_path(str(tmp_path / "mine.yaml")) == tmp_path / "mine.png"
-    assert picture_path("three_finger") is None
+    assert picture_path(str(tmp_path / "mine.yaml"), "hand") == tmp_path / "mine.png"
+    assert picture_path("three_finger", "hand") is None
 
 
 @pytest.mark.slow

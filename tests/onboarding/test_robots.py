@@ -15,7 +15,7 @@ from PIL import Image
 
 from handmap_qp import HandError, load_hand
 from handmap_qp.apps.onboarding.check import check_robot
-from handmap_qp.apps.onboarding.cli import list_robots
+from handmap_qp.apps.onboarding.cli import RobotsCheck, list_robots
 from handmap_qp.apps.onboarding.detect import detect, detect_hands
 from handmap_qp.cli import main
 from handmap_qp.hands.robot import load_robot, robot_files
@@ -230,7 +230,7 @@ def test_check_draws_the_robot(
 
 @pytest.mark.parametrize("name", INSTALLED)
 def test_the_robots_of_the_package_pass_their_check(name: str) -> None:
-    report = check_robot(load_robot(name), has_motion=False)
+    report = check_robot(name, has_motion=False)
     assert report.findings[0].level in ("advice", "fine"), report.findings
 
 
@@ -241,7 +241,7 @@ def test_a_contradiction_ends_with_exit_code_1(
 ) -> None:
     """Arms in each other: both palms are in the same place."""
     # Another test looks at the picture.
-    monkeypatch.setattr("handmap_qp.apps.onboarding.cli.draw_robot", lambda *_: None)
+    monkeypatch.setattr(RobotsCheck, "_steps", ("robot", check_robot, lambda *_: None))
     text = robot_files()["ur5_pair"].read_text(encoding="utf-8")
     text = text.replace(
         "left.yaml", str(robot_files()["ur5_pair"].parent / "left.yaml")

@@ -25,6 +25,7 @@ from handmap_qp.hands import (
     is_lost,
     is_missing,
     load_hand,
+    load_robot,
     named_pairs,
     parse_with_meshes,
     partner_names,
@@ -105,14 +106,15 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
     return report
 
 
-def check_robot(robot: Hand, *, has_motion: bool = True) -> Report:
+def check_robot(given: str | Path, *, has_motion: bool = True) -> Report:
     """Check the descriptions of a robot's hands, and what overlaps at rest.
 
     Args:
-        robot: The robot.
+        given: Path of a `robot.yaml` or name of a robot; errors are those of `load_robot`.
         has_motion: Whether to map a standard motion to each hand.
     """
-    report = Report(robot.name)
+    robot = load_robot(given)
+    report = Report(robot.name, robot)
     report.add([("Hands", palm_rows(robot))])
     for side, hand in robot.by_side.items():
         found = check_hand(str(hand.spec.file), has_motion=has_motion)

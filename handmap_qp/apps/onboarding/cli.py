@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from msgspec.structs import replace
@@ -424,14 +424,17 @@ class HandsCheck:
     picture: PictureFile = None
     motion: bool = True
     json: bool = False
+    # What is checked, and how it is checked and drawn.
+    _steps: ClassVar[Any] = "hand", check_hand, draw_hand
 
     def run(self) -> None:
-        """Check the hand, draw it, and print the findings."""
+        """Check it, draw it, and print the findings."""
+        kind, check, draw = self._steps
         with progress("checking"):
-            report = check_hand(self.hand, has_motion=self.motion)
-        picture = self.picture or picture_path(self.hand)
+            report = check(self.hand, has_motion=self.motion)
+        picture = self.picture or picture_path(self.hand, kind)
         if picture and report.hand:
-            draw_hand(report.hand, picture, *report.measured.get("Directions", []))
+            draw(report.hand, picture, *report.measured.get("Directions", []))
         report.print(picture, as_json=self.json)
 
 
@@ -541,13 +544,4 @@ class RobotsCheck(HandsCheck):
     """
 
     hand: Positional[RobotName]
-
-    def run(self) -> None:
-        """Check the robot, draw it, and print the findings."""
-        with progress("checking"):
-            robot = load_robot(self.hand)
-            report = check_robot(robot, has_motion=self.motion)
-        picture = self.picture or picture_path(self.hand, "robot")
-        if picture:
-            draw_robot(robot, picture)
-        report.print(picture, as_json=self.json)
+    _steps = "robot", check_robot, draw_robot

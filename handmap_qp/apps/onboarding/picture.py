@@ -51,7 +51,7 @@ _BOX = {
 }
 
 
-def picture_path(given: str, kind: str = "hand") -> Path | None:
+def picture_path(given: str, kind: str) -> Path | None:
     """Return the path of a description's picture, beside it; None for one that is given by name.
 
     Args:
