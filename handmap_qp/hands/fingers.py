@@ -183,7 +183,8 @@ class Finger:
     @property
     def is_jaw(self) -> bool:
         """Whether all joints are prismatic, so that the finger can neither bend nor stretch."""
-        return bool(self.joints) and not self._turns(self.joints).any()
+        axes, _ = self._view.axes(self._zero, self.joints)
+        return bool(self.joints) and not axes.any()
 
     @cached_property
     def columns(self) -> Array:
@@ -195,7 +196,7 @@ class Finger:
     @cached_property
     def bending(self) -> list[int]:
         """Its own joints with axes parallel to the last one's; all if there is none."""
-        turns = self._turns(self.own)
+        turns, _ = self._view.axes(self._zero, self.own)
         parallel = np.abs(turns @ turns[-1]) > PARALLEL
         return [*compress(self.own, parallel)] or [*self.own]
 
@@ -345,10 +346,6 @@ class Finger:
             return np.zeros_like(self._zero)
         dorsal = self._view.motion(self._zero, self.tip)[2] @ found.signs
         return found.signs * (found.sense or -np.sign(dorsal) or 1.0)
-
-    def _turns(self, joints: Sequence[int]) -> Array:
-        """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""
-        return self._view.axes(self._zero, joints)[0]
 
     def _axis(self, columns: Array, q: Array) -> tuple[Array, Array, Array]:
         """Return axis (3,), knuckle on it (3,), and the turn about it per unit of a column (n,)."""
