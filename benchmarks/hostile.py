@@ -252,7 +252,8 @@ class IkRun:
     def _change_limit(self, limit: float | None) -> None:
         before = self.ik.gate.motion
         if limit not in self._iks:
-            ik = self.ik.with_options(self.ik.options.replaced(max_acceleration=limit))
+            options = self.ik.options.replaced(max_acceleration=limit)
+            ik = PointIk(self.ik.hand, options, before, contacts=self._shapes)
             self._iks[limit] = ik, self._compile(ik)
         self.ik = self._iks[limit][0]
         self.ik.gate.motion = before

@@ -97,7 +97,7 @@ def wild(hand: Hand, shapes: ShapePairs, steps: int, seed: int) -> Tally:
                 tally.checker.start(q)
         if rng.random() < 0.02:
             options = _wild_options(rng)
-            ik = ik.with_options(options)
+            ik = PointIk(hand, options, ik.gate.motion, contacts=shapes)
         if rng.random() < 0.1:
             q = rng.uniform(hand.lower_limits, hand.upper_limits)
             elsewhere.place(hand.configuration_vector(q))

@@ -266,7 +266,6 @@ class CollisionLimit:
             pairs = named_pairs(hand, spec.pairs)
         self.margin = spec.margin if spec else 0.0
         self.horizon = horizon
-        self._arguments = hand, pairs, horizon
         self._spread = hand.spread
         self._model = hand.model
         self._data = hand.model.createData()
@@ -276,10 +275,6 @@ class CollisionLimit:
         self.bounds = pair_bounds(hand.model, pairs.geometry)
         is_moving = (self.bounds.levers > 0.0).any(axis=0)
         self.columns: Array = is_moving @ (self._spread != 0.0)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Build copies with data of their own."""
-        return CollisionLimit, self._arguments
 
     def measure(
         self,

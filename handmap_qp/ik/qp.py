@@ -31,7 +31,7 @@ from .tasks import Goal, Task, TaskRows, tasks_named
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
-    from .collision import CollisionLimit, NearPairs
+    from .collision import NearPairs
 
 # At DAQP's default tolerance of 1e-6 a joint was left 4e-7 rad outside its limit. Beyond 1000
 # iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000 hostile problems one
@@ -228,8 +228,7 @@ class PointIk:
         options: Weights and settings.
         motion: How the hand moves; at rest in its neutral configuration if omitted.
         contacts: Pairs of shapes that are kept apart, whatever `avoids_self_collision` says; those
-            within 12 mm beyond their margin get a row, in short samples fewer. Or the rows of
-            another `PointIk` of this hand.
+            within 12 mm beyond their margin get a row, in short samples fewer.
 
     Attributes:
         hand: The hand.
@@ -248,24 +247,19 @@ class PointIk:
         options: IkOptions,
         motion: Motion | None = None,
         *,
-        contacts: ShapePairs | CollisionLimit | None = None,
+        contacts: ShapePairs | None = None,
     ) -> None:
         self.hand = hand
         self.options = options
         for name in ("rest_weight", "damping", "speed_weight", "acceleration_weight"):
             # A square that overflows is refused here, not at a sample.
             math.pow(getattr(options, name), 2.0)
-        if contacts is None:
-            collisions = None
-            if options.avoids_self_collision:
-                collisions = ik.collision.CollisionLimit(hand)
-        elif isinstance(contacts, ik.collision.CollisionLimit):
-            collisions = contacts
-        else:
-            collisions = ik.collision.CollisionLimit(
-                hand, pairs=contacts, horizon=_HORIZON
-            )
-        self._contacts = contacts and collisions
+        collisions = None
+        if contacts:
+            collisions = ik.collision.CollisionLimit(hand, contacts, _HORIZON)
+        elif options.avoids_self_collision:
+            collisions = ik.collision.CollisionLimit(hand)
+        self._contacts = contacts
         self._tasks = tasks_named(options.tasks, hand)
         self._solver = solve_by_daqp
         if options.solver != "daqp":
@@ -305,10 +299,6 @@ class PointIk:
         """The present posture; `place` puts the hand somewhere else."""
         self._configuration.place(self.gate.motion.q)
         return self._configuration
-
-    def with_options(self, options: IkOptions) -> PointIk:
-        """Return a solver with other options that moves the same hand on from where it is."""
-        return PointIk(self.hand, options, self.gate.motion, contacts=self._contacts)
 
     def place(self, q: Array) -> None:
         """Put the hand at a configuration, at rest.

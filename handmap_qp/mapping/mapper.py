@@ -469,8 +469,8 @@ class HandMapper(Mover):
             DegeneratePointsError: If with them the reference points do not determine the motion;
                 likewise.
         """
-        if method is not None:
-            chosen, weights = _method_of(method, {})
+        if method is not None or ik:
+            chosen, weights = _method_of(self.method if method is None else method, {})
             if isinstance(method, str):
                 ik = ik or weights
             bound = chosen.bind(self.human, self._given_robot)
@@ -481,8 +481,6 @@ class HandMapper(Mover):
             self.method = chosen
             self.bound = bound
             self.point_ik = solver
-        elif ik:
-            self.point_ik = self.point_ik.with_options(ik)
         if tasks is not None:
             self.tasks = tuple(tasks)
         self.core = None

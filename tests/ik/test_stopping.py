@@ -111,7 +111,7 @@ def test_the_rows_of_what_met_cut_off_the_way_on_which_it_met(case: Case) -> Non
 def test_no_target_time_or_option_leads_to_an_overlap(case: Case) -> None:
     hand, rng = case.hand, np.random.default_rng(1)
     options = IkOptions()
-    ik, elsewhere = PointIk(hand, options, contacts=case.limit()), hand.configuration()
+    ik, elsewhere = PointIk(hand, options, contacts=case.pairs), hand.configuration()
     ik.place(hand.configuration_vector(hand.rest))
     targets, nearest, fastest = ik.configuration.points.copy(), np.inf, 0.0
     last, rested = np.zeros(len(hand.active_columns)), True
@@ -121,7 +121,8 @@ def test_no_target_time_or_option_leads_to_an_overlap(case: Case) -> None:
             options = options.replaced(
                 max_acceleration=most, max_iterations=int(rng.integers(1, 5))
             )
-            ik, rested = ik.with_options(options), bool(rng.integers(2))
+            ik = PointIk(hand, options, ik.gate.motion, contacts=case.pairs)
+            rested = bool(rng.integers(2))
             if rested:
                 ik.place(ik.configuration.q.copy())
                 last = np.zeros_like(last)
@@ -150,7 +151,7 @@ def test_no_target_time_or_option_leads_to_an_overlap(case: Case) -> None:
 def test_the_hand_can_stop_on_its_line_for_any_sample_times(case: Case) -> None:
     # The stop that the solver counts on, taken in random parts, is clear and within all limits.
     hand, rng, most = case.hand, np.random.default_rng(2), 15.0
-    ik = PointIk(hand, IkOptions(max_acceleration=most), contacts=case.limit())
+    ik = PointIk(hand, IkOptions(max_acceleration=most), contacts=case.pairs)
     elsewhere, stops = hand.configuration(), 0
     for _ in range(12):
         ik.place(hand.configuration_vector(hand.rest))
@@ -181,13 +182,14 @@ def test_an_acceleration_limit_while_moving_does_not_lead_to_an_overlap(
     free, elsewhere = IkOptions(), hand.configuration()
     nearest = np.inf
     for _ in range(15):
-        ik = PointIk(hand, free, contacts=case.limit())
+        ik = PointIk(hand, free, contacts=case.pairs)
         ik.place(hand.configuration_vector(hand.rest))
         elsewhere.place(hand.configuration_vector(case.random_q(rng)))
         targets = np.tile(elsewhere.points.mean(axis=0), (len(elsewhere.points), 1))
         for i in range(12):
             if i == 3:
-                ik = ik.with_options(free.replaced(max_acceleration=5.0))
+                slow = free.replaced(max_acceleration=5.0)
+                ik = PointIk(hand, slow, ik.gate.motion, contacts=case.pairs)
             before = ik.configuration.q.copy()
             ik.solve(targets, None, 1.0 / 60.0)
             after = ik.configuration.q
@@ -201,7 +203,7 @@ def test_links_that_overlap_at_the_start_can_part() -> None:
     case = Case("three_finger")
     hand, rng = case.hand, np.random.default_rng(4)
     for most in (None, 50.0):
-        ik = PointIk(hand, IkOptions(max_acceleration=most), contacts=case.limit())
+        ik = PointIk(hand, IkOptions(max_acceleration=most), contacts=case.pairs)
         while True:
             q = hand.configuration_vector(case.random_q(rng))
             if case.nearest(q) < -0.003:
@@ -238,7 +240,7 @@ def test_a_joint_outside_its_limit_by_a_rounding_does_not_move_into_a_link(
     case: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hand, rng, dt = case.hand, np.random.default_rng(7), 0.2
-    ik, found = PointIk(hand, IkOptions(max_iterations=1), contacts=case.limit()), 0
+    ik, found = PointIk(hand, IkOptions(max_iterations=1), contacts=case.pairs), 0
     while found < 5:
         q, joint = case.random_q(rng), rng.integers(len(hand.joint_names))
         q[joint] = np.nextafter(hand.upper_limits[joint], np.inf)
@@ -272,18 +274,16 @@ def test_a_limit_lowered_while_moving_breaks_no_limit_and_the_stop_is_bounded(
 ) -> None:
     hand, rng, dt = case.hand, np.random.default_rng(8), 1.0 / 60.0
     elsewhere = hand.configuration()
+    pairs = case.pairs if avoids else None
     for high, low in ((20.0, 0.5), (100.0, 1.0), (None, 2.0)):
-        ik = PointIk(
-            hand,
-            IkOptions(max_acceleration=high),
-            contacts=case.limit() if avoids else None,
-        )
+        ik = PointIk(hand, IkOptions(max_acceleration=high), contacts=pairs)
         ik.place(hand.configuration_vector(hand.rest))
         elsewhere.place(hand.configuration_vector(hand.upper_limits))
         speed_up(ik, elsewhere.points, dt)
         for k in range(60):
             if k == 1:
-                ik = ik.with_options(IkOptions(max_acceleration=low))
+                options = IkOptions(max_acceleration=low)
+                ik = PointIk(hand, options, ik.gate.motion, contacts=pairs)
             velocity = ik.gate.motion.velocity
             if rng.random() < 0.3:
                 ik.solve(elsewhere.points, None, dt)
@@ -311,7 +311,7 @@ def test_a_wrist_with_all_the_room_stops_in_time_too() -> None:
     for k in range(40):
         if k == 20:
             assert np.linalg.norm(ik.gate.motion.velocity[:3]) > 0.5
-            ik = ik.with_options(IkOptions(max_acceleration=0.5))
+            ik = PointIk(hand, IkOptions(max_acceleration=0.5), ik.gate.motion)
         ik.solve(ik.configuration.points.copy(), far, dt)
         assert (ik.gate.motion.stop_times <= LONGEST_STOP * (1.0 + 1e-9)).all()
 
