@@ -61,6 +61,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.hands import LONGEST_STOP, Hand
 from handmap_qp.se3 import Array
+from .options import IkOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -124,9 +125,7 @@ class BoxLimits:
 
     Args:
         hand: The hand.
-        has_velocity_limits: Whether speed limits hold; position limits always do.
-        max_acceleration: Limit of every coordinate's acceleration [rad/s^2, and m/s^2 for a
-            floating wrist's translation]; none if omitted.
+        options: Say whether speed limits hold, and limit the acceleration.
         together: Which coordinates must be able to stop together, shape (nv,); none if omitted.
 
     Attributes:
@@ -142,9 +141,7 @@ class BoxLimits:
     def __init__(
         self,
         hand: Hand,
-        *,
-        has_velocity_limits: bool = True,
-        max_acceleration: float | None = None,
+        options: IkOptions = IkOptions(),
         together: Array | bool = False,
     ) -> None:
         self.size = len(hand.active_columns)
@@ -160,7 +157,7 @@ class BoxLimits:
         self.lower = self.lowest[self.coordinates]
         self.upper = self.highest[self.coordinates]
         self.speeds = np.full(self.size, np.inf)
-        if has_velocity_limits:
+        if options.has_velocity_limits:
             self.speeds[joints] = hand.velocity_limits
             if hand.is_floating:
                 wrist = hand.spec.wrist
@@ -169,8 +166,8 @@ class BoxLimits:
                 )
         self.together = np.zeros(self.size, dtype=bool) | together
         # A limit beyond all speeds is none; as such, its products with times cannot overflow.
-        is_limited = max_acceleration is not None and max_acceleration < _NO_LIMIT
-        self.acceleration = max_acceleration if is_limited else math.inf
+        most = options.max_acceleration
+        self.acceleration = math.inf if most is None or most >= _NO_LIMIT else most
 
     def box(self, q: Array, dt: float, velocity: ArrayLike = 0.0) -> Box:
         """Return the bounds of the displacement, and which need no further check.
@@ -354,8 +351,7 @@ class Gate:
     Args:
         hand: The robot.
         motion: How it moves; it may come from the gate of another limit.
-        has_velocity_limits: Whether speed limits hold; position limits always do.
-        max_acceleration: Limit of every coordinate [rad/s^2, m/s^2]; None for none.
+        options: As of `BoxLimits`.
         collisions: Pairs of shapes to keep apart; none if omitted.
 
     Attributes:
@@ -372,20 +368,14 @@ class Gate:
         self,
         hand: Hand,
         motion: Motion,
-        *,
-        has_velocity_limits: bool = True,
-        max_acceleration: float | None = None,
+        options: IkOptions = IkOptions(),
         collisions: CollisionLimit | None = None,
     ) -> None:
         self.motion = motion
         self.collisions = collisions
         self.hand = hand
-        self.limits = BoxLimits(
-            hand,
-            has_velocity_limits=has_velocity_limits,
-            max_acceleration=max_acceleration,
-            together=collisions.columns if collisions else False,
-        )
+        together = collisions.columns if collisions else False
+        self.limits = BoxLimits(hand, options, together)
         self.links = collisions.bounds.links if collisions else [()]
         self.held_by = -1
 

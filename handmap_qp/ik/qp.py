@@ -267,9 +267,8 @@ class PointIk:
         self.gate = Gate(
             hand,
             motion or Motion.at_rest(pin.neutral(hand.model), len(hand.active_columns)),
-            has_velocity_limits=options.has_velocity_limits,
-            max_acceleration=options.max_acceleration,
-            collisions=collisions,
+            options,
+            collisions,
         )
         self.core = ik.compiled.compile_ik(hand, options, self.gate)
         self._mover = self.core

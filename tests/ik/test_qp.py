@@ -50,11 +50,10 @@ def test_the_box_never_contradicts_itself(rng: np.random.Generator, dt: float) -
     velocity = rng.normal(size=len(hand.active_columns)) * 10.0 ** rng.uniform(-3, 3)
     for acceleration in (None, 10.0 ** rng.uniform(-2, 4), np.inf):
         for has_velocity_limits in (True, False):
-            limits = BoxLimits(
-                hand,
-                has_velocity_limits=has_velocity_limits,
-                max_acceleration=acceleration,
+            options = IkOptions(
+                has_velocity_limits=has_velocity_limits, max_acceleration=acceleration
             )
+            limits = BoxLimits(hand, options)
             lower, upper = limits.box(
                 any_posture(hand, rng, outside=2.0), dt, velocity
             )[:2]
@@ -106,7 +105,7 @@ def test_from_rest_acceleration_never_stands_against_position(
     hand = HAND
     acceleration = 10.0 ** rng.uniform(-1, 3)
     limits, q = (
-        BoxLimits(hand, max_acceleration=acceleration),
+        BoxLimits(hand, IkOptions(max_acceleration=acceleration)),
         any_posture(hand, rng, outside=0.0),
     )
     velocity = np.zeros(len(hand.active_columns))
@@ -129,7 +128,7 @@ def test_position_and_speed_go_before_acceleration(rng: np.random.Generator) -> 
     # A joint approaches its limit far too fast: the box gives the bound nearest to the range that
     # its acceleration allows.
     hand, dt = HAND, 0.01
-    limits, plain = BoxLimits(hand, max_acceleration=1e-3), BoxLimits(hand)
+    limits, plain = BoxLimits(hand, IkOptions(max_acceleration=1e-3)), BoxLimits(hand)
     q = any_posture(hand, rng)
     direction = rng.choice([-1.0, 1.0], len(hand.active_columns))
     lower, upper = limits.box(q, dt, 1e4 * direction)[:2]
@@ -141,9 +140,8 @@ def test_position_and_speed_go_before_acceleration(rng: np.random.Generator) -> 
 def test_an_infinite_acceleration_limit_limits_nothing() -> None:
     q = any_posture(HAND, np.random.default_rng(0))
     expected = BoxLimits(HAND).box(q, 0.01)[:2]
-    for bound, other in zip(
-        BoxLimits(HAND, max_acceleration=np.inf).box(q, 0.01)[:2], expected, strict=True
-    ):
+    limits = BoxLimits(HAND, IkOptions(max_acceleration=np.inf))
+    for bound, other in zip(limits.box(q, 0.01)[:2], expected, strict=True):
         np.testing.assert_allclose(bound, other, atol=1e-15)
 
 
@@ -462,7 +460,7 @@ def test_a_slower_box_is_in_the_box_and_keeps_the_share_where_braking_allows(
     q = any_posture(hand, generator, outside=0.2)
     velocity = generator.uniform(-3.0, 3.0, len(hand.active_columns))
     motion = Motion(q, velocity, 1.0, np.zeros_like(velocity))
-    gate = Gate(hand, motion, max_acceleration=10.0)
+    gate = Gate(hand, motion, IkOptions(max_acceleration=10.0))
     full, (lower, upper) = gate.bounds(dt), gate.bounds(dt, share)
     farthest = share * dt * BoxLimits(hand).speeds
     assert (full[0] <= lower).all()

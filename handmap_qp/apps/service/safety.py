@@ -24,6 +24,7 @@ from handmap_qp.hands import Hand
 from handmap_qp.ik import (
     SHORTEST_DT,
     Gate,
+    IkOptions,
     Motion,
     PointIk,
     braking_displacement,
@@ -255,10 +256,8 @@ class CommandedRobot(Gate):
 
     def obey(self, ik: PointIk) -> None:
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
-        limit = ik.options.max_acceleration
-        super().__init__(
-            ik.hand, self.motion, max_acceleration=limit, collisions=ik.gate.collisions
-        )
+        options = IkOptions(max_acceleration=ik.options.max_acceleration)
+        super().__init__(ik.hand, self.motion, options, ik.gate.collisions)
 
     @property
     def q(self) -> Array:
