@@ -116,16 +116,6 @@ inline nb::list parts_of(const Asked& asked, const std::vector<ArrayShape>& shap
   return found;
 }
 
-// The targets of a pose, as arrays for Python's `asked`.
-inline nb::tuple targets_of(const TargetMap& map, const nb::object& given) {
-  const HumanPose pose = pose_from(given);
-  if (pose.points.size() != map.human_points || !pose.has_wrist)
-    throw std::invalid_argument("the map is of other hands");
-  Asked asked;
-  map.targets(pose.points, &pose.wrist, asked);
-  return nb::make_tuple(parts_of(asked, map.shapes()), asked.is_clamped);
-}
-
 // `IkResult` of a step of a hand, whose gate has the links of each pair.
 inline nb::object result_of(const Step& step, const nb::object& hand, const nb::object& links) {
   static const nb::object& frozen = *new nb::object(module_of("handmap_qp.se3").object("frozen"));

@@ -426,7 +426,7 @@ NB_MODULE(_core, m) {
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })
       .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); })
       .def_prop_ro("wrist", &wrist_of);
-  nb::class_<TargetMap>(m, "TargetMap").def("targets", &targets_of);
+  nb::class_<TargetMap>(m, "TargetMap");
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
       .def("__init__", &make_teleoperation);
   nb::class_<HomogeneousMap, TargetMap>(m, "HomogeneousMap").def("__init__", &make_homogeneous);

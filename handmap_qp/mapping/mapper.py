@@ -290,7 +290,7 @@ class HandMapper(Mover):
         reference = self._reference or self._reference_at(sample)
         target_map = reference.map
         own: Any = None if sample.wrist is None else self._core_at(target_map)
-        asked = None if own else _targets(target_map, sample)
+        asked = None if own else target_map.targets(sample)
         if bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             bound.start(sample, reference.posture)
@@ -644,14 +644,6 @@ def _method_of(
         expected="a method, the name of a preset, or single options of the paper's method",
         value=method,
     )
-
-
-def _targets(target_map: Any, sample: HumanPose) -> Targets:
-    """Return the targets of a map, by the core where it has the map."""
-    made = getattr(target_map, "core", None)
-    if made and sample.wrist is not None:
-        return target_map.asked(*made.targets(sample))
-    return target_map.targets(sample)
 
 
 def posture_of(robot: Hand, vector: Array) -> RobotPosture:
