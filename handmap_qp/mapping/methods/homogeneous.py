@@ -23,7 +23,6 @@ from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
     HumanPose,
-    MotionEstimate,
     MotionEstimator,
     PalmMethod,
     Preset,
@@ -36,7 +35,7 @@ from handmap_qp.mapping import (
 )
 from handmap_qp.mapping.decomposition import about, polar
 from handmap_qp.options import NotNegative, Share, number
-from handmap_qp.se3 import Array, Arrays, affine, frozen, inverse_pose, transform_points
+from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 
 
 class HomogeneousMap(Compiled):
@@ -116,15 +115,22 @@ class HomogeneousMap(Compiled):
         return self.asked([points, wrist, *fit, *results], is_clamped)
 
     def asked(self, parts: list[Array], is_clamped: bool) -> Targets:
-        """Return the targets whose arrays were computed here or by the core."""
-        points, wrist, first, centroid, seen, *results = parts
-        estimate = self.estimator.estimate_of(first, centroid, seen)
-        return Targets(
-            points,
-            wrist,
-            _results(estimate, self.pivot, *results),
-            flags=("stretch_clamped",) if is_clamped else (),
-        )
+        """Return the targets whose arrays were computed here or by the core.
+
+        T_def has clamping and gain.
+        """
+        points, wrist, *fit, linear, rotation, rigid_image, image, stretches = parts
+        estimate = self.estimator.estimate_of(*fit)
+        found = {
+            "motion": estimate.motion,
+            "motion_rigid": about(rotation, self.pivot, rigid_image),
+            "motion_deformation": about(linear @ rotation.T, rigid_image, image),
+            "residual_norms": estimate.residual_norms,
+            "pivot_image": image,
+            "stretches": stretches,
+        }
+        flags = ("stretch_clamped",) if is_clamped else ()
+        return Targets(points, wrist, found, flags=flags)
 
     def _wrist_motion(self, sample: HumanPose) -> Array | None:
         """Return the wrist's motion since the reference, (4, 4); None if it is not asked for."""
@@ -141,26 +147,6 @@ class HomogeneousMap(Compiled):
     def _placed(self, image: Array) -> Array:
         """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
         return self.origin + self.options.scale * self.alignment.dot(image)
-
-
-def _results(
-    estimate: MotionEstimate,
-    pivot: Array,
-    linear: Array,
-    rotation: Array,
-    rigid_image: Array,
-    image: Array,
-    stretches: Array,
-) -> Arrays:
-    """Return the results of one sample; see `Targets`. T_def has clamping and gain."""
-    return {
-        "motion": estimate.motion,
-        "motion_rigid": about(rotation, pivot, rigid_image),
-        "motion_deformation": about(linear @ rotation.T, rigid_image, image),
-        "residual_norms": estimate.residual_norms,
-        "pivot_image": image,
-        "stretches": stretches,
-    }
 
 
 def _residual_share(

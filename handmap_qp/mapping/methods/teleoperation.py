@@ -60,29 +60,6 @@ _KNOWN = "palm", "gaps", "pinching", "extensions"
 finger's [m], and the share of each pinch row's weight, (p,) both; and shares of reach, (f,)."""
 
 
-def _results(
-    estimate: MotionEstimate, palm_before: Array, palm: Array
-) -> dict[str, Array]:
-    """Return the results of one sample but `_KNOWN`; see `Targets`.
-
-    T is estimated in palm axes, from the human's rest posture. In the world, that posture lies at
-    the palm of the reference, T_rb is the motion of the palm, and T_def all the rest.
-    """
-    rigid = palm @ inverse_pose(palm_before)
-    deformation = palm @ estimate.motion @ inverse_pose(palm)
-    # The smallest one is negative where T mirrors.
-    stretches = np.linalg.svd(estimate.linear, compute_uv=False)
-    stretches[2] *= mirror_sign(estimate.linear)
-    return {
-        "motion": deformation @ rigid,
-        "motion_rigid": rigid,
-        "motion_deformation": deformation,
-        "stretches": stretches,
-        "pivot_image": transform_points(palm, estimate.centroid_after),
-        "residual_norms": estimate.residual_norms,
-    }
-
-
 @lru_cache(maxsize=32)
 def _distances(robot: RobotFingers, pinched: tuple[str, ...]) -> PointDistances:
     """Lay out the distance rows: extension of each finger, then a pinch with each finger."""
@@ -172,15 +149,33 @@ class TeleoperationMap(Compiled, PalmMap):
         return self.asked(parts)
 
     def asked(self, parts: list[Array], is_clamped: bool = False) -> Targets:
-        """Return the targets whose arrays were computed here or by the core."""
+        """Return the targets whose arrays were computed here or by the core.
+
+        T is estimated in palm axes, from the human's rest posture. In the world, that posture lies
+        at the palm of the reference, T_rb is the motion of the palm, and T_def all the rest.
+        """
         del is_clamped
         points, wrist, aims, weights, margins, *rest = parts
         estimate = self.estimator.estimate_of(*rest[:3])
         known = dict(zip(_KNOWN, rest[3:], strict=True))
+        palm = known["palm"]
+        rigid = palm @ inverse_pose(self.palm_before)
+        deformation = palm @ estimate.motion @ inverse_pose(palm)
+        # The smallest one is negative where T mirrors.
+        stretches = np.linalg.svd(estimate.linear, compute_uv=False)
+        stretches[2] *= mirror_sign(estimate.linear)
+        found = {
+            "motion": deformation @ rigid,
+            "motion_rigid": rigid,
+            "motion_deformation": deformation,
+            "stretches": stretches,
+            "pivot_image": transform_points(palm, estimate.centroid_after),
+            "residual_norms": estimate.residual_norms,
+        }
         return Targets(
             points,
             wrist,
-            _results(estimate, self.palm_before, known["palm"]) | known,
+            found | known,
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
         )
