@@ -8,6 +8,7 @@ points' paths too: the second derivative of a point by the joints i and j, i nea
 the axis of i times the point's derivative by j. Each step solves a QP with the joint limits.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -49,89 +50,71 @@ def nearest_posture(
     """
     if tree := core_tree(hand):
         return tree.nearest_posture(hand, targets, costs, rest_cost, start)
-    distance = _Distance(hand, targets, costs, rest_cost)
-    free = distance.free
-    lower, upper = hand.limits[:, free]
-    x = np.clip(start[free], lower, upper)
-    here = distance.at(x)
+    lower, upper = hand.limits
+    terms_at = _distance(hand, targets, costs, rest_cost)
+    q = np.where(hand.moves_wrist, hand.rest, np.clip(start, lower, upper))
+    here = terms_at(q)
     for _ in range(_MOST_STEPS):
-        step = solve_by_daqp(_convex(here.hessian), here.gradient, lower - x, upper - x)
+        step = solve_by_daqp(_convex(here.hessian), here.gradient, lower - q, upper - q)
         if step is None:
             break
         slope = step @ here.gradient
         share = 1.0
         while True:
-            ahead = np.clip(x + share * step, lower, upper)
-            there = distance.at(ahead)
+            ahead = np.clip(q + share * step, lower, upper)
+            there = terms_at(ahead)
             most = _ROUNDING * here.value + _LEAST_DECREASE * share * slope
             if there.value <= most:
                 break
             share *= 0.5
             if share < _SMALLEST_SHARE:
-                return distance.whole(x)
-        length = np.abs(ahead - x).max()
-        x = ahead
+                return q
+        length = np.abs(ahead - q).max()
+        q = ahead
         here = there
         if length < _SMALLEST_STEP:
             break
-    return distance.whole(x)
+    return q
 
 
 class _Terms(NamedTuple):
-    """Value, gradient (k,) and Hessian (k, k) of f in the free joints."""
+    """Value, gradient (n,) and Hessian (n, n) of f."""
 
     value: float
     gradient: Array
     hessian: Array
 
 
-class _Distance:
-    """f of one hand by its joints that move no wrist; arguments as of `nearest_posture`."""
+def _distance(
+    hand: Hand, targets: Array, costs: Array, rest_cost: float
+) -> Callable[[Array], _Terms]:
+    """Return f by joint positions (n,); arguments are as of `nearest_posture`."""
+    placed = hand.configuration()
+    # From the joints to the model's tangent space. Those that move the wrist do not count.
+    spread = hand.joint_motion * ~hand.moves_wrist
+    # For each coordinate of the model, those that it carries.
+    model = hand.model
+    carriers = np.repeat(np.arange(model.njoints), model.nvs)
+    is_ancestor = moved_by(model, carriers.tolist()).T
 
-    def __init__(
-        self, hand: Hand, targets: Array, costs: Array, rest_cost: float
-    ) -> None:
-        self._hand = hand
-        self._targets = targets
-        self._costs = costs[:, None] ** 2
-        self._rest_cost = rest_cost**2
-        self._placed = hand.configuration()
-        self.free = np.flatnonzero(~hand.moves_wrist)
-        # From the free joints to the model's tangent space.
-        self._spread = hand.joint_motion[:, self.free]
-        # For each coordinate of the model, those that it carries.
-        model = hand.model
-        carriers = np.repeat(np.arange(model.njoints), model.nvs)
-        self._is_ancestor = moved_by(model, carriers.tolist()).T
-        self._rest = hand.rest[self.free]
-
-    def whole(self, x: Array) -> Array:
-        """Return the positions of all joints, given those of the free ones."""
-        q = self._hand.rest.copy()
-        q[self.free] = x
-        return q
-
-    def at(self, x: Array) -> _Terms:
-        """Return f and its derivatives at positions of the free joints, shape (k,)."""
-        placed = self._placed
-        away = x - self._rest
-        placed.place(self._hand.configuration_vector(self.whole(x)))
-        errors = placed.points - self._targets
-        forces = self._costs * errors
+    def terms_at(q: Array) -> _Terms:
+        away = q - hand.rest
+        placed.place(hand.configuration_vector(q))
+        errors = placed.points - targets
+        forces = costs[:, None] ** 2 * errors
         rows = placed.full_point_jacobian()
         # S_ij = axis_i . sum_k (J_kj x force_k), for i an ancestor of j or j itself.
         levers = rows.reshape(len(forces), 3, -1)
         turning = np.cross(levers, forces[:, :, None], axis=1).sum(axis=0)
-        curvature = placed.data.J[3:].T.dot(turning) * self._is_ancestor
-        full = rows.T.dot(np.repeat(self._costs, 3, axis=0) * rows)
+        curvature = placed.data.J[3:].T.dot(turning) * is_ancestor
+        full = rows.T.dot(np.repeat(costs**2, 3)[:, None] * rows)
         full += curvature + np.triu(curvature, 1).T
-        hessian = self._spread.T.dot(full).dot(self._spread)
-        hessian += self._rest_cost * np.eye(len(x))
-        gradient = (
-            forces.reshape(-1).dot(rows).dot(self._spread) + self._rest_cost * away
-        )
-        value = 0.5 * ((forces * errors).sum() + self._rest_cost * away.dot(away))
+        hessian = spread.T.dot(full).dot(spread) + rest_cost**2 * np.eye(len(q))
+        gradient = forces.reshape(-1).dot(rows).dot(spread) + rest_cost**2 * away
+        value = 0.5 * ((forces * errors).sum() + rest_cost**2 * away.dot(away))
         return _Terms(value, gradient, hessian)
+
+    return terms_at
 
 
 def _convex(hessian: Array) -> Array:

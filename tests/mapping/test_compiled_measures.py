@@ -100,9 +100,8 @@ def test_a_posture_is_the_nearest_one_to_hostile_targets_too(
         assert (q >= hand.lower_limits).all()
         assert (q <= hand.upper_limits).all()
         other = posture_module.nearest_posture(*arguments)
-        distance = posture_module._Distance(*arguments[:4])
-        free = distance.free
-        values = [distance.at(x[free]).value for x in (q, other)]
+        terms_at = posture_module._distance(*arguments[:4])
+        values = [terms_at(x).value for x in (q, other)]
         # Of several minima nearby, rounding may choose.
         apart.append(abs(values[0] - values[1]) / values[1])
     assert np.median(apart) < 1e-12

@@ -8,7 +8,7 @@ from marks import slow
 
 from handmap_qp import load_hand
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.nearest_posture import _Distance, nearest_posture
+from handmap_qp.ik.nearest_posture import _distance, nearest_posture
 
 REST_COST = 0.05
 
@@ -32,42 +32,46 @@ def test_nothing_nearby_is_better(name: str, seed: int) -> None:
     hand, targets, costs = case(name, seed)
     q = nearest_posture(hand, targets, costs, REST_COST, hand.rest)
     assert ((q >= hand.lower_limits) & (q <= hand.upper_limits)).all()
-    distance = _Distance(hand, targets, costs, REST_COST)
-    free = distance.free
-    assert len(free) == len(hand.spec.joints)
-    np.testing.assert_array_equal(np.delete(q, free), np.delete(hand.rest, free))
-    found = distance.at(q[free])
+    terms_at = _distance(hand, targets, costs, REST_COST)
+    free = ~hand.moves_wrist
+    assert free.sum() == len(hand.spec.joints)
+    np.testing.assert_array_equal(q[~free], hand.rest[~free])
+    found = terms_at(q)
     # The slope vanishes, or leads out of the limits.
-    at_lower = q[free] <= hand.lower_limits[free] + 1e-12
-    at_upper = q[free] >= hand.upper_limits[free] - 1e-12
+    at_lower = q <= hand.lower_limits + 1e-12
+    at_upper = q >= hand.upper_limits - 1e-12
     slope = np.where(at_lower, np.minimum(found.gradient, 0.0), found.gradient)
     slope = np.where(at_upper, np.maximum(slope, 0.0), slope)
     assert np.abs(slope).max() < 1e-6 * np.abs(found.hessian).max()
     inside = ~(at_lower | at_upper)
     assert np.linalg.eigvalsh(found.hessian[np.ix_(inside, inside)])[0] > 0.0
-    assert found.value <= distance.at(hand.rest[free]).value
+    assert found.value <= terms_at(hand.rest).value
 
 
 @pytest.mark.parametrize("name", ["allegro_right", "hey5", "ur5_allegro"])
 def test_derivatives_are_those_of_the_value(name: str) -> None:
     hand, targets, costs = case(name, 0)
-    distance = _Distance(hand, targets, costs, REST_COST)
-    x = case(name, 1)[0].rest[distance.free]
-    found, step = distance.at(x), 1e-6
-    moves = step * np.eye(len(x))
-    ahead, behind = ([distance.at(x + s * move) for move in moves] for s in (1, -1))
+    terms_at = _distance(hand, targets, costs, REST_COST)
+    found, step, free = terms_at(hand.rest), 1e-6, ~hand.moves_wrist
+    # Joints that move the wrist stay: nothing but the pull to rest is known of them.
+    assert not found.gradient[~free].any()
+    assert not found.hessian[np.ix_(free, ~free)].any()
+    moves = step * np.eye(len(free))[free]
+    ahead, behind = (
+        [terms_at(hand.rest + s * move) for move in moves] for s in (1, -1)
+    )
     slopes = [
         0.5 * (a.value - b.value) / step for a, b in zip(ahead, behind, strict=True)
     ]
     np.testing.assert_allclose(
-        slopes, found.gradient, atol=1e-6 * np.abs(found.gradient).max()
+        slopes, found.gradient[free], atol=1e-6 * np.abs(found.gradient).max()
     )
     turns = [
         0.5 * (a.gradient - b.gradient) / step
         for a, b in zip(ahead, behind, strict=True)
     ]
     np.testing.assert_allclose(
-        turns, found.hessian, atol=1e-7 * np.abs(found.hessian).max()
+        turns, found.hessian[free], atol=1e-7 * np.abs(found.hessian).max()
     )
 
 
