@@ -42,17 +42,6 @@ inline std::vector<Attached> attached_of(const Indices& joints, const Array& off
   return points;
 }
 
-// Places of Python: pairs of a joint of Pinocchio and an offset.
-inline std::vector<Attached> attached_at(const nb::object& places) {
-  std::vector<Attached> points;
-  for (const nb::handle& each : places) {
-    const nb::object place = nb::borrow(each);
-    points.push_back({nb::cast<int>(place[nb::int_(0)]) - 1,
-                      points_of(nb::cast<Array>(place[nb::int_(1)]))[0]});
-  }
-  return points;
-}
-
 // Attributes of an object of Python, whose names the core shares; a path goes on by dots.
 class Fields {
  public:
@@ -182,11 +171,10 @@ inline Tree moved_tree(const Tree& standard, const nb::dict& moves) {
   return tree;
 }
 
-// Points by their places, or by their links and where they are on them, as `PointSpec` has them.
+// Points by their links and where they are on them, as `PointSpec` has them.
 inline std::vector<Attached> attached_of(const Tree& tree, const nb::object& specs) {
   std::vector<Attached> points;
   for (const nb::handle& each : specs) {
-    if (nb::isinstance<nb::tuple>(each)) return attached_at(specs);
     const Fields spec(nb::borrow(each));
     const nb::object xyz = spec.object("xyz");
     points.push_back(tree.attached(spec.get<std::string>("link"),

@@ -196,45 +196,6 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
-// See hand_pair._pinching_thumb: of a hand that has the limits of the solver's, pads by their places and
-// the distances at which they touch, the thumb's first.
-nb::object pinching_thumb(const Tree& tree, const nb::object& solver, const nb::object& pads, const Array& touching, const nb::object& tip) {
-  const Fields constants = module_of("handmap_qp.mapping.hand_pair");
-  const Ik& like = Fields(solver).get<const PythonIk&>("core");
-  const double dt = constants.get<double>("_UNHURRIED");
-  // The gaps alone count, and no point.
-  Ik ik(tree);
-  ik.weights = like.weights;
-  ik.weights.points.clear();
-  ik.settings = like.settings;
-  ik.limits = like.limits;
-  DistanceTask task{attached_at(pads), {}, {}};
-  Goal goal;
-  goal.postures =
-      postures_of(ik, nb::cast<Postures>(nb::getattr(solver, "postures")(dt, nb::none())));
-  const Attached thumb = attached_at(tip)[0];
-  const int count = static_cast<int>(touching.size());
-  for (int k = 0; k < count; ++k) {
-    task.first.push_back(0);
-    task.second.push_back(k + 1);
-  }
-  goal.distances = {{&task, vector_of(touching), Vector(count)}};
-  Vec3 sum;
-  for (int k = 0; k < count; ++k) {
-    Vector& weights = goal.distances[0].weights;
-    weights.assign(count, 0.0);
-    weights[k] = constants.get<double>("_GAP_WEIGHT");
-    goal.points.clear();
-    approach(ik, goal, tree.rest, dt, constants.get<int>("_PINCH_STEPS"),
-             constants.get<double>("_TOUCHING"));
-    Placed placed(ik.tree);
-    placed.place(ik.motion.q.data());
-    sum += inverse(placed.pose(tree.palm_origin.joint) * tree.palm) * placed.point(thumb);
-  }
-  sum *= 1.0 / count;
-  return array_of({3}, &sum.x);
-}
-
 // See measure.measure_shape, whose constants and arguments these are.
 nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
   const Fields constants(nb::module_::import_("handmap_qp.human.measure"));
@@ -322,7 +283,7 @@ nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array
   return nb::cast(array_of(problem.solve(vector_of(start))));
 }
 
-// Points in palm axes, of joint positions.
+// Points by `PointSpec` in palm axes, of joint positions.
 nb::object points_in_palm(const Tree& tree, const Array& q, const nb::object& points) {
   expect_size(q, tree.q_indices.size(), "q");
   Placed placed(tree);
@@ -332,16 +293,6 @@ nb::object points_in_palm(const Tree& tree, const Array& q, const nb::object& po
   for (const Attached& point : attached_of(tree, points))
     found.push_back(from * placed.point(point));
   return array_of(found);
-}
-
-// Points by `PointSpec`, and the wrist, of a configuration.
-nb::tuple posture_of(const Tree& tree, const Array& configuration, const nb::object& specs) {
-  expect_size(configuration, tree.nq, "configuration");
-  Placed placed(tree);
-  placed.place(configuration.data());
-  std::vector<Vec3> found;
-  for (const Attached& point : attached_of(tree, specs)) found.push_back(placed.point(point));
-  return nb::make_tuple(array_of(found), array_of(placed.wrist()));
 }
 
 // See surface_gaps: of joint positions (T, n), a column for the pairs from each of `starts` on.
@@ -442,10 +393,8 @@ NB_MODULE(_core, m) {
              make_frames(*new (self) Tree(make_tree(Fields(hand))), Fields(hand));
            })
       .def("moved", &moved_tree)
-      .def("posture", &posture_of)
       .def("points", &points_in_palm)
       .def("nearest_posture", &nearest_posture)
-      .def("pinching_thumb", &pinching_thumb)
       .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
   m.def("measure_shape", &measure_shape);

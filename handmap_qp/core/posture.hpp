@@ -211,29 +211,6 @@ class NearestPosture {
   std::vector<Vec3> turning_;
 };
 
-// Move a hand from rest, where its points and wrist should stay, until a task's distances are within
-// a tolerance of their aims, or for so many samples; see hand_pair._approach.
-inline void approach(Ik& ik, Goal& goal, const Vector& start, double dt, int samples,
-                     double tolerance) {
-  const auto& [task, aims, weights] = goal.distances[0];
-  ik.motion = {start, Vector(ik.tree.size, 0.0), 1.0, Vector(ik.tree.size, 0.0)};
-  Placed placed(ik.tree);
-  placed.place(start.data());
-  goal.wrists = {placed.wrist()};
-  for (const Attached& point : ik.tree.points) goal.points.push_back(placed.point(point));
-  Result result;
-  for (bool is_near = false; samples > 0 && !is_near; --samples) {
-    ik.solve(goal, dt, {}, 1.0, result);
-    placed.place(ik.motion.q.data());
-    is_near = true;
-    for (size_t k = 0; k < aims.size(); ++k) {
-      const Vec3 apart = placed.point(task->points[task->first[k]]) -
-                         placed.point(task->points[task->second[k]]);
-      is_near &= weights[k] == 0.0 || std::abs(norm(apart) - aims[k]) < tolerance;
-    }
-  }
-}
-
 // Smallest distances of pairs in many postures, one after the other. A pair is measured only if it is
 // not known to be farther apart: by its balls, or along the direction that parted it last.
 class SmallestDistances {

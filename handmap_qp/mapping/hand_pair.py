@@ -4,7 +4,7 @@ All of it is measured on the two models, once for each pair of hands.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -26,7 +26,7 @@ from handmap_qp.hands import (
     partner_names,
 )
 from handmap_qp.human import LANDMARK_NAMES, landmarks_at_rest
-from handmap_qp.ik import AttachedPoints, IkOptions, PointDistances, PointIk, core_tree
+from handmap_qp.ik import AttachedPoints, IkOptions, PointDistances, PointIk
 from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.se3 import Array, frozen, lengths, transform_points, unit
 from .palm import point_indices, require_points
@@ -381,8 +381,6 @@ def points_in_palm(
         q: Its joint positions [rad or m], shape (n,).
         places: Points on joints; the hand's reference points if omitted.
     """
-    if tree := core_tree(hand):
-        return tree.points(q, hand.reference_points if places is None else places)
     if places is None:
         places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
     return PalmKinematics(hand).points(q, places)
@@ -408,10 +406,6 @@ def _pinching_thumb(
     # The thumb is the first finger.
     used = [*pads.values()]
     tip = [chains[THUMB].tip]
-    if tree := core_tree(hand):
-        places = [pad.place for pad in used]
-        ik = _pinching_ik(hand.unscaled or hand)
-        return tree.pinching_thumb(ik, places, touching_distances(used), tip)
     ik = PointIk(hand, _PINCHING)
     task = gap_task(hand, used)
     tips = []
@@ -419,9 +413,6 @@ def _pinching_thumb(
         own = task.aimed_at(task.distances, is_used * task.weights)
         tips.append(points_in_palm(hand, approach(ik, own, _PINCH_STEPS), tip)[0])
     return np.mean(tips, axis=0)
-
-
-_pinching_ik = lru_cache(maxsize=16)(partial(PointIk, options=_PINCHING))
 
 
 def gap_task(

@@ -19,7 +19,6 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from handmap_qp import ik
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.human import LANDMARK_COUNT, LANDMARK_NAMES, PALM, landmarks_at_rest
@@ -649,8 +648,6 @@ def _method_of(
 def posture_of(robot: Hand, vector: Array) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
     q = vector[robot.q_indices]
-    if tree := ik.compiled.core_tree(robot):
-        return RobotPosture(q, *tree.posture(vector, robot.reference_points))
     placed = robot.configuration()
     placed.place(vector)
     return RobotPosture(q, placed.points, placed.wrist.homogeneous)
