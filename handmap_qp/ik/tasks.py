@@ -223,29 +223,25 @@ class PointDistances(Compiled):
         )
 
 
-class PointOffset:
+class PointOffset(NamedTuple):
     """Keeps a point of a robot at an offset from another one, in world axes.
 
-    Args:
-        hand: The robot.
-        places: The first point and the other one; joint of the model, and offset in its frame [m].
+    Attributes:
+        points: The first point and the other one.
         aim: Offset of the other point from the first one [m], shape (3,).
         weight: Weight per 10 mm of error.
     """
 
-    def __init__(
-        self, hand: Hand, places: Sequence[tuple[int, Array]], aim: Array, weight: float
-    ) -> None:
-        self._aim = aim
-        self._weight = weight
-        self._points = AttachedPoints(hand, places)
+    points: AttachedPoints
+    aim: Array
+    weight: float
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row an axis; see `Task.linearise`."""
-        positions = self._points.positions(hand)
-        first, other = self._points.jacobians(hand, positions)
-        weight = self._weight / LENGTH_UNIT
-        residual = weight * (positions[1] - positions[0] - self._aim)
+        positions = self.points.positions(hand)
+        first, other = self.points.jacobians(hand, positions)
+        weight = self.weight / LENGTH_UNIT
+        residual = weight * (positions[1] - positions[0] - self.aim)
         return TaskRows(residual, weight * (other - first))
 
 

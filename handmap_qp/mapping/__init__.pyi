@@ -2,7 +2,6 @@ from .alignment import AlignedOptions as AlignedOptions
 from .alignment import Row as Row
 from .alignment import alignment_from_gestures as alignment_from_gestures
 from .alignment import found_alignment as found_alignment
-from .alignment import in_robot_world as in_robot_world
 from .alignment import rotation_of as rotation_of
 from .alignment import rotation_onto as rotation_onto
 from .decomposition import polar as polar

@@ -13,7 +13,6 @@ from handmap_qp.options import number
 from handmap_qp.se3 import (
     FARTHEST,
     Array,
-    affine,
     as_floats,
     frozen,
     lengths,
@@ -152,13 +151,3 @@ def rotation_of(
     if isinstance(alignment, str):
         return _ROTATIONS.get(alignment, _ROTATIONS["world"])
     return np.array(alignment)
-
-
-def in_robot_world(alignment: Alignment, palm: Array | None) -> Array:
-    """Return where a human's palm is in the robot's world, (4, 4).
-
-    It is the origin where nothing else is known: with `palm`, and without a palm.
-    """
-    if alignment == "palm" or palm is None:
-        return np.eye(4)
-    return affine(rotation_of(alignment)) @ palm

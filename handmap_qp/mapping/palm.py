@@ -10,7 +10,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
-from .alignment import AlignedOptions, in_robot_world, rotation_of
+from .alignment import AlignedOptions, rotation_of
 from .method import HumanPose, RobotPosture, TargetMap
 
 if TYPE_CHECKING:
@@ -38,8 +38,14 @@ class PalmMethod:
         self.robot = robot
 
     def start_palm(self, sample: HumanPose) -> Array:
-        """Return the human's palm in the robot's world, as far as it is known."""
-        return in_robot_world(self.alignment, known_palm(sample, self.human))
+        """Return the human's palm in the robot's world, as far as it is known.
+
+        It is the origin where nothing else is known: with `palm`, and without a palm.
+        """
+        palm = known_palm(sample, self.human)
+        if self.alignment == "palm" or palm is None:
+            return np.eye(4)
+        return affine(rotation_of(self.alignment)) @ palm
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
         """Take both hands as they are for the reference; see `BoundMethod.start`."""

@@ -31,7 +31,15 @@ from handmap_qp.hands import (
     load_hand,
 )
 from handmap_qp.human import Verdict, human_name
-from handmap_qp.ik import IkOptions, IkResult, Motion, PointIk, PointOffset, Task
+from handmap_qp.ik import (
+    AttachedPoints,
+    IkOptions,
+    IkResult,
+    Motion,
+    PointIk,
+    PointOffset,
+    Task,
+)
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
@@ -487,7 +495,7 @@ class RobotMapper(Mover):
             shift = (k - 0.5) * (aim - own)
             targets[k] = _turned(maps[k], targets[k], person, share, shift)
         weight = _TOGETHER_SHARE * share * self.ik.wrist_position_weight
-        return [PointOffset(self.robot, places, aim, weight)]
+        return [PointOffset(AttachedPoints(self.robot, places), aim, weight)]
 
     def _margins(self, targets: list[Targets]) -> Array | None:
         """Return the margin of each pair: that of the hand whose thumb and finger it is."""

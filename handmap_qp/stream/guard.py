@@ -134,10 +134,9 @@ class RateCheck:
     Two in a row must drift the same way: a stall, the burst behind it and a clock set do not.
     """
 
-    def __init__(self) -> None:
-        self._start = self._former = self._lead = math.nan
-        self._drift = 0.0
-        self._rate: float | None = None
+    _start = _former = _lead = math.nan
+    _drift = 0.0
+    _rate: float | None = None
 
     def update(self, stamp: float, arrival: float) -> float | None:
         """Take the next sample; return seconds of stamps in a second of arrival.

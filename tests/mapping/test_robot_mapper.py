@@ -21,7 +21,7 @@ from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.ik.tasks import PointDistances, PointOffset
+from handmap_qp.ik.tasks import AttachedPoints, PointDistances, PointOffset
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
 from handmap_qp.stream.follower import SMOOTH_IK
@@ -309,7 +309,7 @@ def test_offsets_are_derivatives(g1: Hand) -> None:
         (hand.wrist_frame.parentJoint, np.array([0.1, 0.0, 0.1]))
         for hand in whole.hands
     ]
-    task = PointOffset(whole, places, np.array([0.1, 0.2, 0.3]), 5.0)
+    task = PointOffset(AttachedPoints(whole, places), np.array([0.1, 0.2, 0.3]), 5.0)
     placed = whole.configuration()
     rng = np.random.default_rng(0)
     q = whole.configuration_vector(rng.uniform(whole.lower_limits, whole.upper_limits))
