@@ -48,7 +48,7 @@ from .options_file import options_text as options_text
 from .options_file import read_options as read_options
 from .palm import PalmMap as PalmMap
 from .palm import PalmMethod as PalmMethod
-from .palm import known_palm as known_palm
+from .palm import palm_of as palm_of
 from .palm import require_points as require_points
 from .presets import IK_NAMES as IK_NAMES
 from .presets import Choice as Choice

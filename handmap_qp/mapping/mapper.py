@@ -238,8 +238,6 @@ class HandMapper(Mover):
         wrist = None
         if wrist_pose is not None:
             wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
-        elif needs := self._needs_wrist():
-            raise InvalidInputError(f"needed for {needs}", argument="wrist_pose")
         measured = as_points(points, "points", len(self.human.reference_points))
         return self.map(HumanPose(measured.copy(), wrist), dt)
 
@@ -279,12 +277,14 @@ class HandMapper(Mover):
         Result and errors are those of `map_step`.
 
         Args:
-            sample: The sample; not checked.
+            sample: The sample; not checked, but for a wrist that is needed.
             dt: As of `map_step` [s].
             speed: Share of the speed limits at which the robot may move.
         """
         started = perf_counter()
         dt = self.dt if dt is None else check_dt(dt)
+        if sample.wrist is None:
+            self._check_wrist()
         bound = self.bound
         reference = self._reference or self._reference_at(sample)
         target_map = reference.map
@@ -509,13 +509,15 @@ class HandMapper(Mover):
         self._awaits_palm = False
         self._reference = reference
 
-    def _needs_wrist(self) -> str:
-        """Return what the next sample's wrist pose is needed for; empty if for nothing."""
+    def _check_wrist(self) -> None:
+        """Reject the next sample, which has no wrist pose, if it needs one."""
         bound = self.bound
         needs = bound.needs_wrist
         if not self._reference or bound.renews_reference:
             needs = needs or bound.reference_needs_wrist
-        return needs or (_PLACING if self._awaits_palm else "")
+        needs = needs or (_PLACING if self._awaits_palm else "")
+        if needs:
+            raise InvalidInputError(f"needed for {needs}", argument="wrist_pose")
 
 
 class LandmarkReader(Compiled):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 from .alignment import AlignedOptions, rotation_of
@@ -38,14 +38,10 @@ class PalmMethod:
         self.robot = robot
 
     def start_palm(self, sample: HumanPose) -> Array:
-        """Return the human's palm in the robot's world, as far as it is known.
-
-        It is the origin where nothing else is known: with `palm`, and without a palm.
-        """
-        palm = known_palm(sample, self.human)
-        if self.alignment == "palm" or palm is None:
+        """Return the human's palm in the robot's world; the origin where `palm` aligns them."""
+        if self.alignment == "palm":
             return np.eye(4)
-        return affine(rotation_of(self.alignment)) @ palm
+        return affine(rotation_of(self.alignment)) @ palm_of(sample, self.human)
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
         """Take both hands as they are for the reference; see `BoundMethod.start`."""
@@ -122,9 +118,6 @@ class PalmMap:
         Returns:
             The human's palm and the target of the robot's palm, shape (4, 4) each; the human's
             points in palm axes [m], shape (n_h, 3).
-
-        Raises:
-            InvalidInputError: If the wrist was not measured.
         """
         human = palm_of(sample, self._method.human)
         points = transform_points(inverse_pose(human), sample.points)
@@ -149,9 +142,6 @@ class PalmMap:
         """Return a sample's palm in the robot's world, about its anchor, shape (4, 4).
 
         Its place is times the scale.
-
-        Raises:
-            InvalidInputError: If the wrist was not measured.
         """
         palm = palm_of(sample, self._method.human)
         anchor = (1.0 + self.further) * transform_points(palm, self.human_anchor)
@@ -167,22 +157,10 @@ class PalmMap:
         return transform_points(palm, points), palm @ self.robot_palm_to_wrist
 
 
-def known_palm(sample: HumanPose, human: Hand) -> Array | None:
-    """Return the palm pose of a sample, shape (4, 4); None if its wrist was not measured."""
-    return None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
-
-
 def palm_of(sample: HumanPose, human: Hand) -> Array:
-    """Return the palm pose of a sample, shape (4, 4).
-
-    Raises:
-        InvalidInputError: If its wrist was not measured.
-    """
-    if (palm := known_palm(sample, human)) is None:
-        raise InvalidInputError(
-            "needed for the pose of the palm", argument="wrist_pose"
-        )
-    return palm
+    """Return the palm pose of a sample whose wrist was measured, shape (4, 4)."""
+    assert sample.wrist is not None
+    return sample.wrist @ human.wrist_to_palm
 
 
 def point_indices(human: Hand) -> dict[str, int]:

@@ -19,6 +19,7 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.method import HumanPose
 from handmap_qp.se3 import affine, transform_points
 
 HUMAN = load_hand("human")
@@ -349,3 +350,20 @@ def test_a_reference_without_wrist_is_refused_by_what_needs_it(
     [(name, value)] = choice.items()
     with pytest.raises(InvalidInputError, match=f"needed for {name}='{value}'"):
         mapper.map_points(HUMAN.points(HUMAN.rest))
+
+
+@pytest.mark.parametrize(
+    ("options", "needed"),
+    [({"rigid_from": "wrist"}, "rigid_from='wrist'"), ({}, "the pose of the palm")],
+    ids=str,
+)
+def test_every_sample_without_a_wrist_is_refused_by_what_needs_it(
+    options: dict[str, Any], needed: str
+) -> None:
+    human = load_hand("human", points="landmarks")
+    mapper = HandMapper(human, load_hand("allegro_right"), **options)
+    sample = HumanPose(human.points(human.rest), None)
+    for _ in range(2):
+        with pytest.raises(InvalidInputError, match=f"wrist_pose: needed for {needed}"):
+            mapper.map(sample)
+        mapper.map_points(sample.points, np.eye(4))

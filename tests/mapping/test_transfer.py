@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import affine_motions, generators, motion_of, poses
 
-from handmap_qp import Homogeneous, InvalidInputError, load_hand
+from handmap_qp import Homogeneous, load_hand
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.se3 import transform_points
 
@@ -287,9 +287,3 @@ def test_other_units_of_length_scale_lengths_and_nothing_else(
         two.wrist, in_unit(one.wrist, unit), rtol=1e-9, atol=1e-9 * unit
     )
     np.testing.assert_allclose(there.stretches, here.stretches, atol=1e-9)
-
-
-def test_a_wrist_is_needed_where_it_gives_the_rigid_part() -> None:
-    options = options_of(rigid_from="wrist")
-    with pytest.raises(InvalidInputError, match="wrist_pose"):
-        Transfer(options, np.eye(4))

@@ -11,12 +11,12 @@ are the pivots, `Q` the rotation from the human's world axes to the robot's.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
 
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
 from handmap_qp.ik import Compiled, IkOptions
 from handmap_qp.mapping import (
@@ -29,7 +29,7 @@ from handmap_qp.mapping import (
     RobotPosture,
     Row,
     Targets,
-    known_palm,
+    palm_of,
     require_partners,
     rotation_of,
 )
@@ -48,7 +48,7 @@ class HomogeneousMap(Compiled):
         human = method.human
         hand = method.robot
         self.options = options
-        self.human_wrist = sample.wrist
+        self.human_wrist: Any = sample.wrist
         # A chain of references has no posture to come back to but the hand's own.
         self.rest = hand.rest if method.renews_reference else robot.q
         self.estimator = MotionEstimator(
@@ -58,7 +58,7 @@ class HomogeneousMap(Compiled):
             has_prior=bool(method.needs_wrist),
         )
         robot_palm = robot.wrist @ hand.wrist_to_palm
-        human_palm = known_palm(sample, human)
+        human_palm = None if sample.wrist is None else palm_of(sample, human)
         if options.pivot == "centroid":
             pivot = self.estimator.centroid
             robot_pivot = hand.point_weights @ robot.points / hand.point_weights.sum()
@@ -136,13 +136,8 @@ class HomogeneousMap(Compiled):
         """Return the wrist's motion since the reference, (4, 4); None if it is not asked for."""
         if self.options.rigid_from != "wrist":
             return None
-        before = self.human_wrist
-        now = sample.wrist
-        if before is None or now is None:
-            raise InvalidInputError(
-                "needed for rigid_from='wrist'", argument="wrist_pose"
-            )
-        return now @ inverse_pose(before)
+        assert sample.wrist is not None
+        return sample.wrist @ inverse_pose(self.human_wrist)
 
     def _placed(self, image: Array) -> Array:
         """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
@@ -220,10 +215,6 @@ class BoundHomogeneous(PalmMethod):
     def start(self, sample: HumanPose, robot: RobotPosture) -> HomogeneousMap:
         """Take both hands for the reference, as they are or at rest; see `BoundMethod.start`."""
         if self.options.reference == "rest":
-            if sample.wrist is None:
-                raise InvalidInputError(
-                    "needed for reference='rest'", argument="wrist_pose"
-                )
             hand = self.robot
             points = self.human.points(self.human.rest, sample.wrist)
             sample = HumanPose(points, sample.wrist)

@@ -29,13 +29,14 @@ from handmap_qp.mapping import (
     RobotFingers,
     RobotPosture,
     Targets,
+    palm_of,
 )
 from handmap_qp.mapping.hand_pair import (
     finger_landmarks,
     hand_pair,
     touching_distances,
 )
-from handmap_qp.mapping.palm import palm_of, point_indices
+from handmap_qp.mapping.palm import point_indices
 from handmap_qp.options import Share, number
 from handmap_qp.se3 import (
     Array,
