@@ -34,7 +34,7 @@ from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.human import sample_columns
 from handmap_qp.mapping.hand_pair import robot_fingers
-from handmap_qp.mapping.objects import parse_object
+from handmap_qp.mapping.objects import parse_object, surface
 from handmap_qp.se3 import affine
 from handmap_qp.stream import Follower, GripOptions, ObjectFollower
 
@@ -102,7 +102,7 @@ def tried(
     left = np.linalg.inv(poses[-1]) @ simulator.object_pose
     off = float(np.linalg.norm(left[:3, 3]))
     return {
-        "held": bool(off < _LOST + shape.width / 2.0),
+        "held": bool(off < _LOST + surface(shape).extents[0] / 2.0),
         "off mm": 1e3 * off,
         "turned deg": float(np.degrees(np.linalg.norm(pin.log3(left[:3, :3])))),
         "force N": float(np.median(forces)),

@@ -33,24 +33,8 @@ class Box(Options, frozen=True):
 
     size: tuple[Positive, Positive, Positive]
 
-    @property
-    def width(self) -> float:
-        """Width along x [m]."""
-        return self.size[0]
 
-
-class _Round(Options, frozen=True):
-    """A shape that is round about z."""
-
-    radius: Positive
-
-    @property
-    def width(self) -> float:
-        """Width along x [m]."""
-        return 2.0 * self.radius
-
-
-class Sphere(_Round, frozen=True):
+class Sphere(Options, frozen=True):
     """A sphere.
 
     Attributes:
@@ -60,8 +44,10 @@ class Sphere(_Round, frozen=True):
         InvalidOptionsError: If the radius is not > 0.
     """
 
+    radius: Positive
 
-class Cylinder(_Round, frozen=True):
+
+class Cylinder(Options, frozen=True):
     """A cylinder along z.
 
     Attributes:
@@ -72,6 +58,7 @@ class Cylinder(_Round, frozen=True):
         InvalidOptionsError: If radius or length is not > 0.
     """
 
+    radius: Positive
     length: Positive
 
 
@@ -93,11 +80,6 @@ class MeshShape:
         rank = np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6)
         expect(rank == 3, "vertices", "points [m] that span a volume, shape (n, 3)")
         object.__setattr__(self, "points", points)
-
-    @property
-    def width(self) -> float:
-        """Width along x [m]."""
-        return float(np.ptp(self.points[:, 0]))
 
 
 Shape = Box | Sphere | Cylinder | MeshShape

@@ -33,7 +33,14 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.spec import PadSpec
 from handmap_qp.human.recording import Recording
-from handmap_qp.mapping.objects import Box, Cylinder, MeshShape, Sphere, parse_object
+from handmap_qp.mapping.objects import (
+    Box,
+    Cylinder,
+    MeshShape,
+    Sphere,
+    parse_object,
+    surface,
+)
 from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.archive import read_archive
 
@@ -116,7 +123,7 @@ def test_the_stand_lets_go_when_both_pads_have_pressed(lifted: PinchOutcome) -> 
 def test_the_stand_lets_go_at_last_where_no_grip_comes(pinching: PinchScene) -> None:
     """A second after the pads should have met the object."""
     below = PinchTrial(offset=(0.0, 0.0, -0.06))
-    met = pinching.meeting(below.shape.width)
+    met = pinching.meeting(surface(below.shape).extents[0])
     at = pinching.run(below).episode.at
     falls = np.flatnonzero(at.object_pose[0, 2, 3] - at.object_pose[:, 2, 3] > 1e-4)
     assert at.time[falls[0]] == pytest.approx(met.time + 1.0, abs=0.05)
@@ -199,7 +206,7 @@ def test_trials_repeat_with_their_seed(pinching: PinchScene) -> None:
         )
         assert type(a.shape) is type(b.shape)
     assert [t.mass for t in one] != [t.mass for t in other]
-    assert all(0.02 <= trial.shape.width <= 0.045 for trial in one)
+    assert all(0.02 <= surface(trial.shape).extents[0] <= 0.045 for trial in one)
     assert {trial.mass for trial in random_trials(5, 0, "nominal")} == {0.05}
     results = [pinching.run(one[0]._replace(shape=Sphere(0.012))) for _ in range(2)]
     first, second = (result.episode.at.object_pose for result in results)
@@ -547,7 +554,7 @@ def test_a_dozen_recordings_are_picks_and_the_household_can_be_simulated(
         assert window.opened <= window.start < window.closed < window.end
     assert len(HOUSEHOLD) == 12
     for trial in HOUSEHOLD.values():
-        assert 0.005 < trial.shape.width < 0.2
+        assert 0.005 < surface(trial.shape).extents[0] < 0.2
         simulator = Simulator(pinching.commands.hand, Body(trial.shape, trial.mass))
         # The frame's origin is inside, where the pads come together.
         reach = simulator.model.geom("/object").rbound

@@ -19,7 +19,15 @@ from scipy.stats import binomtest
 from handmap_qp.apps.tables import Row
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import THUMB, Hand, Vector
-from handmap_qp.mapping import KINDS, Box, Shape, Sphere, parse_object, robot_fingers
+from handmap_qp.mapping import (
+    KINDS,
+    Box,
+    Shape,
+    Sphere,
+    parse_object,
+    robot_fingers,
+    surface,
+)
 from handmap_qp.se3 import (
     Array,
     affine,
@@ -206,7 +214,7 @@ class PinchScene:
                 of it, wherever the trial may start.
         """
         pads = self.pads
-        width = trial.shape.width
+        width = surface(trial.shape).extents[0]
         met = self.meeting(width)
         place = pads.middle(met.places) + trial.offset
         # The object's z is up and its x along the pinch, turned about the vertical.
@@ -386,7 +394,7 @@ def describe_trial(trial: PinchTrial) -> Row:
     """Describe an object and its place by plain values, in metres, kilograms and radians."""
     return trial._asdict() | {
         "shape": type(trial.shape).__name__.lower(),
-        "width": trial.shape.width,
+        "width": float(surface(trial.shape).extents[0]),
         "offset": list(trial.offset),
     }
 
