@@ -229,6 +229,7 @@ class PointIk:
         motion: How the hand moves; at rest in its neutral configuration if omitted.
         contacts: Pairs of shapes that are kept apart, whatever `avoids_self_collision` says; those
             within 12 mm beyond their margin get a row, in short samples fewer.
+        detours: Of each hand, as of the solver that this one is a copy of; none if omitted.
 
     Attributes:
         hand: The hand.
@@ -246,8 +247,8 @@ class PointIk:
         hand: Hand,
         options: IkOptions,
         motion: Motion | None = None,
-        *,
         contacts: ShapePairs | None = None,
+        detours: list[Any] | None = None,
     ) -> None:
         self.hand = hand
         self.options = options
@@ -270,24 +271,19 @@ class PointIk:
             options,
             collisions,
         )
-        self.core = ik.compiled.compile_ik(hand, options, self.gate)
+        self.core: Any = ik.compiled.compile_ik(hand, options, self.gate)
         self._mover = self.core
         if options.takes_detours and not self.core:
-            self._mover = ik.collision.Detours(self, [()] * len(hand.hands))
-
-    def __getstate__(self) -> tuple[Any, ...]:
-        """Return what a copy is built from, without the workspace."""
-        detours = self._mover and self._mover.detours
-        return self.hand, self.options, self.gate.motion, self._contacts, detours
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        """Build a solver with a workspace of its own that continues the same motion."""
-        *arguments, contacts, detours = state
-        PointIk.__init__(self, *arguments, contacts=contacts)
-        if detours and self.core:
+            known = detours or [()] * len(hand.hands)
+            self._mover = ik.collision.Detours(self, known)
+        elif detours:
             self.core.go_on(detours)
-        elif detours and self._mover:
-            self._mover = ik.collision.Detours(self, detours)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build a copy with a workspace of its own that continues the same motion."""
+        detours = self._mover and self._mover.detours
+        motion = self.gate.motion
+        return PointIk, (self.hand, self.options, motion, self._contacts, detours)
 
     @cached_property
     def _configuration(self) -> Configuration:

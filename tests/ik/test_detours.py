@@ -74,7 +74,7 @@ def end_error(mapper: HandMapper, start: Motion, human_q: np.ndarray) -> float:
 
 def is_on_detour(mapper: HandMapper) -> bool:
     """Return whether a hand is on a detour, on either path."""
-    detours = mapper.point_ik.__getstate__()[-1]
+    detours = mapper.point_ik.__reduce__()[1][-1]
     return any(via is not None for via, *_ in detours or ())
 
 
@@ -188,12 +188,12 @@ def test_a_detour_ends_where_the_person_or_something_else_moves(
     moved[0, 3] = 0.06
     for motion, pose in ((None, moved), (rest, PALM)):
         start_detour(mapper, start, human_q)
-        ((_, old, *_),) = mapper.point_ik.__getstate__()[-1]
+        ((_, old, *_),) = mapper.point_ik.__reduce__()[1][-1]
         if motion is not None:
             mapper.motion = motion
         step = mapper.map_step(human_q, pose)
         # A new one may begin at once, towards the targets of this sample.
-        ((via, points, *_),) = mapper.point_ik.__getstate__()[-1] or [(None, None)]
+        ((via, points, *_),) = mapper.point_ik.__reduce__()[1][-1] or [(None, None)]
         if via is not None:
             there = points - old
             there = there + (step.ik.wrist - step.wrist_target)[:3, 3]

@@ -116,7 +116,7 @@ def test_hands_on_arms_of_their_own_move_as_if_alone(
 
 def on_detours(mapper: HandMapper | RobotMapper) -> list[bool]:
     """Return whether each hand is on a detour."""
-    return [via is not None for via, *_ in mapper.point_ik.__getstate__()[-1]]
+    return [via is not None for via, *_ in mapper.point_ik.__reduce__()[1][-1]]
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
