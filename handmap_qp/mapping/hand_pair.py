@@ -266,10 +266,20 @@ class RobotFingers:
 
     @cached_property
     def with_points(self) -> Hand:
-        """The robot with its fingers' points."""
+        """The robot with points at its fingertips, and at the joints that bend its fingers."""
+        robot = self.hand
+        chains = self.used.values()
         weight = _JAW_WEIGHT if self.has_jaws else 1.0
-        points = _finger_points(self.hand, self.used, weight)
-        return self.hand.with_points(points)
+        points = [_point(each, TIPS[each.name], each.tip, weight) for each in chains]
+        for chain in chains:
+            joints = _joints_between(chain)
+            places = [chain.knuckle, *joints.values()]
+            knuckle, *ends = points_in_palm(robot, robot.rest, places)
+            for (name, place), end in zip(joints.items(), ends, strict=True):
+                if lengths(end - knuckle) > 0.1 * chain.reach:
+                    # Weights count squared in the cost.
+                    points.append(_point(chain, name, place, _JOINT_WEIGHT**2))
+        return robot.with_points(points)
 
     @cached_property
     def pinching_thumb(self) -> Array:
@@ -324,51 +334,30 @@ hand_pair = lru_cache(maxsize=16)(HandPair)
 """The pair of two hands, solved once; arguments as of `HandPair`."""
 
 
-def _finger_points(
-    robot: Hand, chains: dict[str, Finger], tip_weight: float
-) -> list[PointSpec]:
-    """Make reference points of the fingertips, and of the joints that bend the fingers."""
-    points = [
-        _point(robot, finger, TIPS[finger], chain.tip, tip_weight)
-        for finger, chain in chains.items()
-    ]
-    for finger, chain in chains.items():
-        joints = _joints_between(finger, chain)
-        places = [chain.knuckle, *joints.values()]
-        knuckle, *ends = points_in_palm(robot, robot.rest, places)
-        for (name, place), end in zip(joints.items(), ends, strict=True):
-            if lengths(end - knuckle) > 0.1 * chain.reach:
-                # Weights count squared in the cost.
-                points.append(_point(robot, finger, name, place, _JOINT_WEIGHT**2))
-    return points
-
-
-def _joints_between(finger: str, chain: Finger) -> dict[str, Place]:
+def _joints_between(chain: Finger) -> dict[str, Place]:
     """Return the joints of a finger that say how it bends, by their landmarks."""
     if len(chain.joints) < 2 or chain.is_jaw:
         return {}
     # Where joints are coupled, more points only outvote the fingertip and the pinch.
     is_free = len(chain.columns) > 2
     joints = {}
-    if finger != THUMB or is_free:
-        joints[MIDDLES[finger]] = chain.middle
+    if chain.name != THUMB or is_free:
+        joints[MIDDLES[chain.name]] = chain.middle
     if is_free and len(chain.bending) > 2:
-        joints[LASTS[finger]] = chain.last
+        joints[LASTS[chain.name]] = chain.last
     return joints
 
 
-def _point(
-    robot: Hand, finger: str, name: str, place: Place, weight: float
-) -> PointSpec:
-    """Describe a point on a joint of the model as one on a link of the URDF."""
+def _point(chain: Finger, name: str, place: Place, weight: float) -> PointSpec:
+    """Describe a point of a finger, on a joint of the model, as one on a link of the URDF."""
     joint, offset = place
     frame = next(
         frame
-        for frame in robot.model.frames
+        for frame in chain.hand.model.frames
         if frame.parentJoint == joint and frame.type == pin.FrameType.BODY
     )
     x, y, z = frame.placement.actInv(offset).tolist()
-    return PointSpec(name, frame.name, (x, y, z), finger, weight, name)
+    return PointSpec(name, frame.name, (x, y, z), chain.name, weight, name)
 
 
 def points_in_palm(
