@@ -3,7 +3,7 @@
 All of it is measured on the two models, once for each pair of hands.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -229,8 +229,7 @@ class HandPair:
             return knuckles[0] + gain * (human - self.human_rest[self.knuckles[0]])
         middle = knuckles[self._others].mean(axis=0)
         above = middle + gain * (human - self.human_knuckles)
-        found = find_fingers(self.human), find_pads(self.human)
-        human_pinching = _pinching_thumb(self.human, *found)
+        human_pinching = robot_fingers(self.human).pinching_thumb
         return (
             _THUMB_FROM_PINCH
             * (self.measured.pinching_thumb + gain * (human - human_pinching))
@@ -239,11 +238,11 @@ class HandPair:
 
 
 class RobotFingers:
-    """What is measured on a robot alone, shared by all people: reading meshes takes longest."""
+    """What is measured on a hand alone, a robot's or a person's: reading meshes takes longest."""
 
-    def __init__(self, robot: Hand) -> None:
-        self.hand = robot
-        self.chains = find_fingers(robot)
+    def __init__(self, hand: Hand) -> None:
+        self.hand = hand
+        self.chains = find_fingers(hand)
         # In the order of FINGERS.
         self.used = {f: chain for f, chain in self.chains.items() if chain.joints}
         # So are two fingers that turn about one joint each, or about the same one.
@@ -283,8 +282,17 @@ class RobotFingers:
 
     @cached_property
     def pinching_thumb(self) -> Array:
-        """Mean tip of the thumb where it pinches, in palm axes [m], shape (3,)."""
-        return frozen(_pinching_thumb(self.with_points, self.chains, self.pads))
+        """Mean tip of the thumb where it pinches with each finger, in palm axes [m], shape (3,)."""
+        # The thumb is the first finger.
+        pads = [*self.pads.values()]
+        ik = PointIk(self.hand, _PINCHING)
+        task = gap_task(self.hand, pads)
+        tips = []
+        for is_used in np.eye(len(pads) - 1):
+            own = task.aimed_at(task.distances, is_used * task.weights)
+            q = approach(ik, own, _PINCH_STEPS)
+            tips += [*points_in_palm(self.hand, q, [self.chains[THUMB].tip])]
+        return frozen(np.mean(tips, axis=0))
 
     @cached_property
     def contacts(self) -> ShapePairs:
@@ -293,7 +301,7 @@ class RobotFingers:
 
 
 robot_fingers = lru_cache(maxsize=32)(RobotFingers)
-"""What is measured on a robot, found once; argument as of `RobotFingers`."""
+"""What is measured on a hand, found once; argument as of `RobotFingers`."""
 
 
 def require_partners(
@@ -386,22 +394,6 @@ def bone_lengths(human: Hand, fingers: Sequence[str]) -> Array:
     joints = landmarks_at_rest(human)[1:].reshape(len(FINGERS), 4, 3)
     reaches = lengths(np.diff(joints, axis=1)).sum(axis=1)
     return reaches[[FINGERS.index(finger) for finger in fingers]]
-
-
-def _pinching_thumb(
-    hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
-) -> Array:
-    """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
-    # The thumb is the first finger.
-    used = [*pads.values()]
-    tip = [chains[THUMB].tip]
-    ik = PointIk(hand, _PINCHING)
-    task = gap_task(hand, used)
-    tips = []
-    for is_used in np.eye(len(used) - 1):
-        own = task.aimed_at(task.distances, is_used * task.weights)
-        tips.append(points_in_palm(hand, approach(ik, own, _PINCH_STEPS), tip)[0])
-    return np.mean(tips, axis=0)
 
 
 def gap_task(
