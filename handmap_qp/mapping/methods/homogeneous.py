@@ -74,9 +74,18 @@ class HomogeneousMap(Compiled):
         self.human_offsets = sample.points - pivot
         self.robot_offsets = robot.points - robot_pivot
         self.robot_wrist = affine(robot.wrist[:3, :3], robot.wrist[:3, 3] - robot_pivot)
-        self.share = _residual_share(
-            options.residual_gain, sample.points, robot.points, method.partners
-        )
+        # Residual gain of every pair, scaled by the ratio of sizes, shape (n_r, n_h).
+        self.share: Array | None = None
+        if method.partners:
+            pairs = tuple(np.array(method.partners).T)
+            of_robot, of_human = robot.points[pairs[0]], sample.points[pairs[1]]
+            robot_size, human_size = (
+                np.linalg.norm(points - points.mean(axis=0))
+                for points in (of_robot, of_human)
+            )
+            ratio = robot_size / human_size if human_size > 0.0 else 1.0
+            self.share = np.zeros((len(robot.points), len(sample.points)))
+            self.share[pairs] = options.residual_gain * ratio
 
     def targets(self, sample: HumanPose) -> Targets:
         """Estimate T, split it about the pivot, and impose both parts on the robot."""
@@ -142,26 +151,6 @@ class HomogeneousMap(Compiled):
     def _placed(self, image: Array) -> Array:
         """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
         return self.origin + self.options.scale * self.alignment.dot(image)
-
-
-def _residual_share(
-    gain: float,
-    human_points: Array,
-    robot_points: Array,
-    partners: list[tuple[int, int]],
-) -> Array | None:
-    """Return the residual gain of every pair, scaled by the ratio of sizes, shape (n_r, n_h)."""
-    if not partners:
-        return None
-    robot_indices, human_indices = np.array(partners).T
-    robot_size, human_size = (
-        np.linalg.norm(points - points.mean(axis=0))
-        for points in (robot_points[robot_indices], human_points[human_indices])
-    )
-    share = np.zeros((len(robot_points), len(human_points)))
-    ratio = robot_size / human_size if human_size > 0.0 else 1.0
-    share[robot_indices, human_indices] = gain * ratio
-    return share
 
 
 _NEEDING_WRIST = [("pivot", "palm"), ("reference", "rest"), ("alignment", "palm")]
