@@ -243,12 +243,6 @@ nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
   return found;
 }
 
-nb::tuple bone_lengths_of(const Array& landmarks) {
-  const bool has_any = landmarks.size() > 0;
-  const Vector found = has_any ? bone_lengths(points_of(landmarks)) : Vector(16, std::nan(""));
-  return nb::make_tuple(array_of({5, 3}, found.data()), found.back());
-}
-
 double smallest_gap_of(const Array& time, const Array& landmarks) {
   const Fields constants = module_of("handmap_qp.human.contact_gap");
   expect_size(landmarks, 3 * kLandmarks * time.size(), "landmarks");
@@ -398,7 +392,6 @@ NB_MODULE(_core, m) {
       .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
   m.def("measure_shape", &measure_shape);
-  m.def("bone_lengths", &bone_lengths_of);
   m.def("smallest_gap", &smallest_gap_of);
   m.def("measure_episode", &measure_episode);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),

@@ -93,21 +93,6 @@ class Layer {
   Vec3 axes_[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
 };
 
-// Medians of the bones (5, 3) of landmarks, 21 a sample, and of the palm from wrist to middle finger.
-inline Vector bone_lengths(const std::vector<Vec3>& landmarks) {
-  const size_t count = landmarks.size() / 21;
-  Vector found, column(count);
-  const auto add = [&](int from, int to) {
-    for (size_t t = 0; t < count; ++t)
-      column[t] = norm(landmarks[21 * t + to] - landmarks[21 * t + from]);
-    found.push_back(median(column));
-  };
-  for (int finger = 0; finger < 5; ++finger)
-    for (int i = 1 + 4 * finger; i < 4 + 4 * finger; ++i) add(i, i + 1);
-  add(0, 9);
-  return found;
-}
-
 // See contact_gap.smallest_gap, whose constants these are.
 inline double smallest_gap(const double* time, const std::vector<Vec3>& landmarks,
                            double median_time, double percentile) {

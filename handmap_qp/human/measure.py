@@ -41,12 +41,9 @@ def check_length(landmarks: Array) -> Array:
     """
     shape = ("T", LANDMARK_COUNT, 3)
     landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
-    if core is not None:
-        segments, palm = core.bone_lengths(landmarks)
-    else:
-        bones = lengths(np.diff(finger_chains(landmarks), axis=2))
-        segments = np.median(bones, axis=0)
-        palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
+    bones = lengths(np.diff(finger_chains(landmarks), axis=2))
+    segments = np.median(bones, axis=0)
+    palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
     expect_hand_length(palm + segments[2].sum(), "landmarks")
     return segments
 
