@@ -124,7 +124,8 @@ class HandmapHand(Robot):
         if self._told is None:
             self._put(q, wrist)
         else:
-            simulator.follow(q, wrist, min(now - self._told, _LONGEST))
+            goal = self.hand.configuration_vector(q, wrist)
+            simulator.follow(goal, min(now - self._told, _LONGEST))
         self._told = now
         return action_of(self.hand, q, wrist)
 
@@ -139,5 +140,5 @@ class HandmapHand(Robot):
 
     def _put(self, q: np.ndarray, wrist: np.ndarray | None) -> None:
         simulator = self._simulated()
-        simulator.reset(q, wrist, _ASIDE)
+        simulator.reset(self.hand.configuration_vector(q, wrist), _ASIDE)
         simulator.set_stand(holds=True)
