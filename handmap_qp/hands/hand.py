@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,14 @@ from handmap_qp.se3 import (
     frozen,
 )
 from .configuration import Configuration, moved_by
-from .human import CONTACT_GAP, JointMove
+from .human import (
+    CONTACT_GAP,
+    HumanLengths,
+    JointMove,
+    joint_moves,
+    scaled_human_urdf,
+    shape_stretches,
+)
 from .model import (
     build_model,
     choose_mount,
@@ -58,7 +65,7 @@ LONGEST_STOP = 0.5
 _LINK = pin.FrameType.BODY
 _JOINT = pin.FrameType.JOINT
 # Made when first read, and again by a copy.
-_CACHED = ("urdf_text", "moves_wrist", "_scratch")
+_CACHED = ("moves_wrist", "_scratch")
 
 
 class Hand:
@@ -106,8 +113,8 @@ class Hand:
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
         unscaled: Of a hand scaled to a person, the one that was scaled; else None.
-        moves: Of a hand scaled to a person, how its joints move: see `with_joints`.
-        stretches: Likewise, factors on the shapes of fingers by joint, along its axes, shape (3,).
+        moves: Of a hand scaled to a person, how its joints move: see `joint_moves`.
+        stretches: Likewise, factors on the shapes of fingers: see `shape_stretches`.
         parts: The hands of a robot that is moved as one (`hands.robot.joined`); else empty.
         has_floating_base: Whether that robot walks or drives.
 
@@ -134,16 +141,15 @@ class Hand:
         _check_type("urdf_text", urdf_text, str | None, "the text of a URDF")
         self.spec = spec
         self.moves: dict[str, JointMove] = {}
-        self.stretches: dict[int, Array] = {}
+        self.stretches: Arrays = {}
         self.name = spec.name
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)
         self.is_floating = self.mount == "floating"
         chosen = _choose_points(spec, points)
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
-        text, locked, self.rules = compose_urdf(spec, file_text)
-        self._compose: Callable[[], str] = partial(str, text)
-        self.model = model = build_model(spec, text, self.mount, self.rules)
+        self.urdf_text, locked, self.rules = compose_urdf(spec, file_text)
+        self.model = model = build_model(spec, self.urdf_text, self.mount, self.rules)
         self.notes = tighten_model(model, self.rules)
         self._index_joints(locked)
         ends = np.array([model.lowerPositionLimit, model.upperPositionLimit])
@@ -211,7 +217,13 @@ class Hand:
     @cached_property
     def urdf_text(self) -> str:
         """The URDF as it was built, after scaling and mirroring."""
-        return self._compose()
+        standard = read_urdf(self.spec)
+        return compose_urdf(self.spec, scaled_human_urdf(standard, self._lengths))[0]
+
+    @cached_property
+    def _lengths(self) -> HumanLengths:
+        """Lengths of a human hand; a `HandError` if it is none of this package."""
+        return HumanLengths.from_urdf(read_urdf(self.spec))
 
     @property
     def has_moving_wrist(self) -> bool:
@@ -302,27 +314,15 @@ class Hand:
         hand.contact_gap = gap
         return hand
 
-    def with_joints(
-        self,
-        moves: dict[str, JointMove],
-        stretches: Arrays,
-        compose: Callable[[], str],
-    ) -> Hand:
-        """Return the same hand with joints in other places, without reading a URDF.
-
-        Args:
-            moves: Of joints by name, fixed ones too, but none between wrist and palm: position on
-                the parent link [m], shape (3,), and a turn about the joint's x axis [rad].
-            stretches: By joint name, factors on the shapes that it carries, along its axes, (3,).
-            compose: Composes the URDF of that hand; called when `urdf_text` is first read.
-        """
+    def with_lengths(self, lengths: HumanLengths) -> Hand:
+        """Return the same human hand, scaled to a person without reading a URDF."""
         hand = copy(self)
-        hand._compose = compose
         hand.unscaled = self
-        hand.moves = moves
-        joints = self.model.getJointId
-        hand.stretches = {joints(name): by for name, by in stretches.items()}
-        del hand.model, hand.point_frames
+        hand._lengths = lengths
+        hand.contact_gap = lengths.contact_gap
+        hand.moves = joint_moves(self._lengths, lengths, mirrors=self.spec.mirror)
+        hand.stretches = shape_stretches(self._lengths, lengths)
+        del hand.model, hand.point_frames, hand.urdf_text
         return hand
 
     def configuration(self) -> Configuration:

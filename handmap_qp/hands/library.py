@@ -5,7 +5,7 @@ whose models other packages ship (`urdf/described/<name>.yaml`). Only the human'
 """
 
 from contextlib import suppress
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 from handmap_qp.errors import (
@@ -17,14 +17,8 @@ from handmap_qp.errors import (
     expect,
 )
 from .hand import Hand, Points
-from .human import (
-    HumanLengths,
-    joint_moves,
-    scaled_human_urdf,
-    shape_stretches,
-)
-from .model import compose_urdf
-from .sources import read_urdf, source_file, urdf_directory
+from .human import HumanLengths
+from .sources import source_file, urdf_directory
 from .spec import HandSpec, Mount, Names, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
@@ -121,7 +115,7 @@ def load_hand(
     expect(isinstance(lengths, HumanLengths), "lengths", "HumanLengths", value=lengths)
     is_standard = hand in HUMAN_HANDS and isinstance(points, str | None)
     load = _standard_human if is_standard else _load_human
-    return _scaled(*load(hand, mount, points), lengths)
+    return _scaled(load(hand, mount, points), lengths)
 
 
 def _spec_of(hand: str | Path | HandSpec) -> HandSpec:
@@ -130,13 +124,12 @@ def _spec_of(hand: str | Path | HandSpec) -> HandSpec:
 
 def _load_human(
     hand: str | Path | HandSpec, mount: Mount | None, points: Points | None
-) -> tuple[Hand, HumanLengths]:
-    """Load a human hand with its own lengths; reject a robot."""
+) -> Hand:
+    """Load a human hand; reject a robot."""
     spec = _spec_of(hand)
     expected = "none, because only the human hand can be scaled"
     expect(spec.name in HUMAN_HANDS, "lengths", expected, got=f"some for {spec.name}")
-    human = Hand(spec, points=points, mount=mount)
-    return human, HumanLengths.from_urdf(read_urdf(spec))
+    return Hand(spec, points=points, mount=mount)
 
 
 # Every recording has its own person; hands are read-only.
@@ -144,17 +137,7 @@ _standard_human = lru_cache(maxsize=8)(_load_human)
 
 
 # The guard and the mapper have the same person, whose lengths hash by identity.
-@lru_cache(maxsize=4)
-def _scaled(standard: Hand, own: HumanLengths, lengths: HumanLengths) -> Hand:
-    """Scale a human hand with lengths of its own to a person."""
-    moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
-    compose = partial(_person_urdf, standard.spec, lengths)
-    scaled = standard.with_joints(moves, shape_stretches(own, lengths), compose)
-    return scaled.with_contact_gap(lengths.contact_gap)
-
-
-def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:
-    return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths))[0]
+_scaled = lru_cache(maxsize=4)(Hand.with_lengths)
 
 
 def find_file(given: str | Path, kind: str = "hand", folder: Path = Path()) -> Path:

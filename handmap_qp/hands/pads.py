@@ -90,7 +90,7 @@ def _pad(hand: Hand, chain: Finger, point: PointSpec | None) -> Pad:
     pad = point.pad if point else None
     if point and pad:
         joint, middle = place_of(hand, msgspec.structs.replace(point, xyz=pad.xyz))
-    stretch = hand.stretches.get(joint, np.ones(3))
+    stretch = hand.stretches.get(hand.model.names[joint], np.ones(3))
     shapes = _surfaces(hand.unscaled or hand) if joint in chain.joints else {}
     surface = [
         (stretch * points, stretch[2] * radius)
