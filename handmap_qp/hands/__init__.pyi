@@ -5,7 +5,6 @@ from .collision_shapes import add_stand_ins as add_stand_ins
 from .collision_shapes import convex_hull as convex_hull
 from .collision_shapes import is_lost as is_lost
 from .collision_shapes import is_missing as is_missing
-from .collision_shapes import parse_with_meshes as parse_with_meshes
 from .collision_shapes import prism_around as prism_around
 from .collision_shapes import read_collision_shapes as read_collision_shapes
 from .configuration import Configuration as Configuration
@@ -55,7 +54,6 @@ from .shape_pairs import distal_shapes as distal_shapes
 from .shape_pairs import named_pairs as named_pairs
 from .shape_pairs import pair_distances as pair_distances
 from .shape_pairs import random_postures as random_postures
-from .sources import find_mesh as find_mesh
 from .sources import is_mjcf as is_mjcf
 from .sources import package_folder as package_folder
 from .sources import read_urdf as read_urdf

@@ -13,13 +13,11 @@ import pinocchio as pin
 from handmap_qp.errors import reason_of
 from handmap_qp.se3 import Array, affine
 from .hand import Hand
-from .sources import urdf_path
 from .urdf import (
     edges,
     get_numbers,
     origin_of,
     parse_urdf,
-    set_mesh_paths,
     set_numbers,
     set_origin,
 )
@@ -33,17 +31,6 @@ _RADIUS = 0.006
 """Radius of cylinders and balls in the place of a link's shapes [m]."""
 
 
-def parse_with_meshes(hand: Hand) -> Element:
-    """Parse a hand's URDF, with absolute paths of its meshes for readers that know no folder.
-
-    Raises:
-        MissingExtraError: If the URDF lies in a package that is not installed.
-    """
-    robot = parse_urdf(hand.urdf_text)
-    set_mesh_paths(robot, urdf_path(hand.spec).parent)
-    return robot
-
-
 def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
     """Read a hand's collision shapes; meshes become their convex hulls, cylinders prisms.
 
@@ -55,7 +42,6 @@ def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
 
     Raises:
         HandError: If a shape cannot be read.
-        MissingExtraError: If the URDF lies in a package that is not installed.
     """
     return pin.GeometryModel(_read(hand))
 
@@ -67,7 +53,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
     Pinocchio reads all meshes in one call, which lets no other thread run for up to a third of a
     second. So it reads placeholders in their places.
     """
-    robot = parse_with_meshes(hand)
+    robot = parse_urdf(hand.urdf_text)
     try:
         add_stand_ins(robot, "collision", is_lost)
         meshes = _take_meshes(robot)

@@ -147,8 +147,7 @@ class Hand:
         self.mount: Mount = choose_mount(spec, mount)
         self.is_floating = self.mount == "floating"
         chosen = _choose_points(spec, points)
-        file_text = read_urdf(spec) if urdf_text is None else urdf_text
-        self.urdf_text, locked, self.rules = compose_urdf(spec, file_text)
+        self.urdf_text, locked, self.rules = compose_urdf(spec, urdf_text)
         self.model = model = build_model(spec, self.urdf_text, self.mount, self.rules)
         self.notes = tighten_model(model, self.rules)
         self._index_joints(locked)
@@ -216,7 +215,7 @@ class Hand:
 
     @cached_property
     def urdf_text(self) -> str:
-        """The URDF as it was built, after scaling and mirroring."""
+        """The URDF as it was built, scaled and mirrored, with absolute paths of its meshes."""
         standard = read_urdf(self.spec)
         return compose_urdf(self.spec, scaled_human_urdf(standard, self._lengths))[0]
 

@@ -15,7 +15,6 @@ from xml.etree.ElementTree import Element, tostring
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, expect, reason_of
-from .sources import read_urdf
 from .spec import (
     HandSpec,
     MimicSpec,
@@ -26,14 +25,13 @@ from .spec import (
 )
 from .urdf import (
     MOVABLE,
-    check_tree,
     joints_by_name,
     mimics_of,
     mirror,
     mount_on_arm,
     move_shapes,
-    parse_urdf,
     prepare_urdf,
+    read_tree,
     remove_subtrees,
 )
 
@@ -61,28 +59,29 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
     return "fixed"
 
 
-def compose_urdf(spec: HandSpec, text: str | bytes) -> tuple[str, Positions, Rules]:
-    """Compose the URDF that a hand's model is built from.
+def compose_urdf(
+    spec: HandSpec, text: str | None = None
+) -> tuple[str, Positions, Rules]:
+    """Compose the URDF that a hand's model is built from, of its file or of a text.
 
     Keep the part from `root` outwards; write `mimic`, `locked`, `limits` and `shapes` into it;
     mount it on the arm, if there is one; mirror all of it.
 
     Returns:
-        The URDF, positions of locked joints and those that mimic them [rad or m], and other rules.
+        The URDF, with absolute paths of meshes; positions of locked joints and those that mimic
+        them [rad or m]; and other rules.
 
     Raises:
         HandError: If a URDF is not a tree, or the spec names links or joints that do not exist.
-        MissingExtraError: If the arm's URDF lies in a package that is not installed.
+        MissingExtraError: If a URDF lies in a package that is not installed.
     """
     try:
-        robot = parse_urdf(text)
-        check_tree(robot)
+        robot = read_tree(spec, text)
         locked = prepare_urdf(robot, spec)
         move_shapes(robot, spec.shapes)
         if arm := spec.arm:
             hand = robot
-            robot = parse_urdf(read_urdf(arm))
-            check_tree(robot)
+            robot = read_tree(arm)
             remove_subtrees(robot, arm.without)
             locked = prepare_urdf(robot, arm) | locked
             mount_on_arm(robot, hand, arm)

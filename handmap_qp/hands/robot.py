@@ -28,7 +28,7 @@ from handmap_qp.errors import HandError, expect
 from .hand import Hand
 from .library import find_file, load_hand, robot_files
 from .model import compose_urdf
-from .sources import read_urdf, source_file, urdf_path
+from .sources import source_file
 from .spec import (
     ORIGIN,
     Document,
@@ -44,7 +44,6 @@ from .urdf import (
     parse_urdf,
     rename,
     root_links,
-    set_mesh_paths,
     set_numbers,
 )
 
@@ -215,10 +214,8 @@ def _stand(
     robot: Element, spec: HandSpec, prefix: str, xyz: Vector, rpy: Vector
 ) -> None:
     """Add what a description composes to the URDF of a robot."""
-    text, *_ = compose_urdf(spec, read_urdf(spec))
+    text, *_ = compose_urdf(spec)
     tree = parse_urdf(text)
-    # The whole lies in no folder.
-    set_mesh_paths(tree, urdf_path(spec).parent)
     rename(tree, prefix)
     mount = SubElement(robot, "joint", name=f"{prefix}{BASE}", type="fixed")
     SubElement(mount, "parent", link=BASE)

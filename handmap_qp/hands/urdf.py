@@ -7,7 +7,6 @@ import math
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
-from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder
 from xml.parsers import expat
 
@@ -18,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import HandError
 from handmap_qp.se3 import Array, affine, rotation_from_rpy, rpy_from_rotation
-from .sources import find_mesh, urdf_path
+from .sources import find_mesh, read_urdf, urdf_path
 from .spec import ArmSpec, HandSpec, LimitSpec, MimicSpec, Positions, Rules, repeated
 
 MOVABLE = ("revolute", "continuous", "prismatic")
@@ -40,6 +39,27 @@ _NUMBERS = {
     "mimic": {"multiplier": 1, "offset": 1},
 }
 _OF_FIXED_JOINTS = ("origin", "parent", "child")
+
+
+def read_tree(spec: HandSpec | ArmSpec, text: str | bytes | None = None) -> Element:
+    """Read the URDF of a hand or an arm, checked, with absolute paths of its meshes.
+
+    Args:
+        spec: The description of the hand or the arm.
+        text: The URDF; that of the description's file if omitted.
+
+    Raises:
+        HandError: If it cannot be read, or is not a tree in which a joint moves.
+        MissingExtraError: If it lies in a package that is not installed.
+    """
+    robot = parse_urdf(read_urdf(spec) if text is None else text)
+    check_tree(robot)
+    # Later readers know no folder.
+    folder = urdf_path(spec).parent
+    for mesh in robot.iter("mesh"):
+        if name := mesh.get("filename"):
+            mesh.set("filename", str(find_mesh(name, folder).resolve()))
+    return robot
 
 
 def parse_urdf(text: str | bytes) -> Element:
@@ -454,16 +474,6 @@ def _movable_joint(robot: Element, name: str, section: str) -> Element:
     return joint
 
 
-# -- meshes
-
-
-def set_mesh_paths(robot: Element, folder: Path) -> None:
-    """Replace the file names of all meshes by absolute paths, as `find_mesh` finds them."""
-    for mesh in robot.iter("mesh"):
-        if name := mesh.get("filename"):
-            mesh.set("filename", str(find_mesh(name, folder).resolve()))
-
-
 def move_shapes(robot: Element, moves: Mapping[str, ArrayLike]) -> None:
     """Displace shapes in their links [m], by the names of their elements.
 
@@ -532,8 +542,6 @@ def mount_on_arm(arm: Element, hand: Element, spec: ArmSpec) -> None:
         for each in hand.iter(tag)
     }
     rename(arm, f"{spec.name}_", taken)
-    # The composed URDF counts as the hand's file, so relative names would be looked for there.
-    set_mesh_paths(arm, urdf_path(spec).parent)
     SubElement(mount, "child", link=root_links(hand)[0])
     arm.extend(list(hand))
 

@@ -192,7 +192,7 @@ def test_a_link_keeps_the_shapes_that_it_has_beside_a_lost_one(tmp_path: Path) -
 @pytest.mark.slow
 def test_a_hand_without_its_meshes_is_mapped_and_keeps_its_links_apart() -> None:
     whole = load_hand("allegro_right")
-    bare = Hand(whole.spec, urdf_text=whole.urdf_text.replace("package://", "gone/"))
+    bare = Hand(whole.spec, urdf_text=whole.urdf_text.replace(".STL", ".gone"))
     human = load_hand("human", points="landmarks")
     recording = read_recording("demo::right").part(slice(0, 240))
     mapped = [

@@ -19,15 +19,11 @@ TURN, RED, BLUE = 0.3, (255, 0, 0, 255), (0, 0, 255, 255)
 
 
 def test_a_link_is_one_mesh_with_the_surface_and_colours_of_its_shapes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
     corner = trimesh.creation.box((0.1, 0.2, 0.3))
     corner.vertices += 0.5
     corner.export(tmp_path / "corner.stl")
-    for module in ("apps.drawing.shapes", "hands.collision_shapes"):
-        monkeypatch.setattr(
-            f"handmap_qp.{module}.urdf_path", lambda _: tmp_path / "hand.urdf"
-        )
     # A visual may have the name of a link.
     box = SHAPE.format(
         name="b", xyz="1 0 0", shape='<box size="0.1 0.1 0.1"/>', rgba="1 0 0 1"
@@ -35,7 +31,7 @@ def test_a_link_is_one_mesh_with_the_surface_and_colours_of_its_shapes(
     mirrored = SHAPE.format(
         name="mirrored",
         xyz="0 0 0",
-        shape='<mesh filename="corner.stl" scale="2 -2 2"/>',
+        shape=f'<mesh filename="{tmp_path}/corner.stl" scale="2 -2 2"/>',
         rgba="0 0 1 1",
     )
     other = SHAPE.format(

@@ -10,12 +10,10 @@ from handmap_qp.errors import require
 from handmap_qp.hands import (
     Hand,
     add_stand_ins,
-    find_mesh,
     get_numbers,
     is_missing,
     origin_of,
-    parse_with_meshes,
-    urdf_path,
+    parse_urdf,
 )
 from .raster import Colour
 
@@ -37,46 +35,40 @@ def read_shapes(hand: Hand, kind: str) -> dict[str, list[LinkShape]]:
         HandError: If a shape lacks its numbers.
         MissingExtraError: If trimesh is not installed.
     """
-    robot = parse_with_meshes(hand)
+    robot = parse_urdf(hand.urdf_text)
     if not [*robot.iterfind("link/*/geometry")]:
         # Every link gets a stand-in.
         for link in robot.iterfind("link"):
             ET.SubElement(ET.SubElement(ET.SubElement(link, kind), "geometry"), "mesh")
     add_stand_ins(robot, kind, is_missing)
-    folder = urdf_path(hand.spec).parent
     named = {each.get("name"): each for each in robot.iter("material") if len(each)}
     found = {}
     for link in robot.iterfind("link"):
         shapes = [
             (meshes, _colour(shape.find("material"), named))
             for shape in link.iterfind(kind)
-            if (meshes := shape_meshes(shape, folder))
+            if (meshes := shape_meshes(shape))
         ]
         if shapes:
             found[link.get("name", "")] = shapes
     return found
 
 
-def shape_meshes(
-    shape: ET.Element, folder: Path, miss: Callable[[str], object] = str
-) -> list[Any]:
+def shape_meshes(shape: ET.Element, miss: Callable[[str], object] = str) -> list[Any]:
     """Read one shape in the frame of its link; a file may hold several meshes.
 
     Args:
-        shape: A `<visual>` or `<collision>` element.
-        folder: Folder of the URDF, for `find_mesh`.
-        miss: Called with the name of a mesh that cannot be read.
+        shape: A `<visual>` or `<collision>` element of `Hand.urdf_text`.
+        miss: Called with the name of a file that cannot be read.
     """
     return [
         mesh.apply_transform(origin_of(shape))
         for solid in shape.iterfind("geometry/*")
-        for mesh in _meshes(solid, folder, miss)
+        for mesh in _meshes(solid, miss)
     ]
 
 
-def _meshes(
-    solid: ET.Element, folder: Path, miss: Callable[[str], object]
-) -> list[Any]:
+def _meshes(solid: ET.Element, miss: Callable[[str], object]) -> list[Any]:
     """Return the meshes of a URDF geometry; those of a file may be several."""
     trimesh = require("trimesh", "plot")
     made = trimesh.creation
@@ -97,9 +89,9 @@ def _meshes(
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
-                    found = trimesh.load_scene(find_mesh(name, folder)).dump()
+                    found = trimesh.load_scene(name).dump()
             except Exception:
-                miss(name)
+                miss(Path(name).name)
                 return []
             # Faces of a mirrored mesh are turned over.
             return [each.apply_scale(scale) for each in found if len(each.faces)]

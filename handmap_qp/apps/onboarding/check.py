@@ -27,7 +27,7 @@ from handmap_qp.hands import (
     load_hand,
     load_robot,
     named_pairs,
-    parse_with_meshes,
+    parse_urdf,
     partner_names,
     place_of,
     read_collision_shapes,
@@ -281,7 +281,7 @@ def _check_tips(hand: Hand) -> Found:
 
 def _check_meshes(hand: Hand) -> Found:
     """Find meshes of which other shapes of a link, cylinders or balls take the place."""
-    robot = parse_with_meshes(hand)
+    robot = parse_urdf(hand.urdf_text)
     for tag, is_gone, use in (
         ("collision", is_lost, "self-collision and pinches"),
         ("visual", is_missing, "pictures"),

@@ -225,7 +225,7 @@ class Robot(Hand):
         return [
             np.array(mesh.vertices[:: max(1, len(mesh.vertices) // _MOST_POINTS)])
             for shape in self.elements[link].iterfind(kind)
-            for mesh in shape_meshes(shape, self.file.parent, miss)
+            for mesh in shape_meshes(shape, miss)
         ]
 
     # -- assumptions
