@@ -109,6 +109,7 @@ def all_pairs(hand: Hand) -> ShapePairs:
     """
     chains = find_fingers(hand)
     shapes = read_collision_shapes(hand)
+    chains = find_fingers(hand)
     parents = hand.model.parents
     joints = [shape.parentJoint for shape in shapes.geometryObjects]
     owner = {joint: name for name, chain in chains.items() for joint in chain.joints}
