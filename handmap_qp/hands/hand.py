@@ -368,7 +368,8 @@ class Hand:
             InvalidInputError: On a wrong shape or type; the array may be written in part.
         """
         try:
-            vector[..., self._moving_q] = q @ self._motion.T + self._shift
+            every = q @ self._motion.T + self._shift
+            vector[..., self._moving_q] = every[..., : len(self._moving_q)]
             if wrist_pose is not None and self.is_floating:
                 vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
         except (TypeError, ValueError, IndexError) as error:
@@ -395,9 +396,7 @@ class Hand:
         expected = f"shape ({count},) or (T, {count})"
         is_right = angles.ndim in (1, 2) and angles.shape[-1] == count
         expect(is_right, "q", expected, value=q, got=f"shape {angles.shape}")
-        locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
-        moving = angles @ self._motion.T + self._shift
-        return np.concatenate([moving, locked], axis=-1)
+        return angles @ self._motion.T + self._shift
 
     def points(self, q: ArrayLike, wrist_pose: PoseLike | None = None) -> Array:
         """Compute the positions of the reference points in the world (eq. 4) [m], shape (m, 3).
@@ -431,8 +430,7 @@ class Hand:
             InvalidInputError: If there is no such frame, or as `configuration_vector`.
         """
         _check_type("frame", frame, str, "a name")
-        names = [point.name for point in self.reference_points]
-        own = dict(zip(names, self.point_frames, strict=True))
+        own = {point.name: point for point in self.point_frames}
         own |= {"palm": self.palm_frame, "wrist": self.wrist_frame}
         found = own.get(frame) or self._find(frame, "frame", _LINK, _JOINT)
         return self._placed(q, wrist_pose).frame_pose(found)
@@ -468,7 +466,6 @@ class Hand:
         moving = (*names, *rules)
         count = len(names)
         self.joint_names = names
-        self._locked = np.array(list(locked.values()))
         self.all_joint_names = (*moving, *locked)
         others = ("follower",) * len(rules) + ("locked",) * len(locked)
         self.all_joint_roles = ("active",) * count + others
@@ -477,22 +474,25 @@ class Hand:
         self._size = model.nq
         self._moving_q = np.array(model.idx_qs)[joints]
         at_v = np.array(model.idx_vs)[joints]
-        followers = at_v[count:]
         self.q_indices = frozen(self._moving_q[:count])
         self.v_indices = frozen(at_v[:count])
-        self.active_columns = frozen(np.setdiff1d(np.arange(model.nv), followers))
+        self.active_columns = frozen(np.setdiff1d(np.arange(model.nv), at_v[count:]))
         self.joint_columns = frozen(
             np.searchsorted(self.active_columns, self.v_indices)
         )
-        spread = np.eye(model.nv)
-        shift = np.zeros(model.nv)
-        for row, rule in zip(followers, rules.values(), strict=True):
-            spread[row, at_v[names.index(rule.joint)]] = rule.multiplier
+        # From positions of `joint_names` to those of all joints.
+        motion = np.eye(len(self.all_joint_names), count)
+        shift = np.zeros(len(motion))
+        for row, rule in enumerate(rules.values(), count):
+            motion[row, names.index(rule.joint)] = rule.multiplier
             shift[row] = rule.offset
+        shift[len(moving) :] = [*locked.values()]
+        self._motion = motion
+        self._shift = shift
+        spread = np.eye(model.nv)
+        spread[np.ix_(at_v, self.v_indices)] = motion[: len(moving)]
         self.spread = frozen(spread[:, self.active_columns])
         self.joint_motion = frozen(spread[:, self.v_indices])
-        self._motion = self.joint_motion[at_v]
-        self._shift = shift[at_v]
 
     def _find_wrist_and_palm(self) -> None:
         """Find the frames of wrist and palm."""

@@ -5,7 +5,6 @@ A description names them, or they are found in the collision shapes.
 
 from collections import defaultdict
 from functools import lru_cache
-from itertools import product
 from typing import NamedTuple
 
 import coal
@@ -131,7 +130,7 @@ def _corners(geometry: coal.CollisionGeometry) -> tuple[Array, float]:
     radius = 0.0
     match geometry:
         case coal.Box():
-            points = _CUBE * geometry.halfSide
+            points = np.where([*np.ndindex(2, 2, 2)], 1.0, -1.0) * geometry.halfSide
         case coal.Sphere(radius=radius):
             points = np.zeros((1, 3))
         case coal.Capsule(radius=radius, halfLength=half):
@@ -139,9 +138,6 @@ def _corners(geometry: coal.CollisionGeometry) -> tuple[Array, float]:
         case _:
             points = np.array([geometry.point(i) for i in range(geometry.num_points)])
     return points, radius
-
-
-_CUBE = np.array([*product((-1.0, 1.0), repeat=3)])
 
 
 # Unit vectors spread evenly over the sphere (Fibonacci's lattice).
