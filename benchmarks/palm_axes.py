@@ -18,10 +18,10 @@ import common  # first: it sets the number of threads before numpy is loaded
 # isort: split
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import shared_hands
+from msgspec.structs import replace
 
 from handmap_qp import Hand, read_recording
 from handmap_qp.apps.offline.comparison import Take, own_method, prepare_take

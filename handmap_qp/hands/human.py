@@ -8,15 +8,16 @@ URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirror`).
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Self
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
+from msgspec import field
+from msgspec.structs import force_setattr
 
 from handmap_qp.errors import HandError, expect
-from handmap_qp.se3 import Array, Arrays, as_floats, frozen
+from handmap_qp.se3 import Array, Arrays, ArrayStruct, as_floats, frozen
 from .sources import urdf_directory
 from .spec import Names, Side
 from .urdf import (
@@ -60,8 +61,7 @@ CONTACT_GAP = 0.013
 """Contact gap of a person of whom none was measured [m]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HumanLengths:
+class HumanLengths(ArrayStruct, frozen=True):
     """What is measured of a person's hand: lengths, rolls and contact gap, as a right hand.
 
     A left hand's are given mirrored in the palm's plane x = 0.
@@ -94,7 +94,7 @@ class HumanLengths:
     def __post_init__(self) -> None:
         for name, shape in (("bases", (5, 3)), ("segments", (5, 3)), ("rolls", (5,))):
             given = as_floats(getattr(self, name), name, shape=shape, is_finite=True)
-            object.__setattr__(self, name, frozen(given.copy()))
+            force_setattr(self, name, frozen(given.copy()))
         bases = self.bases
         segments = self.segments
         rolls = self.rolls
@@ -110,9 +110,6 @@ class HumanLengths:
         roll = np.abs(rolls).max()
         small = "angles within 45 degrees of 0"
         expect(roll <= LARGEST_ROLL, "rolls", small, value=rolls, got=f"{roll:.3g} rad")
-
-    def __reduce__(self) -> tuple[type[Self], tuple[Array | float, ...]]:
-        return type(self), (self.bases, self.segments, self.rolls, self.contact_gap)
 
     def palm(self, side: Side) -> Array:
         """Return wrist and knuckles of a hand of a side in its palm frame [m], shape (5, 3)."""

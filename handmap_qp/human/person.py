@@ -1,18 +1,17 @@
 """`Person`: lengths and contact gap of one person's hand, measured once and kept in a YAML file."""
 
 import os
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from msgspec.structs import astuple
+from msgspec.structs import astuple, force_setattr, replace
 
 from handmap_qp.errors import HandError, InvalidInputError, expect
 from handmap_qp.hands import FINGERS, Document, HumanLengths, Vector, read_yaml, typed
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import Array
+from handmap_qp.se3 import Array, ArrayStruct
 from .sample import expect_hand_length
 
 LARGEST_GAP = 0.04
@@ -21,8 +20,7 @@ LARGEST_GAP = 0.04
 _DECIMALS = 5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Person:
+class Person(ArrayStruct, frozen=True):
     """What is measured of one person.
 
     Attributes:
@@ -49,7 +47,7 @@ class Person:
             value=self.contact_gap,
         )
         lengths = replace(self.lengths, contact_gap=self.contact_gap)
-        object.__setattr__(self, "lengths", lengths)
+        force_setattr(self, "lengths", lengths)
 
     @property
     def hand_length(self) -> float:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 from xml.etree import ElementTree as ET
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -362,7 +362,7 @@ def test_left_hand_is_the_scaled_right_hand_mirrored() -> None:
 )
 def test_bad_lengths(change: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
-        replace(DEFAULT, **change)
+        msgspec.structs.replace(DEFAULT, **change)
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -18,7 +18,7 @@ CHAINED = Path(__file__).parents[1] / "data" / "urdf" / "chained_mimics.urdf"
 
 
 def arrays_in(value: Any) -> Iterator[np.ndarray]:
-    """Return every array in a value, also inside tuples, lists, dictionaries and dataclasses."""
+    """Return every array in a value, also inside tuples, lists, dictionaries and structs."""
     if isinstance(value, np.ndarray):
         yield value
     elif isinstance(value, tuple | list):
@@ -26,8 +26,8 @@ def arrays_in(value: Any) -> Iterator[np.ndarray]:
             yield from arrays_in(part)
     elif isinstance(value, dict):
         yield from arrays_in(list(value.values()))
-    elif is_dataclass(value):
-        yield from arrays_in([getattr(value, field.name) for field in fields(value)])
+    elif isinstance(value, msgspec.Struct):
+        yield from arrays_in(msgspec.structs.astuple(value))
 
 
 def attributes_of(hand: Hand) -> dict[str, Any]:

@@ -7,7 +7,7 @@ refusals that name a field of the request.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -497,5 +497,5 @@ def _measured(side: Side, landmarks: Array) -> HumanLengths:
     # Without a touch, nothing was measured: the preset's own gap is the better guess.
     smallest = smallest_gap(time, landmarks)
     if smallest < TOUCH_GAP:
-        lengths = replace(lengths, contact_gap=clipped_gap(smallest))
+        lengths = structs.replace(lengths, contact_gap=clipped_gap(smallest))
     return lengths

@@ -13,7 +13,6 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import astuple
 from itertools import compress
 from typing import Any
 
@@ -315,7 +314,7 @@ class Session:
             "upright": upright_of(wanted),
             "robot": self.robot.name,
             "lengths": measured
-            and Lengths(*(part.tolist() for part in astuple(measured)[:3])),
+            and Lengths(*(part.tolist() for part in structs.astuple(measured)[:3])),
             "preset": choice.preset,
             "options": choice.method.values,
             "ik": choice.ik.values,
