@@ -24,7 +24,7 @@ from handmap_qp.apps.service.keys import (
 )
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.mjcf import convert_mjcf
+from handmap_qp.hands.mjcf import ConvertedMjcf
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.human.person import person_text, read_person
 from handmap_qp.human.recording import Recording
@@ -208,7 +208,7 @@ KINDS = (
         ),
         detect,
     ),
-    _text("MJCF", "hand.xml", lambda: _MJCF, convert_mjcf),
+    _text("MJCF", "hand.xml", lambda: _MJCF, ConvertedMjcf),
     _text(
         "person",
         "person.yaml",

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from handmap_qp.apps.tables import print_rows
 from handmap_qp.errors import HandError
-from handmap_qp.hands.mjcf import convert_mjcf, kinematics_difference
+from handmap_qp.hands.mjcf import ConvertedMjcf, kinematics_difference
 from handmap_qp.hands.sources import is_mjcf
 
 
@@ -33,7 +33,7 @@ def main(paths: list[str]) -> None:
     for file in models(paths):
         start = time.perf_counter()
         try:
-            converted = convert_mjcf(file)
+            converted = ConvertedMjcf(file)
         except HandError as error:
             refused.append({"file": file.name, "reason": error.problem[:120]})
             continue

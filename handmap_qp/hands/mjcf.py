@@ -1,4 +1,4 @@
-"""From an MJCF file to a URDF with the same kinematics: `convert_mjcf`, `cached_urdf`.
+"""From an MJCF file to a URDF with the same kinematics: `ConvertedMjcf`, `cached_urdf`.
 
 A link is a body and has its frame. A body with several joints gets a massless link between each two
 of them, a ball joint becomes three hinges. Anchors, axes and frames are those that MuJoCo computes
@@ -49,19 +49,6 @@ _UNKNOWN = re.compile(
 _RADIUS = 0.006
 # A range of this size in radians is one of pi in degrees [rad].
 _SMALL_RANGE = 0.06
-
-
-def convert_mjcf(file: Path, meshes: str = "meshes") -> ConvertedMjcf:
-    """Compile an MJCF file and describe it as a URDF, not yet written.
-
-    Bodies that hang from the world and have no joints, or only a free joint, are scenery and
-    objects: they are left out. A free joint under a robot is left out too, because the wrist of a
-    `hand.yaml` floats without it. `meshes` is the folder of the meshes, relative to the URDF.
-
-    Raises:
-        HandError: If MuJoCo cannot compile the file, in its words, or no joint moves in it.
-    """
-    return ConvertedMjcf(*_compile(file), meshes)
 
 
 def _compile(file: Path) -> tuple[mujoco.MjModel, str, Names]:
@@ -211,7 +198,7 @@ def cached_urdf(file: Path) -> Path:
     urdf = folder / f"{file.stem}.urdf"
     if urdf.is_file():
         return urdf
-    converted = convert_mjcf(file)
+    converted = ConvertedMjcf(file)
     try:
         cache.mkdir(parents=True, exist_ok=True)
         # Another process may convert the same file: the first complete folder stays.
@@ -226,7 +213,15 @@ def cached_urdf(file: Path) -> Path:
 
 
 class ConvertedMjcf:
-    """An MJCF model as a URDF; `convert_mjcf` makes it.
+    """An MJCF model as a URDF, not yet written.
+
+    Bodies that hang from the world and have no joints, or only a free joint, are scenery and
+    objects: they are left out. A free joint under a robot is left out too, because the wrist of a
+    `hand.yaml` floats without it.
+
+    Args:
+        file: The MJCF file.
+        folder: Folder of the meshes, relative to the URDF.
 
     Attributes:
         text: The URDF.
@@ -235,13 +230,14 @@ class ConvertedMjcf:
         model: The compiled model.
         links: Name of the link of each body, by the body's index.
         joints: Name of each hinge and slide joint, by its index.
+
+    Raises:
+        HandError: If MuJoCo cannot compile the file, in its words, or no joint moves in it.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, name: str, notes: Names, folder: str
-    ) -> None:
-        self.model = model
-        self.notes = notes
+    def __init__(self, file: Path, folder: str = "meshes") -> None:
+        self.model, name, self.notes = _compile(file)
+        model = self.model
         self.meshes: dict[str, trimesh.Trimesh] = {}
         self._folder = folder
         self._taken = set[tuple[str, str]]()

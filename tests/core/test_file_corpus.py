@@ -12,7 +12,7 @@ from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.apps.onboarding.migrate import read_dex_configuration
 from handmap_qp.apps.service.keys import ClientKeys, make_keys, read_server_keys
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.mjcf import convert_mjcf
+from handmap_qp.hands.mjcf import ConvertedMjcf
 from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats import format_to_write, list_sources
 
@@ -58,7 +58,7 @@ def name_of_other_encoding(folder: Path) -> None:
     file = folder / "hand.xml"
     body = b'<body name="l\xff"><joint/><geom size="0.01"/></body>'
     file.write_bytes(b"<mujoco><worldbody>" + body + b"</worldbody></mujoco>")
-    convert_mjcf(file)
+    ConvertedMjcf(file)
 
 
 def box_of_four_numbers(folder: Path) -> None:

@@ -19,7 +19,6 @@ from handmap_qp import HandError, load_hand
 from handmap_qp.hands.mjcf import (
     ConvertedMjcf,
     cached_urdf,
-    convert_mjcf,
     kinematics_difference,
     write_converted,
 )
@@ -76,7 +75,7 @@ HAND = """
 def claw(tmp_path_factory: pytest.TempPathFactory) -> tuple[ConvertedMjcf, Path]:
     folder = tmp_path_factory.mktemp("claw")
     (folder / "claw.xml").write_text(HAND)
-    converted = convert_mjcf(folder / "claw.xml")
+    converted = ConvertedMjcf(folder / "claw.xml")
     write_converted(converted, folder / "out" / "claw.urdf")
     return converted, folder / "out" / "claw.urdf"
 
@@ -154,7 +153,7 @@ def _converted(text: str) -> ConvertedMjcf:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.xml"
         file.write_text(text)
-        return convert_mjcf(file)
+        return ConvertedMjcf(file)
 
 
 def test_limits_efforts_and_damping_are_those_of_the_file(
@@ -324,7 +323,7 @@ def test_a_model_without_a_hand_is_one_line(
     file = tmp_path / "model.xml"
     file.write_text(text)
     with pytest.raises(HandError) as caught:
-        convert_mjcf(file)
+        ConvertedMjcf(file)
     assert word in str(caught.value)
     assert "\n" not in str(caught.value)
     assert str(file) in str(caught.value)
@@ -345,9 +344,9 @@ def test_attributes_of_older_versions_are_left_out(
     file.write_text(text.format(f"<worldbody>{body}</worldbody>"))
     if dropped is None:
         with pytest.raises(HandError, match="MuJoCo cannot compile the MJCF: XML"):
-            convert_mjcf(file)
+            ConvertedMjcf(file)
     else:
-        converted = convert_mjcf(file)
+        converted = ConvertedMjcf(file)
         assert set(converted.joints.values()) == {"j"}
         words = [note.split()[0] for note in converted.notes if "unknown" in note]
         assert set(words) == dropped
@@ -366,7 +365,7 @@ def test_an_unknown_attribute_is_left_out_of_the_element_that_mujoco_names(
     file.write_text(f"""<?xml version="1.0"?>
       <mujoco><compiler angle="radian"/><!-- <joint range="0 1"/> --><worldbody>{bodies}</worldbody>
       <tendon><fixed name="cord">{cord}</fixed></tendon></mujoco>""")
-    converted = convert_mjcf(file)
+    converted = ConvertedMjcf(file)
     np.testing.assert_array_equal(converted.model.jnt_range, [[-0.2, 0.9]] * 2)
     unknown = [note for note in converted.notes if "unknown" in note]
     assert unknown == ["range of joint is unknown to MuJoCo: it is left out"]
@@ -387,7 +386,7 @@ def test_an_unknown_attribute_of_an_attached_file_is_refused_in_its_words(
         <body name="b"><attach model="x" body="s" prefix="p"/></body></worldbody></mujoco>'''
     )
     with pytest.raises(HandError, match="unrecognized attribute: 'foo'"):
-        convert_mjcf(file)
+        ConvertedMjcf(file)
 
 
 def test_the_root_tells_what_a_file_is(tmp_path: Path) -> None:
@@ -450,7 +449,7 @@ def test_meshes_are_found_by_their_names_or_have_balls_in_their_place(
     # Folders of meshes are looked for beside the file.
     if place == "elsewhere/meshes":
         (tmp_path / "elsewhere/meshes").rename(tmp_path / "meshes")
-    converted = convert_mjcf(file)
+    converted = ConvertedMjcf(file)
     robot = ET.fromstring(converted.text)
     palm = next(link for link in robot.iter("link") if link.get("name") == "palm")
     assert (palm.find("collision/geometry/mesh") is None) == (place is None)

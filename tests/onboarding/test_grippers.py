@@ -16,7 +16,7 @@ from handmap_qp.apps.onboarding.measure import standard_postures
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.errors import HandError
 from handmap_qp.hands import load_hand
-from handmap_qp.hands.mjcf import ConvertedMjcf, convert_mjcf
+from handmap_qp.hands.mjcf import ConvertedMjcf
 
 RADIANS = '<compiler angle="radian"/>'
 # A joint within the coupler gives each loop a second degree of freedom.
@@ -55,7 +55,7 @@ def _gripper(unit: str = RADIANS, elbow: str = "") -> str:
 def _converted(folder: Path, text: str) -> ConvertedMjcf:
     file = folder / "gripper.xml"
     file.write_text(text, encoding="utf-8")
-    return convert_mjcf(file)
+    return ConvertedMjcf(file)
 
 
 @pytest.mark.parametrize("unit", [RADIANS, ""])

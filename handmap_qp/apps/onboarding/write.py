@@ -101,10 +101,10 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
         return path, given if source else str(path), ()
     mjcf = hands.mjcf
     if source:
-        return mjcf.cached_urdf(path), given, mjcf.convert_mjcf(path).notes
+        return mjcf.cached_urdf(path), given, mjcf.ConvertedMjcf(path).notes
     urdf = folder / f"{path.stem}.urdf"
     check_new("--out", urdf, overwrite=overwrite)
-    converted = mjcf.convert_mjcf(path, f"{path.stem}_meshes")
+    converted = mjcf.ConvertedMjcf(path, f"{path.stem}_meshes")
     difference = mjcf.kinematics_difference(converted)
     if not difference < _MOST_DIFFERENCE:
         problem = f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m"
