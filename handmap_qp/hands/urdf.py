@@ -239,8 +239,9 @@ def cut_subtree(robot: Element, root: str) -> None:
     Raises:
         HandError: If there is no such link.
     """
-    _check_link(robot, root, "root")
-    _remove_links(robot, set(link_names(robot)).difference(*_levels(robot, [root])))
+    links = link_names(robot)
+    _require(root, links, "link", "root")
+    _remove_links(robot, set(links).difference(*_levels(robot, [root])))
     for element in list(robot):
         if element.tag not in ("link", "joint", "material"):
             robot.remove(element)
@@ -253,13 +254,14 @@ def remove_subtrees(robot: Element, roots: Collection[str]) -> None:
         HandError: If there is no such link.
     """
     for root in roots:
-        _check_link(robot, root, "arm.without")
+        _require(root, link_names(robot), "link", "arm.without")
     _remove_links(robot, set().union(*_levels(robot, roots)))
 
 
-def _check_link(robot: Element, link: str, key: str) -> None:
-    if link not in link_names(robot):
-        raise HandError(f"the URDF has no link {link!r}", key=key, value=link)
+def _require(name: str, known: Collection[str], what: str, key: str) -> None:
+    """Reject a name of a description that is not among those of the URDF."""
+    if name not in known:
+        raise HandError(f"the URDF has no {what} {name!r}", key=key, value=name)
 
 
 def _remove_links(robot: Element, names: set[str]) -> None:
@@ -352,18 +354,20 @@ def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
     """
     if spec.root is not None:
         cut_subtree(robot, spec.root)
+    joints = joints_by_name(robot, MOVABLE)
     for name, rule in spec.mimic.items():
-        joint = _movable_joint(robot, name, "mimic")
-        for old in joint.findall("mimic"):
-            joint.remove(old)
+        _require(name, joints, "movable joint", f"mimic.{name}")
+        for old in joints[name].findall("mimic"):
+            joints[name].remove(old)
         if rule:
-            add_mimic(joint, rule)
+            add_mimic(joints[name], rule)
     positions = lock_joints(robot, spec.locked)
     fix_free_joints(robot)
+    joints = joints_by_name(robot, MOVABLE)
     for name in spec.limits:
-        _movable_joint(robot, name, "limits")
+        _require(name, joints, "movable joint", f"limits.{name}")
     rules = mimics_of(robot)
-    for name, joint in joints_by_name(robot, MOVABLE).items():
+    for name, joint in joints.items():
         limits = spec.limits.get(name)
         _complete_limits(joint, limits or _followed(name, rules, spec.limits))
     return positions
@@ -412,8 +416,7 @@ def lock_joints(robot: Element, positions: Positions) -> Positions:
     pending = [*positions.items()]
     locked: Positions = {}
     for name, position in pending:
-        if name not in joints:
-            raise HandError(f"the URDF has no joint {name!r}", key="locked", value=name)
+        _require(name, joints, "joint", "locked")
         if joints[name].get("type") != "fixed":
             _lock(joints[name], position)
             locked[name] = position
@@ -461,17 +464,6 @@ def _fix(joint: Element) -> None:
         if element.tag not in _OF_FIXED_JOINTS:
             joint.remove(element)
     joint.set("type", "fixed")
-
-
-def _movable_joint(robot: Element, name: str, section: str) -> Element:
-    joint = joints_by_name(robot, MOVABLE).get(name)
-    if joint is None:
-        raise HandError(
-            f"the URDF has no movable joint {name!r}",
-            key=f"{section}.{name}",
-            value=name,
-        )
-    return joint
 
 
 def move_shapes(robot: Element, moves: Mapping[str, ArrayLike]) -> None:
@@ -532,7 +524,7 @@ def mount_on_arm(arm: Element, hand: Element, spec: ArmSpec) -> None:
     Raises:
         HandError: If the arm has no such link.
     """
-    _check_link(arm, spec.tip, "arm.tip")
+    _require(spec.tip, link_names(arm), "link", "arm.tip")
     mount = SubElement(arm, "joint", name="hand_mount", type="fixed")
     SubElement(mount, "parent", link=spec.tip)
     set_numbers(SubElement(mount, "origin"), xyz=spec.xyz, rpy=spec.rpy)
