@@ -23,6 +23,7 @@ from .errors import (
 from .errors import (
     RecordingError as RecordingError,
 )
+from .hands.configuration import AttachedPoints as AttachedPoints
 from .hands.hand import Hand as Hand
 from .hands.human import HumanLengths as HumanLengths
 from .hands.library import (
@@ -42,9 +43,6 @@ from .human.recording import Recording as Recording
 from .human.recording import sample_columns as sample_columns
 from .human.sample import HumanSample as HumanSample
 from .ik.options import IkOptions as IkOptions
-from .ik.tasks import (
-    AttachedPoints as AttachedPoints,
-)
 from .ik.tasks import (
     PointDistances as PointDistances,
 )

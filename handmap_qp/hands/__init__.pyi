@@ -7,6 +7,7 @@ from .collision_shapes import is_lost as is_lost
 from .collision_shapes import is_missing as is_missing
 from .collision_shapes import prism_around as prism_around
 from .collision_shapes import read_collision_shapes as read_collision_shapes
+from .configuration import AttachedPoints as AttachedPoints
 from .configuration import Configuration as Configuration
 from .configuration import moved_by as moved_by
 from .fingers import PARALLEL as PARALLEL

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pinocchio as pin
@@ -34,6 +34,50 @@ def moved_by(model: pin.Model, joints: Sequence[int]) -> Array:
     return np.array(moved, dtype=float).reshape(-1, model.nv)
 
 
+class AttachedPoints:
+    """Points that are fixed to links of a hand, with their derivatives.
+
+    Args:
+        hand: The hand.
+        places: Joint of the model that carries each point, and the point's offset in the joint's
+            frame [m].
+    """
+
+    def __init__(self, hand: Hand, places: Sequence[tuple[int, Array]]) -> None:
+        self.joints = [joint for joint, _ in places]
+        self.offsets = np.array([offset for _, offset in places], dtype=float).reshape(
+            -1, 3
+        )
+        # Which coordinates of the model move each point, shape (n, 1, model.nv).
+        self.moved = moved_by(hand.model, self.joints)[:, None]
+
+    @classmethod
+    def reference_points(cls, hand: Hand) -> Self:
+        """Return the hand's reference points."""
+        places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
+        return cls(hand, places)
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def positions(self, hand: Configuration) -> Array:
+        """Return the points in the world [m], shape (n, 3)."""
+        placed = zip(self.joints, self.offsets, strict=True)
+        points = [hand.data.oMi[joint].act(offset) for joint, offset in placed]
+        return np.reshape(points, (-1, 3))
+
+    def jacobians(self, hand: Configuration, positions: Array) -> Array:
+        """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
+        return hand.contracted(self.velocities(hand, positions))
+
+    def velocities(self, hand: Configuration, positions: Array) -> Array:
+        """Return the same in all coordinates of the model, shape (n, 3, model.nv)."""
+        linear, angular = hand.data.J.reshape(2, 3, -1)
+        # The velocity at the world's origin plus w x p is that of the point p.
+        turning = np.cross(angular[None], positions[:, :, None], axis=1)
+        return (linear + turning) * self.moved
+
+
 class Configuration:
     """One posture of a model, with its reference points; at first Pinocchio's neutral one.
 
@@ -56,7 +100,7 @@ class Configuration:
         self.model = hand.model
         self.spread = hand.spread
         self._wrists = [each.wrist_frame for each in hand.hands]
-        self._points = hand.point_frames
+        self._points = AttachedPoints.reference_points(hand)
         self.data = self.model.createData()
         ends = [*accumulate(len(each.reference_points) for each in hand.hands)]
         self.parts = [*map(slice, [0, *ends], ends)]
@@ -100,8 +144,7 @@ class Configuration:
     @property
     def points(self) -> Array:
         """Reference points in the world [m], shape (m, 3)."""
-        points = [self._placed(frame).translation for frame in self._points]
-        return frozen(np.array(points))
+        return frozen(self._points.positions(self))
 
     @property
     def wrists(self) -> list[pin.SE3]:
@@ -134,12 +177,8 @@ class Configuration:
 
     def full_point_jacobian(self) -> Array:
         """Jacobian as of `point_jacobian`, by all coordinates of the model, (3 m, model.nv)."""
-        rows = [self._jacobian(f, pin.LOCAL_WORLD_ALIGNED)[:3] for f in self._points]
-        return np.vstack(rows)
-
-    def _jacobian(self, frame: pin.Frame, axes: pin.ReferenceFrame) -> Array:
-        place = frame.parentJoint, frame.placement
-        return pin.getFrameJacobian(self.model, self.data, *place, axes)
+        rows = self._points.velocities(self, self.points)
+        return rows.reshape(-1, self.model.nv)
 
     def wrist_jacobian(self, error_jacobian: Array, part: int = 0) -> Array:
         """Body Jacobian of a wrist in the active coordinates.
@@ -151,8 +190,10 @@ class Configuration:
         Returns:
             `error_jacobian @ J_wrist`, shape (6, k); a new array.
         """
-        wrist = self._jacobian(self._wrists[part], pin.LOCAL)
-        return self.contracted(error_jacobian @ wrist)
+        wrist = self._wrists[part]
+        place = wrist.parentJoint, wrist.placement
+        rows = pin.getFrameJacobian(self.model, self.data, *place, pin.LOCAL)
+        return self.contracted(error_jacobian @ rows)
 
     def contracted(self, jacobian: Array) -> Array:
         """Take a Jacobian over the model's tangent space to the active coordinates.

@@ -18,13 +18,13 @@ function from a hand to a task; `IkOptions.tasks` takes them by name.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidOptionsError, expect
-from handmap_qp.hands import Configuration, Hand, moved_by
+from handmap_qp.hands import AttachedPoints, Configuration, Hand
 from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import Array, as_floats, lengths
 from .core import Compiled
@@ -100,50 +100,6 @@ def tasks_named(names: Sequence[str], hand: Hand) -> list[Task]:
         known = ", ".join(TASKS) or "none, because no installed package has any"
         raise InvalidOptionsError(option="tasks", expected=known, value=unknown[0])
     return [TASKS[name](hand) for name in names]
-
-
-class AttachedPoints:
-    """Points that are fixed to links of a hand, with their derivatives.
-
-    Args:
-        hand: The hand.
-        places: Joint of the model that carries each point, and the point's offset in the joint's
-            frame [m].
-    """
-
-    def __init__(self, hand: Hand, places: Sequence[tuple[int, Array]]) -> None:
-        self.joints = [joint for joint, _ in places]
-        self.offsets = np.array([offset for _, offset in places], dtype=float).reshape(
-            -1, 3
-        )
-        # Which coordinates of the model move each point, shape (n, 1, model.nv).
-        self.moved = moved_by(hand.model, self.joints)[:, None]
-
-    @classmethod
-    def reference_points(cls, hand: Hand) -> Self:
-        """Return the hand's reference points."""
-        places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
-        return cls(hand, places)
-
-    def __len__(self) -> int:
-        return len(self.joints)
-
-    def positions(self, hand: Configuration) -> Array:
-        """Return the points in the world [m], shape (n, 3)."""
-        placed = zip(self.joints, self.offsets, strict=True)
-        points = [hand.data.oMi[joint].act(offset) for joint, offset in placed]
-        return np.reshape(points, (-1, 3))
-
-    def jacobians(self, hand: Configuration, positions: Array) -> Array:
-        """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
-        return hand.contracted(self.velocities(hand, positions))
-
-    def velocities(self, hand: Configuration, positions: Array) -> Array:
-        """Return the same in all coordinates of the model, shape (n, 3, model.nv)."""
-        linear, angular = hand.data.J.reshape(2, 3, -1)
-        # The velocity at the world's origin plus w x p is that of the point p.
-        turning = np.cross(angular[None], positions[:, :, None], axis=1)
-        return (linear + turning) * self.moved
 
 
 class PointDistances(Compiled):
