@@ -107,35 +107,30 @@ def load_hand(
         value=hand,
     )
     if lengths is None and hand_length is None:
-        return Hand(_spec_of(hand), points=points, mount=mount)
+        return _load(hand, mount, points)
     is_one = None in (lengths, hand_length)
     expect(is_one, "lengths", "these or hand_length, not both", value=lengths)
     if hand_length is not None:
         lengths = HumanLengths.from_hand_length(hand_length)
     expect(isinstance(lengths, HumanLengths), "lengths", "HumanLengths", value=lengths)
     is_standard = hand in HUMAN_HANDS and isinstance(points, str | None)
-    load = _standard_human if is_standard else _load_human
-    return _scaled(load(hand, mount, points), lengths)
+    load = _load_standard if is_standard else _load
+    standard = load(hand, mount, points)
+    name = standard.spec.name
+    expected = "none, because only the human hand can be scaled"
+    expect(name in HUMAN_HANDS, "lengths", expected, got=f"some for {name}")
+    return _scaled(standard, lengths)
 
 
-def _spec_of(hand: str | Path | HandSpec) -> HandSpec:
-    return hand if isinstance(hand, HandSpec) else read_hand_spec(find_file(hand))
-
-
-def _load_human(
+def _load(
     hand: str | Path | HandSpec, mount: Mount | None, points: Points | None
 ) -> Hand:
-    """Load a human hand; reject a robot."""
-    spec = _spec_of(hand)
-    expected = "none, because only the human hand can be scaled"
-    expect(spec.name in HUMAN_HANDS, "lengths", expected, got=f"some for {spec.name}")
+    spec = hand if isinstance(hand, HandSpec) else read_hand_spec(find_file(hand))
     return Hand(spec, points=points, mount=mount)
 
 
 # Every recording has its own person; hands are read-only.
-_standard_human = lru_cache(maxsize=8)(_load_human)
-
-
+_load_standard = lru_cache(maxsize=8)(_load)
 # The guard and the mapper have the same person, whose lengths hash by identity.
 _scaled = lru_cache(maxsize=4)(Hand.with_lengths)
 
