@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import combinations, compress, product
 from typing import NamedTuple
 
@@ -46,7 +47,7 @@ class ShapePairs(NamedTuple):
     def links(self) -> tuple[Links, ...]:
         """Links of both shapes of each pair."""
         names = _links(self.geometry)
-        return tuple((names[i], names[j]) for i, j in _ends(self.geometry))
+        return tuple((names[i], names[j]) for i, j in pair_ends(self.geometry))
 
 
 def _links(geometry: pin.GeometryModel) -> list[str]:
@@ -54,7 +55,7 @@ def _links(geometry: pin.GeometryModel) -> list[str]:
     return [shape.name.rpartition("_")[0] for shape in geometry.geometryObjects]
 
 
-def _ends(geometry: pin.GeometryModel) -> list[tuple[int, int]]:
+def pair_ends(geometry: pin.GeometryModel) -> list[tuple[int, int]]:
     """Return the indices of both shapes of each pair."""
     return [(pair.first, pair.second) for pair in geometry.collisionPairs]
 
@@ -135,8 +136,10 @@ def all_pairs(hand: Hand) -> ShapePairs:
     return ShapePairs(geometry, _pinching_fingers(geometry, chains), joined)
 
 
+# The core takes long to take over pairs that are new.
+@lru_cache(maxsize=16)
 def common_pairs(
-    of: Sequence[ShapePairs],
+    of: tuple[ShapePairs, ...],
 ) -> tuple[ShapePairs, list[Array]]:
     """Return the pairs that all hands of one robot keep apart.
 
@@ -148,7 +151,7 @@ def common_pairs(
         shape (2, r).
     """
     owns = [
-        dict(zip(_ends(pairs.geometry), pairs.fingers, strict=True)) for pairs in of
+        dict(zip(pair_ends(pairs.geometry), pairs.fingers, strict=True)) for pairs in of
     ]
     common = sorted(set.intersection(*map(set, owns)))
     # Each finger is of one hand, so the others' names are empty.
@@ -166,7 +169,7 @@ def _pinching_fingers(geometry: pin.GeometryModel, chains: dict[str, Finger]) ->
     owners = defaultdict[int, str](str)
     for finger, chain in chains.items():
         owners |= dict.fromkeys(distal_shapes(chain, geometry), finger)
-    names = [{owners[i], owners[j]} for i, j in _ends(geometry)]
+    names = [{owners[i], owners[j]} for i, j in pair_ends(geometry)]
     return tuple(max(two - {THUMB}) if THUMB in two else "" for two in names)
 
 

@@ -65,7 +65,14 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands import Configuration, Hand, ShapePairs, moved_by, named_pairs
+from handmap_qp.hands import (
+    Configuration,
+    Hand,
+    ShapePairs,
+    moved_by,
+    named_pairs,
+    pair_ends,
+)
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
 from .core import Compiled
 from .limits import Rows
@@ -154,8 +161,7 @@ class PairBounds(Compiled):
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
         self.geometry = geometry
         self.links = (*ShapePairs(geometry, ()).links, ())
-        pairs = geometry.collisionPairs
-        sides = np.array([(pair.first, pair.second) for pair in pairs], dtype=int)
+        sides = np.array(pair_ends(geometry), dtype=int)
         self.first, self.second = sides.reshape(-1, 2).T
         shapes = geometry.geometryObjects
         levers = [_levers(model, shape) for shape in shapes]

@@ -11,7 +11,6 @@ near each other, the robot's have their offset, too.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import lru_cache
 from operator import attrgetter
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -63,10 +62,6 @@ _TOGETHER = 0.2
 _TOGETHER_SHARE = 5.0
 # Where a base is that nobody has moved; a copy of it is slower, and no different.
 _HOME = frozen(np.eye(4))
-
-
-# The core takes long to take over pairs that are new.
-_common_pairs = lru_cache(maxsize=16)(common_pairs)
 
 
 class Asked(NamedTuple):
@@ -512,7 +507,7 @@ class RobotMapper(Mover):
         leaders = [*self.leaders.values()]
         whole = joined(self._name, *(leader.robot for leader in leaders))
         contacts = tuple(filter(None, [leader.bound.contacts for leader in leaders]))
-        pairs, pinching = _common_pairs(contacts) if contacts else (None, [])
+        pairs, pinching = common_pairs(contacts) if contacts else (None, [])
         self.point_ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
         self._pinching = pinching
         self._own = whole.finger_joints
