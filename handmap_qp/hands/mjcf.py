@@ -21,7 +21,6 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import trimesh
-from trimesh.exchange.stl import export_stl
 
 from handmap_qp.errors import HandError, reason_of
 from handmap_qp.se3 import Array, affine, inverse_pose, rotation_from_quat_wxyz
@@ -144,11 +143,12 @@ def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:
     Raises:
         OSError: If a file cannot be written.
     """
-    files = {name: export_stl(mesh) for name, mesh in converted.meshes.items()}
-    for name, content in (files | {urdf.name: converted.text.encode()}).items():
+    urdf.parent.mkdir(parents=True, exist_ok=True)
+    urdf.write_text(converted.text, encoding="utf-8")
+    for name, mesh in converted.meshes.items():
         file = urdf.parent / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(content)
+        file.parent.mkdir(exist_ok=True)
+        mesh.export(file)
 
 
 def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float:
