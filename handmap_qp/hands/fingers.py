@@ -488,5 +488,5 @@ def carrier_of(hand: Hand, link: str) -> int:
 
 def place_of(hand: Hand, point: PointSpec) -> Place:
     """Return the joint of the model that carries a point, and the point's offset on it."""
-    frame = hand.model.frames[hand.model.getBodyId(point.link)]
+    frame = hand.frames[point.link]
     return frame.parentJoint, frame.placement.act(np.array(point.xyz))

@@ -65,7 +65,7 @@ LONGEST_STOP = 0.5
 _LINK = pin.FrameType.BODY
 _JOINT = pin.FrameType.JOINT
 # Made when first read, and again by a copy.
-_CACHED = ("moves_wrist", "_scratch")
+_CACHED = ("frames", "moves_wrist", "_scratch")
 
 
 class Hand:
@@ -199,6 +199,11 @@ class Hand:
     def model(self) -> pin.Model:
         """Pinocchio model, not to be changed: a floating wrist's six coordinates, then joints."""
         return build_model(self.spec, self.urdf_text, self.mount, {})
+
+    @cached_property
+    def frames(self) -> dict[str, pin.Frame]:
+        """Frame of the model for each link, by the link's name."""
+        return {f.name: f for f in self.model.frames if f.type == _LINK}
 
     @cached_property
     def point_frames(self) -> tuple[pin.Frame, ...]:
@@ -514,8 +519,8 @@ class Hand:
         Only the free-flyer or the joints of an arm may move them, and both together.
         """
         model, spec = self.model, self.spec
-        links = {p.link for p in spec.points if model.existBodyName(p.link)}
-        carriers = {model.frames[model.getBodyId(link)].parentJoint for link in links}
+        frames = filter(None, (self.frames.get(point.link) for point in spec.points))
+        carriers = {frame.parentJoint for frame in frames}
         wrist = self.wrist_frame.parentJoint
         palm = self.palm_frame.parentJoint
         for key, link, joint in (
@@ -533,16 +538,11 @@ class Hand:
 
     def _frame(self, name: str, link: str, key: str, pose: Array) -> pin.Frame:
         """Return a frame at a pose (4, 4) on a link, which a key of a spec names."""
-        model = self.model
-        # By kind as well as by name: in many URDFs a joint has the name of its link.
-        if not model.existBodyName(link):
+        if link not in self.frames:
             raise self.spec.error(f"the URDF has no link {link!r}", key, link)
-        at = model.getBodyId(link)
-        parent = model.frames[at]
+        parent = self.frames[link]
         placement = parent.placement * pin.SE3(pose)
-        return pin.Frame(
-            name, parent.parentJoint, at, placement, pin.FrameType.OP_FRAME
-        )
+        return pin.Frame(name, parent.parentJoint, placement, pin.FrameType.OP_FRAME)
 
     def use_points(self, points: tuple[PointSpec, ...]) -> None:
         """Use other reference points, while nobody else has this hand."""

@@ -86,7 +86,7 @@ def named_pairs(hand: Hand, pairs: Sequence[Links]) -> ShapePairs:
     for i, pair in enumerate(pairs):
         for link in pair:
             if link not in shapes:
-                is_link = hand.model.existBodyName(link)
+                is_link = link in hand.frames
                 what = (
                     "has no collision shape" if is_link else "is not a link of the URDF"
                 )

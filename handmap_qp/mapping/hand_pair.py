@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from functools import cached_property, lru_cache
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import (
@@ -359,11 +358,7 @@ def _joints_between(chain: Finger) -> dict[str, Place]:
 def _point(chain: Finger, name: str, place: Place, weight: float) -> PointSpec:
     """Describe a point of a finger, on a joint of the model, as one on a link of the URDF."""
     joint, offset = place
-    frame = next(
-        frame
-        for frame in chain.hand.model.frames
-        if frame.parentJoint == joint and frame.type == pin.FrameType.BODY
-    )
+    frame = next(f for f in chain.hand.frames.values() if f.parentJoint == joint)
     x, y, z = frame.placement.actInv(offset).tolist()
     return PointSpec(name, frame.name, (x, y, z), chain.name, weight, name)
 

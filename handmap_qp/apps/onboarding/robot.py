@@ -14,7 +14,6 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.apps.drawing import shape_meshes
 from handmap_qp.errors import HandError, reason_of
@@ -72,7 +71,6 @@ class Robot(Hand):
         file: The URDF's file.
         root: Link that it starts at.
         is_whole: Whether `root` is the root of the URDF.
-        frames: Frame of the model for each link.
         links: Links of each body, its first one first.
         surface: Points of a body's visuals, else of its collision shapes, by its number, in its
             frame [m], shape (k, 3); a `HandError` if a shape lacks its numbers.
@@ -110,8 +108,6 @@ class Robot(Hand):
         self.elements = {link.get("name", ""): link for link in robot.iterfind("link")}
         self.parents = {child: parent for _, parent, child in edges(robot)}
         self.bodies = [*map(self.model.getJointId, joints_by_name(robot, MOVABLE))]
-        frames = self.model.frames
-        self.frames = {f.name: f for f in frames if f.type == pin.FrameType.BODY}
         self.links = [
             [link for link, frame in self.frames.items() if frame.parentJoint == body]
             for body in range(self.model.njoints)
