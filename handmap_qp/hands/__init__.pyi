@@ -14,7 +14,6 @@ from .fingers import PARALLEL as PARALLEL
 from .fingers import Finger as Finger
 from .fingers import PalmKinematics as PalmKinematics
 from .fingers import Place as Place
-from .fingers import carrier_of as carrier_of
 from .fingers import ends_of as ends_of
 from .fingers import find_fingers as find_fingers
 from .fingers import finger_tips as finger_tips

@@ -481,11 +481,6 @@ def finger_tips(hand: Hand) -> dict[str, PointSpec]:
     return tips
 
 
-def carrier_of(hand: Hand, link: str) -> int:
-    """Return the joint of the model that moves a link."""
-    return place_of(hand, PointSpec("", link))[0]
-
-
 def place_of(hand: Hand, point: PointSpec) -> Place:
     """Return the joint of the model that carries a point, and the point's offset on it."""
     frame = hand.frames[point.link]

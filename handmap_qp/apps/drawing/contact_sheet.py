@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from handmap_qp.errors import expect, require
-from handmap_qp.hands import Hand, Side, Values, carrier_of, find_fingers
+from handmap_qp.hands import Hand, Side, Values, find_fingers
 from handmap_qp.human import (
     FIRST_JOINTS,
     LANDMARK_COUNT,
@@ -326,6 +326,7 @@ def _coloured(shape: HandShape) -> HandShape:
     }
     links = {}
     for link, solid in shape.without_arm().links.items():
-        colour = colours.get(carrier_of(shape.hand, link), _ROBOT_COLOUR)
+        joint = shape.hand.frames[link].parentJoint
+        colour = colours.get(joint, _ROBOT_COLOUR)
         links[link] = Triangles.painted(solid.vertices, solid.normals, colour)
     return HandShape(shape.hand, links)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, require
-from handmap_qp.hands import Hand, carrier_of
+from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array, affine, lengths, unit
 from .raster import Camera, Colour, Triangles, merged, render
 from .shapes import read_shapes
@@ -87,7 +87,7 @@ class HandShape(NamedTuple):
         links = {
             link: shape
             for link, shape in self.links.items()
-            if wrist in supports[carrier_of(self.hand, link)]
+            if wrist in supports[self.hand.frames[link].parentJoint]
         }
         return HandShape(self.hand, links)
 

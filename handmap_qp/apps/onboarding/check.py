@@ -20,7 +20,6 @@ from handmap_qp.hands import (
     Links,
     Names,
     PalmKinematics,
-    carrier_of,
     find_fingers,
     is_lost,
     is_missing,
@@ -121,7 +120,7 @@ def check_robot(given: str | Path, *, has_motion: bool = True) -> Report:
         report.error = report.error or found.error
         report.add(one._replace(key=f"{side}: {one.key}") for one in found.findings)
     whole = robot.hands[0]
-    wrists = [carrier_of(whole, hand.spec.wrist.link) for hand in robot.hands]
+    wrists = [whole.frames[h.spec.wrist.link].parentJoint for h in robot.hands]
     # Links of one hand are among its own findings.
     pairs = colliding_links(whole, whole.rest, wrists)
     report.add([_overlap(pairs, "move the arms apart, and away from the body")])
@@ -365,7 +364,7 @@ def _compare_fingers(hand: Hand, chains: dict[str, Names]) -> Found:
     pairs = reversed(chains.items())
     owners = {joint: finger for finger, joints in pairs for joint in joints}
     for point in hand.reference_points:
-        owner = owners.get(hand.model.names[place_of(hand, point)[0]])
+        owner = owners.get(hand.model.names[hand.frames[point.link].parentJoint])
         if owner and point.finger not in (None, owner):
             what = f"is on the finger at the position of the {owner}, but names {point.finger}"
             change = f"finger: {owner}, with a matching name and partner"

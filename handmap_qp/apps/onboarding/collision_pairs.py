@@ -15,7 +15,6 @@ from handmap_qp.hands import (
     Links,
     ShapePairs,
     all_pairs,
-    carrier_of,
     find_fingers,
     named_pairs,
     pair_distances,
@@ -88,7 +87,7 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
     wanted = [
         links
         for links in dict.fromkeys(compress(named, is_near))
-        if {owners.get(carrier_of(hand, link)) for link in links} in beside
+        if {owners.get(hand.frames[link].parentJoint) for link in links} in beside
         and links not in by_design
     ]
     # A link has several shapes: its pair is left out if one pair of them touches at rest.

@@ -18,7 +18,7 @@ from handmap_qp.apps.drawing import (
     LinkShape,
     read_shapes,
 )
-from handmap_qp.hands import Hand, Values, carrier_of, finger_tips, joined
+from handmap_qp.hands import Hand, Values, finger_tips, joined
 from handmap_qp.human import TIPS
 from handmap_qp.se3 import (
     Array,
@@ -342,7 +342,7 @@ class HandFigure(Figure):
     def _is_in_view(self, link: str) -> bool:
         """Return whether the view is fitted to a link: no arm, nor what a robot does not move."""
         if self.hand.parts:
-            return carrier_of(self.hand, link) > 0
+            return self.hand.frames[link].parentJoint > 0
         return self.hand.is_floating or not self.hand.has_moving_wrist
 
     def _boxes(self, q: Array, wrist: Array) -> Array:
