@@ -160,7 +160,7 @@ inline void make_frames(Tree& tree, const Fields& hand) {
   }
 }
 
-// The tree of a hand with joints in other places; see hands.Hand.with_joints.
+// The tree of a hand with joints in other places; see hands.Hand.with_lengths.
 inline Tree moved_tree(const Tree& standard, const nb::dict& moves) {
   Tree tree = standard;
   for (const auto& [name, move] : moves) {
