@@ -42,7 +42,7 @@ _OF_FIXED_JOINTS = ("origin", "parent", "child")
 
 
 def read_tree(spec: HandSpec | ArmSpec, text: str | bytes | None = None) -> Element:
-    """Read the URDF of a hand or an arm, checked, with absolute paths of its meshes.
+    """Read the URDF of a hand or an arm, and check it.
 
     Args:
         spec: The description of the hand or the arm.
@@ -54,11 +54,6 @@ def read_tree(spec: HandSpec | ArmSpec, text: str | bytes | None = None) -> Elem
     """
     robot = parse_urdf(read_urdf(spec) if text is None else text)
     check_tree(robot)
-    # Later readers know no folder.
-    folder = urdf_path(spec).parent
-    for mesh in robot.iter("mesh"):
-        if name := mesh.get("filename"):
-            mesh.set("filename", str(find_mesh(name, folder).resolve()))
     return robot
 
 
@@ -340,7 +335,8 @@ def _checked_kind(joint: Element) -> str:
 def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
     """Keep the part from `root` outwards, and write mimic rules, locked joints and limits into it.
 
-    Where a leader is given a speed, it is bound by none of its followers' but given ones.
+    Paths of meshes become absolute, because later readers know no folder. Where a leader is given a
+    speed, it is bound by none of its followers' but given ones.
 
     Args:
         robot: The `<robot>` element, changed in place.
@@ -370,6 +366,10 @@ def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
     for name, joint in joints.items():
         limits = spec.limits.get(name)
         _complete_limits(joint, limits or _followed(name, rules, spec.limits))
+    folder = urdf_path(spec).parent
+    for mesh in robot.iter("mesh"):
+        if file := mesh.get("filename"):
+            mesh.set("filename", str(find_mesh(file, folder).resolve()))
     return positions
 
 
