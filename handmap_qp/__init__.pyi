@@ -101,6 +101,7 @@ from .mapping.methods.virtual_object import (
 from .mapping.objects import parse_object as parse_object
 from .stream.follower import Follower as Follower
 from .stream.follower import Smoothing as Smoothing
+from .stream.following import FollowingCheck as FollowingCheck
 from .stream.grip import (
     GripFollower as GripFollower,
 )

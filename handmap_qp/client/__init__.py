@@ -190,6 +190,11 @@ class _Core:
             await self._reopen(monotonic() + self.timeout)
         await self._io("samples", _ENCODE(self._numbered(sample)), 0.0)
 
+    async def _tell(self, request: Request) -> None:
+        """Send a request whose answer nobody reads."""
+        await self._read("samples", 0.0)
+        await self._io("samples", _ENCODE(self._numbered(request)), 0.0)
+
     async def _latest(self, timeout: float) -> Command | None:
         if "stream" not in self._sockets:
             raise RuntimeError("open a session first, or watch one")
@@ -483,6 +488,16 @@ class Client(_Core):
         """
         return self._run(self._watch(name))
 
+    def measured(self, q: npt.ArrayLike) -> None:
+        """Say where the joints of a watched session's robot are, without waiting for an answer.
+
+        A client that leads a session gives `measured_q` with its samples instead.
+
+        Args:
+            q: Joint angles that a driver reads [rad], in the order of `joint_names`.
+        """
+        return self._run(self._tell({"type": "measured", "measured_q": q}))
+
     def clutch(self) -> None:
         """Engage, or engage again: the next sample is the reference.
 
@@ -576,6 +591,7 @@ class AsyncClient(_Core):
     send = _awaited(Client.send)
     latest = _awaited(Client.latest)
     watch = _awaited(Client.watch)
+    measured = _awaited(Client.measured)
     clutch = _awaited(Client.clutch)
     release = _awaited(Client.release)
     stop = _awaited(Client.stop)

@@ -236,6 +236,11 @@ class Open(Request):
         resume: After a hold: follow the human, or take a new reference.
         has_detail: Whether commands carry every stage of the mapping.
         is_shared: Whether others may release, clutch, configure and clear it by its name.
+        following_error: Distance from all commands of the last 50 ms at which a measured joint does
+            not follow [rad], at most half of its range: the robot then holds where it is
+            (`not_following`) until `clutch` or `reset`, as where measurements stay away for 150 ms.
+            Null: errors are only told. An object in the hand stops joints, too.
+        following_time: How long it must last [s].
         grip: Fields of GripOptions: thumb and finger hold what they meet, by `measured_q` of
             samples, or all press on an `object`. Only with input=landmarks, as is that.
         object: The object that the person holds: `box:0.05`, `box:0.03x0.04x0.1`, `sphere:0.04`,
@@ -271,6 +276,8 @@ class Open(Request):
     resume: Literal["follow", "clutch"] = "follow"
     has_detail: bool = False
     is_shared: bool = False
+    following_error: Annotated[float, Meta(gt=0)] | None = None
+    following_time: Annotated[float, Meta(ge=0, le=10)] = 0.05
     grip: Options | None = None
     object: Solid | Places | None = None
 
@@ -340,7 +347,8 @@ class Step(Request):
         hands: One or both hands by side, in place of all fields above but `time`; for a robot with
             two hands. Without one of them, its side of the robot goes on to what it was asked for
             last, and holds after 0.25 s.
-        measured_q: Joint angles that the robot has now [rad]; required with `grip` alone.
+        measured_q: Joint angles that the robot has now [rad], as of `measured`; required with
+            `grip` alone.
         object_centre: Middle of what the robot is to grip, in its world [m], if it is known: pads
             that close near it meet around it; only with `grip` alone.
         object_pose: Pose of the person's `object`, in the axes of the landmarks; if it is omitted,
@@ -453,6 +461,18 @@ class Reset(Request):
 
     robot_q: Angles | None = None
     robot_wrist: Pose | None = None
+
+
+class Measured(Named):
+    """Where the robot's joints are, as its driver reads them, in each period of its own.
+
+    Every client that is admitted may say it. A driver that has begun to must go on.
+
+    Attributes:
+        measured_q: Joint angles in the order of `joint_names` [rad].
+    """
+
+    measured_q: Angles
 
 
 class Status(Named):
@@ -580,7 +600,7 @@ class Command(Reply):
         wrist: The wrist frame in the robot's world; null before it is known. That of the first hand
             of a robot with two.
         status: converged, limited, unreachable, unsettled, failed, released, held, gliding, hold,
-            returning, stopped or calibrating.
+            returning, stopped, not_following or calibrating.
         flags: Conditions that a driver should know; see the list.
         point_error: Distance of each robot point that the method moves from its target [m].
         residual: Residual of T: RMS over the human points that it is estimated from [m].
@@ -600,6 +620,8 @@ class Command(Reply):
             nothing.
         hands: Each hand of a robot with two, by side. A hand whose sample makes no sense is `held`
             by itself; the robot is `held` if all are.
+        following_error: How far each joint was from what was commanded when it was measured last
+            [rad], in the order of `q`; empty if it never was.
         effort: Torques of a grip [N m] in the order of `q`, by which position control presses, too;
             empty without one.
     """
@@ -627,6 +649,7 @@ class Command(Reply):
     arm_held_by: str = ""
     hands: dict[str, HandState] = {}
     effort: Numbers = ()
+    following_error: Numbers = ()
 
 
 class About(Struct, frozen=True, kw_only=True):
@@ -742,6 +765,7 @@ AnyRequest = (
     | Clear
     | Configure
     | Reset
+    | Measured
     | Status
     | Close
     | Subscribe

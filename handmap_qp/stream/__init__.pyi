@@ -1,5 +1,6 @@
 from .follower import SMOOTH_IK as SMOOTH_IK
 from .follower import Follower as Follower
+from .following import FollowingCheck as FollowingCheck
 from .grip import GripFollower as GripFollower
 from .grip import GripOptions as GripOptions
 from .guard import StreamGuard as StreamGuard

@@ -28,6 +28,7 @@ from handmap_qp.client.messages import (
     Configure,
     Done,
     Error,
+    Measured,
     Named,
     Open,
     Pose,
@@ -272,9 +273,9 @@ class Dispatcher:
         return self.sessions.clock() - self._started
 
     def _tick(self, session: Session, now: float) -> None:
-        trips = session.counts["watchdog"]
+        before = session.counts.copy()
         command = session.tick(now)
-        self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
+        self._metrics.counts += session.counts - before
         if command:
             self._send(session, command)
 
@@ -323,7 +324,7 @@ class Dispatcher:
         by = self._by
         refuse_if(request.session, "give session or name, not both", "name")
         may_clear = by.key in self._settings.supervisor or by.owner("") == session.owner
-        free = Status | Stop | Clear if may_clear else Status | Stop
+        free = Status | Stop | Measured | (Clear if may_clear else Status)
         is_alien = not (session.request.is_shared or isinstance(request, free))
         message = f"session {request.name!r} was not opened with is_shared: only its owner may"
         refuse_if(is_alien, message, "name", "denied")
@@ -361,6 +362,7 @@ class Dispatcher:
     def _act(self, request: Request, session: Session) -> AnyReply | None:
         """Carry out a request for a session."""
         now = self.sessions.clock()
+        event = type(request).__name__.lower()
         match request:
             case Step():
                 command = session.step(request, now)
@@ -373,6 +375,9 @@ class Dispatcher:
             case Close():
                 self.sessions.end(session, "closed by its client", self._by)
                 return None
+            case Measured():
+                session.measure(request, now)
+                return None
             case Configure():
                 limit = f"more than {self._settings.configures:g} changes of options a second"
                 is_due = self._configures.take()
@@ -380,17 +385,15 @@ class Dispatcher:
                 session.configure(request)
             case Reset():
                 session.reset(request, now)
-            case Clutch():
-                session.clutch()
-            case Release():
-                session.release()
+            case Clutch() | Release():
+                # A session has methods of these names.
+                getattr(session, event)()
             case Clear():
                 session.clear(request.stop)
             case Stop():
                 session.stop()
                 # The stream must not wait for the next tick.
                 self._tick(session, now)
-        event = type(request).__name__.lower()
         self.sessions.audit.note(
             event, self._by, session=session.name, **_changes(request)
         )

@@ -40,6 +40,7 @@ _COUNTERS = {
     "steps": "Samples mapped.",
     "replaced": "Streamed samples replaced by a newer one before they were mapped.",
     "watchdog": "Holds that the watchdog started.",
+    "not_following": "Holds because joints did not follow.",
     "opened": "Sessions opened.",
     "dropped": "Replies lost by slow readers.",
 }

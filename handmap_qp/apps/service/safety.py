@@ -54,6 +54,7 @@ class SessionState(Enum):
         is_released: Whether the robot holds until `clutch`: a client released it, or stopped it.
         is_silent: Whether the watchdog acts because samples stay away.
         is_stopped: Whether an emergency stop is in force.
+        is_halted: Whether the robot was stopped, or did not follow.
     """
 
     # That of `Enum` runs in Python, in every sample.
@@ -65,6 +66,7 @@ class SessionState(Enum):
     HOLDING = "hold", False  # it holds without samples, and follows the next one
     HOLDING_RELEASED = "hold", True  # likewise, but the next one does not move it
     RETURNING = "returning", False  # it moves to rest because samples stay away
+    LOST = "not_following", True  # it holds because its joints did not follow
     STOPPED = "stopped", True  # it holds because of an emergency stop, which is latched
 
     def __init__(self, mode: str, is_released: bool) -> None:
@@ -72,6 +74,7 @@ class SessionState(Enum):
         self.is_released = is_released
         self.is_silent = mode in ("hold", "returning")
         self.is_stopped = mode == "stopped"
+        self.is_halted = self.is_stopped or mode == "not_following"
 
 
 Event = Literal[
@@ -82,6 +85,7 @@ Event = Literal[
     "silence",  # no sample for too long
     "return",  # the hold has lasted long enough
     "arrival",  # the robot is at its rest posture
+    "loss",  # joints do not follow
     "stop",  # an emergency stop
     "clear",  # the emergency stop is cleared on purpose
 ]
@@ -96,6 +100,7 @@ _TRANSITIONS = {
         WAITING            release  RELEASED
         FOLLOWING          release  RELEASED
         FOLLOWING          silence  HOLDING
+        FOLLOWING          loss     LOST
         RELEASED           clutch   FOLLOWING
         RELEASED           reset    FOLLOWING
         RELEASED           silence  HOLDING_RELEASED
@@ -103,6 +108,7 @@ _TRANSITIONS = {
         HOLDING            reset    FOLLOWING
         HOLDING            release  HOLDING_RELEASED
         HOLDING            return   RETURNING
+        HOLDING            loss     LOST
         HOLDING_RELEASED   sample   RELEASED
         HOLDING_RELEASED   reset    FOLLOWING
         HOLDING_RELEASED   clutch   HOLDING
@@ -110,6 +116,9 @@ _TRANSITIONS = {
         RETURNING          reset    FOLLOWING
         RETURNING          release  HOLDING_RELEASED
         RETURNING          arrival  HOLDING
+        RETURNING          loss     LOST
+        LOST               clutch   FOLLOWING
+        LOST               reset    FOLLOWING
         STOPPED            clear    RELEASED
         """.strip().splitlines(),
     )
@@ -214,7 +223,7 @@ class SessionClock:
         is_led = now - self.last_sample <= 2.0 * self._request.max_dt
         is_led &= state is SessionState.FOLLOWING
         is_braking = not is_led and robot.motion.is_braking
-        if not (state.is_silent or state.is_stopped or is_braking):
+        if not (state.is_silent or state.is_halted or is_braking):
             return 0.0
         is_moving = is_braking or state is SessionState.RETURNING
         period = RETURN_PERIOD if is_moving else HEARTBEAT

@@ -29,6 +29,7 @@ from handmap_qp.client.messages import (
     HandSample,
     HandState,
     Lengths,
+    Measured,
     Open,
     Opened,
     Pose,
@@ -42,6 +43,7 @@ from handmap_qp.human import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik import Motion
 from handmap_qp.mapping import MapStep, check_joints
 from handmap_qp.se3 import Array
+from handmap_qp.stream import FollowingCheck
 from handmap_qp.trackers import LAYOUTS
 from .opening import (
     Calibration,
@@ -78,7 +80,7 @@ _STAGES = (
     "points",
 )
 """What a detail has of a step under the same names."""
-_OF_HELD = {"measured_q": "grip", "object_centre": "grip", "object_pose": "object"}
+_OF_HELD = {"object_centre": "grip", "object_pose": "object"}
 """What of a sample a session is opened with a field for."""
 _BARE = dict.fromkeys(("q", "points", *_OF_HELD)) | structs.asdict(HandSample())
 """Fields of a hand in a sample that has `hands`."""
@@ -181,8 +183,10 @@ class SampleForm:
             else:
                 message = f"needs a session with {of} alone"
                 refuse_if(value is not None, message, field)
-        is_bare = given.get("measured_q", ()) is None
-        refuse_if(is_bare, "missing; it must come with a grip", "measured_q")
+        if held == "grip" and self._request.grip is not None:
+            given["measured_q"] = sample.measured_q
+            is_bare = sample.measured_q is None
+            refuse_if(is_bare, "missing; it must come with a grip", "measured_q")
         return given
 
 
@@ -345,6 +349,7 @@ class Session:
         """
         try:
             humans = self._form.each(sample, self._form.read)
+            self.measure(sample, now)
             self._dt, flags = self._clock.grant(sample.time, now)
             if calibration := self._hands.calibration:
                 return self._calibrate(calibration, humans, sample, now)
@@ -373,7 +378,7 @@ class Session:
             else:
                 self._commanded.brake(self._dt)
             flags += step.stages.summary.flags
-            if self._state.is_stopped:
+            if self._state.is_halted:
                 status = self._state.mode
         said = self._diagnostics(step, sample, humans)
         return self._command(now, status, flags, sample, **said)
@@ -387,6 +392,8 @@ class Session:
         Returns:
             A command of the watchdog to send out, with the flag `watchdog`; None if none is due.
         """
+        if self._following and self._following.is_lost(now):
+            self._lose()
         while event := self._clock.event(self._state, now):
             if event == "return" and self._is_at_rest:
                 break
@@ -442,9 +449,26 @@ class Session:
         Raises:
             RefusedError: If an emergency stop is in force.
         """
-        self._check_not_stopped()
+        self._prepare_to_engage()
         self._handle("clutch")
         self._reset_mapper()
+
+    def measure(self, request: Measured | Step, now: float) -> None:
+        """Take where the robot's joints are, if a request says it.
+
+        Raises:
+            RefusedError: If the robot has another number of joints.
+        """
+        if request.measured_q is None:
+            return
+        if self._following is None:
+            wanted = self.request
+            limits = wanted.following_error, wanted.following_time
+            self._following = FollowingCheck(self.robot, *limits)
+        q = np.array(request.measured_q)
+        with naming_field("measured_q"):
+            self._following.measure(q, now)
+        self._measured = np.clip(q, *self.robot.limits)
 
     def configure(self, request: Configure) -> None:
         """Change options; the reference stays, and the robot continues from where it is.
@@ -466,7 +490,7 @@ class Session:
         Raises:
             RefusedError: If the robot cannot be there, or an emergency stop is in force.
         """
-        self._check_not_stopped()
+        self._prepare_to_engage()
         goal = self.robot.rest
         if request.robot_q is not None or request.robot_wrist is not None:
             self._place(*self._start(*self.posture, request))
@@ -496,15 +520,34 @@ class Session:
         self, q: Array, wrist: Array | None, motion: Motion | None = None
     ) -> None:
         """Take the robot to be at a posture, or in a motion if that is one of this robot."""
+        self._following: FollowingCheck | None = None
         self._commanded = CommandedRobot(self.robot, q, wrist)
         nq = self.robot.model.nq
         if motion is not None and len(motion.q) == nq and wrist is not None:
             self._commanded.motion = motion
         self._commanded.obey(self._hands.mapper.point_ik)
 
-    def _check_not_stopped(self) -> None:
+    def _lose(self) -> None:
+        """Let the robot hold where it is, because it does not go where it is commanded."""
+        before = self._state
+        self._handle("loss")
+        if self._state is not before:
+            self.counts["not_following"] += 1
+            self._hands.mapper.release()
+            self._be_where_measured()
+            self._clock.hasten()
+
+    def _be_where_measured(self) -> None:
+        """Take the robot to be where it was measured last."""
+        self._place(self._measured, self._commanded.wrist)
+        self._epoch = _new_epoch()
+
+    def _prepare_to_engage(self) -> None:
+        """Refuse while a stop is in force; go on from where a robot is that did not follow."""
         message = f"the robot was stopped: clear the stop {self._stop} first"
         refuse_if(self._state.is_stopped, message, code="stopped")
+        if self._state is SessionState.LOST:
+            self._be_where_measured()
 
     def _handle(self, event: Event) -> None:
         self._state = next_state(self._state, event)
@@ -692,6 +735,8 @@ class Session:
             self._stamp = sample.time
             self._stamped = sample.seq
         state = self._state
+        if self._following:
+            self._following.command(self._commanded.q, now)
         released = ["released"] * state.is_released + ["stopped"] * state.is_stopped
         return Command(
             seq=self._stamped,
@@ -706,6 +751,7 @@ class Session:
             epoch=self._epoch,
             dt=self._dt,
             effort=() if self._effort is None else to_row(self._effort),
+            following_error=to_row(self._following.error) if self._following else (),
             **diagnostics,
         )
 
