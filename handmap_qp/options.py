@@ -222,6 +222,8 @@ def _in_words(bare: Any, meta: Meta) -> str:
         return f"one of {', '.join(get_args(bare))}"
     if parts := get_args(bare):  # a tuple
         ((each, inner),) = _parts(parts[0])
+        if ... in parts:
+            return f"a list, each {_in_words(each, inner)}"
         if row := get_args(each):
             return f"a matrix of shape ({len(parts)}, {len(row)})"
         return f"{len(parts)} finite numbers" + (

@@ -17,6 +17,7 @@ from strategies import generators, motion_of, rotations
 
 from handmap_qp import (
     HandMapper,
+    IkOptions,
     InvalidOptionsError,
     MappingOptions,
     MapStep,
@@ -399,6 +400,13 @@ def test_options_that_contradict_the_hands_are_rejected_with_advice(
         HandMapper(
             load_hand("human", **human), load_hand("allegro_right", **robot), **choices
         )
+
+
+def test_options_that_are_lists_say_so() -> None:
+    wrong: Any = 3
+    words = "tasks: expected a list, each a name, got 3"
+    with pytest.raises(InvalidOptionsError, match=words):
+        IkOptions(tasks=wrong)
 
 
 def test_numbers_of_numpy_are_taken_as_pythons() -> None:
