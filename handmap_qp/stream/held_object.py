@@ -162,7 +162,7 @@ class ObjectFollower:
 
     Raises:
         InvalidInputError: If it is for another preset, the wrist stays where it is or after a hold,
-            there is a scale, or the shape is none.
+            there is a scale, or the shape is none, or the grip.
         HandError: If a collision shape cannot be read.
     """
 
@@ -181,6 +181,8 @@ class ObjectFollower:
         self._hand = hand = mapper.robot
         is_shape = isinstance(shape, Shape)
         expect(is_shape, "shape", "an object, as of `parse_object`", value=shape)
+        is_grip = isinstance(grip, GripOptions | None)
+        expect(is_grip, "grip", "`GripOptions`", value=grip)
         self._check_follower()
         # Shapes that cannot be read are refused here.
         _links(hand)

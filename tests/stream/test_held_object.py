@@ -356,6 +356,10 @@ def test_wrong_input_is_refused() -> None:
     ):
         with pytest.raises(InvalidInputError, match="`teleoperation` moves"):
             ObjectFollower(Follower(mapper), CUBE)
+    wrong: Any = {"force": 4.0}
+    mapper = HandMapper(HUMAN, robot, "teleoperation")
+    with pytest.raises(InvalidInputError, match="grip: expected `GripOptions`"):
+        ObjectFollower(Follower(mapper), CUBE, grip=wrong)
 
 
 def test_fingers_are_near_before_they_touch() -> None:
