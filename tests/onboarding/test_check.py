@@ -248,6 +248,17 @@ def test_slow_joints_follow_less() -> None:
     assert f"follows {fast} of your fingers" in whole.found
 
 
+def test_a_joint_that_is_faster_stays_so() -> None:
+    """What is said of 4 rad/s slows no joint: one that does more follows as well as it does."""
+    spec = load_hand("three_finger").spec
+    mixed = np.where(np.arange(len(spec.joints)) % 2, 0.5, 30.0)
+    found = {}
+    for speeds in (mixed, mixed.clip(4.0)):
+        report = found_by(check_following(load_hand(with_speed(spec, speeds))))
+        found[report.findings[0].level] = re.findall(r"\.\d+", report.findings[0].found)
+    assert found["advice"][1] == found["fine"][0]
+
+
 def test_every_maker_figure_has_a_source() -> None:
     names = "|".join(MAKERS).split("|")
     assert len(names) == len({*names})

@@ -319,7 +319,9 @@ def check_following(hand: Hand) -> Found:
         return
     person = HumanLengths.from_hand_length(HUMAN_LENGTH)
     found = []
-    for given in (hand, load_hand(with_speed(hand.spec, _FAST))):
+    # Joints of an arm come first.
+    speeds = hand.velocity_limits[-len(hand.spec.joints) :].clip(_FAST)
+    for given in (hand, load_hand(with_speed(hand.spec, speeds))):
         steps = _tour(_mapper(given, points="landmarks"))
         points = np.array([step.human_points for step in steps])
         q = np.array([step.command.q for step in steps])

@@ -4,9 +4,11 @@ import re
 from pathlib import Path
 
 import msgspec
+import numpy as np
 from msgspec.structs import replace
 
 from handmap_qp.hands import HandSpec, LimitSpec
+from handmap_qp.se3 import Array
 
 MAKERS = msgspec.yaml.decode(
     Path(__file__).with_suffix(".yaml").read_bytes(), type=dict[str, tuple[float, str]]
@@ -31,10 +33,11 @@ def with_origin(spec: HandSpec, *, is_given: bool) -> HandSpec:
     return replace(spec, speeds="urdf" if is_given and not speeds else "assumed")
 
 
-def with_speed(spec: HandSpec, speed: float) -> HandSpec:
-    """Return a description in which all joints of the hand have a speed limit [rad/s or m/s]."""
+def with_speed(spec: HandSpec, speed: float | Array) -> HandSpec:
+    """Return a description in which all joints have a speed limit, or one each [rad/s or m/s]."""
+    speeds = np.full(len(spec.joints), speed).tolist()
     limits = {
-        joint: replace(spec.limits.get(joint, LimitSpec()), velocity=speed)
-        for joint in spec.joints
+        joint: replace(spec.limits.get(joint, LimitSpec()), velocity=own)
+        for joint, own in zip(spec.joints, speeds, strict=True)
     }
     return replace(spec, limits=spec.limits | limits)
