@@ -327,6 +327,42 @@ def test_a_mesh_in_millimetres_is_said_and_not_used(
     assert max(sizes) < 0.5
 
 
+@pytest.mark.parametrize(
+    ("collision", "said"),
+    [
+        ('<geometry><box size="0.03 0.09 0.1"/></geometry>', ""),
+        ('<geometry><box size="0.02 0.06 0.07"/></geometry>', ""),
+        ('<geometry><box size="0.09 0.27 0.3"/></geometry>', "end 100 mm apart"),
+        ('<origin xyz="0 0.2 0"/><geometry><sphere radius="0.05"/></geometry>', "205"),
+        ("<geometry><sphere/></geometry>", "malformed"),
+        (
+            '<origin xyz="0 0"/><geometry><sphere radius="0.05"/></geometry>',
+            "malformed",
+        ),
+        ("", "malformed"),
+    ],
+)
+def test_collision_shapes_that_contradict_the_visual_ones_are_said(
+    made: MadeHand,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    collision: str,
+    said: str,
+) -> None:
+    visual = '<visual><geometry><box size="0.03 0.09 0.1"/></geometry></visual>'
+    link = f'<link name="{made.palm}"'
+    shapes = f"{visual}<collision>{collision}</collision>"
+    urdf = tmp_path / "hand.urdf"
+    urdf.write_text(made.urdf.replace(f"{link}/>", f"{link}>{shapes}</link>"))
+    file = tmp_path / "hand.yaml"
+    assert cli.main(["hands", "init", str(urdf), "--out", str(file), "--json"]) == 0
+    notes = " ".join(json.loads(capsys.readouterr().out)["notes"])
+    found = warnings_of(check(file)).get("urdf", "")
+    for words in (notes, found):
+        assert (f"of {made.palm} " in words) == bool(said)
+        assert said in words
+
+
 def test_a_pair_of_links_that_do_not_exist_is_found(
     made: MadeHand, tmp_path: Path
 ) -> None:

@@ -278,6 +278,27 @@ def _check_tips(hand: Hand) -> Found:
             yield warning(f"points.{finger}", what, change)
 
 
+def check_shapes(hand: Hand) -> Iterator[Finding]:
+    """Find links with malformed collision shapes, or such that end elsewhere than visual ones."""
+    used = {
+        shape.name.rpartition("_")[0]
+        for shape in read_collision_shapes(hand).geometryObjects
+    }
+    robot = Robot(urdf_path(hand.spec), hand.urdf_text, root=hand.spec.wrist.link)
+    for link, element in robot.elements.items():
+        if element.findall("collision") and link not in used:
+            what = f"a collision shape of {link} is malformed: none of them is used"
+            yield warning("urdf", what, "correct it, or leave it out")
+        elif all(
+            clouds := [robot.clouds(link, kind) for kind in ("visual", "collision")]
+        ):
+            seen, other = (box_of(np.concatenate(cloud)) for cloud in clouds)
+            off = np.abs(seen - other).max()
+            if off > max(_OFF_THE_LINK, lengths(np.ptp(seen, axis=0)) / 2.0):
+                what = f"collision and visual shapes of {link} end {1e3 * off:.0f} mm apart"
+                yield warning("urdf", what, "correct the scale or place of one of them")
+
+
 def _check_meshes(hand: Hand) -> Found:
     """Find meshes of which other shapes of a link, cylinders or balls take the place."""
     robot = parse_urdf(hand.urdf_text)
@@ -396,6 +417,7 @@ _CHECKS = (
     _check_points,
     check_places,
     _check_tips,
+    check_shapes,
     _check_meshes,
     _check_wrist,
     _check_order,

@@ -38,10 +38,10 @@ from handmap_qp.hands import (
     why_missing,
 )
 from handmap_qp.output_files import check_output
-from .check import check_hand, check_robot, check_speeds
+from .check import check_hand, check_robot, check_shapes, check_speeds
 from .collision_pairs import with_collision_pairs
 from .detect import Detection, detect_hands
-from .findings import Rows
+from .findings import Report, Rows
 from .match import match_hand
 from .measure import check_fist, palm_rows
 from .migrate import migrate
@@ -343,10 +343,11 @@ class HandsInit:
         check_free(out, overwrite=self.overwrite)
         hand = load_hand(spec)
         found = with_collision_pairs(found, hand).doubted(check_fist(hand))
-        slow = [
-            f"{f.key}: {f.found}: {f.change}" for f in check_speeds(hand) if f.change
-        ]
-        found = found._replace(notes=(*notes, *found.notes, *slow))
+        report = Report(name)
+        for check in (check_speeds, check_shapes):
+            report.add(check(hand))
+        wrong = [f"{f.key}: {f.found}: {f.change}" for f in report.findings if f.change]
+        found = found._replace(notes=(*notes, *found.notes, *wrong))
         write_hand(found, out)
         rows = [
             {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}

@@ -201,7 +201,7 @@ class Robot(Hand):
         clouds = []
         for link in self.links[body]:
             placement = self.frames[link].placement.homogeneous
-            points = self._points(link, "visual") or self._points(link, "collision")
+            points = self.clouds(link, "visual") or self.clouds(link, "collision")
             clouds += [transform_points(placement, cloud) for cloud in points]
         if not clouds:
             return np.zeros((0, 3))
@@ -213,7 +213,7 @@ class Robot(Hand):
         is_joined = np.linalg.matrix_power(near, len(clouds))[first]
         return np.concatenate([*compress(clouds, is_joined)])
 
-    def _points(self, link: str, kind: str) -> list[Array]:
+    def clouds(self, link: str, kind: str) -> list[Array]:
         """Return points of each shape of a link in its frame, at most some of each mesh."""
         miss = partial(
             self._remark, what="is a lost mesh: a simple shape stands for it"
