@@ -30,6 +30,7 @@ from .human import LARGEST_ROLL as LARGEST_ROLL
 from .human import THUMB as THUMB
 from .human import HumanLengths as HumanLengths
 from .library import HUMAN_HANDS as HUMAN_HANDS
+from .library import ROBOT_FILES as ROBOT_FILES
 from .library import hand_files as hand_files
 from .library import load_hand as load_hand
 from .library import missing_hands as missing_hands

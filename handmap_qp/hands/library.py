@@ -22,7 +22,7 @@ from .sources import source_file, urdf_directory
 from .spec import HandSpec, Mount, Names, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
-_ROBOT_FILES = (".urdf", ".xml", ".mjcf", ".xacro")
+ROBOT_FILES = (".urdf", ".xml", ".mjcf", ".xacro")
 HUMAN_HANDS = ("human", "human_left")
 """The human's hands; `human` is the right one."""
 
@@ -157,7 +157,7 @@ def find_file(given: str | Path, kind: str = "hand", folder: Path = Path()) -> P
     with suppress(OSError):  # a name that is too long for a file, say
         if (path / f"{kind}.yaml").is_file():
             return path / f"{kind}.yaml"
-    if path.suffix.lower() in _ROBOT_FILES or is_named_source(name):
+    if path.suffix.lower() in ROBOT_FILES or is_named_source(name):
         problem = f"{name} describes a robot, not yet its hand"
         advice = f"run `handmap hands init {name}` first, and give the {kind}.yaml that it writes"
         raise HandError(f"{problem}: {advice}", value=name)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import re
+import shutil
 import time
+import types
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +25,7 @@ from patience import kept_going, wait_until
 from handmap_qp import Hand, HandError, InvalidInputError, load_hand
 from handmap_qp.apps.onboarding import edit
 from handmap_qp.apps.onboarding.cli import HandsInit
-from handmap_qp.apps.onboarding.detect import detect
+from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.editor import HandEditor, HandsEdit
 from handmap_qp.apps.onboarding.findings import Report
 from handmap_qp.apps.onboarding.gestures import GESTURES, draw_gestures
@@ -188,9 +192,35 @@ def test_mistakes_are_found_before_a_page_is_shown(tmp_path: Path) -> None:
     with pytest.raises(HandError):
         HandsEdit(str(file)).run()
     assert file.read_text() == "mine"
-    with pytest.raises(HandError, match="hands init"):
-        HandsEdit(str(DATA / "seven_fingers.urdf"), out=tmp_path / "new.yaml").run()
-    assert not (tmp_path / "new.yaml").exists()
+    with pytest.raises(HandError, match="cannot be read"):
+        HandsEdit(str(tmp_path / "none.urdf")).run()
+
+
+def test_a_urdf_is_described_and_saved_as_init_writes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page itself is not served: what it is given, is saved at once."""
+    urdf = tmp_path / "seven.urdf"
+    shutil.copy(DATA / "seven_fingers.urdf", urdf)
+    HandsInit(urdf, out=tmp_path / "init.yaml").run()
+    given = []
+
+    def save(_: Any, found: Detection, out: Path) -> Any:
+        write_hand(found, out)
+        given.append(out)
+        return types.SimpleNamespace(tick=None)
+
+    for name, stand_in in (
+        ("showing", lambda *_, **__: nullcontext()),
+        ("HandEditor", save),
+        ("run_frames", lambda _: None),
+    ):
+        monkeypatch.setattr(f"handmap_qp.apps.onboarding.editor.{name}", stand_in)
+    HandsEdit(str(urdf)).run()
+    assert given == [tmp_path / "seven.yaml"]
+    assert given[0].read_text() == (tmp_path / "init.yaml").read_text()
+    with pytest.raises(InvalidInputError, match="exists"):
+        HandsEdit(str(urdf)).run()
 
 
 def test_a_tip_is_dragged_and_one_that_is_too_far_goes_back(tmp_path: Path) -> None:
@@ -260,6 +290,16 @@ def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:
             click("input", "e => e.value == 'thumb'")
             click("[role=option]", "e => e.innerText.trim() == 'little'")
             browser.wait_for(text.format("one that is the thumb"))
+            # The thumb points down in the middle, or up if the hand is turned over.
+            question = text.format("Name the finger that is called thumb")
+            for y in (510, 540, 570, 300, 270, 240):
+                browser.click(710, y)
+                time.sleep(1.0)
+                if browser.evaluate(question):
+                    break
+            press("index")
+            index = found.spec.points[2].link
+            wait_until(lambda: editor.names[index].value == "thumb", "no new name")
             press("Save")
             browser.wait_for(text.format("wrote"))
             browser.wait_for(text.format("finger dir."))
@@ -268,4 +308,5 @@ def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:
     assert spec.side == "left"
     assert spec.palm.dorsal == tuple(-np.array(found.spec.palm.dorsal))
     assert spec.rest == found.spec.rest | {spec.joints[1]: upper}
-    assert [p.finger for p in spec.points] == [p.finger for p in found.spec.points]
+    renamed = edit.with_finger(load_hand("three_finger"), "thumb", "index")
+    assert [p.finger for p in spec.points] == [p.finger for p in renamed.points]

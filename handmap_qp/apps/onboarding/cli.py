@@ -38,15 +38,15 @@ from handmap_qp.hands import (
     why_missing,
 )
 from handmap_qp.output_files import check_output
-from .check import check_hand, check_robot, check_shapes, check_speeds
-from .collision_pairs import with_collision_pairs
+from .check import check_hand, check_robot
 from .detect import Detection, detect_hands
-from .findings import Report, Rows
+from .edit import described
+from .findings import Rows
 from .match import match_hand
-from .measure import check_fist, palm_rows
+from .measure import palm_rows
 from .migrate import migrate
 from .picture import draw_hand, draw_match, draw_robot, picture_path
-from .speeds import with_origin, with_speed
+from .speeds import with_speed
 from .write import RobotSource, check_free, open_source, write_hand, write_robot
 
 OwnName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
@@ -333,28 +333,19 @@ class HandsInit:
         self, source: RobotSource, found: Detection, out: Path, name: str
     ) -> Values:
         """Write a hand, and print what was found unless JSON is to be printed; return that."""
-        _, reference, notes = source
-        spec = replace(found.spec, urdf=reference, name=name)
+        spec = replace(found.spec, name=name)
         if (speed := self.speed) is not None:
             expect(speed > 0.0, "--speed", "a speed > 0", value=speed)
             spec = with_speed(spec, speed)
-        spec = with_origin(spec, is_given=not notes)
-        found = found._replace(spec=spec)
         check_free(out, overwrite=self.overwrite)
-        hand = load_hand(spec)
-        found = with_collision_pairs(found, hand).doubted(check_fist(hand))
-        report = Report(name)
-        for check in (check_speeds, check_shapes):
-            report.add(check(hand))
-        wrong = [f"{f.key}: {f.found}: {f.change}" for f in report.findings if f.change]
-        found = found._replace(notes=(*notes, *found.notes, *wrong))
+        found = described(found._replace(spec=spec), source)
         write_hand(found, out)
         rows = [
             {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}
             for c in found.clues
         ]
         if not self.json:
-            _print_found(hand, found, rows)
+            _print_found(load_hand(found.spec), found, rows)
         return {"name": name, "out": str(out), "found": rows, "notes": found.notes}
 
 

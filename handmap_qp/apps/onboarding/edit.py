@@ -20,11 +20,13 @@ from handmap_qp.hands import (
     urdf_path,
 )
 from handmap_qp.se3 import Array
-from .check import check_places
+from .check import check_places, check_shapes, check_speeds
 from .collision_pairs import with_collision_pairs
 from .detect import Detection, detect
+from .findings import Report
 from .measure import check_fist
-from .write import FOUND
+from .speeds import with_origin
+from .write import FOUND, RobotSource
 
 
 def open_description(hand: str | Path) -> Detection:
@@ -39,6 +41,21 @@ def open_description(hand: str | Path) -> Detection:
         found = detect(urdf_path(spec), root=spec.wrist.link)
         found = with_collision_pairs(found, built).doubted(check_fist(built))
     return corrected(found, spec)
+
+
+def described(found: Detection, source: RobotSource) -> Detection:
+    """Complete a hand that was found in a file: pairs of links, doubts, and notes of checks."""
+    _, reference, told = source
+    spec = replace(found.spec, urdf=reference)
+    spec = with_origin(spec, is_given=not told)
+    hand = load_hand(spec)
+    found = with_collision_pairs(found._replace(spec=spec), hand)
+    report = Report(spec.name)
+    for check in (check_speeds, check_shapes):
+        report.add(check(hand))
+    wrong = [f"{f.key}: {f.found}: {f.change}" for f in report.findings if f.change]
+    notes = (*told, *found.notes, *wrong)
+    return found.doubted(check_fist(hand))._replace(notes=notes)
 
 
 def corrected(found: Detection, spec: HandSpec, *known: str) -> Detection:

@@ -13,12 +13,18 @@ from handmap_qp.apps.viewer.figure import place_node
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import HandScene
 from handmap_qp.apps.viewer.serving import ViserServer, run_frames, showing
-from handmap_qp.hands import FINGERS, finger_tips, load_hand
+from handmap_qp.hands import (
+    FINGERS,
+    ROBOT_FILES,
+    find_fingers,
+    finger_tips,
+    load_hand,
+)
 from handmap_qp.se3 import Array, inverse_pose, transform_points
 from . import edit
-from .detect import Detection
+from .detect import Detection, detect
 from .gestures import draw_gestures
-from .write import check_free, write_hand
+from .write import check_free, open_source, write_hand
 
 # Length and radius of the palm's axes, and length of the arrows, in radii of the hand.
 _AXES = 1.2
@@ -35,14 +41,16 @@ class HandsEdit:
     Shows the hand, and gestures of the package's recording as they are mapped to it, with scores.
     Turn the palm over, rename fingers, drag tips, move the joints to where the hand rests. Where it
     is uncertain to which side a fist closes, choose the picture of one. Save writes the hand.yaml,
-    with comments. `handmap hands init` describes the hand of a URDF or MJCF file first.
+    with comments. The hand of a URDF or MJCF file is described first, as by `handmap hands init`;
+    run that, with its --root, for one of two hands.
 
     Examples:
         handmap hands edit my_hand/hand.yaml --open
+        handmap hands edit my_hand.urdf --open
         handmap hands edit allegro_right --out mine.yaml
 
     Attributes:
-        hand: Path of a hand.yaml, or name of a hand of the package.
+        hand: Path of a hand.yaml, URDF or MJCF file, or name of a hand of the package.
         out: File to write.
         overwrite: Replace the file if it exists and is not HAND.
         open: Open the browser.
@@ -60,7 +68,11 @@ class HandsEdit:
         given = Path(self.hand)
         out = self.out or given.with_suffix(".yaml")
         check_free(out, overwrite=self.overwrite or out == given)
-        found = edit.open_description(given)
+        if given.suffix.lower() in ROBOT_FILES:
+            source = open_source(given, out.parent, overwrite=self.overwrite)
+            found = edit.described(detect(source[0]), source)
+        else:
+            found = edit.open_description(given)
         with showing("127.0.0.1", 8080, opens=self.open) as server:
             run_frames(HandEditor(server, found, out).tick)
 
@@ -68,7 +80,7 @@ class HandsEdit:
 class HandEditor:
     """The page of a description, `found`, which Save writes to the file `out`.
 
-    viser calls callbacks in threads of its own: they only record what `tick` carries out.
+    viser calls callbacks in threads of its own: they record what `tick` carries out, or ask first.
     """
 
     def __init__(self, server: ViserServer, found: Detection, out: Path) -> None:
@@ -118,6 +130,8 @@ class HandEditor:
         )
         self.arrows = {}
         self._labels = {}
+        for link, node in figure.links.items():
+            node.on_click(lambda event, at=link: self._ask(at, event.client.gui))
         for link in self.names:
             path = f"/robot/{link}"
             self.arrows[link] = arrows = scene.add_transform_controls(
@@ -174,6 +188,20 @@ class HandEditor:
                 spec = edit.with_other_palm(hand)
         known = ("dorsal", "side") if request == "left" else ()
         self._take(edit.corrected(self.found, spec, *known))
+
+    def _ask(self, link: str, gui: Any) -> None:
+        """Ask for the name of the finger that a link is of, if it is of one."""
+        hand = self.hand
+        joint = hand.frames[link].parentJoint
+        fingers = find_fingers(hand).values()
+        if finger := next((f.name for f in fingers if joint in f.own), ""):
+            with gui.add_modal(f"Name the finger that is called {finger}") as modal:
+                names = gui.add_button_group("", FINGERS)
+
+            @names.on_click
+            def _(_: Any) -> None:
+                self._press("name", (finger, names.value))
+                modal.close()
 
     def _take(self, found: Detection) -> None:
         """Take a description, if it can be loaded."""

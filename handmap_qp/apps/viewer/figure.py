@@ -272,6 +272,7 @@ class HandFigure(Figure):
     Attributes:
         hand: The hand.
         radius: About half its size [m], for the sizes of spheres.
+        links: Nodes of the links with shapes, by name.
     """
 
     point_size = 0.1
@@ -286,11 +287,11 @@ class HandFigure(Figure):
         tips = (h.with_points([*finger_tips(h).values()] or None) for h in hand.hands)
         self._tips = joined(hand.name, *tips)
         self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
-        self._links: Values = {}
+        self.links: Values = {}
         self._corners: Arrays = {}
         for link, meshes in link_meshes(hand).items():
             path = f"/{node}/body/{link}"
-            self._links[link] = server.scene.add_frame(path, show_axes=False)
+            self.links[link] = server.scene.add_frame(path, show_axes=False)
             for i, mesh in enumerate(meshes):
                 server.scene.add_mesh_trimesh(f"{path}/{i}", mesh)
             if self._is_in_view(link):
@@ -329,14 +330,14 @@ class HandFigure(Figure):
         super().draw(sample)
         posture = self.posture(sample)
         self._body.visible = posture is not None
-        if posture and self._links:
+        if posture and self.links:
             # Links are placed relative to the first one: those that do not move in the hand are
             # sent once.
             q, wrist = posture
-            poses = self.hand.link_poses(list(self._links), q, self._pose(wrist))
+            poses = self.hand.link_poses(list(self.links), q, self._pose(wrist))
             place_node(self._body, poses[0])
             placed = inverse_pose(poses[0]) @ poses
-            for node, pose in zip(self._links.values(), placed, strict=True):
+            for node, pose in zip(self.links.values(), placed, strict=True):
                 place_node(node, pose)
 
     def _is_in_view(self, link: str) -> bool:
