@@ -13,7 +13,9 @@ from made_hands import make_hand
 from strategies import generators
 
 from handmap_qp import HandError, load_hand
+from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import Detection, detect
+from handmap_qp.apps.onboarding.edit import described
 from handmap_qp.apps.onboarding.findings import fine, warning
 from handmap_qp.hands.sources import package_folder, urdf_directory, urdf_path
 from handmap_qp.hands.urdf import edges, parse_urdf
@@ -536,3 +538,44 @@ def test_names_of_all_fingers_decide_which_one_is_the_thumb() -> None:
     assert "thumb" in clues["thumb"].answer
     # The places say something else, so nobody is sure.
     assert clues["thumb"].certainty == "likely"
+
+
+def claw(radius: float) -> str:
+    """Return a hand of three like fingers around a centre; their joints turn both ways."""
+    parts = ['<link name="base"/>']
+    limit = '<limit lower="-1.57" upper="1.57" velocity="5" effort="1"/>'
+    for k, angle in enumerate((0.0, 2.0944, 4.1888)):
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        parent, place = "base", f'xyz="{x} {y} 0.03" rpy="0 0 {angle}"'
+        for j in range(2):
+            name = f"f{k}_{j}"
+            parts.append(
+                f"""<link name="{name}"><collision><origin xyz="0 0 0.035"/>
+                <geometry><box size="0.016 0.016 0.07"/></geometry></collision></link>
+                <joint name="j{name}" type="revolute"><parent link="{parent}"/>
+                <child link="{name}"/><origin {place}/><axis xyz="0 1 0"/>{limit}</joint>"""
+            )
+            parent, place = name, 'xyz="0 0 0.07"'
+    return f'<robot name="claw">{"".join(parts)}</robot>'
+
+
+@pytest.mark.parametrize(("radius", "is_opened"), [(0.05, True), (0.15, False)])
+def test_fingers_that_would_cross_at_rest_are_opened(
+    tmp_path: Path, radius: float, is_opened: bool
+) -> None:
+    urdf = tmp_path / "claw.urdf"
+    urdf.write_text(claw(radius))
+    found = detect(urdf)
+    before = load_hand(found.spec)
+    assert bool(colliding_links(before, before.rest)) == is_opened
+    done = described(found, (urdf, str(urdf), ()))
+    hand = load_hand(done.spec)
+    assert not colliding_links(hand, hand.rest)
+    assert (done.spec.rest != found.spec.rest) == is_opened
+    # Half open still, where that is possible; and these links are kept apart now.
+    assert (np.abs(hand.rest) <= np.abs(before.rest)).all()
+    assert hand.rest.any()
+    (clue,) = (clue for clue in done.clues if clue.what == "rest")
+    assert ("links overlapped there" in clue.how) == is_opened
+    assert done.spec.collision is not None
+    assert any(one[:2] != other[:2] for one, other in done.spec.collision.pairs)

@@ -21,9 +21,9 @@ from handmap_qp.hands import (
 )
 from handmap_qp.se3 import Array
 from .check import check_places, check_shapes, check_speeds
-from .collision_pairs import with_collision_pairs
+from .collision_pairs import colliding_links, with_collision_pairs
 from .detect import Detection, detect
-from .findings import Report
+from .findings import Report, warning
 from .measure import check_fist
 from .speeds import with_origin
 from .write import FOUND, RobotSource
@@ -44,18 +44,27 @@ def open_description(hand: str | Path) -> Detection:
 
 
 def described(found: Detection, source: RobotSource) -> Detection:
-    """Complete a hand that was found in a file: pairs of links, doubts, and notes of checks."""
+    """Complete a hand found in a file: rest without overlaps, pairs of links, doubts, and notes."""
     _, reference, told = source
     spec = replace(found.spec, urdf=reference)
     spec = with_origin(spec, is_given=not told)
     hand = load_hand(spec)
-    found = with_collision_pairs(found._replace(spec=spec), hand)
-    report = Report(spec.name)
+    way = ~hand.moves_wrist * (hand.zero - hand.rest)
+    postures = hand.rest + np.linspace(0.0, 1.0, 5)[:, None] * way
+    doubts = [*check_fist(hand)]
+    with suppress(HandError):
+        apart = (q for q in postures if not colliding_links(hand, q))
+        if ((q := next(apart, hand.rest)) != hand.rest).any():
+            what = "links overlapped there: it is nearer to zero"
+            doubts.append(warning("rest", what, "look at it"))
+            hand = load_hand(with_rest(hand, q))
+    found = with_collision_pairs(found._replace(spec=hand.spec), hand)
+    report = Report("")
     for check in (check_speeds, check_shapes):
         report.add(check(hand))
     wrong = [f"{f.key}: {f.found}: {f.change}" for f in report.findings if f.change]
     notes = (*told, *found.notes, *wrong)
-    return found.doubted(check_fist(hand))._replace(notes=notes)
+    return found.doubted(doubts)._replace(notes=notes)
 
 
 def corrected(found: Detection, spec: HandSpec, *known: str) -> Detection:
