@@ -576,6 +576,6 @@ def test_fingers_that_would_cross_at_rest_are_opened(
     assert (np.abs(hand.rest) <= np.abs(before.rest)).all()
     assert hand.rest.any()
     (clue,) = (clue for clue in done.clues if clue.what == "rest")
-    assert ("links overlapped there" in clue.how) == is_opened
+    assert ("the thumb met links there" in clue.how) == is_opened
     assert done.spec.collision is not None
     assert any(one[:2] != other[:2] for one, other in done.spec.collision.pairs)

@@ -1,6 +1,7 @@
 """Corrections of a hand's description: each takes a hand, and returns its new description."""
 
 from contextlib import suppress
+from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,7 @@ def open_description(hand: str | Path) -> Detection:
 
 
 def described(found: Detection, source: RobotSource) -> Detection:
-    """Complete a hand found in a file: rest without overlaps, pairs of links, doubts, and notes."""
+    """Complete a hand found in a file: a free thumb at rest, pairs of links, doubts, and notes."""
     _, reference, told = source
     spec = replace(found.spec, urdf=reference)
     spec = with_origin(spec, is_given=not told)
@@ -52,10 +53,15 @@ def described(found: Detection, source: RobotSource) -> Detection:
     way = ~hand.moves_wrist * (hand.zero - hand.rest)
     postures = hand.rest + np.linspace(0.0, 1.0, 5)[:, None] * way
     doubts = [*check_fist(hand)]
+    thumb = find_fingers(hand)[THUMB].own
+
+    def is_free(q: Array) -> bool:
+        met = chain(*colliding_links(hand, q))
+        return not any(hand.frames[link].parentJoint in thumb for link in met)
+
     with suppress(HandError):
-        apart = (q for q in postures if not colliding_links(hand, q))
-        if ((q := next(apart, hand.rest)) != hand.rest).any():
-            what = "links overlapped there: it is nearer to zero"
+        if ((q := next(filter(is_free, postures), hand.rest)) != hand.rest).any():
+            what = "the thumb met links there: it is nearer to zero"
             doubts.append(warning("rest", what, "look at it"))
             hand = load_hand(with_rest(hand, q))
     found = with_collision_pairs(found._replace(spec=hand.spec), hand)
