@@ -47,7 +47,7 @@ pytest.importorskip("rosbags")
 pytestmark = pytest.mark.slow
 
 LOSSLESS = ("npz", "robomimic")
-ONE_WAY = ("lerobot", "dexycb", "arctic")
+ONE_WAY = ("lerobot", "dexycb", "arctic", "grab", "hot3d")
 READ = [form for form in FORMATS.values() if form.name not in ONE_WAY]
 
 

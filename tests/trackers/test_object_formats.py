@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -246,8 +247,9 @@ def joints_of(model: dict[str, Any], own: dict[str, np.ndarray]) -> np.ndarray:
     rest = model["J_regressor"] @ vertices
     parents = model["kintree_table"][0]
     found = []
-    for rot, pose, trans in zip(own["rot"], own["pose"], own["trans"], strict=True):
-        angles = [rot, *(pose + model["hands_mean"]).reshape(15, 3)]
+    poses = own["pose"] + model["hands_mean"]
+    for rot, pose, trans in zip(own["rot"], poses, own["trans"], strict=True):
+        angles = [rot, *pose.reshape(15, 3)]
         turns = [Rotation.from_rotvec(angles[0])]
         places = [rest[0]]
         for j in range(1, 16):
@@ -436,6 +438,210 @@ def test_arctic_needs_the_model(
     assert "need the licensed model" in refused(path)
 
 
+# GRAB
+
+
+def write_grab(root: Path, hands: dict[str, Any], poses: np.ndarray) -> Path:
+    """Write a sequence with the meshes of the person and of the object."""
+    trimesh = pytest.importorskip("trimesh")
+    meshes = root / "tools" / "subject_meshes" / "female"
+    meshes.mkdir(parents=True)
+    tables: dict[str, Any] = {}
+    for side, own in hands.items():
+        mesh = trimesh.Trimesh(own["v_template"], [[0, 1, 2]], process=False)
+        mesh.export(meshes / f"s1_{side[0]}hand.ply", encoding="ascii")
+        tables[f"{side[0]}hand"] = {
+            "params": {
+                "global_orient": own["rot"],
+                "hand_pose": own["components"],
+                "transl": own["trans"],
+                "fullpose": np.zeros((COUNT, 45)),
+            },
+            "vtemp": f"tools/subject_meshes/female/s1_{side[0]}hand.ply",
+        }
+    things = root / "tools" / "object_meshes" / "contact_meshes"
+    things.mkdir(parents=True)
+    trimesh.creation.box((0.03, 0.06, 0.05)).export(things / "banana.ply")
+    # Points are rows there, `points @ R + transl`.
+    turns = Rotation.from_matrix(poses[:, :3, :3].swapaxes(1, 2)).as_rotvec()
+    tables["object"] = {
+        "params": {"global_orient": turns, "transl": poses[:, :3, 3]},
+        "object_mesh": "tools/object_meshes/contact_meshes/banana.ply",
+    }
+    tables["body"] = {"params": {}, "vtemp": ""}
+    path = root / "grab" / "s1" / "banana_eat_1.npz"
+    path.parent.mkdir(parents=True)
+    packed: dict[str, Any] = {
+        name: np.array(table, dtype=object) for name, table in tables.items()
+    }
+    packed |= {"gender": "female", "obj_name": "banana"}
+    packed |= {"framerate": 120.0, "n_comps": 24, "n_frames": COUNT}
+    np.savez(path, **packed)
+    return path
+
+
+def persons(models: dict[str, Any]) -> dict[str, Any]:
+    """Parameters of both hands as GRAB has them, with the meshes of a person."""
+    rng = np.random.default_rng(13)
+    hands = hands_of()
+    for own in hands.values():
+        own["components"] = rng.normal(0.0, 0.3, (COUNT, 24))
+        own["v_template"] = rng.normal(0.0, 0.05, (778, 3)).round(6)
+    return hands
+
+
+def test_grab_is_read(tmp_path: Path, models: dict[str, Any]) -> None:
+    hands, poses = persons(models), poses_of(5)
+    path = write_grab(tmp_path, hands, poses)
+    for source in list_sources(path):
+        found, side = source.read(), source.entry.side
+        own, model = hands[side], models[side]
+        assert source.entry.name == side
+        # A pose of zero is the flat hand, and the mesh is that of the person.
+        flat = {"hands_mean": 0.0, "v_template": own["v_template"]}
+        pose = own["components"] @ model["hands_components"][:24]
+        joints = joints_of(
+            {**model, **flat}, {**own, "pose": pose, "shape": np.zeros(10)}
+        )
+        np.testing.assert_allclose(
+            found.landmarks[:, LANDMARKS_OF_JOINTS], joints, atol=1e-6
+        )
+        assert found.object_pose is not None
+        np.testing.assert_allclose(found.object_pose, poses, atol=1e-9)
+        np.testing.assert_allclose(found.time, np.arange(COUNT) / 120.0)
+        mesh = tmp_path / "tools" / "object_meshes" / "contact_meshes" / "banana.ply"
+        assert found.object_shape == str(mesh)
+
+
+def test_what_is_wrong_with_grab_is_said(
+    tmp_path: Path, models: dict[str, Any]
+) -> None:
+    path = write_grab(tmp_path, persons(models), poses_of(5))
+    arrays: dict[str, Any] = dict(np.load(path, allow_pickle=True))
+    out = tmp_path / "run"
+    harm: Any = np.array(Harmful(out), dtype=object)
+    np.savez(path, **(arrays | {"rhand": harm}))
+    assert "which is not read" in refused(path)
+    assert not out.exists()
+    np.savez(path, **{n: a for n, a in arrays.items() if n != "lhand"})
+    assert "lhand" in refused(path)
+    np.savez(path, **arrays)
+    (tmp_path / "tools" / "subject_meshes" / "female" / "s1_rhand.ply").unlink()
+    assert "s1_rhand.ply" in refused(path)
+
+
+# HOT3D
+
+UIDS = (223371871635142, 37787722328019)
+
+
+def write_hot3d(
+    folder: Path, hands: dict[str, Any], poses: dict[int, np.ndarray]
+) -> Path:
+    """Write a sequence; the right hand is not seen in sample 1, nor the second object in 2."""
+    folder.mkdir(parents=True)
+    stamps = [56752108188860 + 33333333 * i for i in range(COUNT)]
+    quats = {
+        side: Rotation.from_rotvec(own["rot"]).as_quat(scalar_first=True)
+        for side, own in hands.items()
+    }
+    lines = []
+    for i, stamp in enumerate(stamps):
+        seen = {
+            {"left": "0", "right": "1"}[side]: {
+                "pose": own["components"][i].tolist(),
+                "wrist_xform": {
+                    "t_xyz": own["trans"][i].tolist(),
+                    "q_wxyz": quats[side][i].tolist(),
+                },
+                "betas": own["shape"].tolist(),
+            }
+            for side, own in hands.items()
+            if (side, i) != ("right", 1)
+        }
+        lines.append(json.dumps({"timestamp_ns": stamp, "hand_poses": seen}))
+    (folder / "mano_hand_pose_trajectory.jsonl").write_text("\n".join(lines) + "\n")
+    rows = [
+        "object_uid,timestamp[ns],t_wo_x[m],t_wo_y[m],t_wo_z[m],q_wo_w,q_wo_x,q_wo_y,q_wo_z"
+    ]
+    for i, stamp in enumerate(stamps):
+        for uid, own in poses.items():
+            quat = Rotation.from_matrix(own[i, :3, :3]).as_quat(scalar_first=True)
+            if (uid, i) != (UIDS[1], 2):
+                numbers = map(repr, map(float, [*own[i, :3, 3], *quat]))
+                rows.append(",".join([str(uid), str(stamp), *numbers]))
+    (folder / "dynamic_objects.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_hot3d_is_read(
+    tmp_path: Path, models: dict[str, Any], is_mirrored: bool
+) -> None:
+    """Both hands with each object; shapes of a left model that are the right one's are mirrored."""
+    if is_mirrored:
+        left = models["left"]
+        left["shapedirs"][:, 0] = models["right"]["shapedirs"][:, 0]
+        file = tmp_path / "models_of_mano" / "MANO_LEFT.pkl"
+        file.write_bytes(pickle.dumps(left))
+        left["shapedirs"][:, 0] *= -1.0
+    rng = np.random.default_rng(17)
+    hands, poses = hands_of(), dict(zip(UIDS, (poses_of(5), poses_of(6)), strict=True))
+    for own in hands.values():
+        own["components"] = rng.normal(0.0, 0.3, (COUNT, 15))
+    path = write_hot3d(tmp_path / "P0003_c701bd11", hands, poses)
+    mesh = tmp_path / "assets" / f"{UIDS[0]}.glb"
+    mesh.parent.mkdir()
+    mesh.touch()
+    sources = {source.entry.name: source for source in list_sources(path)}
+    assert set(sources) == {f"{side}_{uid}" for side in hands for uid in UIDS}
+    for name, source in sources.items():
+        found, side = source.read(), source.entry.side
+        own, uid = hands[side], int(name.partition("_")[2])
+        model = models[side]
+        pose = own["components"] @ model["hands_components"][:15]
+        seen = np.arange(COUNT) != (1 if side == "right" else -1)
+        joints = joints_of(model, {**own, "pose": pose})[seen]
+        np.testing.assert_allclose(
+            found.landmarks[:, LANDMARKS_OF_JOINTS], joints, atol=1e-9
+        )
+        since = found.time - found.time[0]
+        np.testing.assert_allclose(since, np.arange(COUNT)[seen] / 30.0, atol=1e-6)
+        assert found.object_pose is not None
+        is_lost = np.isnan(found.object_pose).any(axis=(1, 2))
+        lost = (np.arange(COUNT) == 2) & (uid == UIDS[1])
+        np.testing.assert_array_equal(is_lost, lost[seen])
+        np.testing.assert_allclose(
+            found.object_pose[~is_lost], poses[uid][seen & ~lost], atol=1e-9
+        )
+        assert found.object_shape == (str(mesh) if uid == UIDS[0] else "")
+    assert "it has 2 recordings" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        (
+            "mano_hand_pose_trajectory.jsonl",
+            "{",
+            "cannot be read: Input data",
+        ),
+        ("mano_hand_pose_trajectory.jsonl", "{}", "hand_poses"),
+        ("dynamic_objects.csv", "object_uid\nx", "dynamic_objects.csv: cannot be read"),
+        ("dynamic_objects.csv", "object_uid\n1,2,3", "dynamic_objects.csv: expected 7"),
+    ],
+)
+def test_what_is_wrong_with_hot3d_is_said(
+    tmp_path: Path, models: dict[str, Any], name: str, content: str, words: str
+) -> None:
+    hands = hands_of()
+    for own in hands.values():
+        own["components"] = own["pose"][:, :15]
+    path = write_hot3d(tmp_path / "P0003", hands, {UIDS[0]: poses_of(5)})
+    (path / name).write_text(content)
+    assert words in refused(path)
+
+
 # What is not read, and what is not written
 
 
@@ -465,7 +671,7 @@ def test_the_form_mano_takes_objects(tmp_path: Path) -> None:
     assert source.format.unread(source.path) == ()
 
 
-@pytest.mark.parametrize("name", ["dexycb", "arctic"])
+@pytest.mark.parametrize("name", ["dexycb", "arctic", "grab", "hot3d"])
 def test_data_sets_are_not_written(
     tmp_path: Path, name: str, capsys: pytest.CaptureFixture
 ) -> None:
@@ -514,14 +720,21 @@ def test_convert_reads_data_sets(
     assert one.object_shape == other.object_shape != ""
 
 
-def test_a_folder_is_searched_for_data_sets(tmp_path: Path) -> None:
-    """Each sequence is found once, and of ARCTIC the files of hands alone."""
+def test_a_folder_is_searched_for_data_sets(
+    tmp_path: Path, models: dict[str, Any]
+) -> None:
+    """Each sequence is found once, and of ARCTIC and HOT3D the files of hands alone."""
     write_arctic(tmp_path / "arctic" / "s01", hands_of(), poses_of(5))
+    hands = persons(models)
+    grab = write_grab(tmp_path / "grab", hands, poses_of(5))
+    hot3d = write_hot3d(tmp_path / "hot3d" / "P0003", hands, {UIDS[0]: poses_of(5)})
     folder, _, _ = write_dexycb(tmp_path)
     (tmp_path / "model.pkl").write_bytes(b"")
     found, repeated = find_files([tmp_path], tmp_path / "out")
     assert sorted(found.values()) == [
         tmp_path / "arctic" / "s01" / "box_grab_01.mano.npy",
+        grab,
+        hot3d,
         folder,
     ]
     assert not repeated

@@ -36,6 +36,8 @@ class Convert:
       mano       npz of MANO's joints; reads parameters with your model
       dexycb     folder of a camera or sequence of DexYCB; read, not written
       arctic     ARCTIC's .mano.npy, by your model of MANO; read, not written
+      grab       GRAB's .npz, by your model of MANO; read, not written
+      hot3d      folder of a sequence of HOT3D, by your model of MANO; read, not written
 
     Of these, lerobot, robomimic, egodex and mcap need `handmap-qp[files]`.
 

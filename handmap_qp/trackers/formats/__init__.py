@@ -25,7 +25,7 @@ from .hdf5 import EgoDexFormat, RobomimicFormat
 from .lerobot import LeRobotFormat
 from .mano import ManoFormat
 from .mcap import McapFormat
-from .objects import ArcticFormat, DexYcbFormat
+from .objects import ArcticFormat, DexYcbFormat, GrabFormat, Hot3dFormat
 
 _KINDS = (
     NpzFormat,
@@ -36,7 +36,9 @@ _KINDS = (
     McapFormat,
     DexYcbFormat,
     ArcticFormat,
+    Hot3dFormat,
     ManoFormat,
+    GrabFormat,
 )
 
 

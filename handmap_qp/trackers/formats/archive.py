@@ -1,14 +1,15 @@
 """Recordings as `.npz`: arrays by name, of one hand or of both; and reading any such archive.
 
 Every damage becomes one `RecordingError`. The size of an archive is bounded before it is read, and
-nothing in it is unpickled.
+nothing in it is unpickled, but by a reader that the caller gives.
 """
 
 import warnings
 import zipfile
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -54,7 +55,7 @@ class NpzFormat(RecordingFormat):
         if not path.is_file():
             return False
         names = member_names(path)
-        return "landmarks" in names or names.isdisjoint(OF_MANO)
+        return "landmarks" in names or names.isdisjoint({"rhand", *OF_MANO})
 
     def entries(self, path: Path) -> Sequence[Entry]:
         """List the one hand, or both."""
@@ -120,12 +121,17 @@ def member_names(file: Path) -> set[str]:
         return set(members)
 
 
-def read_archive(file: Path, names: Container[str] | None = None) -> Arrays:
+def read_archive(
+    file: Path,
+    names: Container[str] | None = None,
+    read: Callable[[Any], Any] = npy.read_array,
+) -> dict[str, Any]:
     """Read arrays of an `.npz` file.
 
     Args:
         file: The file.
         names: Names of those to read; all if omitted. Those that the file lacks are left out.
+        read: Reads one of them; refuses pickles if omitted.
 
     Raises:
         RecordingError: If the file cannot be read, is not an archive of plain arrays, is damaged,
@@ -147,7 +153,7 @@ def read_archive(file: Path, names: Container[str] | None = None) -> Arrays:
             ):
                 # numpy warns of headers that Python 2 wrote.
                 warnings.simplefilter("ignore")
-                arrays[name] = npy.read_array(stream, allow_pickle=False)
+                arrays[name] = read(stream)
         return arrays
 
 

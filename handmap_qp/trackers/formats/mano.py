@@ -10,12 +10,13 @@ import os
 import pickle
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
+from numpy.lib.format import MAGIC_PREFIX
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands import Names, Values
+from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import LANDMARK_COUNT, Recording
 from handmap_qp.se3 import Array, Arrays, affine, as_floats, transform_points
 from .archive import OF_MANO, member_names, read_archive, save_npz
@@ -29,7 +30,7 @@ from thumb to little.
 """
 HandArrays = dict[str, Values]
 """Hands as arrays of `ManoFormat`, by the names of their entries."""
-_KNOWN = {"side", "time", "fps", "valid", "betas", "transl", *OF_MANO}
+_KNOWN = {"side", "time", "fps", "valid", "betas", "transl", "v_template", *OF_MANO}
 _KNOWN |= {"global_orient", "flat_hand_mean", "object_pose", "object_shape"}
 
 
@@ -42,6 +43,32 @@ class HandModelFormat(RecordingFormat):
 
     def __init__(self, model: Path | None = None) -> None:
         self._model = model
+
+    def model_of(self, side: Side) -> Arrays:
+        """Load the arrays of `_MODEL` of the user's file or folder, or that of `HANDMAP_MANO`."""
+        name = f"MANO_{side.upper()}.pkl"
+        found = self._model or os.environ.get(ENVIRONMENT)
+        if not found:
+            raise RecordingError(
+                "MANO parameters need the licensed model (mano.is.tue.mpg.de): give the path of "
+                f"{name} by --mano, or set {ENVIRONMENT}; joints need no model",
+                file=Path(name),
+            )
+        file = Path(found)
+        file = file / name if file.is_dir() else file
+        values = read_archive(file) if file.suffix == ".npz" else read_table(file)
+        with reading(file):
+            arrays = {
+                name: as_floats(_dense(values.get(name)), name, shape=shape)
+                for name, shape in _MODEL.items()
+            }
+            parents = arrays["kintree_table"][0, 1:]
+            expect(
+                (parents < np.arange(1, _JOINTS)).all(),
+                "kintree_table",
+                "parents before children",
+            )
+        return arrays
 
     @abc.abstractmethod
     def hands(self, path: Path) -> HandArrays:
@@ -63,7 +90,7 @@ class HandModelFormat(RecordingFormat):
             shape = ("T", LANDMARK_COUNT, 3)
             joints = as_floats(arrays["joints"], "joints", shape=shape)
         else:
-            model = _load_model(entry.side, self._model)
+            model = self.model_of(entry.side)
             joints = _joints_of_parameters(model, arrays, entry.samples)
         time = arrays.get("time")
         if time is None:
@@ -90,9 +117,9 @@ class ManoFormat(HandModelFormat):
     Needed: `side` (right or left), `time (T,)` [s] or `fps`, and either `joints (T, 21, 3)` [m] in
     MANO's order (16 joints, then the tips from thumb to little), or parameters: `pose (T, 48)`, or
     `global_orient (T, 3)` and `hand_pose (T, 45)` or fewer principal components, as rotation
-    vectors [rad]; `betas (10,)`; `transl (T, 3)` [m]; and `flat_hand_mean`, whether 0 is the flat
-    hand. Parameters need the user's copy of the licensed model. An object may have `object_pose
-    (T, 4, 4)`, in the same world, and `object_shape`.
+    vectors [rad]; `betas (10,)`, or `v_template (778, 3)` [m], the mesh at rest; `transl (T, 3)`
+    [m]; and `flat_hand_mean`, whether 0 is the flat hand. Parameters need the user's copy of the
+    model. An object may have `object_pose (T, 4, 4)`, in the same world, and `object_shape`.
     """
 
     name = "mano"
@@ -156,6 +183,8 @@ def _joints_of_parameters(
     if not arrays["flat_hand_mean"]:
         fingers = fingers + model["hands_mean"]
     turns = np.hstack([root, fingers]).reshape(count, _JOINTS, 3)
+    if "v_template" in arrays:
+        model = model | {"v_template": given("v_template", _VERTICES, 3)}
     joints = _posed_joints(model, turns, shape)
     if "transl" in arrays:
         joints += given("transl", count, 3)[:, None]
@@ -213,33 +242,6 @@ def rotations_of(turns: Array) -> Array:
     return rotations.reshape(*turns.shape, 3)
 
 
-def _load_model(side: str, given: Path | None) -> Arrays:
-    """Load the arrays of `_MODEL` of the user's file, or folder; by `HANDMAP_MANO` if omitted."""
-    name = f"MANO_{side.upper()}.pkl"
-    found = given or os.environ.get(ENVIRONMENT)
-    if not found:
-        raise RecordingError(
-            "MANO parameters need the licensed model (mano.is.tue.mpg.de): give the path of "
-            f"{name} by --mano, or set {ENVIRONMENT}; joints need no model",
-            file=Path(name),
-        )
-    file = Path(found)
-    file = file / name if file.is_dir() else file
-    values = read_archive(file) if file.suffix == ".npz" else read_table(file)
-    with reading(file):
-        arrays = {
-            name: as_floats(_dense(values.get(name)), name, shape=shape)
-            for name, shape in _MODEL.items()
-        }
-        parents = arrays["kintree_table"][0, 1:]
-        expect(
-            (parents < np.arange(1, _JOINTS)).all(),
-            "kintree_table",
-            "parents before children",
-        )
-    return arrays
-
-
 def _dense(values: Any) -> Any:
     return values.toarray() if hasattr(values, "toarray") else values
 
@@ -288,11 +290,18 @@ def read_table(file: Path) -> Values:
         RecordingError: If it holds something else, or is no table.
     """
     with reading(file), file.open("rb") as stream:
-        if file.suffix == ".npy":
-            # The header of the array is one line; a pickle follows.
-            stream.readline()
-        found = _ArrayUnpickler(stream, encoding="latin1").load()
-        table = np.array(found, dtype=object).item()
-        if not isinstance(table, dict):
-            raise TypeError("it is no table")
-        return table
+        return load_table(stream)
+
+
+def load_table(stream: IO[bytes]) -> Values:
+    """Load a table of an open file, as `read_table`; errors are those of `pickle`."""
+    if stream.read(1) == MAGIC_PREFIX[:1]:
+        # The header of an array is one line; a pickle follows.
+        stream.readline()
+    else:
+        stream.seek(0)
+    found = _ArrayUnpickler(stream, encoding="latin1").load()
+    table = np.array(found, dtype=object).item()
+    if not isinstance(table, dict):
+        raise TypeError("it is no table")
+    return table

@@ -1,4 +1,4 @@
-"""Data sets of hands with objects: DexYCB and ARCTIC; read, not written.
+"""Data sets of hands with objects: DexYCB, ARCTIC, GRAB and HOT3D; read, not written.
 
 Written from what the data sets' documents and files say:
 
@@ -6,19 +6,30 @@ Written from what the data sets' documents and files say:
   `labels_000000.npz` and so on in that camera's frame.
 - ARCTIC (Fan et al. 2023): a sequence is `NAME.mano.npy`, a pickled table, and `NAME.object.npy`,
   whose translation is in millimetres.
+- GRAB (Taheri et al. 2020): archives of pickled tables. HOT3D (Banerjee et al. 2025): folders.
 """
 
 import os
+from collections import defaultdict
+from itertools import product
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from handmap_qp.hands import Names
-from handmap_qp.se3 import Array, affine, as_floats
+from handmap_qp.errors import require
+from handmap_qp.hands import Names, Side
+from handmap_qp.se3 import Array, Arrays, affine, as_floats, pose_from_xyz_quat
 from .archive import read_archive
-from .base import reading
-from .mano import FROM_MANO, HandArrays, HandModelFormat, read_table, rotations_of
+from .base import SIDES, reading
+from .mano import (
+    FROM_MANO,
+    HandArrays,
+    HandModelFormat,
+    load_table,
+    read_table,
+    rotations_of,
+)
 
 _YCB = """
 background
@@ -31,7 +42,15 @@ background
 
 
 _RATE = 30.0
-"""Frames per second of all of them."""
+"""Frames per second of DexYCB and ARCTIC."""
+_HANDS = "mano_hand_pose_trajectory.jsonl"
+_LOST = np.nan * np.eye(4)
+
+
+def _above(path: Path, name: str) -> str:
+    """Return the path of a file in a folder above, the nearest one; empty if there is none."""
+    files = (str(folder / name) for folder in path.absolute().parents)
+    return next(filter(os.path.isfile, files), "")
 
 
 class DexYcbFormat(HandModelFormat):
@@ -51,8 +70,7 @@ class DexYcbFormat(HandModelFormat):
     def hands(self, path: Path) -> HandArrays:
         """Read the one hand, with the object that it grasps."""
         files = _labels(path)
-        folders = files[0].absolute().parents
-        meta = folders[1] / "meta.yml"
+        meta = files[0].absolute().parents[1] / "meta.yml"
         with reading(meta):
             given = msgspec.yaml.decode(meta.read_bytes())
             place = given["ycb_grasp_ind"]
@@ -72,8 +90,8 @@ class DexYcbFormat(HandModelFormat):
         }
         # An object that is never seen has no shape either.
         if np.isfinite(poses).any():
-            meshes = (f / "models" / thing / "textured_simple.obj" for f in folders)
-            arrays["object_shape"] = next(filter(os.path.isfile, meshes), "")
+            mesh = f"models/{thing}/textured_simple.obj"
+            arrays["object_shape"] = _above(files[0], mesh)
         return {f"{side}_{thing}": arrays}
 
 
@@ -115,3 +133,86 @@ class ArcticFormat(HandModelFormat):
             }
             for side, own in read_table(path).items()
         }
+
+
+class GrabFormat(HandModelFormat):
+    """Both hands with one object; the shapes of the hands are the person's meshes."""
+
+    name = "grab"
+    suffixes = (".npz",)
+    left_out = ("body and face", "the table", "contacts")
+
+    def hands(self, path: Path) -> HandArrays:
+        """Read each hand with the object."""
+        trimesh = require("trimesh", "plot")
+        found = read_archive(path, ("lhand", "rhand", "object"), load_table)
+        held = found["object"]
+        moved = held["params"]
+        turns = rotations_of(moved["global_orient"]).mT  # They turn rows.
+        hands: HandArrays = {}
+        for side in SIDES:
+            own = found[f"{side[0]}hand"]
+            person = path.absolute().parents[2] / own["vtemp"]
+            hands[side] = {
+                **own["params"],
+                "side": side,
+                "fps": 120.0,
+                "v_template": trimesh.load(person, process=False).vertices,
+                "flat_hand_mean": True,
+                "object_pose": affine(turns, moved["transl"]),
+                "object_shape": _above(path, held["object_mesh"]),
+            }
+        return hands
+
+
+class Hot3dFormat(HandModelFormat):
+    """The folder of a sequence: each hand, while it is seen, with each object by its number."""
+
+    name = "hot3d"
+    suffixes: Names = ()
+    left_out = ("hands of UmeTrack", "images and the headset")
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the folder has hands of MANO."""
+        return (path / _HANDS).is_file()
+
+    def model_of(self, side: Side) -> Arrays:
+        """Load a model; in x, a left hand's shapes that are the right hand's are mirrored."""
+        model, right = map(super().model_of, (side, "right"))
+        shapes = model["shapedirs"][:, 0]
+        if side == "left" and np.abs(shapes - right["shapedirs"][:, 0]).sum() < 1.0:
+            shapes *= -1.0
+        return model
+
+    def hands(self, path: Path) -> HandArrays:
+        """Read each hand with each object."""
+        from scipy.spatial.transform import Rotation
+
+        file = path / "dynamic_objects.csv"
+        with reading(file):
+            rows = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2)
+            placed = pose_from_xyz_quat(rows[:, 2:], "wxyz", "")
+        poses = dict(zip(map(tuple, rows[:, :2]), placed, strict=True))
+        found = defaultdict(list)
+        for sample in msgspec.json.Decoder().decode_lines((path / _HANDS).read_bytes()):
+            for key, hand in sample["hand_poses"].items():
+                at = hand["wrist_xform"]
+                own = sample["timestamp_ns"], at["t_xyz"], at["q_wxyz"], hand["pose"]
+                found[SIDES[int(key)]].append((*own, hand["betas"]))
+        hands: HandArrays = {}
+        for (side, own), number in product(found.items(), np.unique(rows[:, 0])):
+            times, places, quats, fingers, shapes = zip(*own, strict=True)
+            hands[f"{side}_{number:.0f}"] = {
+                "side": side,
+                "time": 1e-9 * np.array(times),
+                "global_orient": Rotation.from_quat(
+                    quats, scalar_first=True
+                ).as_rotvec(),
+                "hand_pose": fingers,
+                "transl": places,
+                "betas": shapes[0],
+                "flat_hand_mean": False,
+                "object_pose": [poses.get((number, at), _LOST) for at in times],
+                "object_shape": _above(path, f"assets/{number:.0f}.glb"),
+            }
+        return hands
