@@ -5,7 +5,7 @@ A user error is one line on stderr and exit code 2. Ctrl-C is exit code 130, but
 """
 
 import contextlib
-import importlib
+import importlib.util
 import inspect
 import io
 import os
@@ -16,6 +16,7 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Sequence
 from functools import reduce
+from importlib.metadata import entry_points
 from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, Protocol, TextIO
@@ -48,14 +49,14 @@ class _Place(NamedTuple):
 
     def load(self) -> Any:
         """Import the class."""
-        module = importlib.import_module(f"handmap_qp.apps.{self.module}")
-        return getattr(module, self.kind)
+        return getattr(importlib.import_module(self.module), self.kind)
 
     @property
     def about(self) -> str:
         """The first line of the class's own explanation, from the file: an import takes longer."""
-        file = Path(__file__).with_name("apps") / f"{self.module.replace('.', '/')}.py"
-        _, _, text = file.read_text(encoding="utf-8").partition(f"\nclass {self.kind}")
+        found: Any = importlib.util.find_spec(self.module)
+        source = Path(found.origin).read_text(encoding="utf-8")
+        _, _, text = source.partition(f"\nclass {self.kind}")
         return text.split('"""')[1].partition("\n")[0]
 
 
@@ -91,10 +92,13 @@ _MODULES = {
 }
 """Module below `handmap_qp.apps` of each command, in the order of the list of `handmap --help`."""
 COMMANDS = {
-    name: _Place(module, name.title().replace(" ", ""))
+    point.name: _Place(point.module, point.attr)
+    for point in entry_points(group="handmap_qp.commands")
+} | {
+    name: _Place(f"handmap_qp.apps.{module}", name.title().replace(" ", ""))
     for name, module in _MODULES.items()
 }
-"""All commands by name, in that order."""
+"""All commands by name: those of other packages, by their entry points, and ours in that order."""
 _GROUPS = {
     "hands": "List, describe, write and check descriptions of robot hands.",
     "robots": "List, describe and check robots with two hands; `hands init` describes one.",

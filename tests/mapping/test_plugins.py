@@ -1,4 +1,4 @@
-"""A method, a task, a layout and a format of another package, each in one file.
+"""A method, a task, a layout, a format and a command of another package, each in one file.
 
 Python, command line, wire and view know their names without another change.
 """
@@ -122,7 +122,26 @@ class JsonFormat(RecordingFormat):
 
 FORMAT = JsonFormat()
 """
-ENTRY_POINTS = """[handmap_qp.presets]
+COMMAND = """
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Greet:
+    \"\"\"Greet a robot.
+
+    Attributes:
+        name: Its name.
+    \"\"\"
+
+    name: str
+
+    def run(self):
+        print(f"good day, {self.name}")
+"""
+ENTRY_POINTS = """[handmap_qp.commands]
+greet = added_command:Greet
+[handmap_qp.presets]
 follow = added_method:PRESET
 broken = added_method:BROKEN
 [handmap_qp.tasks]
@@ -182,7 +201,12 @@ print("all well")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Install a package with one of each, and return the environment that finds it."""
     folder = tmp_path_factory.mktemp("site")
-    for name, text in {"method": METHOD, "layout": LAYOUT, "format": FORMAT}.items():
+    for name, text in {
+        "method": METHOD,
+        "layout": LAYOUT,
+        "format": FORMAT,
+        "command": COMMAND,
+    }.items():
         (folder / f"added_{name}.py").write_text(text)
     metadata = folder / "added_method-1.0.dist-info"
     metadata.mkdir()
@@ -230,12 +254,17 @@ LINES = (
     (f"{MAP} --help", 0, "Share of the wrist's way."),
     ("convert demo::right demo.json", 0, "wrote demo.json"),
     ("map demo.json --robot three_finger --out out.npz", 0, "wrote out.npz"),
-    ("convert --help", 0, "mano,json}"),
+    ("convert --help", 0, ",json}"),
     ("layouts glove", 0, "A glove of ten joints"),
     ("layouts", 0, "glove"),
     (GLOVE, 0, "wrote"),
     (f"{GLOVE} --ik.tasks keep-tip --ik.formulation mink --ik.solver osqp", 0, "wrote"),
     (f"{MAP} --ik.tasks juggle", 2, "expected keep-tip"),
+    ("--help", 0, "greet Greet a robot."),
+    ("greet --name leap", 0, "good day, leap"),
+    ("greet --nam leap", 2, "--name"),
+    ("greed", 2, "greet"),
+    ("--completion bash", 0, "greet"),
 )
 COMMANDS = """
 import contextlib, io, json, sys

@@ -1,0 +1,1 @@
+"""Sessions of the mapping service of handmap_qp in ROS 2."""
