@@ -125,7 +125,7 @@ fi
 endef
 
 $(SMALL): WANTED := '.[plot,view]'
-$(INSTALLED): WANTED := '.[all]' --group dev
+$(INSTALLED): WANTED := '.[all]' --editable examples/drive --group dev
 $(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/compile.py $(CORE)
 	@if [ "$$(cat $(FOLDER) 2> /dev/null)" != "$(CURDIR)" ]; then \
 	    $(FIND_PYTHON); \

@@ -1,0 +1,145 @@
+"""Measure `handmap drive` from a recording to the joints of emulated motors.
+
+The motors are `examples/drive/emulated_motors.py`: a LEAP hand whose joints lag by 30 ms.
+Prints the tables of docs/drive.md: following and pinches on a bus that is good, slow or bad, and
+how long a stop takes to reach the motors. All processes share one machine, with what else runs on
+it.
+
+    python benchmarks/drive_motors.py
+    python benchmarks/drive_motors.py --robot benchmarks/hands/leap_right.yaml --stops 20
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from handmap_drive.drive import HOLDING
+
+from handmap_qp import read_recording
+from handmap_qp.apps.tables import markdown_table
+from handmap_qp.client import Client
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "drive"))
+from demo import Chain, Driven
+
+BUSES: dict[str, dict[str, float]] = {
+    "good": {},
+    "0.1 % lost, 0.1 % damaged": {"loss": 0.001, "damage": 0.001},
+    "answers 0.5 ms late": {"latency": 0.0005},
+}
+PAUSE = 1.5
+"""Time between two stops, in which motors drive again [s]."""
+
+
+def following(name: str, driven: Driven) -> dict[str, Any]:
+    """Return a row about following."""
+    count, share = driven.pinches()
+    said = driven.summary
+    return {
+        "bus": name,
+        "rate [Hz]": said["rate [Hz]"],
+        "age of commands, p50 / p95 [ms]": f"{said['age of commands, median [ms]']:.1f} / "
+        f"{said['age of commands, 95 % [ms]']:.1f}",
+        "joints behind commands [ms]": 1e3 * driven.delay,
+        "error then, RMS [rad]": float(
+            np.sqrt(np.mean(driven.error(driven.delay) ** 2))
+        ),
+        "pinches closed": f"{share:.2f} of {count}",
+        "answers lost": said["answers lost"],
+        "stops": said["stops"],
+    }
+
+
+def stops(chain: Chain, count: int) -> tuple[Driven, dict[str, list[float]]]:
+    """Stop in different ways while the hand moves; return what happened, and when."""
+    over = threading.Event()
+    rows = []
+
+    def lead() -> None:
+        while not over.is_set():
+            rows.append(chain.lead())
+
+    leading = threading.Thread(target=lead)
+    leading.start()
+    times: dict[str, list[float]] = {"message": [], "frozen": []}
+    with Client(chain.client.address, timeout=10.0) as page:
+        page.watch("demo")
+        for _ in range(count):
+            time.sleep(PAUSE)
+            times["message"].append(time.monotonic())
+            page.stop()
+            time.sleep(PAUSE)
+            page.clear(page.status().stop)
+            page.clutch()
+            time.sleep(PAUSE)
+            times["frozen"].append(time.monotonic())
+            chain.service.process.send_signal(signal.SIGSTOP)
+            time.sleep(PAUSE)
+            chain.service.process.send_signal(signal.SIGCONT)
+    over.set()
+    leading.join()
+    return chain.end(*rows[0]), times
+
+
+def reached(driven: Driven, starts: list[float], limit: float) -> list[float]:
+    """Return the time from each start until no motor has more torque than a limit [s]."""
+    times, largest = driven.log_time, driven.torque.max(axis=1)
+    found = []
+    for start in starts:
+        after = (times >= start) & (largest <= limit)
+        found.append(times[after][0] - start if after.any() else np.inf)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Motors by `handmap drive`.")
+    parser.add_argument("--robot", default="leap_right")
+    parser.add_argument("--recording", default="demo")
+    parser.add_argument("--stops", type=int, default=10)
+    given = parser.parse_args()
+    recording = read_recording(given.recording, "right")
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n")
+    table = []
+    for name, orders in BUSES.items():
+        with Chain(given.robot, recording, **orders) as chain:
+            chain.approach()
+            table.append(following(name, chain.end(*chain.lead())))
+    print(markdown_table(table), "\n")
+    with Chain(given.robot, recording) as chain:
+        chain.approach()
+        driven, times = stops(chain, given.stops)
+    held = HOLDING * driven.torque.max() + 1e-3
+    print(
+        markdown_table(
+            [
+                {
+                    "stop": name,
+                    "median [ms]": 1e3 * np.median(ms),
+                    "largest [ms]": 1e3 * max(ms),
+                }
+                for name, ms in {
+                    "`client.stop()` to no torque": reached(
+                        driven, times["message"], 0.0
+                    ),
+                    "SIGSTOP of the service to a third of the torque": reached(
+                        driven, times["frozen"], held
+                    ),
+                    "SIGSTOP of the service to no torque": reached(
+                        driven, times["frozen"], 0.0
+                    ),
+                }.items()
+            ]
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""`handmap drive`: the motors of a hand follow a session."""
+
+import os
+import select
+import signal
+import sys
+import termios
+import tty
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from time import monotonic
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from handmap_qp.apps.arguments import KeyFiles, hinted
+from handmap_qp.apps.connection import connected
+from handmap_qp.apps.refusals import naming
+from handmap_qp.apps.tables import print_result
+from handmap_qp.errors import did_you_mean, expect, warn
+from . import DRIVERS
+from .drive import Loop
+
+_HELD = 0.25
+"""Time since the last key but one in which a key counts as held [s]: terminals repeat it sooner."""
+
+
+@contextmanager
+def held_key() -> Iterator[Callable[[], bool]]:
+    """Watch the space bar of the terminal, and yield whether it is held.
+
+    A terminal says only that a key is repeated. So a single stroke does not count.
+    """
+    expect(
+        sys.stdin.isatty(),
+        "--no-deadman",
+        "a terminal whose space bar is held",
+        advice="without one, give it",
+    )
+    before = termios.tcgetattr(sys.stdin)
+    strokes = deque([0.0, 0.0], maxlen=2)
+
+    def is_held() -> bool:
+        if select.select([sys.stdin], [], [], 0.0)[0]:
+            count = os.read(sys.stdin.fileno(), 1024).count(b" ")
+            strokes.extend([monotonic()] * count)
+        return monotonic() - strokes[0] < _HELD
+
+    try:
+        tty.setcbreak(sys.stdin)
+        yield is_held
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Drive the motors of a hand by the commands of a session, while the space bar is held.
+
+    Motors approach slowly. They have no torque while the key is not held, and while the session is
+    stopped, lost or starts anew. Ends by Ctrl-C, or when motors do not answer, are too hot or
+    report a fault.
+
+    Examples:
+        handmap drive lab --driver leap --port /dev/ttyUSB0
+        handmap drive lab --driver leap --port /dev/ttyUSB0 --effort 0.1
+        handmap drive lab --driver servos --motors mine.yaml --port /dev/ttyACM0
+
+    Attributes:
+        session: Public name of the session.
+        driver: What motors they are: leap, servos of your own table, or of another package.
+        port: Port of the motors.
+        source: Address of the service's requests.
+        motors: Table of motors, in place of the driver's own.
+        effort: Limit of the torque, a share of the motors' largest.
+        temperature: Largest temperature of a motor [degrees Celsius].
+        deadman: Whether motors move only while the space bar is held.
+        keys: For an encrypted service, the files NAME.key_secret and server.key.
+        json: Print the summary as one JSON object instead of a table.
+    """
+
+    session: Positional[Annotated[str, arg(metavar="SESSION")]]
+    driver: str
+    port: str
+    source: Annotated[str, arg(name="from", metavar="HOST[:PORT]")] = "127.0.0.1"
+    motors: Annotated[Path | None, hinted("MOTORS.yaml", "(default: the driver's)")] = (
+        None
+    )
+    effort: Annotated[float | None, hinted("SHARE", "(default: the table's)")] = None
+    temperature: float = 60.0
+    deadman: bool = True
+    keys: KeyFiles = None
+    json: bool = False
+
+    def run(self) -> None:
+        """Drive until Ctrl-C or an error."""
+        expect(
+            self.driver in DRIVERS,
+            "--driver",
+            f"one of {', '.join(DRIVERS)}",
+            value=self.driver,
+            advice=did_you_mean(self.driver, DRIVERS),
+        )
+        with connected("--from", self.source, self.keys, refused="SESSION") as client:
+            client.watch(self.session)
+        key = held_key() if self.deadman else nullcontext(lambda: True)
+        with client, key as is_held, naming("--port"):
+            while not (command := client.latest(1.0)):
+                warn("waiting for a command")
+            driver = DRIVERS[self.driver](self.port, command.joint_names, self.motors)
+            driver.connect()
+            effort = driver.effort if self.effort is None else self.effort
+            expect(0.0 < effort <= 1.0, "--effort", "a share, 0 to 1", value=effort)
+            loop = Loop(driver, command, effort, self.temperature)
+            over = Event()
+            # Not in the middle of a message, as an exception would end it.
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                signal.signal(number, lambda *_: over.set())
+            try:
+                loop.run(client, is_held, over)
+            finally:
+                # A message may be lost, or the port be gone.
+                for _ in range(3):
+                    with suppress(OSError):
+                        driver.stop()
+                rows = loop.summary()
+                print_result(rows, {self.driver: rows}, as_json=self.json)

@@ -1,0 +1,67 @@
+"""The seam of motors: what a driver does."""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from handmap_qp.errors import HandmapError
+from handmap_qp.hands import Names
+
+
+class DriverError(HandmapError):
+    """Motors do not answer, or report a fault of their own."""
+
+
+class Health(NamedTuple):
+    """How motors are.
+
+    Attributes:
+        temperature: Of each motor [degrees Celsius], shape (n,).
+        faults: What motors report themselves, such as `if_mcp: overload`.
+    """
+
+    temperature: np.ndarray
+    faults: Names
+
+
+class Driver(Protocol):
+    """The motors of a hand.
+
+    Torques are shares of the largest. An error of the port may also be an `OSError`.
+
+    Attributes:
+        joint_names: The joints that have a motor, in the order of all arrays.
+        range: Least and largest angles of the joints [rad], shape (2, n).
+        rate: How often motors can be written and read [Hz].
+        speed: Largest speed that they may be told [rad/s].
+        effort: Limit of their torque unless the user gives another one.
+    """
+
+    joint_names: Names
+    range: np.ndarray
+    rate: float
+    speed: float
+    effort: float
+
+    def connect(self) -> None:
+        """Open the port, and prepare the motors, which have no torque yet.
+
+        Raises:
+            HandmapError: If that is not possible.
+        """
+
+    def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
+        """Return where the joints are [rad], their torques, shapes (n,), and their health.
+
+        Raises:
+            DriverError: If an answer is missing or damaged; the next one may be right.
+        """
+
+    def write(self, q: np.ndarray, effort: float) -> None:
+        """Set goals [rad], shape (n,), and the limit of torque; motors without torque get it.
+
+        What motors do with it, `read` tells.
+        """
+
+    def stop(self) -> None:
+        """Take the torque away. Called again and again, because a message may be lost."""

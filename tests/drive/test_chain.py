@@ -1,0 +1,238 @@
+"""`handmap drive` between a service and emulated motors, as processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from emulated_motors import Emulator
+from patience import PATIENCE, kept_going, wait_until
+from service_tools import address_of, client_of, connected, human_q, in_loop, serving
+
+from handmap_qp import cli
+from handmap_qp.apps.service.server import Server
+from handmap_qp.client import Client
+
+pytest.importorskip("dynamixel_sdk", reason="needs the packages of examples/drive")
+
+
+class Chain:
+    """A session that moves, the command, and the motors."""
+
+    def __init__(self, server: Server, owner: Client, emulator: Emulator) -> None:
+        self.server, self.owner, self.emulator = server, owner, emulator
+        self.process: subprocess.Popen[str] | None = None
+        self._phase = 0.0
+        # The samples are sent by another thread.
+        self.turn = threading.Lock()
+        assert owner.opened is not None
+        self.words = [
+            *(sys.executable, "-m", "handmap_qp.cli", "drive", "lab"),
+            *("--driver", "servos", "--port", emulator.port),
+            *("--from", address_of(server)),
+        ]
+
+    def move(self) -> None:
+        """Send the next sample of a hand that opens and closes."""
+        self._phase += 0.02
+        with self.turn:
+            self.owner.step(q=human_q(self._phase), wrist=np.eye(4))
+
+    def start(self, *options: str, stdin: int = subprocess.DEVNULL) -> None:
+        self.process = subprocess.Popen(
+            [*self.words, *options],
+            stdin=stdin,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def end(self) -> tuple[int, str, str]:
+        """Return exit code, stdout and stderr of the command."""
+        assert self.process is not None
+        out, err = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, out, err
+
+    def wait_for(self, *, torque: bool) -> None:
+        wait_until(lambda: (self.emulator.order()["torque"] == torque).all())
+
+    @property
+    def has_torque(self) -> bool:
+        return bool(self.emulator.order()["torque"].any())
+
+
+@pytest.fixture
+def chain(tmp_path: Path) -> Iterator[Chain]:
+    with (
+        serving() as server,
+        connected(server, name="lab", is_shared=True) as owner,
+        Emulator("dynamixel", "--ids", "0-7", "--angle", "0.1") as emulator,
+    ):
+        assert owner.opened is not None
+        motors = [
+            {"joint": [name], "id": i, "zero": 3.14159, "range": [-3, 3]}
+            for i, name in enumerate(owner.opened.joint_names)
+        ]
+        table = {
+            "baud": 1000000,
+            "rate": 80.0,
+            "speed": 8.0,
+            "effort": 0.15,
+            "full": 2352,
+            "motors": motors,
+        }
+        file = tmp_path / "motors.yaml"
+        file.write_text(json.dumps(table))
+        chain = Chain(server, owner, emulator)
+        chain.words += ["--motors", str(file)]
+        try:
+            with kept_going(chain.move, 0.015):
+                yield chain
+        finally:
+            if chain.process and chain.process.poll() is None:
+                chain.process.kill()
+                chain.process.communicate()
+
+
+def test_the_stop_of_another_client_and_a_frozen_server_reach_the_motors(
+    chain: Chain,
+) -> None:
+    chain.start("--no-deadman", "--json")
+    chain.wait_for(torque=True)
+    with client_of(chain.server) as page:
+        page.stop("lab", reason="somebody stepped in")
+        chain.wait_for(torque=False)
+        page.watch("lab")
+        page.clear(page.status().stop)
+    with chain.turn:
+        chain.owner.clutch()
+    chain.wait_for(torque=True)
+    # Nothing comes from the server, not even a heartbeat, and its sockets stay open.
+    thaw = threading.Event()
+    frozen = threading.Thread(target=in_loop, args=(chain.server, thaw.wait))
+    frozen.start()
+    time.sleep(0.5)
+    chain.wait_for(torque=False)
+    thaw.set()
+    frozen.join()
+    chain.wait_for(torque=True)
+    assert chain.process is not None
+    chain.process.send_signal(signal.SIGINT)
+    code, out, err = chain.end()
+    assert code == 0
+    summary = json.loads(out)
+    assert summary["turns"] > 0
+    assert summary["stops"] >= 2
+    # On a busy machine there may be more lines.
+    assert "handmap: stopped: the session is stopped\n" in err
+    assert "handmap: stopped: no command arrives\n" in err
+    assert not chain.has_torque
+
+
+def test_the_session_hears_where_the_joints_are(chain: Chain) -> None:
+    chain.start("--no-deadman")
+    chain.wait_for(torque=True)
+    with client_of(chain.server) as page:
+        page.watch("lab")
+
+        def error() -> float | None:
+            command = page.latest(1.0)
+            told = command.following_error if command else ()
+            return max(map(abs, told)) if told else None
+
+        # The motors follow: after the approach the error is that of their lag.
+        wait_until(lambda: (now := error()) is not None and now < 0.3)
+
+
+def test_motors_move_only_while_the_space_bar_is_held(chain: Chain) -> None:
+    terminal, keyboard = pty.openpty()
+    chain.start(stdin=keyboard)
+    with kept_going(lambda: os.write(terminal, b" "), 0.03):
+        chain.wait_for(torque=True)
+    # On a busy machine torque may be gone for other reasons, and come back at once.
+    time.sleep(0.5)
+    chain.wait_for(torque=False)
+    # A single stroke is none that is held, nor is another key.
+    os.write(terminal, b" ")
+    for _ in range(20):
+        os.write(terminal, b"x")
+        assert not chain.has_torque
+        time.sleep(0.01)
+    assert chain.process is not None
+    chain.process.send_signal(signal.SIGTERM)
+    code, _, err = chain.end()
+    assert code == 0
+    assert err.endswith("handmap: stopped: the dead man's key is not held\n")
+
+
+def test_a_port_that_is_gone_ends_it_with_one_line(chain: Chain) -> None:
+    chain.start("--no-deadman")
+    chain.wait_for(torque=True)
+    time.sleep(0.3)
+    chain.emulator.order(unplug=True)
+    code, out, err = chain.end()
+    assert code == 2
+    assert "following error" in out
+    assert "Traceback" not in err
+    assert err.splitlines()[-1].startswith("handmap: --port: ")
+
+
+def test_motors_of_a_command_that_is_killed_stop_themselves(chain: Chain) -> None:
+    chain.start("--no-deadman")
+    chain.wait_for(torque=True)
+    assert chain.process is not None
+    chain.process.kill()
+    chain.end()
+
+    def rests() -> bool:
+        goal = chain.emulator.order()["goal"]
+        time.sleep(0.3)
+        state = chain.emulator.order()
+        return (state["goal"] == goal).all() and np.allclose(
+            goal, state["angle"], atol=1e-3
+        )
+
+    wait_until(rests)
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (
+            ["--driver", "leep"],
+            "--driver: expected one of leap, servos, got 'leep': did you mean",
+        ),
+        (["--from", "127.0.0.1:1"], "--from: no service answers"),
+        (["--port", "/dev/none", "--no-deadman"], "--port: "),
+        ([], "--no-deadman: expected a terminal whose space bar"),
+        (["--from", "HERE", "other"], "SESSION: "),
+    ],
+)
+def test_wrong_words_are_one_line(
+    words: list[str],
+    text: str,
+    chain: Chain,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("handmap_qp.apps.connection.TIMEOUT", 0.5)
+    given: list[Any] = [*chain.words[3:]]
+    if "other" in words:
+        given[1] = "other"
+    else:
+        given += words
+    assert cli.main(given) == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith(f"handmap: {text}")
+    assert printed.err.count("\n") == 1

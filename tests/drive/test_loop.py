@@ -1,0 +1,259 @@
+"""The loop between a session and motors, with motors that are a list."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from handmap_drive.drive import (
+    APPROACH,
+    HEARTBEAT,
+    HOLDING,
+    LOST,
+    SILENCE,
+    UNANSWERED,
+    Loop,
+)
+from handmap_drive.driver import DriverError, Health
+
+from handmap_qp.client import Command
+from handmap_qp.errors import InvalidInputError
+
+NAMES = ("b", "a")
+"""The motors' order is another one than that of the commands."""
+EFFORT = 0.4
+
+
+class Motors:
+    """Motors that are where they are told to be, and remember everything."""
+
+    joint_names: tuple[str, ...] = NAMES
+    range = np.array([[-1.0, -1.0], [1.0, 2.0]])
+    rate = 100.0
+    speed = 5.0
+    effort = EFFORT
+
+    def __init__(self) -> None:
+        self.q = np.array([0.1, -0.1])
+        self.written: list[np.ndarray] = []
+        self.efforts: list[float] = []
+        self.health = Health(np.array([30, 40]), ())
+        self.is_silent = False
+        self.has_torque = False
+
+    def connect(self) -> None: ...
+
+    def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
+        if self.is_silent:
+            raise DriverError("motor 1: no answer")
+        return self.q, np.zeros(2), self.health
+
+    def write(self, q: np.ndarray, effort: float) -> None:
+        self.q, self.has_torque = q, True
+        self.written.append(q)
+        self.efforts.append(effort)
+
+    def stop(self) -> None:
+        self.has_torque = False
+
+
+def command(a: float = 0.0, b: float = 0.0, **more: object) -> Command:
+    fields: dict[str, object] = {
+        "seq": 1,
+        "name": "lab",
+        "time": 0.0,
+        "server_time": 0.0,
+        "joint_names": ("a", "b", "arm"),
+        "q": (a, b, 9.0),
+        "wrist": None,
+        "status": "converged",
+    }
+    return Command(**(fields | more))  # ty: ignore[invalid-argument-type]
+
+
+class Drive:
+    """A loop and its motors, with a clock of its own."""
+
+    def __init__(self, first: Command, motors: Motors | None = None) -> None:
+        self.motors = motors or Motors()
+        with patch("handmap_drive.drive.monotonic", return_value=0.0):
+            self.loop = Loop(self.motors, first, EFFORT, 60.0)
+        self.now = 0.0
+
+    def go(
+        self, seconds: float, heard: Command | None = None, held: bool = True
+    ) -> None:
+        """Let time pass; the same command arrives in every turn, or none."""
+        for _ in range(round(100 * seconds)):
+            self.now += 0.01
+            if heard:
+                self.loop.hear(heard, self.now)
+            self.loop.turn(self.now, is_held=held)
+
+
+@pytest.fixture
+def drive() -> Drive:
+    """Return a loop that has arrived at its command."""
+    drive = Drive(command(a=0.2, b=0.5))
+    drive.go(3.0, command(a=0.2, b=0.5))
+    np.testing.assert_allclose(drive.motors.q, [0.5, 0.2])
+    return drive
+
+
+def test_joints_without_a_motor_are_where_they_are_commanded(drive: Drive) -> None:
+    drive.motors.q = np.array([0.4, 0.1])
+    drive.go(0.01)
+    # In the order of the session: the motors have b before a.
+    assert drive.loop.measured == pytest.approx([0.1, 0.4, 9.0], abs=0.1)
+    assert drive.loop.measured[2] == 9.0
+
+
+def speeds(written: list[np.ndarray]) -> np.ndarray:
+    return 100.0 * np.abs([after - before for before, after in pairwise(written)])
+
+
+def test_motors_approach_slowly_from_where_they_are_and_follow_quickly_then() -> None:
+    drive = Drive(command(a=0.9))
+    start = drive.motors.q
+    drive.go(1.0, command(a=0.9, b=0.1))
+    first = drive.motors.written
+    assert np.abs(first[0] - start).max() <= APPROACH / 100 + 1e-12
+    assert speeds(first).max() == pytest.approx(APPROACH)
+    # The other one is there from the start, and free.
+    drive.go(0.5, command(a=0.9, b=-0.5))
+    assert drive.motors.q[0] == -0.5
+    assert speeds(drive.motors.written[100:])[:, 1].max() == pytest.approx(APPROACH)
+    drive.go(2.0, command(a=0.9))
+    count = len(drive.motors.written)
+    drive.go(1.0, command(a=-0.9))
+    assert speeds(drive.motors.written[count:]).max() == pytest.approx(Motors.speed)
+    np.testing.assert_allclose(drive.motors.q, [0.0, -0.9])
+
+
+def test_the_way_between_commands_is_even(drive: Drive) -> None:
+    count = len(drive.motors.written)
+    # Commands at 25 Hz, turns at 100 Hz.
+    for i in range(40):
+        drive.loop.hear(command(a=0.2 + 0.01 * i, b=0.5), drive.now)
+        drive.go(0.04)
+    steps = speeds(drive.motors.written[count + 8 :])[:, 1]
+    np.testing.assert_allclose(steps, 0.25, rtol=1e-6)
+
+
+REASONS = {
+    "stopped": "the session is stopped",
+    "epoch": "the session's robot has jumped",
+    "silence": "no command arrives",
+    "key": "the dead man's key is not held",
+    "late": "this computer was late",
+}
+
+
+@pytest.mark.parametrize("reason", REASONS)
+def test_motors_lose_torque_for_each_reason_and_approach_again(
+    reason: str, drive: Drive, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here, motors = command(a=0.2, b=0.5), drive.motors
+    changed = command(a=0.2, b=0.5, epoch=7)
+    match reason:
+        case "stopped":
+            drive.go(0.01, command(a=0.2, b=0.5, status="stopped"))
+        case "epoch":
+            drive.go(0.01, changed)
+            here = changed
+        case "silence":
+            drive.go(LOST + 0.02)
+        case "key":
+            drive.go(0.01, here, held=False)
+        case "late":
+            drive.now += LOST
+            drive.go(0.01, here)
+    assert not motors.has_torque
+    assert capsys.readouterr().err == f"handmap: stopped: {REASONS[reason]}\n"
+    # The hand sags while it has no torque.
+    motors.q = sagged = np.array([-0.5, -0.5])
+    count = len(motors.written)
+    if reason in ("stopped", "key"):
+        drive.go(1.0, command(status="stopped"), held=reason != "key")
+        assert len(motors.written) == count
+    drive.loop.turn(drive.now, is_held=False)
+    drive.go(1.0, here)
+    assert motors.has_torque
+    way = [sagged, *motors.written[count:]]
+    assert speeds(way).max() == pytest.approx(APPROACH)
+    assert capsys.readouterr().err.endswith("handmap: driving\n")
+
+
+def test_late_commands_leave_motors_holding_with_less_torque(drive: Drive) -> None:
+    motors = drive.motors
+    drive.go(0.1, command(a=0.3, b=0.5))
+    assert motors.efforts[-1] == EFFORT
+    drive.go(SILENCE + 0.02)
+    goal = motors.q
+    assert motors.efforts[-1] == HOLDING * EFFORT
+    drive.go(0.1)
+    np.testing.assert_array_equal(motors.q, goal)
+    assert motors.has_torque
+    drive.go(0.01, command(a=0.3, b=0.5))
+    assert motors.efforts[-1] == EFFORT
+    # A session that holds its robot sends less often.
+    drive.go(0.01, command(a=0.3, b=0.5, flags=("watchdog",)))
+    drive.go(HEARTBEAT)
+    assert motors.efforts[-1] == EFFORT
+    drive.go(SILENCE + 0.02)
+    assert motors.efforts[-1] == HOLDING * EFFORT
+
+
+def test_one_lost_answer_is_nothing_and_many_end_it(drive: Drive) -> None:
+    here = command(a=0.2, b=0.5)
+    drive.motors.is_silent = True
+    drive.go(0.05, here)
+    drive.motors.is_silent = False
+    drive.go(0.05, here)
+    assert drive.loop.summary()["answers lost"] == 5
+    drive.motors.is_silent = True
+    with pytest.raises(DriverError, match="motor 1: no answer"):
+        drive.go(UNANSWERED + 0.05, here)
+
+
+@pytest.mark.parametrize(
+    ("health", "text"),
+    [
+        (Health(np.array([30, 61]), ()), "a: 61 degrees, more than 60"),
+        (Health(np.array([30, 30]), ("b: overload",)), "b: overload"),
+    ],
+)
+def test_hot_and_faulty_motors_end_it(health: Health, text: str, drive: Drive) -> None:
+    drive.motors.health = health
+    with pytest.raises(DriverError, match=text):
+        drive.go(0.02, command(a=0.2, b=0.5))
+
+
+def test_goals_stay_in_the_range_of_the_motors(
+    drive: Drive, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive.go(1.0, command(a=2.5, b=-1.5))
+    np.testing.assert_array_equal(drive.motors.q, [-1.0, 2.0])
+    assert capsys.readouterr().err == "handmap: b: the motor goes to -1 rad, not -1.5\n"
+
+
+def test_motors_that_are_where_the_hand_cannot_be_are_refused() -> None:
+    motors = Motors()
+    motors.q = np.array([0.0, 2.3])
+    with pytest.raises(InvalidInputError, match=r"a: expected .* got 2.3: compare id"):
+        Drive(command(), motors)
+
+
+def test_a_session_that_moves_another_robot_ends_it(drive: Drive) -> None:
+    with pytest.raises(InvalidInputError, match=r"SESSION: expected the robot that"):
+        drive.go(0.01, command(joint_names=("a", "c", "arm")))
+
+
+def test_the_summary_is_of_what_was_driven(drive: Drive) -> None:
+    rows = drive.loop.summary()
+    assert rows["rate [Hz]"] == pytest.approx(100.0)
+    assert rows["following error, largest [rad]"] == 0.0
+    assert rows["turns"] == len(drive.motors.written)
+    assert rows["stops"] == 0
