@@ -37,7 +37,7 @@ from handmap_qp import (
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.apps.viewer import figure
 from handmap_qp.apps.viewer.controls import LEFT_OUT, SteeringControls
-from handmap_qp.apps.viewer.figure import HandFigure, state_text
+from handmap_qp.apps.viewer.figure import HandFigure, HumanFigure, state_text
 from handmap_qp.apps.viewer.gauges import FIRST, InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
 from handmap_qp.apps.viewer.sample import ViewSample
@@ -164,7 +164,7 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
     scene = HandScene(server, replay.human, replay.variants)
     scene.draw([sample])
     for side, hand, points in (
-        ("human", replay.human, sample.human_points),
+        ("human", replay.human, sample.humans[0].points),
         ("robot", replay.variant.robot, sample.robot_points),
     ):
         meshes = figure.link_meshes(hand)
@@ -207,7 +207,7 @@ def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
     first = replay.variant.samples[0]
     HandScene(server, replay.human, replay.variants).draw([first])
     for side, hand, wrist in (
-        ("human", replay.human, first.human_wrist),
+        ("human", replay.human, first.humans[0].wrist),
         ("robot", replay.variant.robot, first.robot_wrist),
     ):
         palm = pose_in_scene(server, f"/{side}") @ wrist @ hand.wrist_to_palm
@@ -224,13 +224,14 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(
     scene = HandScene(server, replay.human, replay.variants)
     scene.draw([sample])
     handle = server.scene.get_handle_by_name("/human/ellipsoid")
-    assert sample.motion_deformation is not None
-    linear = sample.motion_deformation[:3, :3]
+    (human,) = sample.humans
+    assert human.motion_deformation is not None
+    linear = human.motion_deformation[:3, :3]
     axes = rotation_from_quat_wxyz(handle.wxyz) * np.array(handle.scale)
     # Two maps A deform a ball equally if their A A^T are equal.
     np.testing.assert_allclose(axes @ axes.T, linear @ linear.T, atol=1e-9)
-    assert sample.pivot is not None
-    np.testing.assert_allclose(handle.position, sample.pivot, atol=1e-12)
+    assert human.pivot is not None
+    np.testing.assert_allclose(handle.position, human.pivot, atol=1e-12)
     assert not np.allclose(handle.scale, 1.0, atol=0.05), "the motion should deform"
 
 
@@ -242,8 +243,9 @@ def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
     cube = server.scene.get_handle_by_name("/human/cube")
     assert cube.visible
     assert not server.scene.get_handle_by_name("/human/ellipsoid").visible
-    assert sample.motion_deformation is not None
-    linear = sample.motion_deformation[:3, :3]
+    (human,) = sample.humans
+    assert human.motion_deformation is not None
+    linear = human.motion_deformation[:3, :3]
     corners = np.linalg.solve(linear, cube.points.reshape(-1, 3).T).T
     # Points are sent as 32-bit floats.
     np.testing.assert_allclose(np.abs(corners), np.abs(corners).max(), rtol=1e-4)
@@ -257,13 +259,10 @@ def test_hands_stay_in_place_or_travel_as_asked(
 ) -> None:
     replay = make_replay()
     scene = HandScene(server, replay.human, replay.variants)
-    human, places = HandFigure(server, "other", replay.human), []
+    human, places = HumanFigure(server, "other", replay.human), []
     for sample in (replay.variant.samples[0], replay.variant.samples[-1]):
         scene.draw([sample], Display(follow))
-        assert sample.human_q is not None
-        assert sample.human_wrist is not None
-        posed = replace(sample, robot_q=sample.human_q, robot_wrist=sample.human_wrist)
-        place = human.place_of(posed)
+        place = human.place_of(sample.humans[0])
         assert place is not None
         places.append(in_scene(server, "/human", place[0][None])[0])
     moved = float(np.linalg.norm(places[1] - places[0]))
@@ -285,7 +284,7 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
         )
         right = np.cross(forward, (0.0, 1.0, 0.0))
         for side, points in (
-            ("human", sample.human_points),
+            ("human", sample.humans[0].points),
             ("robot", sample.robot_points),
         ):
             seen = in_scene(server, f"/{side}", np.asarray(points)) - camera.position

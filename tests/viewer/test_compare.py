@@ -168,8 +168,9 @@ def test_trails_are_the_paths_of_the_tips_until_they_are_cleared(
     seen = []
     for i in range(5):
         seek(viewer, i)
-        assert viewer.sample.landmarks is not None
-        tips = viewer.sample.landmarks[TIPS]
+        (human,) = viewer.sample.humans
+        assert human.landmarks is not None
+        tips = human.landmarks[TIPS]
         seen.append(in_scene(node(viewer, "/human"), tips))
     # On the screen, a trail is where the tips were seen.
     drawn = in_scene(

@@ -28,6 +28,12 @@ from handmap_qp.se3 import rotation_from_quat_wxyz
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
+
+def with_human(sample: ViewSample, **changes: Any) -> ViewSample:
+    (human,) = sample.humans
+    return replace(sample, humans=[human._replace(**changes)])
+
+
 QUARTER_TURN = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -153,7 +159,11 @@ def test_a_source_of_commands_only_is_drawn_without_targets(
     server: Any, source: Any
 ) -> None:
     source.given.put(
-        replace(source.samples[-1], targets=None, motion_deformation=None, pivot=None)
+        with_human(
+            replace(source.samples[-1], targets=None),
+            motion_deformation=None,
+            pivot=None,
+        )
     )
     viewer = LiveViewer(server, source)
     viewer.tick()
@@ -352,14 +362,12 @@ def test_hands_that_travel_stay_in_the_picture(server: Any, source: Any) -> None
     viewer.tick()
     near = np.linalg.norm(server.initial_camera.position)
     shift = np.array([0.8, 0.0, 0.0])
-    far = np.array(source.samples[0].human_wrist)
+    (human,) = source.samples[0].humans
+    far = np.array(human.wrist)
     far[:3, 3] += shift
     source.given.put(
-        replace(
-            source.samples[0],
-            time=0.1,
-            human_wrist=far,
-            human_points=np.asarray(source.samples[0].human_points) + shift,
+        with_human(
+            replace(source.samples[0], time=0.1), wrist=far, points=human.points + shift
         )
     )
     wait_until(lambda: viewer.sample.time == 0.1)
@@ -369,21 +377,15 @@ def test_hands_that_travel_stay_in_the_picture(server: Any, source: Any) -> None
 
 
 def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Any) -> None:
-    first = replace(
-        source.samples[0],
-        human_q=None,
-        human_points=np.asarray(source.samples[0].human_points) + 3.0,
-    )
+    points = source.samples[0].humans[0].points + 3.0
+    first = with_human(source.samples[0], q=None, points=points)
     source.given.put(first)
     viewer = LiveViewer(server, source)
     viewer.tick()
     assert not server.scene.get_handle_by_name("/human/body").visible
     human = server.scene.get_handle_by_name("/human")
-    middle = (
-        rotation_from_quat_wxyz(human.wxyz)
-        @ np.asarray(first.human_points).mean(axis=0)
-        + human.position
-    )
+    turn = rotation_from_quat_wxyz(human.wxyz)
+    middle = turn @ points.mean(axis=0) + human.position
     assert abs(middle[0]) < 0.3, "the points are beside the robot"
     # The middle of the points' box is there, not their mean.
     np.testing.assert_allclose(middle[1:], 0.0, atol=0.02)

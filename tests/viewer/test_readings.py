@@ -16,8 +16,7 @@ from handmap_qp import load_hand
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.viewer.controls import on_white
 from handmap_qp.apps.viewer.gauges import InstantGauges
-from handmap_qp.apps.viewer.sample import ViewSample
-from handmap_qp.se3 import affine, rotation_from_rpy
+from handmap_qp.apps.viewer.sample import HumanView, ViewSample
 
 ROBOT = load_hand("three_finger")
 GAUGES = InstantGauges(
@@ -41,8 +40,7 @@ def test_readings_are_the_errors_that_were_made_and_the_gaps_of_the_surfaces() -
     points = ROBOT.points(q, np.eye(4))
     shifts = np.zeros_like(points)
     shifts[0, 2] = 0.03
-    target = affine(rotation_from_rpy((0.0, 0.2, 0.0)), np.array([0.003, 0.0, -0.004]))
-    sample = sample_of(q, targets=points + shifts, wrist_target=target)
+    sample = sample_of(q, targets=points + shifts, wrist_error=(0.005, 0.2))
     expected = (0.03 / len(points), 0.03, 0.005, 0.2)
     assert GAUGES.errors(sample) == pytest.approx(expected)
     gaps = GapMeter(ROBOT).pinches(q[None])
@@ -60,11 +58,11 @@ def test_readings_are_the_errors_that_were_made_and_the_gaps_of_the_surfaces() -
 def test_a_touch_of_the_human_reads_zero() -> None:
     landmarks = np.zeros((21, 3))
     landmarks[[8, 12, 16, 20], 0] = 0.010, 0.012, 0.052, 0.072
-    gaps = GAUGES.human_pinches(sample_of(ROBOT.rest, landmarks=landmarks))
+    gaps = GAUGES.human_pinches(HumanView(landmarks=landmarks))
     assert gaps == pytest.approx(
         {"index": 0.0, "middle": 0.0, "ring": 0.04, "little": 0.06}
     )
-    assert GAUGES.human_pinches(sample_of(ROBOT.rest)) == {}
+    assert GAUGES.human_pinches(HumanView()) == {}
 
 
 def test_a_picture_is_put_on_white() -> None:

@@ -135,7 +135,7 @@ def write_page(path: Path, episodes: Mapping[str, Episode], title: str) -> None:
             ViewSample(
                 time=float(at.time),
                 robot_q=at.q,
-                robot_wrist=np.eye(4) if hand.parts else at.wrist,
+                robot_wrist=at.wrist,
                 robot_points=hand.points(at.q, at.wrist if hand.is_floating else None),
                 object_pose=at.object_pose,
                 note=f"{at.normal_force:.1f} N, {at.links_touching} links touch",

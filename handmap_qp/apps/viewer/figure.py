@@ -30,11 +30,11 @@ from handmap_qp.se3 import (
     transform_points,
 )
 from handmap_qp.trackers import BONES, NEIGHBOURS
-from .sample import Variant, ViewSample
+from .sample import HumanView, Variant, ViewSample
 from .serving import ViserServer
 
-Posture = tuple[Array, Array]
-"""Joint angles [rad], shape (n,), and wrist pose, shape (4, 4)."""
+Posture = tuple[Array, Array | None]
+"""Joint angles [rad], shape (n,), and wrist pose, shape (4, 4); None for a fixed hand."""
 Shape = Literal["ellipsoid", "cube", "off"]
 """How T_def is shown."""
 TARGET_COLOUR = (0.98, 0.66, 0.10)
@@ -108,7 +108,7 @@ class Figure:
 
     Attributes:
         variant: Index of the variant whose samples it shows.
-        part: Index of what it shows of a sample, in `ViewSample.parts`.
+        part: Index of what it shows of a sample, in `ViewSample.parts`; `seen` below.
         axes: From the world's axes to the scene's, shape (3, 3).
         anchor: Position in the scene of the centre, or of the middle of its travel [m], shape (3,).
         room: What the view has room for, along the scene's axes: the box of the centre's positions,
@@ -118,7 +118,7 @@ class Figure:
 
     variant = part = 0
     shows: str
-    """The field of a `ViewSample` with its points."""
+    """The field with its points."""
     colour: Colour
     """Colour of its points and its trail."""
     _points: Spheres
@@ -141,20 +141,20 @@ class Figure:
     def is_shown(self, is_shown: bool) -> None:
         self._frame.visible = self._label.visible = is_shown
 
-    def points(self, sample: ViewSample) -> Array | None:
+    def points(self, seen: Any) -> Array | None:
         """Return its points in the figure's world [m], shape (n, 3); None if they are not known."""
-        return known(getattr(sample, self.shows))
+        return known(getattr(seen, self.shows))
 
-    def draw(self, sample: ViewSample) -> None:
+    def draw(self, seen: Any) -> None:
         """Draw one instant; points that are not known are hidden."""
-        self._points.move(self.points(sample))
+        self._points.move(self.points(seen))
 
-    def place_of(self, sample: ViewSample) -> tuple[Array, Array] | None:
+    def place_of(self, seen: Any) -> tuple[Array, Array] | None:
         """Return its centre, (3,), and corners, (n, 3), in the figure's world [m], if known."""
-        points = self.points(sample)
+        points = self.points(seen)
         return None if points is None else (points.mean(axis=0), points)
 
-    def tips(self, sample: ViewSample) -> Array | None:
+    def tips(self, seen: Any) -> Array | None:
         """Return the fingertips in the figure's world [m], shape (n, 3); None for no trail."""
         return None
 
@@ -257,10 +257,10 @@ class LandmarkFigure(Figure):
         self._points = Spheres(server, f"/{node}/points", _LANDMARK_RADIUS, self.colour)
         self._bones = _add_lines(server, f"/{node}/bones", self.colour, 3.0)
 
-    def draw(self, sample: ViewSample) -> None:
+    def draw(self, seen: HumanView) -> None:
         """Show the landmarks with their bones."""
-        super().draw(sample)
-        points = self.points(sample)
+        super().draw(seen)
+        points = self.points(seen)
         self._bones.visible = points is not None
         if points is not None:
             self._bones.points = points[_LINES]
@@ -298,8 +298,8 @@ class HandFigure(Figure):
                 box = box_of(np.vstack([mesh.bounds for mesh in meshes]))
                 padded = box + _OUTWARDS * _PADDING
                 self._corners[link] = padded[_UNIT_BOX, range(3)]
-        wrist = np.eye(4) if hand.parts else hand.frame_pose("wrist", hand.rest)
-        corners = transform_points(inverse_pose(wrist), self._boxes(hand.rest, wrist))
+        to_base = inverse_pose(self._base(hand.rest))
+        corners = transform_points(to_base, self._boxes(hand.rest))
         box = box_of(corners)
         self._focus = box.mean(axis=0)
         if hand.parts:
@@ -309,32 +309,30 @@ class HandFigure(Figure):
             server, f"/{node}/points", self.point_size * self.radius, self.colour
         )
 
-    def posture(self, sample: ViewSample) -> Posture | None:
-        """Return joint angles and wrist, if both are known; points may be known without them."""
-        return sample.robot_q, sample.robot_wrist
+    def posture(self, seen: Any) -> Posture | None:
+        """Return the posture, if it is known; points may be known without it."""
+        return seen.robot_q, seen.robot_wrist if self.hand.is_floating else None
 
-    def place_of(self, sample: ViewSample) -> tuple[Array, Array] | None:
+    def place_of(self, seen: Any) -> tuple[Array, Array] | None:
         """Return the hand's centre and corners of its links' boxes, or those of its points."""
-        if not (posture := self.posture(sample)):
-            return super().place_of(sample)
-        return transform_points(posture[1], self._focus), self._boxes(*posture)
+        if not (at := self.posture(seen)):
+            return super().place_of(seen)
+        return transform_points(self._base(*at), self._focus), self._boxes(*at)
 
-    def tips(self, sample: ViewSample) -> Array | None:
+    def tips(self, seen: Any) -> Array | None:
         """Return the tips of the posture."""
-        if not (posture := self.posture(sample)):
-            return None
-        return self._tips.points(posture[0], self._pose(posture[1]))
+        at = self.posture(seen)
+        return at and self._tips.points(*at)
 
-    def draw(self, sample: ViewSample) -> None:
+    def draw(self, seen: Any) -> None:
         """Draw the hand and its points; hide a hand of unknown posture."""
-        super().draw(sample)
-        posture = self.posture(sample)
-        self._body.visible = posture is not None
-        if posture and self.links:
+        super().draw(seen)
+        at = self.posture(seen)
+        self._body.visible = at is not None
+        if at and self.links:
             # Links are placed relative to the first one: those that do not move in the hand are
             # sent once.
-            q, wrist = posture
-            poses = self.hand.link_poses(list(self.links), q, self._pose(wrist))
+            poses = self.hand.link_poses(list(self.links), *at)
             place_node(self._body, poses[0])
             placed = inverse_pose(poses[0]) @ poses
             for node, pose in zip(self.links.values(), placed, strict=True):
@@ -346,19 +344,20 @@ class HandFigure(Figure):
             return self.hand.frames[link].parentJoint > 0
         return self.hand.is_floating or not self.hand.has_moving_wrist
 
-    def _boxes(self, q: Array, wrist: Array) -> Array:
+    def _base(self, q: Array, wrist: Array | None = None) -> Array:
+        """Return the pose of the hand's wrist, or of a robot's world, shape (4, 4)."""
+        hand = self.hand
+        return np.eye(4) if hand.parts else hand.frame_pose("wrist", q, wrist)
+
+    def _boxes(self, q: Array, wrist: Array | None = None) -> Array:
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
-        pose = self._pose(wrist)
         if not self._corners:
-            points = np.vstack([self.hand.points(q, pose), wrist[:3, 3]])
+            base = self._base(q, wrist)
+            points = np.vstack([self.hand.points(q, wrist), base[:3, 3]])
             padded = points + 2.0 * _PADDING * _OUTWARDS[:, None]
             return padded.reshape(-1, 3)
-        poses = self.hand.link_poses(list(self._corners), q, pose)
+        poses = self.hand.link_poses(list(self._corners), q, wrist)
         return np.vstack(list(map(transform_points, poses, self._corners.values())))
-
-    def _pose(self, wrist: Array) -> Array | None:
-        """Return the wrist pose as the hand's kinematics take it."""
-        return wrist if self.hand.is_floating else None
 
 
 class HumanFigure(HandFigure):
@@ -373,7 +372,7 @@ class HumanFigure(HandFigure):
     """
 
     point_size = 0.08
-    shows = "human_points"
+    shows = "points"
     colour = HUMAN_COLOUR
 
     def __init__(self, server: ViserServer, node: str, hand: Hand) -> None:
@@ -398,23 +397,21 @@ class HumanFigure(HandFigure):
         )
         self._cube = _add_lines(server, f"/{node}/cube", DEFORMATION_COLOUR, 2.5)
 
-    def posture(self, sample: ViewSample) -> Posture | None:
-        """Return joint angles and wrist, if both are known."""
-        q = sample.human_q
-        wrist = sample.human_wrist
-        return None if q is None or wrist is None else (q, wrist)
+    def posture(self, seen: HumanView) -> Posture | None:
+        """Return the posture, if it is known."""
+        return None if seen.q is None else (seen.q, seen.wrist)
 
-    def tips(self, sample: ViewSample) -> Array | None:
+    def tips(self, seen: HumanView) -> Array | None:
         """Return the tracked tips, or else those of the posture."""
-        if sample.landmarks is not None:
-            return known(sample.landmarks[TIPS])
-        return super().tips(sample)
+        if seen.landmarks is not None:
+            return known(seen.landmarks[TIPS])
+        return super().tips(seen)
 
-    def draw(self, sample: ViewSample) -> None:
+    def draw(self, seen: HumanView) -> None:
         """Draw the hand, its points and the deformation."""
-        super().draw(sample)
-        motion = sample.motion_deformation
-        pivot = sample.pivot
+        super().draw(seen)
+        motion = seen.motion_deformation
+        pivot = seen.pivot
         shape = "off" if motion is None else self.shape
         self._ball.visible = self._ellipsoid.visible = shape == "ellipsoid"
         self._cube.visible = shape == "cube"
@@ -462,13 +459,13 @@ class RobotFigure(HandFigure):
         radius = 1.15 * self.point_size * self.radius
         self._targets = Spheres(server, f"/{node}/targets", radius, TARGET_COLOUR, 0.5)
 
-    def draw(self, sample: ViewSample) -> None:
+    def draw(self, seen: ViewSample) -> None:
         """Draw the hand, its points, targets and object, and write its name and state."""
-        super().draw(sample)
-        self._targets.move(sample.targets)
-        if self._solid and sample.object_pose is not None:
-            place_node(self._solid, sample.object_pose)
-        lines = self.hand.name, self.label, state_text(sample)
+        super().draw(seen)
+        self._targets.move(seen.targets)
+        if self._solid and seen.object_pose is not None:
+            place_node(self._solid, seen.object_pose)
+        lines = self.hand.name, self.label, state_text(seen)
         self._label.text = "\n".join(filter(None, lines))
 
 

@@ -11,10 +11,9 @@ from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.errors import HandError
 from handmap_qp.hands import CONTACT_GAP, FINGERS, Hand, Values, find_fingers
 from handmap_qp.human import tip_gaps
-from handmap_qp.ik import wrist_error
 from handmap_qp.se3 import Array
 from .figure import DEFORMATION_COLOUR, TARGET_COLOUR, known
-from .sample import Variant, ViewSample
+from .sample import HumanView, Variant, ViewSample
 from .serving import ViserServer
 
 HUMAN = "#8a8f98"
@@ -92,12 +91,7 @@ class InstantGauges:
             target if it can move, shape (4,). Of several wrists, the largest.
         """
         points = sample.point_error
-        wrists = [
-            wrist_error(each.robot_wrist, each.wrist_target)
-            for each in sample.hands or (sample,)
-            if each.wrist_target is not None and self._robot.has_moving_wrist
-        ]
-        wrist = np.max(wrists or [(np.nan, np.nan)], axis=0)
+        wrist = sample.wrist_error if self._robot.has_moving_wrist else 2 * [np.nan]
         return np.array([points.mean(), points.max(), *wrist])
 
     def pinches(self, sample: ViewSample, hand: int = 0) -> Values:
@@ -108,12 +102,12 @@ class InstantGauges:
         gaps = self._measures[hand](sample.robot_q[None])
         return {finger: gap[0] for finger, gap in gaps.items()}
 
-    def human_pinches(self, sample: ViewSample) -> Values:
+    def human_pinches(self, human: HumanView) -> Values:
         """Return the human's gap between thumb and each other finger [m], by the finger's name.
 
         The contact gap is subtracted, so that a touch reads zero.
         """
-        if (landmarks := known(sample.landmarks)) is None:
+        if (landmarks := known(human.landmarks)) is None:
             return {}
         gaps = np.maximum(tip_gaps(landmarks) - self._contact_gap, 0.0)
         return dict(zip(FINGERS[1:], gaps.tolist(), strict=True))
@@ -122,10 +116,11 @@ class InstantGauges:
         """Return errors and pinch gaps of one sample of each robot, and the robots' labels."""
         errors = np.transpose([self.errors(sample) for sample in samples])
         pinches = ""
-        for i, part in enumerate(samples[0].hands or samples[:1]):
+        humans = samples[0].humans or [HumanView()]
+        for i, human in enumerate(humans):
             gaps = [self.pinches(sample, i) for sample in samples]
-            whose = self._robot.hands[i].side if samples[0].hands else ""
-            pinches += _pinch_bars(whose, [self.human_pinches(part), *gaps])
+            whose = self._robot.hands[i].side if humans[1:] else ""
+            pinches += _pinch_bars(whose, [self.human_pinches(human), *gaps])
         heads = "".join(
             f'<th style="{_CELL};color:{colour};font-weight:600">{escape(label)}</th>'
             for label, colour in zip(labels, cycle(ROBOTS), strict=False)

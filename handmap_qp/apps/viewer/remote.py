@@ -1,9 +1,10 @@
 """A session of the mapping service, shown and steered from here: `ServiceSession`."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
+from itertools import count
 from operator import itemgetter, or_
 from pathlib import Path
 from time import monotonic, sleep
@@ -27,8 +28,8 @@ from handmap_qp.hands import (
 )
 from handmap_qp.human import LandmarkFitter
 from handmap_qp.mapping import IK_NAMES, Choice, preset_choice
-from handmap_qp.se3 import Array, rigid_fit
-from .sample import ViewSample
+from handmap_qp.se3 import rigid_fit
+from .sample import HumanView, ViewSample
 
 # Longest wait for an answer once the session is shown [s].
 _TIMEOUT = 1.0
@@ -47,14 +48,13 @@ _HANDS = itemgetter(
     "mount",
     "is_shared",
 )
-# Rows of numbers in a command's detail that a sample shows, where they are known.
+# Numbers of a human hand in a command's detail, where they are known.
 _ARRAYS = (
     "human_points",
     "human_q",
     "landmarks",
     "motion_deformation",
     "pivot",
-    "targets",
 )
 
 
@@ -271,73 +271,54 @@ class ServiceSession:
     def _sample(self, command: Command) -> ViewSample | None:
         """Convert a command to a sample; None if it has nothing to show."""
         self.is_released = "released" in command.flags
+        found = self._details_of(command)
         # Commands of a held robot have no detail: keep the last one.
-        self._details = details = [*map(or_, self._details, self._details_of(command))]
+        self._details = details = [*map(or_, self._details, found)]
         if not any(details) or command.wrist is None:
             return None
         self._start = self._start or command.server_time
-        hands = [
-            self._shown(command, robot, details[k], k)
-            for k, robot in enumerate(self.robot.parts)
-        ]
-        targets = [row for each in details for row in each.get("targets", ())]
-        held_by = max(each.get("held_by", ()) for each in details)
-        whole = details[0] | {"targets": targets, "held_by": held_by}
-        return self._shown(command, self.robot, whole, hands=hands)
-
-    def _shown(
-        self,
-        command: Command,
-        robot: Hand,
-        detail: Values,
-        k: int = 0,
-        hands: Sequence[ViewSample] = (),
-    ) -> ViewSample:
-        """Convert a command, or what it says of a hand, to a sample with the k-th human hand."""
-        state: Any = command if hands else command.hands.get(robot.side, command)
+        robot = self.robot
         q = np.array(command.q)
-        wrist = np.eye(4) if hands else state.wrist.matrix
-        arrays: Values = {
-            name: np.array(detail[name]) for name in _ARRAYS if detail.get(name)
-        }
-        if "human_points" in arrays:
-            posture = self._human_posture(arrays, detail["human_wrist"], k)
-            arrays["human_q"], arrays["human_wrist"] = posture
+        wrist = command.wrist.matrix
+        targets = [row for each in details for row in each.get("targets", ())]
         # The last detail of a held robot may be of another method.
-        count = len(arrays.get("targets", ()))
-        if self.is_released or count != len(robot.reference_points):
-            arrays["targets"] = None
+        is_led = not self.is_released and len(targets) == len(robot.reference_points)
         return ViewSample(
-            **arrays,
             time=command.server_time - self._start,
             robot_q=q,
             robot_wrist=wrist,
             robot_points=robot.points(q, wrist if robot.is_floating else None),
+            targets=np.array(targets) if is_led else None,
             is_limited=np.isin(robot.joint_names, command.at_limit),
-            status=state.status,
-            held_by=detail.get("held_by", ()),
-            rule=state.rule,
+            status=command.status,
+            held_by=max(each.get("held_by", ()) for each in details),
+            rule=command.rule,
             duration=command.solve_time,
-            is_seen=any((state.detail, *(each.is_seen for each in hands))),
-            hands=hands,
+            is_seen=any(found),
+            humans=[*map(self._human, details, count())],
         )
 
-    def _human_posture(
-        self, arrays: Values, wrist: Any, k: int
-    ) -> tuple[Array | None, Array]:
-        """Return the joint angles of a human hand (n,), None if not known, and its wrist (4, 4)."""
-        landmarks = arrays.get("landmarks")
-        if landmarks is not None:
+    def _human(self, detail: Values, k: int) -> HumanView:
+        """Return the k-th human hand by the detail of a command."""
+        if not detail:
+            return HumanView()
+        rows = {
+            name.removeprefix("human_"): np.array(detail[name])
+            for name in _ARRAYS
+            if detail.get(name)
+        }
+        shown = HumanView(**rows)
+        if shown.landmarks is not None:
             with suppress(InvalidInputError):
-                return self._fitters[k].fit(landmarks)[:2]
-        if wrist is None:
+                q, wrist, *_ = self._fitters[k].fit(shown.landmarks)
+                return shown._replace(q=q, wrist=wrist)
+        if given := detail["human_wrist"]:
+            wrist = msgspec.convert(given, Pose).matrix
+        else:
             # Estimate it by a rigid fit of the hand at rest.
             human = self.human.hands[k]
-            rest_points = human.points(human.rest, np.eye(4))
-            pose = rigid_fit(rest_points, arrays["human_points"])
-        else:
-            pose = msgspec.convert(wrist, Pose).matrix
-        return arrays.get("human_q"), pose
+            wrist = rigid_fit(human.points(human.rest, np.eye(4)), rows["points"])
+        return shown._replace(wrist=wrist)
 
     def _error(self, problem: str, advice: str = "") -> InvalidInputError:
         return InvalidInputError(

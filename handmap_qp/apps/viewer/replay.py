@@ -23,7 +23,7 @@ from handmap_qp.mapping import (
 from handmap_qp.stream import Follower, RobotFollower, follow_recording, paired
 from .controls import KEPT, NOTHING, PlayBar, SteeringControls, Window, reporting
 from .page import make_page
-from .sample import Variant, ViewSample
+from .sample import HumanView, Variant, ViewSample
 from .serving import ViserServer
 
 
@@ -181,40 +181,47 @@ class Replay:
         solid = surface(parse_object(shape)) if is_held else None
         return Variant(label, mapper.robot, choice, shown, solid)
 
-    def _sample(
-        self, i: int, step: MapStep, is_seen: bool, hand: int = 0
-    ) -> ViewSample:
-        """Return what the view shows of one step of a mapper, or of one hand in it."""
-        results = step.diagnostics
-        is_released = step.status == "released"
-        recording, fitted = self._seen[hand]
+    def _sample(self, i: int, step: MapStep, is_seen: bool) -> ViewSample:
+        """Return what the view shows of one step of a mapper."""
         hands: dict[Side, MapStep] = getattr(step, "hands", {})
-        # The newest sample of the hand.
-        k = np.searchsorted(recording.time[1:], self._time[i], "right")
+        led = [*hands.values()] or [step]
+        goals: Values = {}
+        if step.status != "released":
+            goals["targets"] = step.targets
+            goals["wrist_error"] = np.max([each.wrist_error for each in led], axis=0)
         return ViewSample(
+            **goals,
             time=float(self.time[i]),
             robot_q=step.command.q,
-            robot_wrist=np.eye(4) if hands else step.command.wrist,
+            robot_wrist=step.command.wrist,
             robot_points=step.points,
-            targets=None if is_released else step.targets,
-            wrist_target=None if is_released else step.wrist_target,
-            human_q=fitted.q[k],
-            human_wrist=fitted.wrist[k],
-            human_points=step.human_points,
-            landmarks=recording.landmarks[k] if recording.valid[k] else None,
-            motion_deformation=results.get("motion_deformation"),
-            pivot=results.get("pivot_image"),
-            object_pose=results.get("object_pose"),
+            object_pose=step.diagnostics.get("object_pose"),
             is_limited=step.at_bound,
             status=step.status,
             held_by=step.held_by,
             rule=step.rule,
             duration=step.duration,
             is_seen=is_seen,
-            hands=[
-                self._sample(i, each, not each.is_held, place)
-                for place, each in enumerate(hands.values())
+            humans=[
+                self._human(i, each, *seen)
+                for each, seen in zip(led, self._seen, strict=True)
             ],
+        )
+
+    def _human(
+        self, i: int, step: MapStep, recording: Recording, fitted: HumanMotion
+    ) -> HumanView:
+        """Return what the view shows of a human hand, by the step of the robot's."""
+        results = step.diagnostics
+        # Its newest sample.
+        k = np.searchsorted(recording.time[1:], self._time[i], "right")
+        return HumanView(
+            step.human_points,
+            fitted.q[k],
+            fitted.wrist[k],
+            recording.landmarks[k] if recording.valid[k] else None,
+            results.get("motion_deformation"),
+            results.get("pivot_image"),
         )
 
 

@@ -12,24 +12,39 @@ from handmap_qp.mapping import Choice
 from handmap_qp.se3 import Array, lengths
 
 
+class HumanView(NamedTuple):
+    """One instant of a human hand; None for what is not known.
+
+    Attributes:
+        points: Reference points in W [m], shape (n_h, 3).
+        q: Joint angles [rad], shape (n_human,).
+        wrist: Wrist pose in W, shape (4, 4).
+        landmarks: Landmarks in W as they were tracked [m], shape (21, 3).
+        motion_deformation: T_def, shape (4, 4).
+        pivot: The pivot after T, in W [m], shape (3,); given with `motion_deformation`.
+    """
+
+    points: Array | None = None
+    q: Array | None = None
+    wrist: Array | None = None
+    landmarks: Array | None = None
+    motion_deformation: Array | None = None
+    pivot: Array | None = None
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ViewSample:
-    """One instant of a robot hand, and of the human hand and the object where there are any.
+    """One instant of a robot, and of the human hands and the object where there are any.
 
     Attributes:
         time: Time since the start [s].
-        robot_q: Robot joint angles [rad], shape (n,).
-        robot_wrist: Robot wrist pose in V, shape (4, 4); of several hands, the base's.
-        robot_points: Robot reference points in V [m], shape (n_r, 3).
-        targets: Targets of the robot reference points in V [m], shape (n_r, 3); None if the source
-            does not report them or the robot is released.
-        wrist_target: Target of the robot wrist in V, shape (4, 4); None as for `targets`.
-        human_q: Human joint angles [rad], shape (n_human,); None if only the points are known.
-        human_wrist: Human wrist pose in W, shape (4, 4); None without a human hand.
-        human_points: Human reference points in W [m], shape (n_h, 3); None without a human hand.
-        landmarks: Landmarks in W as they were tracked [m], shape (21, 3); None if there are none.
-        motion_deformation: T_def, shape (4, 4); None if the source does not report it.
-        pivot: The human's pivot after T, in W [m], shape (3,); given with `motion_deformation`.
+        robot_q: Joint angles [rad], shape (n,).
+        robot_wrist: Wrist pose in V, shape (4, 4).
+        robot_points: Reference points in V [m], shape (n_r, 3).
+        targets: Targets of the points in V [m], shape (n_r, 3); None if the source does not report
+            them or the robot is released.
+        wrist_error: How far the wrist is from its target, of several the largest [m, rad]; NaN as
+            for `targets`.
         object_pose: Pose in V of the variant's object, shape (4, 4); None if there is none.
         is_limited: Whether a position or speed limit held each robot joint in this step, shape
             (n,); False if the source does not report it.
@@ -39,7 +54,7 @@ class ViewSample:
         duration: Wall time of the mapping step [s]; NaN if there was none.
         is_seen: Whether the robot followed the sample; if not, the previous one is held.
         note: Line below the robot's name; if empty, why the robot does not follow.
-        hands: Of a robot with several hands, what each does and follows, in the robot's order.
+        humans: The hands that the robot follows, in the order of its own.
     """
 
     time: float
@@ -47,13 +62,7 @@ class ViewSample:
     robot_wrist: Array
     robot_points: Array
     targets: Array | None = None
-    wrist_target: Array | None = None
-    human_q: Array | None = None
-    human_wrist: Array | None = None
-    human_points: Array | None = None
-    landmarks: Array | None = None
-    motion_deformation: Array | None = None
-    pivot: Array | None = None
+    wrist_error: Array | tuple[float, float] = (np.nan, np.nan)
     object_pose: Array | None = None
     is_limited: Array | bool = False
     status: str = ""
@@ -62,12 +71,12 @@ class ViewSample:
     duration: float = np.nan
     is_seen: bool = True
     note: str = ""
-    hands: Sequence["ViewSample"] = ()
+    humans: Sequence[HumanView] = ()
 
     @property
-    def parts(self) -> tuple["ViewSample", ...]:
-        """The whole, then each of `hands`; the last ones are of one hand each."""
-        return (self, *self.hands)
+    def parts(self) -> tuple[Any, ...]:
+        """The robot, then each of `humans`."""
+        return (self, *self.humans)
 
     @property
     def point_error(self) -> Array:

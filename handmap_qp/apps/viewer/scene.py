@@ -100,8 +100,8 @@ class HandScene:
         """
         upright = None
         first = variants[0]
-        wrist = first.samples[0].human_wrist
-        if self._people and wrist is not None:
+        people = first.samples[0].humans
+        if self._people and (wrist := people[0].wrist) is not None:
             upright = (wrist @ self._people[0][1].hand.wrist_to_palm)[:3, :3].T
             if first.robot.parts:
                 upright = _FRONT @ rotation_of(_alignment(first))
@@ -144,14 +144,15 @@ class HandScene:
         with self.server.atomic():
             self._lay_out(row, is_pinned=is_pinned)
             for figure in row:
-                sample = samples[figure.variant].parts[figure.part]
-                figure.draw(sample)
-                if not (place := figure.place_of(sample)):
+                sample = samples[figure.variant]
+                seen = sample.parts[figure.part]
+                figure.draw(seen)
+                if not (place := figure.place_of(seen)):
                     continue
                 centre, _ = place
                 middle = figure.room[0].mean(axis=0)
                 figure.place(figure.axes @ centre if is_pinned else middle)
-                tips = figure.tips(sample) if display.has_trails else None
+                tips = figure.tips(seen) if display.has_trails else None
                 if tips is not None:
                     figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
 
