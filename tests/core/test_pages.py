@@ -12,8 +12,10 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import pytest
+from browser import Browser, find_chromium
 from service_tools import address_of, serving
 
+import handmap_qp
 from handmap_qp import cli
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -23,11 +25,13 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 # The simulated robot needs a session; tests/simulation has its tests.
 EXAMPLES = sorted(
-    file for file in (ROOT / "examples").glob("*.py") if file.stem != "simulated_robot"
+    file
+    for file in (ROOT / "examples").glob("*.py")
+    if "simulated_robot" not in file.stem
 )
 SLOW = (
-    *("onboarding", "tracker_service_driver", "compare_methods", "two_hands"),
-    *("recording_to_lerobot", "mujoco_object"),
+    *("04_onboarding", "08_tracker_service_driver", "03_compare_methods"),
+    *("02_two_hands", "07_recording_to_lerobot", "09_mujoco_object"),
 )
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
@@ -93,7 +97,7 @@ def test_examples_run(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    arguments = ["0.3"] if example.stem == "loop_60hz" else []
+    arguments = ["0.3"] if example.stem == "01_loop_60hz" else []
     monkeypatch.setattr(sys, "argv", [str(example), *arguments])
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(example), run_name="__main__")
@@ -124,10 +128,19 @@ def test_links_to_files_lead_somewhere(page: Path) -> None:
         assert "://" in link or (page.parent / link).exists(), link
 
 
-@pytest.mark.slow
-def test_the_site_is_complete_and_asks_no_other_host(tmp_path: Path) -> None:
+def test_examples_are_in_the_gallery() -> None:
+    page = (ROOT / "docs" / "examples.md").read_text("utf-8")
+    for example in (ROOT / "examples").glob("[0-9]*"):
+        assert f"(#{example.stem})" in page
+        assert f"{{ #{example.stem} }}" in page
+        assert example.suffix != ".py" or f'--8<-- "examples/{example.name}"' in page
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built strictly."""
     pytest.importorskip("mkdocs")
-    site = tmp_path / "site"
+    site = tmp_path_factory.mktemp("docs") / "site"
     done = subprocess.run(
         [
             Path(sysconfig.get_path("scripts")) / "mkdocs",
@@ -145,6 +158,10 @@ def test_the_site_is_complete_and_asks_no_other_host(tmp_path: Path) -> None:
     assert "not included in the" not in done.stderr, (
         "a page is missing in nav of mkdocs.yml"
     )
+    return site
+
+
+def test_the_site_is_complete_and_asks_no_other_host(site: Path) -> None:
     html = "".join(page.read_text("utf-8") for page in site.rglob("*.html"))
     assert not re.findall(r"<(?:script|img|iframe)[^>]+src=\"https?:[^\"]*", html)
     assert not re.findall(
@@ -152,3 +169,33 @@ def test_the_site_is_complete_and_asks_no_other_host(tmp_path: Path) -> None:
     )
     assert "<math" in html
     assert "$$" not in re.sub(r"<pre.*?</pre>", "", html, flags=re.DOTALL)
+    assert not list(site.rglob("*.py"))
+    described = set(re.findall(r'id="handmap_qp\.(?:\w+\.)*(\w+)"', html))
+    assert {*handmap_qp.__all__} - {"__version__"} <= described
+
+
+def test_the_list_for_language_models_leads_to_pages(site: Path) -> None:
+    text = (site / "llms.txt").read_text("utf-8")
+    pages = re.findall(r"^- \[[^]]+\]\(([^)]+)\): \S", text, flags=re.MULTILINE)
+    assert len(pages) == text.count("\n- ")
+    assert {p.relative_to(ROOT / "docs").as_posix() for p in PAGES[1:]} <= {*pages}
+    for page in pages:
+        assert (site / page).is_file(), page
+
+
+def test_the_search_works_in_a_site_opened_as_a_file(site: Path) -> None:
+    if (program := find_chromium()) is None:
+        pytest.skip("no Chromium, or name one in HANDMAP_CHROMIUM")
+    with Browser(program) as browser:
+        browser.open((site / "index.html").as_uri())
+        browser.wait_for("document.readyState == 'complete'")
+        browser.evaluate(
+            "{ const input = document.querySelector('.md-search__input'); input.focus();"
+            "input.value = 'emergency stop';"
+            "input.dispatchEvent(new Event('keyup', {bubbles: true})); }"
+        )
+        browser.wait_for(
+            "[...document.querySelectorAll('.md-search-result__link')]"
+            ".some((link) => link.href.endsWith('safety.html#emergency-stop'))"
+        )
+        assert not browser.errors

@@ -19,7 +19,7 @@ from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.client import Client
 from handmap_qp.mapping.objects import Sphere
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "simulated_robot.py"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "10_simulated_robot.py"
 StandIn = runpy.run_path(str(EXAMPLE), run_name="simulated_robot")["StandIn"]
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

@@ -2,7 +2,7 @@
 
 `handmap compare` does this for recordings, with all metrics, peers and pictures.
 
-    python examples/compare_methods.py
+    python examples/03_compare_methods.py
 """
 
 import numpy as np

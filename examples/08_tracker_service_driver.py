@@ -3,7 +3,7 @@
 In use they are three processes, and the service is started by `handmap serve`. Tracker and driver
 need nothing but a copy of the folder `handmap_qp/client`.
 
-    python examples/tracker_service_driver.py
+    python examples/08_tracker_service_driver.py
 """
 
 import json

@@ -1,6 +1,6 @@
 """A teleoperation loop at 60 Hz: landmarks in, commands out, on time.
 
-python examples/loop_60hz.py [SECONDS]
+python examples/01_loop_60hz.py [SECONDS]
 """
 
 import sys

@@ -2,7 +2,7 @@
 
 `handmap hands init` and `handmap hands check` do the same on the command line.
 
-    python examples/onboarding.py [ROBOT.urdf]
+    python examples/04_onboarding.py [ROBOT.urdf]
 """
 
 import sys

@@ -1,6 +1,6 @@
 """A task of your own: the fingertips stay above a table.
 
-python examples/own_task.py
+python examples/06_own_task.py
 """
 
 import numpy as np

@@ -2,7 +2,7 @@
 
 The three stages are those of `handmap_qp/mapping/method.py`.
 
-    python examples/own_method.py
+    python examples/05_own_method.py
 """
 
 from dataclasses import dataclass

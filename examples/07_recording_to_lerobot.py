@@ -1,6 +1,6 @@
 """A recording of a person becomes a LeRobot v3 data set of two robot hands, read back with pyarrow.
 
-python examples/recording_to_lerobot.py [RECORDING]
+python examples/07_recording_to_lerobot.py [RECORDING]
 """
 
 import sys

@@ -7,7 +7,7 @@ press on the object.
 
     handmap serve                                                                  # the service
     handmap track replay pinch.npz --to 127.0.0.1 --robot allegro_right --session lab --loop
-    python examples/simulated_robot.py lab --robot allegro_right --object sphere:0.04
+    python examples/10_simulated_robot.py lab --robot allegro_right --object sphere:0.04
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Two hands of one person on two robot hands: one mapper for each side.
 
-python examples/two_hands.py
+python examples/02_two_hands.py
 """
 
 import numpy as np

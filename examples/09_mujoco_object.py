@@ -1,6 +1,6 @@
 """A gripper closes on a cube in MuJoCo, takes it from its stand, and lifts it.
 
-python examples/mujoco_object.py
+python examples/09_mujoco_object.py
 """
 
 import numpy as np
