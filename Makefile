@@ -33,7 +33,7 @@ unexport PYTHONPATH
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test pure fast lint docs lowest bench peers lock clean
+.PHONY: help demo test pure fast lint docs wheel lowest bench peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -69,6 +69,10 @@ lint: $(INSTALLED) ## Check style (ruff), types (ty), who imports whom (import-l
 docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open build/site/index.html"
+
+wheel: $(INSTALLED) ## Build wheel and sdist in dist, with a bill of materials and all licences
+	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/wheel --no-isolation
+	@echo "pip install \"$$(ls $(CURDIR)/dist/*.whl)[plot,view]\""
 
 lowest: ## Run all tests with the lowest versions that pyproject.toml allows; needs uv
 	@$(FIND_PYTHON); \

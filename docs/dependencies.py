@@ -3,35 +3,24 @@
 from __future__ import annotations
 
 import re
+import runpy
 import tomllib
 from importlib import metadata
 from pathlib import Path
 
 DOCS = Path(__file__).parent
+licence = runpy.run_path(str(DOCS.parent / ".ci" / "licences.py"))["licence"]
 HEAD = """# Dependencies
 
 Written by `python docs/dependencies.py` from the metadata of the installed packages. All packages,
-also indirect ones, are in `.ci/constraints.txt`. A release has a software bill of materials
-(CycloneDX) beside the wheel. The package itself is under Apache-2.0. Two dependencies are under
+also indirect ones, are in `.ci/constraints.txt`. `make wheel` and each release write beside the
+wheel what it needs: `sbom.json`, a software bill of materials (CycloneDX), and `licences.txt`, with
+the texts. The package itself is under Apache-2.0. Two dependencies are under
 stricter licences: qpsolvers (LGPL), and quadprog (GPL) in the extra `solvers` only.
 
 | package | needed by | bounds | licence |
 |---|---|---|---|
 """
-
-
-def licence(name: str) -> str:
-    """Return what a package's metadata says: its expression, its classifiers, or its first line."""
-    data = metadata.metadata(name)
-    if expression := data.get("License-Expression"):
-        return expression
-    classes = [
-        line.rpartition(" :: ")[2]
-        for line in data.get_all("Classifier") or []
-        if line.startswith("License ::")
-    ]
-    text = (data.get("License") or "not stated").strip().splitlines()[0]
-    return ", ".join(classes) or text[:60]
 
 
 def main() -> None:
@@ -52,7 +41,8 @@ def main() -> None:
             if name == project["name"]:
                 continue
             try:
-                rows.append(f"| {name} | {group} | `{bounds}` | {licence(name)} |")
+                stated = licence(metadata.distribution(name))
+                rows.append(f"| {name} | {group} | `{bounds}` | {stated} |")
             except metadata.PackageNotFoundError:
                 rows.append(f"| {name} | {group} | `{bounds}` | not installed here |")
     (DOCS / "dependencies.md").write_text(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -167,5 +168,12 @@ def test_page_of_dependencies_is_current(project: dict[str, Any]) -> None:
     assert found == {row for row in wanted if row[0] != own["name"]}
 
 
-def test_ci_script_can_be_run() -> None:
-    assert os.access(ROOT / ".ci" / "run", os.X_OK)
+def test_ci_scripts_can_be_run() -> None:
+    assert all(os.access(ROOT / ".ci" / name, os.X_OK) for name in ("run", "wheel"))
+
+
+def test_licences_are_found_with_their_texts() -> None:
+    script = runpy.run_path(str(ROOT / ".ci" / "licences.py"))
+    numpy = importlib.metadata.distribution("numpy")
+    assert "BSD" in script["licence"](numpy)
+    assert any("Redistributions of source code" in t for t in script["texts"](numpy))
