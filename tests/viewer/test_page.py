@@ -27,6 +27,7 @@ from patience import PATIENCE, kept_going, wait_until
 from viewer_cases import COUNT, make_replay, plotted, write_recording
 from viser import ViserServer
 
+import handmap_qp
 from handmap_qp import (
     HandError,
     HandmapError,
@@ -62,6 +63,7 @@ def test_the_command_writes_one_page_that_needs_no_network(
     title = re.search("<title>(.*)</title>", text)
     assert title is not None
     assert re.fullmatch(r"\w+ on three_finger, \w+ - handmap view", title[1])
+    assert f"handmap_qp {handmap_qp.__version__}</p>" in text
     packed = re.search(r'atob\("(.*?)"\)', text)
     assert packed is not None
     gauges = json.loads(gzip.decompress(base64.b64decode(packed[1])))
@@ -327,6 +329,13 @@ def test_the_page_draws_both_hands_and_its_controls_move_the_robot(
     # In a small window, the gauges make room for the hands.
     browser.resize(800, 600)
     browser.wait_for("document.querySelector('canvas').clientWidth > 400")
+    # On a phone, they are in a sheet below the hands.
+    browser.resize(390, 844)
+    browser.wait_for(
+        "[...document.querySelectorAll('.mantine-Paper-root')].some((sheet) =>"
+        "sheet.innerText.includes('gauges') && sheet.clientWidth == innerWidth &&"
+        "sheet.getBoundingClientRect().top > 0.6 * innerHeight)"
+    )
     assert not browser.errors
 
 

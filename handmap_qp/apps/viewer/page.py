@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from handmap_qp import __version__
 from handmap_qp.hands import Hand
 from .gauges import SCENE_LEGEND, InstantGauges, error_plot
 from .sample import Variant, ViewSample
@@ -71,7 +72,7 @@ def make_page(
         "<body>": f"<body>{_part('page_body.html')}",
         "__VIEW__": json.dumps(scene.cameras.view),
         "__TITLE__": escape(title),
-        "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
+        "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}, handmap_qp {__version__}",
         "__LEGEND__": SCENE_LEGEND,
         "__ERRORS__": error_plot(variants, 0),
         "__OPTIONS__": "".join(map(_option_table, variants)),
@@ -87,11 +88,10 @@ def _option_table(variant: Variant) -> str:
     """Return the options of a robot's method as HTML; those that are no defaults are marked."""
     if not variant.choice:
         return ""
-    parts = (variant.choice.method, variant.choice.ik)
     rows = "".join(
         f"<tr{' class=changed' if name in type(part)().changes_to(part) else ''}>"
         f"<td>{escape(name.replace('_', ' '))}</td><td>{escape(_text(value))}</td></tr>"
-        for part in parts
+        for part in (variant.choice.method, variant.choice.ik)
         for name, value in part.values.items()
     )
     return (
@@ -119,4 +119,4 @@ def _at_rate(instants: _Instants, rate: float) -> _Instants:
 
 
 def _part(name: str) -> str:
-    return Path(__file__).with_name(name).read_text(encoding="utf-8")
+    return Path(__file__).with_name(name).read_text("utf-8")
