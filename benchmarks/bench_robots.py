@@ -181,12 +181,12 @@ def changed(
     clock = recording.time[samples]
     wrist = np.array([step.command.wrist for step in steps])
     found = []
-    for hand, angles, poses in (
-        (robot, q, None),
-        (bare, np.array([step.command.q for step in steps]), wrist),
+    for hand, angles in (
+        (robot, q),
+        (bare, np.array([step.command.q for step in steps])),
     ):
-        other = trace_robot(hand, angles, poses if hand.is_floating else None)
-        motion = RobotMotion(angles, poses, np.full(len(clock), np.nan))
+        other = trace_robot(hand, angles, wrist if hand.is_floating else None)
+        motion = RobotMotion(angles, wrist, np.full(len(clock), np.nan))
         fidelity = assess_fidelity(trace, other, clock, counts, hand, motion)
         found.append(fidelity.values)
     return {short: found[0][key] - found[1][key] for short, key in _FIGURES}

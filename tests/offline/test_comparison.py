@@ -31,20 +31,23 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.mapping.presets import PRESETS
-from handmap_qp.se3 import rotation_from_rpy
+from handmap_qp.se3 import inverse_pose, rotation_from_rpy
 from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
 
-def still(name: str = "still", *, has_wrist: bool = False) -> ComparedMethod:
-    """Hold one posture, with or without a wrist."""
+def still(name: str = "still", *, moves_wrist: bool = False) -> ComparedMethod:
+    """Hold one posture, with the wrist at the origin or on the human's palm."""
 
     def map_take(take: Take, robot: Hand) -> RobotMotion:
         count = len(take.recording)
-        wrist = np.tile(np.eye(4), (count, 1, 1)) if has_wrist else None
-        return RobotMotion(np.tile(robot.rest, (count, 1)), wrist, np.full(count, 2e-3))
+        wrist = take.trace.palm @ inverse_pose(robot.wrist_to_palm)
+        if moves_wrist:
+            wrist = np.tile(np.eye(4), (count, 1, 1))
+        q, times = np.tile(robot.rest, (count, 1)), np.full(count, 2e-3)
+        return RobotMotion(q, wrist, times, moves_wrist=moves_wrist)
 
     return ComparedMethod(name, map_take)
 
@@ -114,8 +117,6 @@ def test_own_methods_get_the_palm_of_the_take(take: Take, robot: Hand) -> None:
         for given in (take, replace(take, wrist=turned))
     ]
     wrists = [motion.wrist for motion in motions]
-    assert wrists[0] is not None
-    assert wrists[1] is not None
     np.testing.assert_array_equal(wrists[0][:30], wrists[1][:30])
     between = wrists[0][-1, :3, :3].T @ wrists[1][-1, :3, :3]
     assert np.degrees(Rotation.from_matrix(between).magnitude()) == pytest.approx(
@@ -140,7 +141,7 @@ def test_recording_without_samples_that_count_is_rejected(tmp_path: Path) -> Non
 
 def test_methods_are_measured_on_the_same_samples(take: Take, robot: Hand) -> None:
     seen: list[tuple[int, str]] = []
-    methods = [own_method("paper"), still(), still("moving", has_wrist=True)]
+    methods = [own_method("paper"), still(), still("moving", moves_wrist=True)]
     result = compare_methods([take], robot, methods, lambda *args: seen.append(args))
     assert [count for count, _ in seen] == [0, 1, 2, 3]
     assert seen[1][1] == "still on closing (1 of 3)"
@@ -161,7 +162,7 @@ def test_methods_are_measured_on_the_same_samples(take: Take, robot: Hand) -> No
 
 
 def test_method_that_fails_says_so(take: Take, robot: Hand) -> None:
-    result = compare_methods([take], robot, [FAILING, still(has_wrist=True)])
+    result = compare_methods([take], robot, [FAILING, still(moves_wrist=True)])
     (run,) = result.of_method("failing")
     assert run.problem == "cannot map closing"
     assert run.motion is None
@@ -244,7 +245,8 @@ import numpy as np
 if sys.argv[1] == "list":
     if sys.argv[2] == "unknown":
         sys.exit("first line\\nthis robot is not known")
-    print(json.dumps([{"name": "theirs", "about": "theirs 1.0"}, {"name": "broken"}]))
+    others = [{"name": name} for name in ("bare", "broken")]
+    print(json.dumps([{"name": "theirs", "about": "theirs 1.0"}, *others]))
 else:
     _, _, method, hand, given, made = sys.argv
     with np.load(given) as arrays:
@@ -253,8 +255,8 @@ else:
     if method == "broken":
         np.savez(made, q=np.zeros((count, 3)), step_time=np.zeros(count))
     else:
-        q = np.full((count, 8), 0.1)
-        np.savez(made, q=q, step_time=np.full(count, 1e-3), wrist=np.tile(np.eye(4), (count, 1, 1)))
+        wrist = {"wrist": np.tile(np.eye(4), (count, 1, 1))} if method == "theirs" else {}
+        np.savez(made, q=np.full((count, 8), 0.1), step_time=np.full(count, 1e-3), **wrist)
 """
 
 
@@ -263,11 +265,16 @@ def test_outside_program_is_asked_and_run(
 ) -> None:
     (tmp_path / "compare.py").write_text(PROGRAM, encoding="utf-8")
     assert len(robot.joint_names) == 8
-    theirs, broken = outside_methods(tmp_path, "three_finger").values()
+    theirs, bare, broken = outside_methods(tmp_path, "three_finger").values()
     motion = theirs.map_take(take, robot)
     assert motion.q.shape == (len(take.recording), 8)
-    assert motion.wrist is not None
+    assert motion.moves_wrist
     assert motion.about == "theirs 1.0"
+    # Without a wrist of its own, the palm is the human's.
+    found = bare.map_take(take, robot)
+    assert not found.moves_wrist
+    palm = found.wrist @ robot.wrist_to_palm
+    np.testing.assert_allclose(palm, take.trace.palm, atol=1e-12)
     with pytest.raises(OutsideError, match=r"broken: bad result: .*q: expected"):
         broken.map_take(take, robot)
 

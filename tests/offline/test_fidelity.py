@@ -269,7 +269,7 @@ def test_joints_outside_limits_and_too_fast_are_counted(
 ) -> None:
     q = wave(human)
     q[200:225] = human.upper_limits + 0.01
-    motion = RobotMotion(q, None, np.full(len(q), 0.002))
+    motion = RobotMotion(q, poses(len(q)), np.full(len(q), 0.002))
     found = assess_fidelity(trace, trace, times(trace), None, human, motion, q)
     result = found.values
     assert result["step_time_ms"] == pytest.approx(2.0)

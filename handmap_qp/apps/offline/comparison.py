@@ -178,7 +178,7 @@ class Comparison(NamedTuple):
         still = {
             run.method: None
             for run in self.runs
-            if run.motion and run.motion.wrist is None
+            if run.motion and not run.motion.moves_wrist
         }
         if still:
             lines.append(
@@ -383,14 +383,13 @@ def _map_outside(
             shape = (count, len(robot.joint_names))
             q = as_floats(values["q"], "q", shape=shape, is_finite=True)
             step_time = as_floats(values["step_time"], "step_time", shape=(count,))
-            wrist = values.get("wrist")
-            if wrist is not None:
-                shape = (count, 4, 4)
-                wrist = as_floats(wrist, "wrist", shape=shape, is_finite=True)
+            on_human = take.trace.palm @ inverse_pose(robot.wrist_to_palm)
+            wrist = values.get("wrist", on_human)
+            wrist = as_floats(wrist, "wrist", shape=on_human.shape, is_finite=True)
         except (KeyError, ValueError) as error:
             problem = f"{program}: {listed.name}: bad result: {error}"
             raise OutsideError(problem) from error
-    return RobotMotion(q, wrist, step_time, listed.about)
+    return RobotMotion(q, wrist, step_time, listed.about, "wrist" in values)
 
 
 def _call(program: Path, *words: str | Path) -> str:
@@ -412,7 +411,7 @@ def _run(method: ComparedMethod, take: Take, robot: Hand) -> Run:
     except HandmapError as error:
         return Run(method.name, take, mean_values([]), problem=reason_of(error))
     recording = take.recording
-    wrist = motion.wrist_by(take.trace, robot) if robot.is_floating else None
+    wrist = motion.wrist if robot.is_floating else None
     trace = trace_robot(robot, motion.q, wrist)
     fidelity = assess_fidelity(
         take.trace,
@@ -423,7 +422,7 @@ def _run(method: ComparedMethod, take: Take, robot: Hand) -> Run:
         motion,
         take.q,
     )
-    if motion.wrist is None:
+    if not motion.moves_wrist:
         fidelity.values.update(palm_deg=np.nan, palm_mm=np.nan)
     if take.shape:
         found = contact_metrics(

@@ -80,22 +80,18 @@ class RobotMotion(NamedTuple):
 
     Attributes:
         q: Joint positions in the order of `robot.joint_names` [rad or m], shape (T, n).
-        wrist: Poses of the robot's wrist frame in the human's world, shape (T, 4, 4). None if the
-            method does not move the wrist: the robot's palm then lies on the human's.
+        wrist: Poses of the robot's wrist frame in the human's world, shape (T, 4, 4).
         step_time: CPU time of each sample [s], NaN where the robot was held, shape (T,).
         about: Version and settings, in words.
+        moves_wrist: Whether the method moves the wrist; else the palm of a floating robot lies on
+            the human's.
     """
 
     q: Array
-    wrist: Array | None
+    wrist: Array
     step_time: Array
     about: str = ""
-
-    def wrist_by(self, human: HandTrace, robot: Hand) -> Array:
-        """Return the wrist's poses; if it is not moved, those that put the palm on the human's."""
-        if self.wrist is not None:
-            return self.wrist
-        return human.palm @ inverse_pose(robot.wrist_to_palm)
+    moves_wrist: bool = True
 
 
 def angles_between(a: Array, b: Array) -> Array:

@@ -102,9 +102,7 @@ def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:
         hand: The robot hand.
     """
     motion = method.map_take(take, hand)
-    return Commands(
-        hand, take.recording.time, motion.q, motion.wrist_by(take.trace, hand)
-    )
+    return Commands(hand, take.recording.time, motion.q, motion.wrist)
 
 
 def map_pinch(
