@@ -28,7 +28,7 @@ import shared_hands
 from handmap_qp import Hand, HandMapper, Recording, read_recording
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
-from handmap_qp.apps.offline.hand_trace import RobotMotion, trace_robot
+from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
 from handmap_qp.human.recording import mirrored
 from handmap_qp.mapping.alignment import rotation_of
@@ -72,8 +72,7 @@ def follow(
         trace_robot(robot, found.q, found.wrist if robot.is_floating else None),
         recording.time,
         recording.valid,
-        robot,
-        RobotMotion(found.q, found.wrist, found.step_cpu),
+        replace(found, robot=robot),
         take.q,
     )
     return found, fidelity.values

@@ -39,7 +39,6 @@ from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.simulation.commands import (
     chosen_methods,
     find_pinch,
-    map_commands,
 )
 from handmap_qp.apps.simulation.gripping import GripScene
 from handmap_qp.apps.simulation.physics import Physics
@@ -185,7 +184,7 @@ def scenes(
         return
     for method in chosen_methods(plain, PEERS if {*plain} - {*OWN} else None, robot):
         try:
-            commands = map_commands(method, take, hand)
+            commands = method.map_take(take, hand)
         except HandmapError as error:
             where = f"{robot}, {method.name}, {recording.name}"
             problems.append(f"{where}: {error}")

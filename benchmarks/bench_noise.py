@@ -27,7 +27,7 @@ import numpy as np
 from handmap_qp import Follower, HandMapper, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.offline.fidelity import SETTLING, assess_fidelity
-from handmap_qp.apps.offline.hand_trace import TIP, RobotMotion, trace_robot
+from handmap_qp.apps.offline.hand_trace import TIP, trace_robot
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording, trajectory_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
@@ -100,10 +100,10 @@ def map_disturbed(
 def measured(take: Take, robot: Hand, trajectory: Trajectory) -> dict[str, float]:
     """Measure a trajectory against the clean recording."""
     time = take.recording.time
-    motion = RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
+    motion = replace(trajectory, robot=robot)
     trace = trace_robot(robot, motion.q, motion.wrist)
     seen = take.recording.valid
-    found = assess_fidelity(take.trace, trace, time, seen, robot, motion, take.q)
+    found = assess_fidelity(take.trace, trace, time, seen, motion, take.q)
     counts = seen & (time >= time[0] + SETTLING)
     names = [name for name in take.trace.names if name in trace.names]
     human, own = (hand.part(counts, names) for hand in (take.trace, trace))

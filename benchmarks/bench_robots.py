@@ -30,7 +30,8 @@ from overlap import OverlapMeter
 from handmap_qp import Hand, HandMapper, Recording, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.fidelity import assess_fidelity
-from handmap_qp.apps.offline.hand_trace import RobotMotion, trace_robot
+from handmap_qp.apps.offline.hand_trace import trace_robot
+from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.hands.robot import (
     load_robot,
     read_hands,
@@ -186,8 +187,8 @@ def changed(
         (bare, np.array([step.command.q for step in steps])),
     ):
         other = trace_robot(hand, angles, wrist if hand.is_floating else None)
-        motion = RobotMotion(angles, wrist, np.full(len(clock), np.nan))
-        fidelity = assess_fidelity(trace, other, clock, counts, hand, motion)
+        motion = RobotMotion(hand, clock, angles, wrist, np.full(len(clock), np.nan))
+        fidelity = assess_fidelity(trace, other, clock, counts, motion)
         found.append(fidelity.values)
     return {short: found[0][key] - found[1][key] for short, key in _FIGURES}
 

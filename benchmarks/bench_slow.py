@@ -28,14 +28,13 @@ import numpy as np
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
-    RobotMotion,
     Take,
     compare_methods,
     prepare_take,
 )
 from handmap_qp.apps.offline.fidelity import PINCH
 from handmap_qp.apps.offline.metrics import METRICS
-from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
+from handmap_qp.apps.offline.trajectory import RobotMotion, Trajectory, map_recording
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human import tip_gaps
@@ -121,8 +120,7 @@ def mapped(
         seen = take.recording.valid[:, None, None]
         landmarks = np.where(seen, landmarks, take.recording.landmarks)
         take = replace(take, recording=replace(take.recording, landmarks=landmarks))
-    found = _trajectory(take, hand, **options)
-    return RobotMotion(found.q, found.wrist, found.step_cpu)
+    return _trajectory(take, hand, **options)
 
 
 def _trajectory(
@@ -134,7 +132,8 @@ def _trajectory(
     ik = mapper.ik.replaced(has_velocity_limits=has_limits)
     mapper.configure(method.replaced(**options), ik=ik)
     wrist = take.wrist
-    return map_recording(mapper, take.recording, wrist_poses=wrist, is_guarded=False)
+    found = map_recording(mapper, take.recording, wrist_poses=wrist, is_guarded=False)
+    return replace(found, robot=hand)
 
 
 def together(take: Take, hand: Hand) -> RobotMotion:
@@ -157,7 +156,7 @@ def together(take: Take, hand: Hand) -> RobotMotion:
             _, columns = min(near, key=lambda pair: pair[0])
             way[columns] /= max(1.0, (np.abs(way) / most)[columns].max())
         q[k] = q[k - 1] + np.clip(way, -most, most)
-    return RobotMotion(q, goal.wrist, goal.step_cpu)
+    return replace(goal, q=q)
 
 
 def _local(take: Take) -> Array:

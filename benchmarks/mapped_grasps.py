@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from section_four.experiment import HandMotion, Scene
 
 from handmap_qp.apps.offline.comparison import ComparedMethod, prepare_take
-from handmap_qp.apps.simulation.commands import map_commands
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.se3 import affine
@@ -56,7 +55,7 @@ def map_grasp(
     take = prepare_take(
         Recording("grasp", time, landmarks, valid, "right"), hand.spec.side
     )
-    mapped = map_commands(method, take, grasp.hand)
+    mapped = method.map_take(take, grasp.hand)
     change = mapped.q[still:] - mapped.q[still]
     angles = np.clip(grasp.q + change, hand.lower_limits, hand.upper_limits)
     start = np.eye(4) if grasp.wrist_pose is None else grasp.wrist_pose

@@ -98,7 +98,7 @@ def measure(take: Take, robot: Hand) -> dict[str, float]:
     one, two = (np.concatenate([v, -v]).reshape(-1, 3) for v in (a, b))
     best = rigid_fit(one, two)[:3, :3]
     apart = angles_between(a, b)
-    found = assess_fidelity(human, other, time, valid, robot, motion, take.q)
+    found = assess_fidelity(human, other, time, valid, motion, take.q)
     return {
         "direction": apart.mean(),
         "thumb": np.median(apart[:, shared.index(THUMB)]),

@@ -6,7 +6,8 @@ python examples/09_mujoco_object.py
 import numpy as np
 
 from handmap_qp import load_hand
-from handmap_qp.apps.simulation.commands import Commands, PinchWindow
+from handmap_qp.apps.offline.trajectory import RobotMotion
+from handmap_qp.apps.simulation.commands import PinchWindow
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch import PinchScene, PinchTrial
 
@@ -17,7 +18,8 @@ def main() -> None:
     q = np.interp(time, [0.0, 0.2], [0.04, 0.0])[:, None]
     wrist = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (61, 1, 1))
     wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
-    commands = Commands(load_hand("panda_gripper"), time, q, wrist)
+    robot = load_hand("panda_gripper")
+    commands = RobotMotion(robot, time, q, wrist, step_cpu=np.zeros(61))
     scene = PinchScene(
         commands, PinchWindow(0, 10, 60), Physics(joint_stiffness=2000.0)
     )

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     OutsideError,
-    RobotMotion,
     Take,
     compare_methods,
     outside_methods,
@@ -25,7 +24,7 @@ from handmap_qp.apps.offline.comparison import (
     prepare_take,
 )
 from handmap_qp.apps.offline.hand_trace import TIP
-from handmap_qp.apps.offline.trajectory import held_samples
+from handmap_qp.apps.offline.trajectory import RobotMotion, held_samples
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
@@ -46,8 +45,14 @@ def still(name: str = "still", *, moves_wrist: bool = False) -> ComparedMethod:
         wrist = take.trace.palm @ inverse_pose(robot.wrist_to_palm)
         if moves_wrist:
             wrist = np.tile(np.eye(4), (count, 1, 1))
-        q, times = np.tile(robot.rest, (count, 1)), np.full(count, 2e-3)
-        return RobotMotion(q, wrist, times, moves_wrist=moves_wrist)
+        return RobotMotion(
+            robot,
+            take.recording.time,
+            q=np.tile(robot.rest, (count, 1)),
+            wrist=wrist,
+            step_cpu=np.full(count, 2e-3),
+            moves_wrist=moves_wrist,
+        )
 
     return ComparedMethod(name, map_take)
 

@@ -28,11 +28,11 @@ from handmap_qp.apps.offline.hand_trace import (
     KNUCKLE,
     TIP,
     HandTrace,
-    RobotMotion,
     trace_human,
     trace_robot,
 )
 from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
@@ -269,8 +269,9 @@ def test_joints_outside_limits_and_too_fast_are_counted(
 ) -> None:
     q = wave(human)
     q[200:225] = human.upper_limits + 0.01
-    motion = RobotMotion(q, poses(len(q)), np.full(len(q), 0.002))
-    found = assess_fidelity(trace, trace, times(trace), None, human, motion, q)
+    step_cpu = np.full(len(q), 0.002)
+    motion = RobotMotion(human, times(trace), q, poses(len(q)), step_cpu)
+    found = assess_fidelity(trace, trace, times(trace), None, motion, q)
     result = found.values
     assert result["step_time_ms"] == pytest.approx(2.0)
     assert result["outside_limits"] == pytest.approx(25 / 250)

@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from simulation_cases import CUBE
 
 from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
-from handmap_qp.apps.simulation.commands import Commands, PinchWindow, find_pinch
+from handmap_qp.apps.offline.trajectory import RobotMotion
+from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch
 from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import (
@@ -56,7 +57,7 @@ def pinching() -> PinchScene:
     wrist = np.tile(np.eye(4), (61, 1, 1))
     wrist[:, :3, :3] = np.diag([1.0, -1.0, -1.0])
     wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
-    commands = Commands(hand, time, q, wrist)
+    commands = RobotMotion(hand, time, q, wrist, np.zeros(61))
     return PinchScene(commands, WINDOW, Physics(joint_stiffness=2000.0))
 
 
@@ -153,7 +154,7 @@ def test_a_trial_starts_where_the_open_hand_is_last_clear_of_the_object(
     scene = PinchScene(pinching.commands, window, pinching.physics)
     episode = scene.run(PinchTrial()).episode
     place = episode.at.object_pose[0]
-    simulator = Simulator(pinching.commands.hand, episode.body, pinching.physics)
+    simulator = Simulator(pinching.commands.robot, episode.body, pinching.physics)
     gaps = []
     for i in range(9):
         simulator.reset(pinching.commands.at(i), place)
@@ -555,7 +556,7 @@ def test_a_dozen_recordings_are_picks_and_the_household_can_be_simulated(
     assert len(HOUSEHOLD) == 12
     for trial in HOUSEHOLD.values():
         assert 0.005 < surface(trial.shape).extents[0] < 0.2
-        simulator = Simulator(pinching.commands.hand, Body(trial.shape, trial.mass))
+        simulator = Simulator(pinching.commands.robot, Body(trial.shape, trial.mass))
         # The frame's origin is inside, where the pads come together.
         reach = simulator.model.geom("/object").rbound
         assert 0.0 < reach < 0.2

@@ -49,10 +49,10 @@ from handmap_qp.stream import SMOOTH_IK, measure_person
 from handmap_qp.trackers import NpzFormat, read_archive
 from .contacts import contact_metrics
 from .fidelity import SETTLING, assess_fidelity
-from .hand_trace import HandTrace, RobotMotion, trace_human, trace_robot
+from .hand_trace import HandTrace, trace_human, trace_robot
 from .look_ahead import look_ahead, smooth_poses
 from .metrics import mean_values
-from .trajectory import held_samples, map_recording
+from .trajectory import RobotMotion, held_samples, map_recording
 
 PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""
@@ -361,10 +361,9 @@ def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
     # Mappings are compared, not how faults of the tracker are met: peers meet none. Only what knows
     # of an object is on guard too.
     is_guarded = take.shape is not None
-    trajectory = map_recording(
-        mapper, recording, wrist_poses=wrist, is_guarded=is_guarded
-    )
-    return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
+    motion = map_recording(mapper, recording, wrist_poses=wrist, is_guarded=is_guarded)
+    # The hand as it was given: its workspace is sampled once, and pictures show its own points.
+    return replace(motion, robot=robot)
 
 
 def _map_outside(
@@ -389,7 +388,9 @@ def _map_outside(
         except (KeyError, ValueError) as error:
             problem = f"{program}: {listed.name}: bad result: {error}"
             raise OutsideError(problem) from error
-    return RobotMotion(q, wrist, step_time, listed.about, "wrist" in values)
+    return RobotMotion(
+        robot, recording.time, q, wrist, step_time, listed.about, "wrist" in values
+    )
 
 
 def _call(program: Path, *words: str | Path) -> str:
@@ -418,7 +419,6 @@ def _run(method: ComparedMethod, take: Take, robot: Hand) -> Run:
         trace,
         recording.time,
         recording.valid,
-        robot,
         motion,
         take.q,
     )

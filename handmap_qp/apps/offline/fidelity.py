@@ -37,13 +37,12 @@ from .hand_trace import (
     TIP,
     ByFinger,
     HandTrace,
-    RobotMotion,
     angles_between,
     trace_robot,
 )
 from .metrics import mean_values
 from .surface_gaps import GapMeter
-from .trajectory import rms_derivative
+from .trajectory import RobotMotion, rms_derivative
 
 SETTLING = 0.5
 """Time at the start that does not count [s]."""
@@ -90,7 +89,6 @@ def assess_fidelity(
     robot: HandTrace,
     time: Array,
     valid: Array | None = None,
-    hand: Hand | None = None,
     motion: RobotMotion | None = None,
     human_q: Array | None = None,
 ) -> Fidelity:
@@ -101,8 +99,7 @@ def assess_fidelity(
         robot: The robot's, of the same samples (`trace_robot`).
         time: Instants, increasing [s], shape (T,).
         valid: Samples in which the hand was seen, shape (T,); all if omitted.
-        hand: The robot hand, for its surfaces, joints and workspace; with `motion`.
-        motion: Its joint angles and step times.
+        motion: The same with its joints and step times, for surfaces, limits and workspace.
         human_q: The fitted human's joint angles [rad], shape (T, m), for the jerk ratio only.
 
     Raises:
@@ -128,12 +125,13 @@ def assess_fidelity(
         values |= compare(h, r)
     values["latency_ms"] = latency(h, r, time[counts])
     pinch_samples = 0
-    if hand and motion:
+    if motion:
+        hand = motion.robot
         pinch_samples, found = gap_metrics(h, GapMeter(hand), motion.q, counts)
         values |= found | joint_metrics(hand, motion.q, time, counts, human_q)
         values["pinch_order"] = pinch_order(h, r)
         values["workspace"] = workspace_share(r, sample_workspace(hand))
-        values["step_time_ms"] = 1e3 * motion.step_time[counts].mean()
+        values["step_time_ms"] = 1e3 * motion.step_cpu[counts].mean()
     by_finger = dict(zip(shared, rows_of(fingers), strict=True))
     return Fidelity(values, by_finger, pinch_samples)
 

@@ -75,25 +75,6 @@ class HandTrace(NamedTuple):
         return HandTrace(tuple(names), points, self.reach[chosen], palm, self.size)
 
 
-class RobotMotion(NamedTuple):
-    """A robot's motion after a human's.
-
-    Attributes:
-        q: Joint positions in the order of `robot.joint_names` [rad or m], shape (T, n).
-        wrist: Poses of the robot's wrist frame in the human's world, shape (T, 4, 4).
-        step_time: CPU time of each sample [s], NaN where the robot was held, shape (T,).
-        about: Version and settings, in words.
-        moves_wrist: Whether the method moves the wrist; else the palm of a floating robot lies on
-            the human's.
-    """
-
-    q: Array
-    wrist: Array
-    step_time: Array
-    about: str = ""
-    moves_wrist: bool = True
-
-
 def angles_between(a: Array, b: Array) -> Array:
     """Angles between vectors of shape (..., 3) [deg], shape (...)."""
     return np.degrees(np.arctan2(norms(np.cross(a, b)), np.vecdot(a, b)))

@@ -40,14 +40,38 @@ Told = Callable[[int], None] | None
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
-    """A robot's motion as columns of T samples.
+class RobotMotion:
+    """A robot's motion after a human's, as columns of T samples.
 
     Attributes:
         robot: The robot hand.
         time: Instants [s], shape (T,).
-        q: Joint angles in the order of `robot.joint_names` [rad], shape (T, n).
+        q: Joint positions in the order of `robot.joint_names` [rad or m], shape (T, n).
         wrist: Wrist poses in the robot's world, shape (T, 4, 4).
+        step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
+        about: Version and settings of what made it, in words.
+        moves_wrist: Whether that moves the wrist; else a floating robot's palm lies on the human's.
+    """
+
+    robot: Hand
+    time: Array
+    q: Array
+    wrist: Array
+    step_cpu: Array
+    about: str = ""
+    moves_wrist: bool = True
+
+    def at(self, i: int) -> Array:
+        """Return the configuration of the robot in a sample, shape (nq,)."""
+        wrist = self.wrist[i] if self.robot.is_floating else None
+        return self.robot.configuration_vector(self.q[i], wrist)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Trajectory(RobotMotion):
+    """A robot's motion by a mapper of the package, with all that is known of its steps.
+
+    Attributes:
         targets: Targets of the reference points in the robot's world [m], shape (T, m, 3).
         points: Positions of the reference points [m], shape (T, m, 3).
         point_error: Distance from each point to its target [m], shape (T, m).
@@ -58,7 +82,6 @@ class Trajectory:
         at_speed_limit: Whether a limit of speed (or of acceleration, where one is set) kept each
             joint from moving farther, shape (T, n).
         status: `MapStep.status` of each sample, shape (T,).
-        step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
         rule: What is wrong with each sample (`human.sample.RULES`), shape (T,); empty where
             nothing is.
         consistency: RMS difference of bones and palm from the person's [m], shape (T,); NaN where
@@ -67,10 +90,6 @@ class Trajectory:
         object_pose: Poses of the robot's object in its world, shape (T, 4, 4); None without one.
     """
 
-    robot: Hand
-    time: Array
-    q: Array
-    wrist: Array
     targets: Array
     points: Array
     point_error: Array
@@ -79,7 +98,6 @@ class Trajectory:
     at_limit: Array
     at_speed_limit: Array
     status: Array
-    step_cpu: Array
     rule: Array
     consistency: Array
     confidence: Array
@@ -96,7 +114,7 @@ class Trajectory:
         """Plain arrays by name, without those that follow from them and the robot; rad and m."""
         robot = self.robot
         arrays = vars(self).copy()
-        del arrays["step_cpu"]
+        del arrays["step_cpu"], arrays["about"], arrays["moves_wrist"]
         if self.object_pose is None:
             del arrays["object_pose"]
         return arrays | {

@@ -1,4 +1,4 @@
-"""What a mapping commands over time, and when the human pinches: `map_commands`, `find_pinch`."""
+"""What mappings command over time, and when the human pinches: `map_pinch`, `find_pinch`."""
 
 import math
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ from handmap_qp.apps.offline.comparison import (
     prepare_take,
 )
 from handmap_qp.apps.offline.look_ahead import look_ahead
-from handmap_qp.apps.offline.trajectory import map_hands, stretches
+from handmap_qp.apps.offline.trajectory import RobotMotion, map_hands, stretches
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Names, Side, joined
 from handmap_qp.human import PALM, Recording, tip_gaps
-from handmap_qp.se3 import Array, rigid_fit
+from handmap_qp.se3 import rigid_fit
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import read_hands, read_recording
 
@@ -36,27 +36,6 @@ _CLOSED, _OPEN = 0.022, 0.035
 _SHORTEST, _BEFORE = 0.5, 1.0
 # A hand is open from this gap on [m], and its palm turns less than that while it closes [deg].
 _WIDE, _TURN = 0.065, 25.0
-
-
-class Commands(NamedTuple):
-    """What a mapping commands over time.
-
-    Attributes:
-        hand: The robot hand.
-        time: Instants [s], shape (T,).
-        q: Joint angles [rad], shape (T, n).
-        wrist: Wrist poses, shape (T, 4, 4).
-    """
-
-    hand: Hand
-    time: Array
-    q: Array
-    wrist: Array
-
-    def at(self, i: int) -> Array:
-        """Return the configuration of the hand in a sample, shape (nq,)."""
-        wrist = self.wrist[i] if self.hand.is_floating else None
-        return self.hand.configuration_vector(self.q[i], wrist)
 
 
 class PinchWindow(NamedTuple):
@@ -91,23 +70,9 @@ def chosen_methods(
     return [outside.get(name) or own_method(name) for name in names]
 
 
-def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:
-    """Map a recording by one mapping.
-
-    A mapping that moves no wrist has the robot's palm on the human's, as in `handmap compare`.
-
-    Args:
-        method: The mapping.
-        take: The recording, prepared.
-        hand: The robot hand.
-    """
-    motion = method.map_take(take, hand)
-    return Commands(hand, take.recording.time, motion.q, motion.wrist)
-
-
 def map_pinch(
     methods: Sequence[ComparedMethod], robot: Hand, files: Sequence[Path]
-) -> tuple[list[Commands], PinchWindow]:
+) -> tuple[list[RobotMotion], PinchWindow]:
     """Return what each mapping commands, and when the human pinches.
 
     A robot with several hands needs a recording of each. Its first part then is what pinches.
@@ -123,7 +88,7 @@ def map_pinch(
         used = [hands[side] for side in whole.by_side]
         return [_map_hands(method.name, whole, used) for method in methods], window
     take, window = read_pick(robot, files)
-    return [map_commands(method, take, robot) for method in methods], window
+    return [method.map_take(take, robot) for method in methods], window
 
 
 def read_pick(robot: Hand, files: Sequence[Path]) -> tuple[Take, PinchWindow]:
@@ -137,14 +102,13 @@ def read_pick(robot: Hand, files: Sequence[Path]) -> tuple[Take, PinchWindow]:
     return prepare_take(recording, robot.side), find_pinch(recording)
 
 
-def _map_hands(name: str, robot: Hand, recordings: Sequence[Recording]) -> Commands:
+def _map_hands(name: str, robot: Hand, recordings: Sequence[Recording]) -> RobotMotion:
     preset = base_name(name)
     options = MappingArguments(preset=preset, smooth=name != preset)
     person = measure_person(*recordings)
     if name.endswith(LOOK_AHEAD):
         recordings = list(map(look_ahead, recordings))
-    motion, *_ = map_hands(recordings, robot, person, options)
-    return Commands(motion.robot, motion.time, motion.q, motion.wrist)
+    return map_hands(recordings, robot, person, options)[0]
 
 
 def find_pinch(*recordings: Recording) -> PinchWindow:

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from handmap_qp.apps.offline.comparison import Take
+from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.hands import Hand
 from handmap_qp.human import sample_columns
 from handmap_qp.mapping import HandMapper
 from handmap_qp.stream import Follower, GripFollower, GripOptions
-from .commands import Commands, PinchWindow
+from .commands import PinchWindow
 from .physics import Physics
 from .pinch import PinchScene
 from .simulator import Simulator
@@ -47,7 +48,8 @@ class GripScene(PinchScene):
             made.append((command.q, command.wrist))
         q, wrist = map(np.array, zip(*made, strict=True))
         time = take.recording.time[: len(made)]
-        commands = Commands(follower.mapper.robot, time, q, wrist)
+        unknown = np.full(len(made), np.nan)
+        commands = RobotMotion(follower.mapper.robot, time, q, wrist, unknown)
         super().__init__(commands, window, physics)
 
     def _play(self, simulator: Simulator, start: int) -> Iterator[float]:

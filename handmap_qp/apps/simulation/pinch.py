@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
+from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.apps.tables import Row
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import THUMB, Hand, Vector
@@ -37,7 +38,7 @@ from handmap_qp.se3 import (
     transform_points,
     unit,
 )
-from .commands import Commands, PinchWindow
+from .commands import PinchWindow
 from .physics import Body, Physics, turn_up
 from .simulator import Episode, Instant, Simulator
 
@@ -193,12 +194,12 @@ class PinchScene:
         HandError: If the hand has no collision shapes.
     """
 
-    commands: Commands
+    commands: RobotMotion
     window: PinchWindow
     physics: Physics
 
     def __post_init__(self) -> None:
-        self.pads = Pads(self.commands.hand.hands[0])
+        self.pads = Pads(self.commands.robot.hands[0])
 
     def run(self, trial: PinchTrial) -> PinchOutcome:
         """Simulate one trial.
@@ -222,7 +223,7 @@ class PinchScene:
         axes = turn_up(self.physics.up, met.places[1] - met.places[0]).T @ turn
         physics = self.physics.replaced(friction=trial.friction)
         body = Body(trial.shape, trial.mass)
-        simulator = Simulator(self.commands.hand, body, physics)
+        simulator = Simulator(self.commands.robot, body, physics)
         start = self._put_clear(simulator, affine(axes, place))
         instants = []
         away = []
@@ -265,7 +266,7 @@ class PinchScene:
     @cached_property
     def _closing(self) -> Meeting:
         """The robot's own motion by the commands, with nothing between the pads."""
-        simulator = Simulator(self.commands.hand, _NOTHING, self.physics)
+        simulator = Simulator(self.commands.robot, _NOTHING, self.physics)
         start = self.window.opened
         simulator.reset(self.commands.at(start), _FAR)
         simulator.set_stand(holds=True)
@@ -285,7 +286,7 @@ class PinchScene:
                 simulator.set_stand(holds=True)
                 return start
         raise InvalidInputError(
-            argument=self.commands.hand.name,
+            argument=self.commands.robot.name,
             expected=f"an open hand clear of the object, its pads by {1e3 * _CLEAR:g} mm",
             got=f"pads at {1e3 * pads:.0f} mm, the nearest link at {1e3 * others:.0f} mm",
         )
