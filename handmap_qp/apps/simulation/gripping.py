@@ -3,13 +3,11 @@
 import copy
 from collections.abc import Iterator
 
-import numpy as np
-
 from handmap_qp.apps.offline.comparison import Take
-from handmap_qp.apps.offline.trajectory import RobotMotion
+from handmap_qp.apps.offline.trajectory import trajectory_of
 from handmap_qp.hands import Hand
 from handmap_qp.human import sample_columns
-from handmap_qp.mapping import HandMapper
+from handmap_qp.mapping import HandMapper, MapStep
 from handmap_qp.stream import Follower, GripFollower, GripOptions
 from .commands import PinchWindow
 from .physics import Physics
@@ -39,17 +37,17 @@ class GripScene(PinchScene):
         self._samples = sample_columns(take.recording)
         self._options = GripOptions(stiffness=physics.joint_stiffness)
         self._sees = sees
-        # Where the hand is at the earliest start.
-        made = []
-        for i in range(window.end + 1):
-            if i == window.opened + 1:
-                self._opened = copy.deepcopy(follower)
-            command = follower.map_sample(self._samples.sample(i)).command
-            made.append((command.q, command.wrist))
-        q, wrist = map(np.array, zip(*made, strict=True))
-        time = take.recording.time[: len(made)]
-        unknown = np.full(len(made), np.nan)
-        commands = RobotMotion(follower.mapper.robot, time, q, wrist, unknown)
+        self._opened = follower
+
+        def steps() -> Iterator[MapStep]:
+            for i in range(window.end + 1):
+                if i == window.opened + 1:
+                    # Where the hand is at the earliest start.
+                    self._opened = copy.deepcopy(follower)
+                yield follower.map_sample(self._samples.sample(i))
+
+        time = take.recording.time[: window.end + 1]
+        commands = trajectory_of(follower.mapper.robot, time, steps())
         super().__init__(commands, window, physics)
 
     def _play(self, simulator: Simulator, start: int) -> Iterator[float]:
