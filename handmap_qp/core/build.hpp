@@ -302,6 +302,7 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
 struct PythonIk : Ik {
   nb::object hand, gate;
   nb::object placed = {};  // a `Configuration`, where tasks of Python are linearised
+  nb::object moved = {};   // what the gate reads the motion from, unless it was set since
 
   PythonIk(const Tree& tree, nb::object own_hand, nb::object own_gate)
       : Ik(tree), hand(std::move(own_hand)), gate(std::move(own_gate)) {}

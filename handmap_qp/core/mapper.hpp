@@ -27,8 +27,8 @@ inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double
 
 // Whether something else has moved the hand since.
 inline bool was_set(const PythonIk& ik) {
-  static const nb::object& was_set = interned("was_set");
-  return nb::cast<bool>(nb::getattr(ik.gate, was_set));
+  static const nb::object& read_motion = interned("read_motion");
+  return !nb::getattr(ik.gate, read_motion).is(ik.moved);
 }
 
 // Take the motion over if something else has moved the hand.
@@ -41,11 +41,10 @@ inline void take_motion(PythonIk& ik) {
 }
 
 // Let the gate read the motion from the step that has moved the hand, when it is asked.
-inline void leave_motion(const nb::object& gate, const nb::object& step) {
-  static const nb::object& leave_to = interned("leave_to");
-  PyObject* arguments[] = {gate.ptr(), step.ptr()};
-  if (!nb::steal(PyObject_VectorcallMethod(leave_to.ptr(), arguments, 2, nullptr)).is_valid())
-    nb::raise_python_error();
+inline void leave_motion(PythonIk& ik, const nb::object& step) {
+  static const nb::object& read_motion = interned("read_motion");
+  nb::setattr(ik.gate, read_motion, step);
+  ik.moved = step;
 }
 
 // -- samples
@@ -161,8 +160,13 @@ inline std::shared_ptr<const StepReader> reader_of(const nb::object& target_map,
   return reader;
 }
 
+// A step that a gate reads the motion from.
+struct PythonStep : Step {
+  nb::object motion_;
+};
+
 // `Stages` of a step, whose objects Python gets when it asks for them.
-struct Stages : Step {
+struct Stages : PythonStep {
   std::shared_ptr<const StepReader> reader;
   HumanPose pose;
   nb::object asked_, ik_, command_, summary_;
@@ -237,12 +241,14 @@ inline nb::tuple reduced(const nb::object& self) {
 }
 
 // The `Motion` of a gate after a step; its arrays are read-only.
-inline nb::object motion_of(const Step& step) {
+inline nb::object motion_of(PythonStep& step) {
+  if (step.motion_.is_valid()) return step.motion_;
   static const nb::object& frozen = *new nb::object(module_of("handmap_qp.se3").object("frozen"));
   static const nb::object& Motion =
       *new nb::object(module_of("handmap_qp.ik.limits").object("Motion"));
-  return Motion(frozen(array_of(step.motion.q)), frozen(array_of(step.motion.displacement)),
-                step.motion.dt, frozen(array_of(step.motion.stop_times)));
+  return step.motion_ = Motion(frozen(array_of(step.motion.q)),
+                               frozen(array_of(step.motion.displacement)), step.motion.dt,
+                               frozen(array_of(step.motion.stop_times)));
 }
 
 // Reads the samples after a reference as they come in, and hands them on; one call each.
@@ -360,7 +366,7 @@ class SampleMapper : public SampleReader {
       }
     }
     guard.former = run.former;
-    if (run.count) leave_motion(ik_.gate, nb::cast(std::move(run.step)));
+    if (run.count) leave_motion(ik_, nb::cast(PythonStep{std::move(run.step), {}}));
     if (failure) std::rethrow_exception(failure);
     return nb::make_tuple(next, run.leaves ? guard.verdict_of(run.verdict) : nb::none(),
                           run.has_seen ? nb::cast(std::move(run.seen)) : nb::none());
@@ -373,7 +379,7 @@ class SampleMapper : public SampleReader {
     auto [made, stages] = new_stages(reader_);
     stages.pose = std::move(pose);
     handmap::follow(ik_, map_, stages.pose, dt, speed, goal_, stages);
-    leave_motion(ik_.gate, made);
+    leave_motion(ik_, made);
     return made;
   }
 

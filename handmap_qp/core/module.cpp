@@ -98,14 +98,14 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
   }
   goal.further = rows_of(ik, others);
   take_motion(ik);
-  Step step;
+  PythonStep step;
   seek(ik, goal, given.get<double>("dt"),
        margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
        step.result);
   finish(ik, step);
   nb::object made = nb::cast(std::move(step));
-  leave_motion(ik.gate, made);
-  return result_of(nb::cast<const Step&>(made), ik.hand, nb::getattr(ik.gate, "links"));
+  leave_motion(ik, made);
+  return result_of(nb::cast<const PythonStep&>(made), ik.hand, nb::getattr(ik.gate, "links"));
 }
 
 // The detour of each hand, as a `Detour` of Python has it; none where something else has moved the
@@ -129,7 +129,7 @@ nb::list detours_of(const PythonIk& ik) {
 // Continue the gate's motion on detours, as the hands do that these are copies of.
 void go_on(PythonIk& ik, const nb::object& given) {
   take_motion(ik);
-  nb::setattr(ik.gate, "was_set", nb::bool_(false));
+  ik.moved = nb::getattr(ik.gate, "read_motion");
   for (size_t i = 0; i < ik.detours.size(); ++i) {
     const nb::object detour = item(given, i), via = item(detour, 0);
     const Array points = nb::cast<Array>(item(detour, 1));
@@ -326,9 +326,9 @@ NB_MODULE(_core, m) {
       .def("solve", &solve, "goal"_a)
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
-  nb::class_<Step>(m, "Step")
+  nb::class_<PythonStep>(m, "Step")
       .def("__call__", &motion_of);
-  nb::class_<Stages, Step>(m, "Stages")
+  nb::class_<Stages, PythonStep>(m, "Stages")
       .def("__reduce__", &reduced)
       .def_ro("pose", &Stages::pose)
       .def_prop_ro("status", &Stages::status)

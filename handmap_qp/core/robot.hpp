@@ -201,7 +201,7 @@ class RobotMover {
       whole.asked.is_clamped |= asked_[k].is_clamped;
       parts.push_back(part_of(whole, *asks[k], k));
     }
-    leave_motion(ik_.gate, made);
+    leave_motion(ik_, made);
     return {made, parts};
   }
 

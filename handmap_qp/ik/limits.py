@@ -358,7 +358,7 @@ class Gate:
         hand: As given.
         limits: Of position, speed and acceleration.
         collisions: As given.
-        was_set: Whether the motion was set since the compiled core last moved the robot.
+        read_motion: Returns the motion; the compiled core's own where that has moved the robot.
         links: Links of each pair; at -1, there are none.
         near: The pairs that have rows, where the robot is.
         held_by: Index of the pair that holds the robot back; -1 for none.
@@ -382,21 +382,11 @@ class Gate:
     @property
     def motion(self) -> Motion:
         """How the robot moves."""
-        if self._read:
-            self._motion = self._read()
-            self._read = None
-        return self._motion
+        return self.read_motion()
 
     @motion.setter
     def motion(self, motion: Motion) -> None:
-        self._motion = motion
-        self._read = None
-        self.was_set = True
-
-    def leave_to(self, read: Callable[[], Motion]) -> None:
-        """Let the compiled core, which has moved the robot, say how if it is asked."""
-        self._read = read
-        self.was_set = False
+        self.read_motion = lambda: motion
 
     def place(self, q: Array) -> None:
         """Put the robot at a configuration of Pinocchio, shape (nq,), at rest."""
