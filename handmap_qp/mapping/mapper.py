@@ -56,6 +56,7 @@ class Mover:
     """Base of what moves a robot by a solver, its `point_ik`."""
 
     point_ik: PointIk
+    core: Any
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 

@@ -511,7 +511,7 @@ class RobotMapper(Mover):
         self.point_ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
         self._pinching = pinching
         self._own = whole.finger_joints
-        self.core: Any = None
+        self.core = None
         for leader in leaders:
             leader.join(self.point_ik)
 

@@ -309,8 +309,6 @@ class Follower:
         self._guard = StreamGuard(mapper.human)
         self._return = Rejoin(rejoin)
         self._reference: HumanPose | None = None
-        # That of the mapper while the samples simply follow those before.
-        self._core: Any = None
         # What `forget` takes back.
         self._before: tuple[Any, ...] = ()
 
@@ -343,10 +341,10 @@ class Follower:
                 determine the motion.
         """
         found = None
-        self._before = self._return, self._reference, self._core
+        self._before = self._return, self._reference
         if cores := self._cores():
             # The step, or the verdict about a sample that Python has to look at, if it is known.
-            found = self._core.map_sample(*cores, sample, dt, arrival)
+            found = self.mapper.core.map_sample(*cores, sample, dt, arrival)
         if isinstance(found, MapStep):
             self._return = self._return._replace(seen=found.stages.pose)
             return found
@@ -374,7 +372,7 @@ class Follower:
             verdict = None
             if cores := self._cores():
                 last = min(count, i + _RUN)
-                run = self._core.run(*cores, samples, i, last, table.rows)
+                run = self.mapper.core.run(*cores, samples, i, last, table.rows)
                 i, verdict, seen = run
                 if seen is not None:
                     self._return = self._return._replace(seen=seen)
@@ -391,7 +389,7 @@ class Follower:
 
     def forget(self, step: MapStep) -> None:
         """Forget the sample that `map_sample` was given last, by its step."""
-        self._return, self._reference, self._core = self._before
+        self._return, self._reference = self._before
         self._guard.forget()
         if not step.is_held:
             self._smoother.forget()
@@ -411,9 +409,12 @@ class Follower:
 
     def _cores(self) -> tuple[Any, ...]:
         """Return what the core judges, smooths and reads the next sample by, if it maps it."""
-        if self._core is None or self._core is not self.mapper.core:
+        mapper = self.mapper
+        # Python leads back to the hand, and takes a reference.
+        is_plain = self._return.offset is None and not self._has_new_reference
+        if not (mapper.core and self._guard.core and is_plain):
             return ()
-        return self._guard.core, self._smoother.core, self.mapper.landmarks.core
+        return self._guard.core, self._smoother.core, mapper.landmarks.core
 
     def _judged(
         self, sample: HumanSample, verdict: Verdict, dt: float | None
@@ -437,8 +438,6 @@ class Follower:
             self._guard.forget()
             raise
         self._return = back._replace(seen=step.stages.pose)
-        is_plain = self._guard.core and back.offset is None
-        self._core = self.mapper.core if is_plain else None
         said |= {"is_gliding": back.is_fading, "duration": perf_counter() - started}
         return structs.replace(step, **said)
 
