@@ -66,15 +66,15 @@ class AttachedPoints:
         points = [hand.data.oMi[joint].act(offset) for joint, offset in placed]
         return np.reshape(points, (-1, 3))
 
-    def jacobians(self, hand: Configuration, positions: Array) -> Array:
+    def jacobians(self, hand: Configuration) -> Array:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
-        return hand.contracted(self.velocities(hand, positions))
+        return hand.contracted(self.velocities(hand))
 
-    def velocities(self, hand: Configuration, positions: Array) -> Array:
+    def velocities(self, hand: Configuration) -> Array:
         """Return the same in all coordinates of the model, shape (n, 3, model.nv)."""
         linear, angular = hand.data.J.reshape(2, 3, -1)
         # The velocity at the world's origin plus w x p is that of the point p.
-        turning = np.cross(angular[None], positions[:, :, None], axis=1)
+        turning = np.cross(angular[None], self.positions(hand)[..., None], axis=1)
         return (linear + turning) * self.moved
 
 
@@ -173,12 +173,7 @@ class Configuration:
         Returns:
             Jacobian, rows x, y, z of each point in turn, shape (3 m, k); a new array.
         """
-        return self.contracted(self.full_point_jacobian())
-
-    def full_point_jacobian(self) -> Array:
-        """Jacobian as of `point_jacobian`, by all coordinates of the model, (3 m, model.nv)."""
-        rows = self._points.velocities(self, self.points)
-        return rows.reshape(-1, self.model.nv)
+        return self._points.jacobians(self).reshape(-1, self.nv)
 
     def wrist_jacobian(self, error_jacobian: Array, part: int = 0) -> Array:
         """Body Jacobian of a wrist in the active coordinates.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands import Hand, moved_by
+from handmap_qp.hands import AttachedPoints, Hand, moved_by
 from handmap_qp.se3 import Array
 from .compiled import core_tree
 from .qp import solve_by_daqp
@@ -90,6 +90,7 @@ def _distance(
 ) -> Callable[[Array], _Terms]:
     """Return f by joint positions (n,); arguments are as of `nearest_posture`."""
     placed = hand.configuration()
+    points = AttachedPoints.reference_points(hand)
     # From the joints to the model's tangent space. Those that move the wrist do not count.
     spread = hand.joint_motion * ~hand.moves_wrist
     # For each coordinate of the model, those that it carries.
@@ -102,9 +103,9 @@ def _distance(
         placed.place(hand.configuration_vector(q))
         errors = placed.points - targets
         forces = costs[:, None] ** 2 * errors
-        rows = placed.full_point_jacobian()
+        levers = points.velocities(placed)
+        rows = levers.reshape(forces.size, -1)
         # S_ij = axis_i . sum_k (J_kj x force_k), for i an ancestor of j or j itself.
-        levers = rows.reshape(len(forces), 3, -1)
         turning = np.cross(levers, forces[:, :, None], axis=1).sum(axis=0)
         curvature = placed.data.J[3:].T.dot(turning) * is_ancestor
         full = rows.T.dot(np.repeat(costs**2, 3)[:, None] * rows)

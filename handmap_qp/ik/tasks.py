@@ -161,7 +161,7 @@ class PointDistances(Compiled):
         directions = (offsets / apart[:, None])[:, None]
         # What moves both, such as a wrist, leaves their distance.
         is_own = self.points.moved[self.first] != self.points.moved[self.second]
-        columns = self.points.velocities(hand, positions)
+        columns = self.points.velocities(hand)
         levers = hand.contracted((columns[self.first] - columns[self.second]) * is_own)
         turns = hand.contracted(hand.data.J[3:] * is_own)
         weights = self.weights / LENGTH_UNIT
@@ -195,7 +195,7 @@ class PointOffset(NamedTuple):
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row an axis; see `Task.linearise`."""
         positions = self.points.positions(hand)
-        first, other = self.points.jacobians(hand, positions)
+        first, other = self.points.jacobians(hand)
         weight = self.weight / LENGTH_UNIT
         residual = weight * (positions[1] - positions[0] - self.aim)
         return TaskRows(residual, weight * (other - first))

@@ -98,7 +98,7 @@ class _PadPair(NamedTuple):
     def slopes(self, hand: Configuration) -> tuple[Array, Array]:
         """Return the derivatives of the gap, shape (nv,), and of the middle, shape (3, nv)."""
         places = self.points.positions(hand)
-        thumb, finger = self.points.jacobians(hand, places)
+        thumb, finger = self.points.jacobians(hand)
         gap = unit(places[1] - places[0]) @ (finger - thumb)
         return gap, (thumb + finger) / 2.0
 

@@ -116,7 +116,7 @@ class _Touch(NamedTuple):
         hand = self.placed
         now = self.points.positions(hand)
         weights = self.share * _PLACED * self.shares[:, None]
-        pads = weights[..., None] * self.points.jacobians(hand, now)
+        pads = weights[..., None] * self.points.jacobians(hand)
         gaps, slopes = self.links(hand)
         near = np.clip((_AROUND - gaps) / _AROUND, 0.0, 1.0)[:, None]
         weight = self.share * _PUSHED * near
@@ -298,7 +298,7 @@ class ObjectFollower:
             forces = self.grip.force * share * shares[0] * shares[1:]
             forces /= max(shares[1:].sum(), 1.0)
             now = self._points.positions(self._placed)
-            slopes = self._points.jacobians(self._placed, now)
+            slopes = self._points.jacobians(self._placed)
             # The wrist moves both pads of a pair, and not their distance.
             pairs = unit(now[1:] - now[0])[:, None] @ (slopes[1:] - slopes[0])
             give -= forces / self.grip.stiffness @ pairs[:, 0]
