@@ -108,7 +108,6 @@ def all_pairs(hand: Hand) -> ShapePairs:
     Raises:
         HandError: If a shape cannot be read.
     """
-    chains = find_fingers(hand)
     shapes = read_collision_shapes(hand)
     chains = find_fingers(hand)
     parents = hand.model.parents
