@@ -181,8 +181,6 @@ class BoxLimits:
         farthest = self.speeds * dt
         ends = np.array([self.lower, self.upper]) - q[self.coordinates]
         lower, upper = np.clip(ends, -farthest, farthest)
-        if self.acceleration == math.inf:
-            return Box(lower, upper, lower, upper)
         change = self.change(dt)
         middle = np.multiply(velocity, dt)
         stretch = 1.0 + self.stopping(velocity, dt) * self.together
