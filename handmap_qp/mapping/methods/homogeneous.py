@@ -95,16 +95,12 @@ class HomogeneousMap(Compiled):
         moved = self._wrist_motion(sample)
         turn = None if moved is None else moved[:3, :3]
         estimate = self.estimator.estimate(sample.points, turn)
-        linear = estimate.linear
         image = estimate.image(pivot)
-        factors = polar(linear)
+        factors = polar(estimate.linear)
         stretches = np.clip(factors.stretches, options.stretch_min, options.stretch_max)
         is_clamped = not np.array_equal(stretches, factors.stretches)
-        if is_clamped or options.deformation_gain != 1.0:
-            linear = factors.stretch(stretches**options.deformation_gain).dot(
-                factors.rotation
-            )
         rotation = factors.rotation
+        linear = factors.stretch(stretches**options.deformation_gain) @ rotation
         rigid_image = image
         if options.rigid_from == "none":
             moved = np.eye(4)
