@@ -89,12 +89,6 @@ class InputCheck(Compiled):
         _known_orders()
         self.side: Side = side
         self._sign = 1.0 if side == "right" else -1.0
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all samples: of a new session, or after the input was changed."""
-        vars(self).pop("core", None)
-        self._saved = None
         self._batch: list[tuple[float, Array, Array | None]] = []
         self._last_time: tuple[float, ...] = ()
         self._guess: Finding | None = None
