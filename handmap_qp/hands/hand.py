@@ -355,34 +355,10 @@ class Hand:
             )
             expect(self.is_floating, "wrist_pose", expected, value=wrist_pose)
         vector = np.zeros(self._size)
-        self.write_configuration(vector, angles, pose)
+        vector[self._moving_q] = self.all_joints(angles)[: len(self._moving_q)]
+        if self.is_floating:
+            vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(pose) * self._wrist_to_root)
         return vector
-
-    def write_configuration(
-        self, vector: Array, q: Array, wrist_pose: Array | None = None
-    ) -> None:
-        """Write a configuration into an array of the caller's, for use sample by sample.
-
-        Args:
-            vector: Where to write, shape (..., model.nq).
-            q: Joint angles [rad or m], shape (..., n); values are not checked.
-            wrist_pose: Wrist in the world, shape (4, 4), not checked, ignored by a fixed hand; left
-                as the array has it if omitted.
-
-        Raises:
-            InvalidInputError: On a wrong shape or type; the array may be written in part.
-        """
-        try:
-            every = q @ self._motion.T + self._shift
-            vector[..., self._moving_q] = every[..., : len(self._moving_q)]
-            if wrist_pose is not None and self.is_floating:
-                vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
-        except (TypeError, ValueError, IndexError) as error:
-            raise InvalidInputError(
-                argument="vector, q and wrist_pose",
-                expected=f"shapes ({self.model.nq},), ({len(self.joint_names)},) and (4, 4)",
-                got="arrays that do not fit",
-            ) from error
 
     def all_joints(self, q: ArrayLike) -> Array:
         """Compute the positions of every movable joint, for a driver that needs them.

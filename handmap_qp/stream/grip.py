@@ -278,10 +278,10 @@ class GripFollower:
             return
         pads = self._pairs[finger]
         # Where the hand is, by its measured joints; then where it is commanded.
-        measured = step.ik.q.copy()
-        self._hand.write_configuration(measured, q)
         placed = self._placed
-        placed.place(measured)
+        # A fixed hand takes no wrist.
+        wrists = step.ik.wrists[: self._hand.is_floating]
+        placed.place(self._hand.configuration_vector(q, *wrists))
         gap = pads.gap(placed)
         middle = pads.middle(placed)
         slopes, _ = pads.slopes(placed)

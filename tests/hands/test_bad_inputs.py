@@ -166,14 +166,6 @@ LOADING: dict[str, tuple[Callable[[], Any], str]] = {
     "of a robot": (lambda: load_hand("three_finger", hand_length=0.19), "lengths"),
     "spec": (lambda: Hand("human"), "spec"),  # ty: ignore[invalid-argument-type]
     "URDF": (lambda: Hand(HAND.spec, urdf_text=5), "urdf_text"),  # ty: ignore[invalid-argument-type]
-    "vector": (
-        lambda: HAND.write_configuration(np.zeros(3), HAND.rest, np.eye(4)),
-        "vector, q and wrist_pose",
-    ),
-    "wrist": (
-        lambda: HAND.write_configuration(np.zeros(HAND.model.nq), HAND.rest, np.eye(3)),
-        "vector, q and wrist_pose",
-    ),
 }
 
 

@@ -316,8 +316,7 @@ class CommandedRobot(Gate):
             self.place(self.hand.configuration_vector(self.q, wrist))
             self.is_placed = True
         start = self.motion.q
-        goal = start.copy()
-        self.hand.write_configuration(goal, q, wrist)
+        goal = self._at(q, wrist)
         dt = max(dt, SHORTEST_DT)
         change = pin.difference(self.hand.model, start, goal)[self.hand.active_columns]
         lower, upper = self.bounds(dt, share)
@@ -342,6 +341,12 @@ class CommandedRobot(Gate):
             return False
         self.motion = self.motion._replace(q=self.limits.clipped(goal, start))
         return True
+
+    def _at(self, q: Array, wrist: Array | None) -> Array:
+        """Return a configuration, with the wrist where it is if none is given."""
+        there = self.wrist if wrist is None else wrist
+        wrists = [there] * self.hand.is_floating
+        return self.hand.configuration_vector(q, *wrists)
 
     def _along_links(
         self,
