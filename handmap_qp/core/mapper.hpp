@@ -136,18 +136,14 @@ struct StepReader {
   nb::object hand, links;     // see `result_of`
   nb::object targets;         // makes `Targets` of arrays; None for points and wrist alone
   nb::object joint_names;
-  std::vector<Vec3> centred = {};  // the human points that T is estimated from, at the reference
   std::vector<ArrayShape> shapes = {};  // see TargetMap
-  std::vector<int> columns;   // see Hand.joint_columns
   nb::object plain_targets = module_of("handmap_qp.mapping.method").object("Targets");
   nb::object command = module_of("handmap_qp.mapping.method").object("RobotCommand");
-  nb::object summary = module_of("handmap_qp.mapping.method").object("StepSummary");
   nb::object statuses = module_of("handmap_qp.ik.compiled").object("STATUSES");
 
   StepReader(const nb::object& robot, const nb::object& gate, nb::object make_targets)
       : hand(robot), links(nb::getattr(gate, "links")), targets(std::move(make_targets)),
-        joint_names(nb::getattr(robot, "joint_names")),
-        columns(Fields(robot).indices("joint_columns")) {}
+        joint_names(nb::getattr(robot, "joint_names")) {}
 };
 
 // Of one hand, whose targets come from a map of Python.
@@ -156,7 +152,6 @@ inline std::shared_ptr<const StepReader> reader_of(const nb::object& target_map,
                                                    const nb::object& gate) {
   auto reader = std::make_shared<StepReader>(robot, gate, nb::getattr(target_map, "asked"));
   reader->shapes = Fields(target_map).get<const TargetMap&>("core").shapes();
-  reader->centred = Fields(target_map).points("estimator._centred");
   return reader;
 }
 
@@ -169,7 +164,7 @@ struct PythonStep : Step {
 struct Stages : PythonStep {
   std::shared_ptr<const StepReader> reader;
   HumanPose pose;
-  nb::object asked_, ik_, command_, summary_;
+  nb::object asked_, ik_, command_;
 
   nb::object read_asked() {
     if (asked_.is_valid()) return asked_;
@@ -185,35 +180,6 @@ struct Stages : PythonStep {
     return command_;
   }
   nb::object status() const { return item(reader->statuses, static_cast<size_t>(result.status)); }
-
-  nb::object read_summary() {
-    if (summary_.is_valid()) return summary_;
-    nb::list errors, at_bound;
-    for (size_t k = 0; k < result.points.size(); ++k)
-      errors.append(norm(asked.points[k] - result.points[k]));
-    for (const int column : reader->columns) at_bound.append(result.active[column] != 0);
-    nb::object flags = asked.is_clamped ? nb::getattr(read_asked(), "flags") : nb::tuple();
-    return summary_ = reader->summary(errors, at_bound, residual(), flags);
-  }
-
- private:
-  // RMS distance of the points from where T takes them; 0 without T. The diagnostics of every map
-  // begin with T's linear part, the centroid and the points, after the motion.
-  double residual() const {
-    if (reader->centred.empty()) return 0.0;
-    const double* from = asked.diagnostics.data();
-    Mat3 linear;
-    std::copy(from, from + 9, linear.m);
-    const Vec3 centroid{from[9], from[10], from[11]};
-    double sum = 0.0;
-    from += 12;
-    for (const Vec3& point : reader->centred) {
-      const Vec3 off = Vec3{from[0], from[1], from[2]} - centroid - linear * point;
-      sum += dot(off, off);
-      from += 3;
-    }
-    return std::sqrt(sum / static_cast<double>(reader->centred.size()));
-  }
 };
 
 // Stages to be filled, and the object of Python that owns them.

@@ -17,7 +17,7 @@ entry points of the group `handmap_qp.presets` name.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import (
@@ -275,22 +275,6 @@ class RobotCommand(ArrayStruct, frozen=True):
     effort: Array | None = None
 
 
-class StepSummary(NamedTuple):
-    """What goes with a command to those who watch the robot.
-
-    Attributes:
-        point_error: Distance between targets and points [m], m numbers.
-        at_bound: True for joints at a position or speed limit, n of them.
-        residual: RMS distance of human points from where T takes them [m]; 0 without T.
-        flags: As of the targets.
-    """
-
-    point_error: Sequence[float]
-    at_bound: Sequence[bool]
-    residual: float
-    flags: Names
-
-
 class Stages(ArrayStruct, frozen=True):
     """The stages of a step, which the compiled core makes when they are asked for.
 
@@ -310,17 +294,6 @@ class Stages(ArrayStruct, frozen=True):
     def status(self) -> Status:
         """Outcome of the inverse kinematics."""
         return self.ik.status
-
-    @property
-    def summary(self) -> StepSummary:
-        """What goes with the command to those who watch the robot."""
-        norms = self.asked.diagnostics.get("residual_norms", np.zeros(1))
-        return StepSummary(
-            lengths(self.ik.errors).tolist(),
-            (self.ik.active[self.ik.hand.joint_columns] != 0).tolist(),
-            math.sqrt(norms.dot(norms) / len(norms)),
-            self.asked.flags,
-        )
 
 
 class MapStep(ArrayStruct, frozen=True):
@@ -423,6 +396,12 @@ class MapStep(ArrayStruct, frozen=True):
         return self.named("residual_norms")
 
     @property
+    def residual(self) -> float:
+        """RMS distance of human points from where T takes them [m]; 0 without T."""
+        norms = self.diagnostics.get("residual_norms", np.zeros(1))
+        return math.sqrt(norms.dot(norms) / len(norms))
+
+    @property
     def stretches(self) -> Array:
         """Eigenvalues of the stretch U before clamping, shape (3,)."""
         return self.named("stretches")
@@ -467,12 +446,12 @@ class MapStep(ArrayStruct, frozen=True):
     @property
     def point_error(self) -> Array:
         """Distance between targets and points [m], shape (n_r,)."""
-        return np.array(self.stages.summary.point_error)
+        return lengths(self.ik.errors)
 
     @property
     def at_bound(self) -> Array:
         """True for joints at a position or speed limit, in the order of `command.q`, shape (n,)."""
-        return np.array(self.stages.summary.at_bound)
+        return self.ik.active[self.ik.hand.joint_columns] != 0
 
     @property
     def status(self) -> StepStatus:

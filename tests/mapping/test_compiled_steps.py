@@ -45,7 +45,7 @@ def pair(preset: str = "teleoperation") -> tuple[HandMapper, HandMapper]:
 
 def assert_same(one: MapStep, other: MapStep) -> None:
     assert (one.status, one.out_of_range) == (other.status, other.out_of_range)
-    assert one.stages.summary.flags == other.stages.summary.flags
+    assert one.asked.flags == other.asked.flags
     np.testing.assert_array_equal(one.at_bound, other.at_bound)
     for name in ("point_error", "points", "targets", "human_points", "human_wrist"):
         np.testing.assert_allclose(
@@ -53,9 +53,7 @@ def assert_same(one: MapStep, other: MapStep) -> None:
         )
     np.testing.assert_allclose(one.command.q, other.command.q, atol=1e-9)
     np.testing.assert_allclose(one.command.wrist, other.command.wrist, atol=1e-9)
-    assert one.stages.summary.residual == pytest.approx(
-        other.stages.summary.residual, abs=1e-12
-    )
+    assert one.residual == pytest.approx(other.residual, abs=1e-12)
 
 
 @pytest.mark.parametrize("preset", ["teleoperation", "object", "paper"])
@@ -68,7 +66,7 @@ def test_steps_are_those_of_python(preset: str) -> None:
         one, other = (mapper.map_landmarks(given) for mapper in (fast, slow))
         assert fast.core is not None
         assert_same(one, other)
-        flags.update(one.stages.summary.flags)
+        flags.update(one.asked.flags)
         fast.motion = slow.motion
     assert flags == ({"stretch_clamped"} if preset != "teleoperation" else set())
 

@@ -377,7 +377,7 @@ class Session:
                 self._measure_gap(sample.time, humans)
             else:
                 self._commanded.brake(self._dt)
-            flags += step.stages.summary.flags
+            flags += step.asked.flags
             if self._state.is_halted:
                 status = self._state.mode
         said = self._diagnostics(step, sample, humans)
@@ -695,11 +695,10 @@ class Session:
         }
         if step.is_held:
             return trust
-        error, at_bound, residual, _ = step.stages.summary
         return trust | {
-            "point_error": tuple(error),
-            "residual": residual,
-            "at_limit": tuple(compress(self.robot.joint_names, at_bound)),
+            "point_error": to_row(step.point_error),
+            "residual": step.residual,
+            "at_limit": tuple(compress(self.robot.joint_names, step.at_bound)),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
             "detail": self._detail(step, humans.get(self.request.side), sample.q),
