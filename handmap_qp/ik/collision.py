@@ -148,7 +148,6 @@ class PairBounds(Compiled):
         geometry: As given.
         first: Index of the first shape of each pair, shape (k,).
         second: Index of the second one.
-        reaches: Sum of how far both shapes of each pair reach from their origins [m], shape (k,).
         levers: Bound of the change of each pair's distance per change of each velocity coordinate
             [m/rad, or 1 for sliding joints], shape (k, nv); 0 for coordinates that move both shapes
             of a pair or neither.
@@ -166,10 +165,6 @@ class PairBounds(Compiled):
         shapes = geometry.geometryObjects
         levers = [_levers(model, shape) for shape in shapes]
         levers = np.reshape(levers, (-1, model.nv))
-        # Known from here on, because levers are bounded by boxes and balls around the shapes.
-        balls = [shape.geometry for shape in shapes]
-        reaches = [lengths(ball.aabb_center) + ball.aabb_radius for ball in balls]
-        self.reaches = np.take(reaches, [self.first, self.second]).sum(axis=0)
         moved = moved_by(model, [shape.parentJoint for shape in shapes])
         self.signs = moved[self.first] - moved[self.second]
         is_between = self.signs != 0.0
@@ -315,14 +310,9 @@ class CollisionLimit:
             q: Pinocchio configuration, shape (nq,).
             horizon: Largest distance [m], of each pair or one for all; infinite for all pairs.
         """
-        bounds = self.bounds
-        origins = self._place(q)[:, :3, 3]
-        apart = lengths(origins[bounds.first] - origins[bounds.second])
-        horizons = np.full(len(apart), horizon)
-        pairs = np.flatnonzero(apart - bounds.reaches <= horizons)
-        found = self._found_at(q, pairs)
-        is_near = found[:, 0] <= horizons[pairs]
-        return NearPairs(pairs[is_near], found[is_near])
+        found = self._found_at(q, np.arange(len(self.bounds.first)))
+        pairs = np.flatnonzero(found[:, 0] <= horizon)
+        return NearPairs(pairs, found[pairs])
 
     def _found_at(self, q: Array, pairs: Array) -> Array:
         """Return what is found of some pairs in a posture; as of `NearPairs`, shape (r, 7)."""
