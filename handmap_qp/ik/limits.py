@@ -102,24 +102,6 @@ _SHARES = (1.0, 0.5, 0.25, 0.1)
 _TRIES, _CLEARED = 3, 5e-4
 
 
-class Box(NamedTuple):
-    """Bounds of the displacement of one sample, shape (nv,) each.
-
-    Attributes:
-        lower: Lower bound, never above the upper one.
-        upper: Upper bound.
-        least: From this to `most`, the acceleration limit leads to a displacement, and to a stop
-            behind it inside the limits of position and time. Where limits contradict each other,
-            bounds are outside.
-        most: As said.
-    """
-
-    lower: Array
-    upper: Array
-    least: Array
-    most: Array
-
-
 class BoxLimits:
     """Bounds of the displacement within one sample.
 
@@ -169,7 +151,7 @@ class BoxLimits:
         most = options.max_acceleration
         self.acceleration = math.inf if most is None or most >= _NO_LIMIT else most
 
-    def box(self, q: Array, dt: float, velocity: ArrayLike = 0.0) -> Box:
+    def box(self, q: Array, dt: float, velocity: ArrayLike = 0.0) -> Array:
         """Return the bounds of the displacement, and which need no further check.
 
         Args:
@@ -177,6 +159,12 @@ class BoxLimits:
             dt: Time for the displacement [s].
             velocity: Displacement of the last sample divided by its time, shape (nv,). Matters only
                 to acceleration limits.
+
+        Returns:
+            Shape (4, nv): lower bound, and upper bound, which is never below; then the least and
+            the largest displacement to which the acceleration limit leads, with a stop behind it
+            inside the limits of position and time. Where limits contradict each other, bounds are
+            outside.
         """
         farthest = self.speeds * dt
         ends = np.array([self.lower, self.upper]) - q[self.coordinates]
@@ -196,11 +184,8 @@ class BoxLimits:
         highest = middle + change
         slack = _ROUNDING * dt
         reached = np.clip([least, most], lowest, highest)
-        return Box(
-            *np.clip(reached, lower, upper),
-            np.maximum(least, lowest) - slack,
-            np.minimum(most, highest) + slack,
-        )
+        allowed = np.maximum(least, lowest) - slack, np.minimum(most, highest) + slack
+        return np.array([*np.clip(reached, lower, upper), *allowed])
 
     def is_inside(self, q: Array, displacement: Array) -> Array:
         """Return which coordinates a displacement leaves inside their position limits, shape (nv,).
@@ -474,10 +459,11 @@ class Gate:
             The displacement taken: `wanted` itself if it is admitted.
         """
         box = self.limits.box(self.motion.q, dt, self.motion.velocity)
+        lower, upper, least, most = box
         # This also replaces NaN.
-        taken = np.fmin(np.fmax(wanted, box.lower), box.upper)
+        taken = np.fmin(np.fmax(wanted, lower), upper)
         times = self.limits.stop_times(taken, dt)
-        is_inside = ((taken >= box.least) & (taken <= box.most)).all()
+        is_inside = ((taken >= least) & (taken <= most)).all()
         met = self._met_on(taken, times, dt) if is_inside else None
         if met and len(met.pairs):
             if around and tries:
@@ -485,7 +471,7 @@ class Gate:
                 return self.admit(other, other, dt, around, tries - 1)
             self.held_by = int(met.pairs[met.found[:, 0].argmin()])
         if not is_inside or met:
-            first = np.fmin(np.fmax(first, box.lower), box.upper)
+            first = np.fmin(np.fmax(first, lower), upper)
             taken, times = self._shortened(None if is_inside else taken, first, dt)
         self._move(taken, times, dt)
         return taken
