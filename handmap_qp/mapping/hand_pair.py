@@ -279,6 +279,23 @@ class RobotFingers:
                     points.append(_point(chain, name, place, _JOINT_WEIGHT**2))
         return robot.with_points(points)
 
+    @property
+    def pinching(self) -> list[Pad]:
+        """Pads of the thumb, which is the first finger, and of those that it pinches with."""
+        return [self.pads[name] for name in self.names if THUMB in self.names[:-1]]
+
+    @cached_property
+    def distances(self) -> PointDistances:
+        """Distance rows: extension of each finger, then a pinch with each finger."""
+        chains = self.used.values()
+        places = [place for chain in chains for place in (chain.knuckle, chain.tip)]
+        first = len(places)
+        pairs = [(k, k + 1) for k in range(0, first, 2)]
+        places += [pad.place for pad in self.pinching]
+        pairs += [(first, k) for k in range(first + 1, len(places))]
+        points = AttachedPoints(self.with_points, places)
+        return PointDistances(points, pairs, np.zeros(len(pairs)))
+
     @cached_property
     def pinching_thumb(self) -> Array:
         """Mean tip of the thumb where it pinches with each finger, in palm axes [m], shape (3,)."""

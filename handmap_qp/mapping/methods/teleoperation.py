@@ -10,13 +10,12 @@ extended, and that thumb and finger touch. Contact rows keep links apart.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Annotated, Self
 
 import numpy as np
 
 from handmap_qp.hands import CONTACT_GAP, FINGERS, LINK_MARGIN, THUMB, Hand
-from handmap_qp.ik import AttachedPoints, Compiled, PointDistances
+from handmap_qp.ik import Compiled
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
@@ -26,7 +25,6 @@ from handmap_qp.mapping import (
     PalmMap,
     PalmMethod,
     Preset,
-    RobotFingers,
     RobotPosture,
     Targets,
     palm_of,
@@ -59,20 +57,6 @@ _CONTACT_MARGIN = 0.0005
 _KNOWN = "palm", "gaps", "pinching", "extensions"
 """Results that targets are made with: the human's palm, (4, 4); gaps from the thumb's tip to each
 finger's [m], and the share of each pinch row's weight, (p,) both; and shares of reach, (f,)."""
-
-
-@lru_cache(maxsize=32)
-def _distances(robot: RobotFingers, pinched: tuple[str, ...]) -> PointDistances:
-    """Lay out the distance rows: extension of each finger, then a pinch with each finger."""
-    chains = robot.used.values()
-    places = [place for chain in chains for place in (chain.knuckle, chain.tip)]
-    first = len(places)
-    pairs = [(k, k + 1) for k in range(0, first, 2)]
-    pads = [robot.pads[finger] for finger in (THUMB, *pinched) if pinched]
-    places += [pad.place for pad in pads]
-    pairs += [(first, k) for k in range(first + 1, len(places))]
-    points = AttachedPoints(robot.with_points, places)
-    return PointDistances(points, pairs, np.zeros(len(pairs)))
 
 
 class TeleoperationMap(Compiled, PalmMap):
@@ -220,8 +204,8 @@ class BoundTeleoperation(PalmMethod):
         self.pinch_from = math.inf if pair.has_jaws else _PINCH_FROM
         # The thumb comes first.
         self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
-        self.pads = [pair.pads[f] for f in (THUMB, *self.pinched) if self.pinched]
-        self.distances = _distances(pair.measured, self.pinched)
+        self.pads = pair.measured.pinching
+        self.distances = pair.measured.distances
         self._prepare_aims()
         self._prepare_margins()
 
