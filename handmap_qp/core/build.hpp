@@ -9,6 +9,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <numeric>
 #include <stdexcept>
 
 #include "step.hpp"
@@ -328,8 +329,21 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
 
 inline Estimator make_estimator(const Fields& from) {
   Estimator estimator;
-  estimator.moments = from.numbers("estimator.moments");
-  estimator.count = static_cast<int>(estimator.moments.size() / 7);
+  const Vector shares = from.numbers("estimator.shares");
+  const std::vector<Vec3> centred = from.points("estimator.centred");
+  const size_t count = shares.size();
+  estimator.count = static_cast<int>(count);
+  // One product gives A^T without the prior, Kabsch's covariance and the centroid of a sample.
+  Vector& moments = estimator.moments = from.numbers("estimator.gain");
+  for (int i = 0; i < 3; ++i)
+    for (size_t k = 0; k < count; ++k) moments.push_back(shares[k] * centred[k][i]);
+  // The rows of the first two sum to zero, so that they centre the sample as well.
+  for (size_t r = 0; r < 6; ++r) {
+    const auto row = moments.begin() + static_cast<std::ptrdiff_t>(r * count);
+    const double sum = std::accumulate(row, row + static_cast<std::ptrdiff_t>(count), 0.0);
+    for (size_t k = 0; k < count; ++k) row[static_cast<std::ptrdiff_t>(k)] -= sum * shares[k];
+  }
+  append(shares, moments);
   estimator.prior_gain = from.matrix("estimator.prior_gain");
   estimator.has_ridge = from.get<double>("estimator.ridge") != 0.0;
   estimator.centroid = from.point("estimator.centroid");

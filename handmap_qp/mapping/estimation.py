@@ -88,8 +88,9 @@ class MotionEstimator:
     Attributes:
         ridge: As given.
         centroid: Weighted centroid of the points [m], shape (3,).
-        moments: Times a sample's points, they give A^T without the prior, Kabsch's covariance and
-            the centroid, shape (7, n).
+        shares: Weights of the points, which add up to 1, shape (n,).
+        centred: Points relative to their centroid [m], shape (n, 3).
+        gain: Times a sample's centred points, it gives A^T without the prior, shape (3, n).
         prior_gain: Behind the prior rotation, what it adds to A, shape (3, 3).
 
     Raises:
@@ -108,16 +109,16 @@ class MotionEstimator:
     ) -> None:
         count = len(points)
         shares = np.ones(count) if weights is None else weights / weights.max()
-        shares = shares / shares.sum()
+        self.shares = shares / shares.sum()
         self.ridge = ridge
         # Estimates hand these out, so they are write-protected.
-        self.centroid = frozen(shares @ points)
-        self._centred = frozen(points - self.centroid)
-        roots = np.sqrt(shares * count)
+        self.centroid = frozen(self.shares @ points)
+        self.centred = frozen(points - self.centroid)
+        roots = np.sqrt(self.shares * count)
         # The SVD of the points, not of their normal matrix, which would square the condition of
         # points near a plane.
         left, values, right = np.linalg.svd(
-            self._centred * roots[:, None], full_matrices=False
+            self.centred * roots[:, None], full_matrices=False
         )
         self._singular_values = frozen(np.append(values, np.zeros(3 - len(values))))
         floor = max(
@@ -129,14 +130,9 @@ class MotionEstimator:
         known = np.where(values > floor, values, 0.0)
         pull = ridge * (values @ values) / 3.0
         gains = known / np.where(known > 0.0, known * known + pull, 1.0)
-        # (3, n) and (3, 3): A^T = gain y + prior_gain R0^T, of centred points y
-        gain = right.T @ (roots[:, None] * left * gains).T
+        # A^T = gain y + prior_gain R0^T, of centred points y
+        self.gain = right.T @ (roots[:, None] * left * gains).T
         self.prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
-        # One product gives the sum with the gain, Kabsch's covariance and the centroid of a sample.
-        # The rows of the first two sum to zero, so that they centre the sample as well.
-        sums = np.vstack([gain, (self._centred * shares[:, None]).T])
-        sums -= np.outer(sums.sum(axis=1), shares)
-        self.moments = np.vstack([sums, shares])
 
     def _check_rank(self, floor: float, has_prior: bool) -> None:
         _, middle, smallest = self._singular_values
@@ -166,13 +162,15 @@ class MotionEstimator:
         Returns:
             The estimate.
         """
-        moments = self.moments @ points_after
-        linear = moments[..., :3, :].mT
+        centroid = self.shares @ points_after
+        centred = points_after - centroid[..., None, :]
+        linear = (self.gain @ centred).mT
         if self.ridge != 0.0:
             if prior is None:
-                prior = nearest_rotation(moments[..., 3:6, :].mT)
+                covariance = (self.centred.T * self.shares) @ centred
+                prior = nearest_rotation(covariance.mT)
             linear = linear + prior @ self.prior_gain
-        return self.estimate_of(linear, moments[..., 6, :], points_after)
+        return self.estimate_of(linear, centroid, points_after)
 
     def estimate_of(
         self, linear: Array, centroid: Array, points_after: Array
@@ -182,7 +180,7 @@ class MotionEstimator:
             linear,
             self.centroid,
             centroid,
-            self._centred,
+            self.centred,
             points_after,
             self._singular_values,
         )
