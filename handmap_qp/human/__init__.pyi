@@ -14,7 +14,6 @@ from .person import read_person as read_person
 from .person import write_person as write_person
 from .recording import HumanMotion as HumanMotion
 from .recording import Recording as Recording
-from .recording import SampleColumns as SampleColumns
 from .recording import as_flags as as_flags
 from .recording import axis_direction as axis_direction
 from .recording import finite_samples as finite_samples

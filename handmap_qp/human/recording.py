@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -120,6 +120,14 @@ class Recording:
         }
         return replace(self, **columns)
 
+    def sample(self, i: int) -> HumanSample:
+        """Return a sample of what `sample_columns` returns."""
+        seen = bool(self.valid[i])
+        wrist = self.wrist[i] if self.wrist is not None and seen else None
+        share = 1.0 if self.confidence is None else float(self.confidence[i])
+        time = float(self.time[i])
+        return HumanSample(time, self.side, self.landmarks[i], wrist, seen, share)
+
     @property
     def steps(self) -> Array:
         """Time from each sample's predecessor [s], shape (T,).
@@ -210,38 +218,8 @@ def mirrored(recording: Recording) -> Recording:
     return turned(recording, mirror, _MIRROR, side=OTHER_SIDE[recording.side])
 
 
-class SampleColumns(NamedTuple):
-    """The samples of a recording as columns, as a tracker would send them.
-
-    Attributes:
-        side: `right` or `left`.
-        time: Instants [s], shape (T,).
-        landmarks: Landmarks [m], shape (T, 21, 3).
-        valid: Samples in which the hand was seen, shape (T,).
-        confidence: From 0 to 1, shape (T,).
-        wrist: Poses of the wrist with our axes, shape (T, 4, 4), or None.
-    """
-
-    side: Side
-    time: Array
-    landmarks: Array
-    valid: Array
-    confidence: Array
-    wrist: Array | None
-
-    def sample(self, i: int) -> HumanSample:
-        """Return one of them."""
-        seen = bool(self.valid[i])
-        wrist = self.wrist[i] if self.wrist is not None and seen else None
-        share = float(self.confidence[i])
-        time = float(self.time[i])
-        return HumanSample(time, self.side, self.landmarks[i], wrist, seen, share)
-
-
-def sample_columns(
-    recording: Recording, wrist_poses: Array | None = None
-) -> SampleColumns:
-    """Return the samples of a recording as columns.
+def sample_columns(recording: Recording, wrist_poses: Array | None = None) -> Recording:
+    """Return a recording with the wrist and the confidence that its samples have.
 
     Args:
         recording: The recording.
@@ -252,8 +230,7 @@ def sample_columns(
     shares = recording.confidence
     shares = 1.0 if shares is None else shares
     confidence = np.where(valid | (shares == 1.0), shares, 0.0)
-    columns = recording.time, recording.landmarks, valid, confidence, wrist_poses
-    return SampleColumns(recording.side, *columns)
+    return replace(recording, wrist=wrist_poses, confidence=confidence)
 
 
 def recording_samples(

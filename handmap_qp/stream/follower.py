@@ -18,7 +18,7 @@ import pinocchio as pin
 from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError
-from handmap_qp.human import HumanSample, SampleColumns, Verdict
+from handmap_qp.human import HumanSample, Recording, Verdict
 from handmap_qp.ik import SHORTEST_DT, Compiled, Task, in_core
 from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
 from handmap_qp.options import NotNegative, Options, Positive
@@ -352,7 +352,7 @@ class Follower:
         return self._judged(sample, verdict, dt)
 
     def map_samples(
-        self, samples: SampleColumns, progress: Callable[[int], None] | None = None
+        self, samples: Recording, progress: Callable[[int], None] | None = None
     ) -> StepTable:
         """Map the samples of a recording, as `map_sample` one by one; return all numbers.
 
@@ -360,11 +360,11 @@ class Follower:
         interpreter's lock, so that threads map recordings side by side.
 
         Args:
-            samples: The samples.
+            samples: The samples, as of `sample_columns`.
             progress: Called with the number of samples done.
         """
         self._guard.check_side(samples)
-        count = len(samples.time)
+        count = len(samples)
         table = StepTable(self.mapper.robot, count)
         i = 0
         while i < count:

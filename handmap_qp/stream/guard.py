@@ -28,7 +28,6 @@ from handmap_qp.human import (
     PalmShape,
     Recording,
     Rule,
-    SampleColumns,
     Verdict,
     landmarks_at_rest,
     palm_sizes,
@@ -428,7 +427,7 @@ class StreamGuard(Compiled):
             return verdict
         return verdict._replace(rule="unproven")
 
-    def check_side(self, samples: HumanSample | SampleColumns) -> None:
+    def check_side(self, samples: HumanSample | Recording) -> None:
         """Reject samples of the other hand."""
         given, own = samples.side, self._side
         if given != own:

@@ -18,7 +18,7 @@ from handmap_qp import Hand, HandMapper, cli, hand_names, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.human.recording import SampleColumns, mirrored, sample_columns
+from handmap_qp.human.recording import Recording, mirrored, sample_columns
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
@@ -61,7 +61,7 @@ def follower(
     return ObjectFollower(Follower(mapper, smoothing=None), CUBE, grip=grip)
 
 
-def samples() -> tuple[SampleColumns, np.ndarray]:
+def samples() -> tuple[Recording, np.ndarray]:
     """The samples of a person who holds an object, and the object's poses, shape (T, 4, 4)."""
     recording = held().recording
     assert recording.object_pose is not None

@@ -13,7 +13,7 @@ from injection import inject, parse_faults
 from handmap_qp import Follower, HandMapper, HumanLengths, IkOptions, Smoothing
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.recording import SampleColumns, sample_columns
+from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.core import core
 from handmap_qp.stream.follower import Rejoin, Smoother
@@ -34,20 +34,13 @@ FAULTS = (
 )
 
 
-def columns_of(samples: list[HumanSample]) -> SampleColumns:
-    return SampleColumns(
-        "right",
-        np.array([sample.time for sample in samples]),
-        np.array([sample.landmarks for sample in samples]),
-        np.array([sample.valid for sample in samples]),
-        np.array([sample.confidence for sample in samples]),
-        None,
+def columns_of(samples: list[HumanSample]) -> Recording:
+    time, landmarks, valid, confidence = (
+        np.array([getattr(sample, name) for sample in samples])
+        for name in ("time", "landmarks", "valid", "confidence")
     )
-
-
-def part(columns: SampleColumns, which: slice) -> SampleColumns:
-    names = ("time", "landmarks", "valid", "confidence")
-    return columns._replace(**{name: getattr(columns, name)[which] for name in names})
+    plain = Recording("samples", time, landmarks, valid, "right")
+    return replace(plain, confidence=confidence)
 
 
 def samples_with(faults: str) -> list[HumanSample]:
@@ -56,7 +49,7 @@ def samples_with(faults: str) -> list[HumanSample]:
     return list(inject(plain, parse_faults(faults))) if faults else plain
 
 
-def one_by_one(follower: Follower, columns: SampleColumns) -> StepTable:
+def one_by_one(follower: Follower, columns: Recording) -> StepTable:
     table = StepTable(follower.mapper.robot, len(columns.time))
     for i in range(len(columns.time)):
         table.write(i, follower.map_sample(columns.sample(i)), 0.0)
@@ -120,7 +113,7 @@ def test_noise_losses_and_repetition_are_met_in_the_core_as_in_python(
         landmarks
         + random.normal(scale=noise, size=(150, 21, 3))[np.arange(150) // copies]
     )
-    columns = columns._replace(landmarks=noisy, valid=random.random(150) >= lost)
+    columns = replace(columns, landmarks=noisy, valid=random.random(150) >= lost)
     whole, single = (Follower(HandMapper(HUMAN, ROBOT)) for _ in range(2))
     single._guard = ReferenceGuard(single.mapper.human)
     single._smoother = ReferenceSmoother(Smoothing())
@@ -136,7 +129,7 @@ def test_noise_losses_and_repetition_are_met_in_the_core_as_in_python(
 def test_threads_map_recordings_side_by_side() -> None:
     columns = [columns_of(samples_with(faults)) for faults in FAULTS]
 
-    def run(samples: SampleColumns) -> StepTable:
+    def run(samples: Recording) -> StepTable:
         return Follower(HandMapper(HUMAN, ROBOT)).map_samples(samples)
 
     with ThreadPoolExecutor(3) as pool:
@@ -155,11 +148,11 @@ def test_progress_tells_of_all_samples() -> None:
 
 def test_a_sample_far_away_is_an_error_that_names_it() -> None:
     columns = columns_of(samples_with(""))
-    columns.landmarks[100, 4] = 1e12
+    far = columns.landmarks.copy()
+    far[100, 4] = 1e12
+    bad = replace(columns, landmarks=far, valid=np.arange(150) == 100)
     with pytest.raises(InvalidInputError) as caught:
-        Follower(HandMapper(HUMAN, ROBOT)).map_samples(
-            columns._replace(valid=np.arange(150) == 100)
-        )
+        Follower(HandMapper(HUMAN, ROBOT)).map_samples(bad)
     assert caught.value.argument == "landmarks"
 
 
@@ -167,12 +160,13 @@ def test_a_sample_at_fault_is_forgotten() -> None:
     columns = columns_of(samples_with(""))
     far = columns.landmarks.copy()
     far[100, 4] = 1e12
-    bad = columns._replace(landmarks=far, valid=np.arange(150) == 100)
+    bad = replace(columns, landmarks=far, valid=np.arange(150) == 100)
     whole, single = (Follower(HandMapper(HUMAN, ROBOT)) for _ in range(2))
     with pytest.raises(InvalidInputError, match="landmarks"):
         whole.map_samples(bad)
-    one_by_one(single, part(bad, slice(100)))
-    rest = part(columns, slice(101, None))
+    for i in range(100):
+        single.map_sample(bad.sample(i))
+    rest = columns.part(slice(101, None))
     assert_same(whole.map_samples(rest), one_by_one(single, rest))
 
 
@@ -180,10 +174,10 @@ def test_samples_of_the_other_hand_are_an_error_and_change_nothing() -> None:
     columns = columns_of(samples_with(""))
     whole, single = (Follower(HandMapper(HUMAN, ROBOT)) for _ in range(2))
     for follower in (whole, single):
-        follower.map_samples(part(columns, slice(60)))
-    rest = part(columns, slice(60, None))
+        follower.map_samples(columns.part(slice(60)))
+    rest = columns.part(slice(60, None))
     with pytest.raises(InvalidInputError, match="side: expected samples of a right"):
-        whole.map_samples(rest._replace(side="left"))
+        whole.map_samples(replace(rest, side="left"))
     with pytest.raises(InvalidInputError, match="side: expected samples of a right"):
         whole.map_sample(replace(rest.sample(0), side="left"))
     assert_same(whole.map_samples(rest), single.map_samples(rest))
