@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -42,22 +42,9 @@ Robots = Mapping[str, Hand]
 """Robot hands by side, or a robot with two hands by `BOTH`."""
 
 
-class Episode(NamedTuple):
-    """An episode of the data set.
-
-    Attributes:
-        sources: Keys of its recordings.
-        task: What is done, in words.
-        state: States of all hands side by side, shape (N, n).
-        action: The state of the next frame, shape (N, n).
-        valid: Whether each hand was seen, shape (N, number of hands).
-    """
-
-    sources: str
-    task: str
-    state: Array
-    action: Array
-    valid: Array
+Episode = tuple[str, str, Arrays]
+"""Keys of its recordings; what is done, in words; and its columns by the names of LeRobot: states
+of all hands side by side, (N, n), actions, likewise, and whether each hand was seen, (N, hands)."""
 
 
 def assemble(
@@ -117,8 +104,7 @@ def _write_lerobot(
         argument="--out",
         overwrite=True,
     ) as writer:
-        for sources, task, *arrays in episodes:
-            columns = dict(zip(features, arrays, strict=True))
+        for sources, task, columns in episodes:
             writer.add(columns, task, {"source": sources})
     return root
 
@@ -133,21 +119,20 @@ def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Robots) -> 
     with created(path, "--out") as file:
         data = file.create_group("data")
         data.attrs["env_args"] = json.dumps(env)
-        for i, episode in enumerate(episodes):
-            check_room(file, 5 * episode.state.nbytes)
+        for i, (sources, task, own) in enumerate(episodes):
+            state, action, valid = own.values()
+            check_room(file, 5 * state.nbytes)
             demo = data.create_group(f"demo_{i}")
-            count = len(episode.state)
-            demo.attrs.update(
-                num_samples=count, source=episode.sources, task=episode.task
-            )
+            count = len(state)
+            demo.attrs.update(num_samples=count, source=sources, task=task)
             columns = {
-                "actions": episode.action,
-                "states": episode.state,
+                "actions": action,
+                "states": state,
                 "rewards": np.zeros(count),
                 "dones": (np.arange(count) == count - 1).astype(np.int64),
-                "obs/state": episode.state,
-                "obs/valid": episode.valid,
-                "next_obs/state": episode.action,
+                "obs/state": state,
+                "obs/valid": valid,
+                "next_obs/state": action,
             }
             for name, column in columns.items():
                 demo[name] = column
@@ -196,13 +181,13 @@ def _episode(
         valid.append(seen)
     whole = np.hstack(states)
     folder = Path(line.place[0]).parent.name
-    return Episode(
-        sources=", ".join(line.key for line, _ in pairs),
-        task=folder.replace("_", " ") or "human hand motion",
-        state=whole,
-        action=np.concatenate([whole[1:], whole[-1:]]),
-        valid=np.hstack(valid),
-    )
+    columns = {
+        "observation.state": whole,
+        "action": np.concatenate([whole[1:], whole[-1:]]),
+        "observation.valid": np.hstack(valid),
+    }
+    sources = ", ".join(line.key for line, _ in pairs)
+    return sources, folder.replace("_", " ") or "human hand motion", columns
 
 
 def _resampled(columns: Arrays, instants: Array) -> tuple[Array, Array]:
