@@ -26,6 +26,7 @@ from .base import (
     Entry,
     RecordingFormat,
     build_recording,
+    has,
     reading,
     side_of,
 )
@@ -86,13 +87,13 @@ class NpzFormat(RecordingFormat):
         arrays: Arrays = {}
         for recording in recordings:
             prefix = f"{recording.side}_" if len(recordings) > 1 else ""
-            own = {name: getattr(recording, name) for name in (*COLUMNS, *WORDS)}
-            own["handedness"] = "" if prefix else recording.side
             arrays |= {
-                prefix + name: np.asarray(value)
-                for name, value in own.items()
-                if value is not None and len(value)
+                prefix + name: np.asarray(getattr(recording, name))
+                for name in (*COLUMNS, *WORDS)
+                if has(recording, name)
             }
+            if not prefix:
+                arrays["handedness"] = np.asarray(recording.side)
         save_npz(path, arrays)
 
 

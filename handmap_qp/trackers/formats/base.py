@@ -44,6 +44,23 @@ WORDS = ("source", "upright", "object_shape")
 """Fields of `Recording` that are words, and empty where they are not known."""
 
 
+LOSSES = {
+    "wrist": "the wrist's orientation",
+    "confidence": "the confidence",
+    "source": "the words about the source",
+    "upright": "which axes are up and forward",
+    "object_pose": "the object",
+    "object_shape": "the object's shape",
+    "no wrist": "that the wrist's orientation is unknown",
+    "wrist position": "the wrist's position where it is not its landmark",
+    "no confidence": "that the confidence is unknown",
+    "digits of time": "instants beyond whole nanoseconds",
+    "unseen": "landmarks of samples without a hand",
+    "digits of wrist": "the last digit of the wrist's rotation, as a quaternion",
+}
+"""What a format may be unable to hold, in words: a field, or one of `_OTHERS`."""
+
+
 def _is_apart(recording: Recording) -> bool:
     """Tell whether the wrist's pose is elsewhere than the first landmark in a valid sample."""
     if recording.wrist is None:
@@ -52,36 +69,23 @@ def _is_apart(recording: Recording) -> bool:
     return apart[recording.valid].any()
 
 
-LOSSES: dict[str, tuple[str, Callable[[Recording], object]]] = {
-    "wrist": ("the wrist's orientation", lambda r: r.wrist is not None),
-    "confidence": ("the confidence", lambda r: r.confidence is not None),
-    "source": ("the words about the source", lambda r: r.source),
-    "upright": ("which axes are up and forward", lambda r: r.upright),
-    "object_pose": ("the object", lambda r: r.object_pose is not None),
-    "object_shape": ("the object's shape", lambda r: r.object_shape),
-    "no wrist": (
-        "that the wrist's orientation is unknown",
-        lambda r: r.wrist is None,
-    ),
-    "wrist position": (
-        "the wrist's position where it is not its landmark",
-        _is_apart,
-    ),
-    "no confidence": (
-        "that the confidence is unknown",
-        lambda r: r.confidence is None,
-    ),
-    "digits of time": ("instants beyond whole nanoseconds", lambda r: True),
-    "unseen": (
-        "landmarks of samples without a hand",
-        lambda r: not r.valid.all(),
-    ),
-    "digits of wrist": (
-        "the last digit of the wrist's rotation, as a quaternion",
-        lambda r: r.wrist is not None,
-    ),
+_OTHERS: dict[str, Callable[[Recording], object]] = {
+    "no wrist": lambda r: r.wrist is None,
+    "wrist position": _is_apart,
+    "no confidence": lambda r: r.confidence is None,
+    "digits of time": lambda r: True,
+    "unseen": lambda r: not r.valid.all(),
+    "digits of wrist": lambda r: r.wrist is not None,
 }
-"""What a format may be unable to hold: in words, and whether a recording has it."""
+"""Whether a recording has what is no field."""
+
+
+def has(recording: Recording, name: str) -> object:
+    """Tell whether a recording has what a field, or another one of `LOSSES`, says."""
+    if name in _OTHERS:
+        return _OTHERS[name](recording)
+    value = getattr(recording, name)
+    return value is not None and len(value)
 
 
 class Entry(NamedTuple):
@@ -139,8 +143,11 @@ class RecordingFormat(abc.ABC):
 
     def losses(self, recordings: Sequence[Recording]) -> Names:
         """Name what of these recordings the format cannot hold."""
-        lacks = (LOSSES[name] for name in self.lacks)
-        return tuple(words for words, is_lost in lacks if any(map(is_lost, recordings)))
+        return tuple(
+            LOSSES[name]
+            for name in self.lacks
+            if any(has(each, name) for each in recordings)
+        )
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write recordings to one file; an earlier file stays as it was if this fails.
@@ -290,11 +297,7 @@ def build_recording(
 
 def known_columns(*recordings: Recording) -> list[str]:
     """Return those of `COLUMNS` that one of the recordings has."""
-    return [
-        name
-        for name in COLUMNS
-        if any(getattr(recording, name) is not None for recording in recordings)
-    ]
+    return [name for name in COLUMNS if any(has(each, name) for each in recordings)]
 
 
 def column(recording: Recording, name: str) -> Array:
