@@ -29,7 +29,7 @@ from handmap_qp import HandMapper, load_hand, read_recording
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.recording import mirrored, recording_samples
+from handmap_qp.human.recording import mirrored, sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.presets import preset_choice
@@ -174,7 +174,7 @@ class Stage:
             recording = mirrored(recording)
         person = measure_person(recording)
         self.name = recording.name
-        self.samples = recording_samples(recording)
+        self.samples = [*sample_columns(recording)]
         self.period = float(np.median(np.diff(recording.time)))
         self._human = scaled_human(recording, lengths=person.lengths)
         self._robot = robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from injection import inject, parse_faults
 
-from handmap_qp.human.recording import Recording, recording_samples
+from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.trackers.formats import read_recording
 
 DEMO = read_recording("demo", "right")
@@ -13,9 +13,7 @@ DEMO = read_recording("demo", "right")
 
 def faulty(text: str) -> Recording:
     """Return two seconds of `DEMO` with faults, as `parse_faults` reads them."""
-    samples = list(
-        inject(recording_samples(DEMO.part(slice(0, 120))), parse_faults(text))
-    )
+    samples = list(inject(sample_columns(DEMO.part(slice(0, 120))), parse_faults(text)))
     return Recording(
         name="faulty",
         time=np.array([sample.time for sample in samples]),

@@ -7,6 +7,7 @@ little MCP, PIP, DIP, tip. `handmap_qp.trackers.formats` has the files that reco
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -120,6 +121,10 @@ class Recording:
         }
         return replace(self, **columns)
 
+    def __iter__(self) -> Iterator[HumanSample]:
+        """Yield the samples of what `sample_columns` returns."""
+        return map(self.sample, range(len(self)))
+
     def sample(self, i: int) -> HumanSample:
         """Return a sample of what `sample_columns` returns."""
         seen = bool(self.valid[i])
@@ -231,14 +236,6 @@ def sample_columns(recording: Recording, wrist_poses: Array | None = None) -> Re
     shares = 1.0 if shares is None else shares
     confidence = np.where(valid | (shares == 1.0), shares, 0.0)
     return replace(recording, wrist=wrist_poses, confidence=confidence)
-
-
-def recording_samples(
-    recording: Recording, wrist_poses: Array | None = None
-) -> list[HumanSample]:
-    """Return the samples of a recording; arguments as of `sample_columns`."""
-    columns = sample_columns(recording, wrist_poses)
-    return [columns.sample(i) for i in range(len(recording))]
 
 
 def as_flags(valid: Any, count: int) -> Array:

@@ -31,7 +31,7 @@ from handmap_qp.human import (
     Verdict,
     landmarks_at_rest,
     palm_sizes,
-    recording_samples,
+    sample_columns,
 )
 from handmap_qp.ik import Compiled, in_core
 from handmap_qp.se3 import Array, lengths, nearest_rotation
@@ -437,7 +437,7 @@ class StreamGuard(Compiled):
     @in_core
     def holds(self, recording: Recording) -> Array:
         """Tell which samples of a recording the robot may not follow, wrists apart, shape (T,)."""
-        samples = recording_samples(recording)
+        samples = sample_columns(recording)
         return np.array([self.check(sample).is_held for sample in samples])
 
     def _input_fault(

@@ -29,7 +29,7 @@ from handmap_qp.hands import (
     moved_by,
     read_collision_shapes,
 )
-from handmap_qp.human import TIPS, HumanSample, Recording, recording_samples
+from handmap_qp.human import TIPS, HumanSample, Recording, sample_columns
 from handmap_qp.ik import AttachedPoints, TaskRows
 from handmap_qp.mapping import (
     HandMapper,
@@ -325,12 +325,12 @@ def follow_recording(
     Args:
         follower: Follows the samples.
         recording: The recording.
-        wrists: Poses of the wrist, as of `recording_samples`.
+        wrists: Poses of the wrist, as of `sample_columns`.
 
     Raises:
         InvalidInputError: As `Follower.map_sample`, or if the shape is none.
     """
-    samples = recording_samples(recording, wrists)
+    samples = sample_columns(recording, wrists)
     if not (recording.object_shape and can_touch(follower.mapper)):
         yield from map(follower.map_sample, samples)
         return

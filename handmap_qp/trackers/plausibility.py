@@ -24,7 +24,7 @@ from handmap_qp.human import (
     Finding,
     Recording,
     check_side,
-    recording_samples,
+    sample_columns,
 )
 from handmap_qp.ik import Compiled, in_core
 from handmap_qp.se3 import Array, lengths
@@ -162,7 +162,7 @@ class InputCheck(Compiled):
     @in_core
     def examine(self, recording: Recording) -> Finding | None:
         """Take a whole recording; see `examine_recording`."""
-        samples = recording_samples(recording, recording.wrist)
+        samples = sample_columns(recording, recording.wrist)
         seen = [sample for sample in samples if sample.valid]
         found = 0
         for sample in seen:

@@ -13,7 +13,7 @@ from live_cases import moving_hand
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.live.source import Recorder, Replay, run
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import recording_samples
+from handmap_qp.human.recording import sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.trackers.formats import read_recording
 
@@ -34,7 +34,7 @@ class Listed:
             raise self._end
 
 
-SAMPLES = recording_samples(moving_hand())
+SAMPLES = [*sample_columns(moving_hand())]
 
 
 @pytest.mark.parametrize("name", ["copy.npz", "copy.csv"])
@@ -97,7 +97,7 @@ def test_a_hand_never_seen_is_no_recording(tmp_path: Path) -> None:
 
 
 def test_the_other_hand_is_refused(tmp_path: Path) -> None:
-    left = recording_samples(moving_hand(side="left"))
+    left = [*sample_columns(moving_hand(side="left"))]
     with pytest.raises(InvalidInputError, match="right hand"):
         run(Listed([*SAMPLES[:5], *left]), [Recorder(tmp_path / "both.npz")])
 

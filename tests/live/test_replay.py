@@ -16,7 +16,7 @@ from live_cases import moving_hand
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.live import source
 from handmap_qp.apps.live.source import Replay
-from handmap_qp.human.recording import recording_samples
+from handmap_qp.human.recording import sample_columns
 
 
 class Clock:
@@ -138,9 +138,9 @@ def test_samples_of_a_recording_have_its_confidence_and_no_wrist_of_foreign_axes
     plain = moving_hand()
     shares = np.linspace(0.2, 1.0, len(plain))
     wrist = np.tile(np.eye(4), (len(plain), 1, 1))
-    samples = recording_samples(
-        dataclasses.replace(plain, confidence=shares, wrist=wrist)
-    )
+    samples = [
+        *sample_columns(dataclasses.replace(plain, confidence=shares, wrist=wrist))
+    ]
     assert all(sample.wrist is None for sample in samples)
     expected = np.where(plain.valid, shares, 0.0)
     np.testing.assert_array_equal([sample.confidence for sample in samples], expected)

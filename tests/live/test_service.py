@@ -28,7 +28,7 @@ from handmap_qp.apps.live.service import ServiceSink, ServiceSource
 from handmap_qp.apps.live.source import Recorder, Replay, run
 from handmap_qp.apps.service.server import Server
 from handmap_qp.human.person import Person
-from handmap_qp.human.recording import recording_samples
+from handmap_qp.human.recording import sample_columns
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import read_recording
 
@@ -204,7 +204,7 @@ def test_the_status_says_that_the_service_is_silent(
         address_of(server), "three_finger", "right", person=person
     ) as sink:
         assert "waiting" in sink.status()
-        samples = iter(recording_samples(moving_hand()))
+        samples = iter(sample_columns(moving_hand()))
 
         def send() -> bool:
             sink.put(next(samples))

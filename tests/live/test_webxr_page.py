@@ -20,7 +20,7 @@ from handmap_qp.apps.live.service import ServiceSource
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.session import Session
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
-from handmap_qp.human.recording import recording_samples
+from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.core import core
 from handmap_qp.trackers.layouts.points import PointLayout
 from handmap_qp.trackers.layouts.tables import load_layout
@@ -51,7 +51,7 @@ def browser() -> Iterator[Browser]:
 
 def webxr_joints(side: str) -> np.ndarray:
     """Return the 25 joints of a moving hand for each sample [m], shape (T, 25, 3)."""
-    samples = [each for each in recording_samples(moving_hand(40, side)) if each.valid]
+    samples = [each for each in sample_columns(moving_hand(40, side)) if each.valid]
     return np.round([LAYOUT.write(each)[:, :3] for each in samples], 5)
 
 

@@ -27,10 +27,10 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.human.recording import recording_samples
+from handmap_qp.human.recording import sample_columns
 from handmap_qp.stream.follower import Follower, RejoinKind
 
-SAMPLES = tuple(recording_samples(read_recording("demo", "right")))[60:115]
+SAMPLES = tuple(sample_columns(read_recording("demo", "right")))[60:115]
 FIRST, REST = SAMPLES[:30], SAMPLES[30:]
 HUMAN = load_hand("human", points="landmarks")
 ROBOT = load_hand("three_finger")

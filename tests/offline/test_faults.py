@@ -13,7 +13,7 @@ from handmap_qp import Hand, HandMapper, InvalidInputError, load_hand, read_reco
 from handmap_qp.apps.offline.summary import count_rules, find_holds
 from handmap_qp.apps.offline.trajectory import Trajectory, trajectory_of
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.recording import recording_samples
+from handmap_qp.human.recording import sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.stream.follower import PALM_SPEED, TURN_SPEED, Follower
@@ -29,7 +29,7 @@ class Stage:
     def __init__(self, file: Path) -> None:
         recording = read_recording(file)
         person = measure_person(recording)
-        self.samples = recording_samples(recording)
+        self.samples = [*sample_columns(recording)]
         self.period = float(np.median(np.diff(recording.time)))
         self.robot: Hand = load_hand("allegro_right")
         self._human = scaled_human(recording, lengths=person.lengths)

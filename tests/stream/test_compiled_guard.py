@@ -18,7 +18,7 @@ from pinocchio import exp3
 from handmap_qp import load_hand, read_recording
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.recording import Recording, recording_samples
+from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.ik import core as core_module
 from handmap_qp.stream.guard import StreamGuard
@@ -131,8 +131,8 @@ def recording(request: pytest.FixtureRequest, recordings: Path) -> Recording:
 
 def test_recordings_and_faults_in_them_have_one_verdict(recording: Recording) -> None:
     human = scaled_human(recording, points="landmarks")
-    plain = recording_samples(recording)
-    with_wrist = recording_samples(recording, recording.wrist)
+    plain = [*sample_columns(recording)]
+    with_wrist = [*sample_columns(recording, recording.wrist)]
     expect_same_stream(human, plain)
     expect_same_stream(human, with_wrist)
     rules = set()
@@ -151,13 +151,13 @@ def test_noise_has_one_verdict(recording: Recording, size: float) -> None:
     valid = recording.valid & (random.random(len(recording)) > 0.2)
     noisy = replace(recording, landmarks=landmarks, valid=valid)
     human = scaled_human(recording, points="landmarks")
-    rules = expect_same_stream(human, recording_samples(noisy))
+    rules = expect_same_stream(human, [*sample_columns(noisy)])
     assert size > 0.01 or rules <= {"", "missing", "settling"}
 
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistakes_are_named_in_the_same_words(name: str) -> None:
-    samples = recording_samples(DEMO.part(slice(0, 260)))
+    samples = [*sample_columns(DEMO.part(slice(0, 260)))]
     tracked = []
     for i, sample in enumerate(samples):
         wrist = np.eye(4)
@@ -172,7 +172,7 @@ def test_mistakes_are_named_in_the_same_words(name: str) -> None:
 
 
 def test_clocks_that_run_at_another_rate_have_one_verdict() -> None:
-    samples = recording_samples(DEMO.part(slice(0, 260)))
+    samples = [*sample_columns(DEMO.part(slice(0, 260)))]
     start = samples[0].time
     for rate in (0.5, 1.0, 3.0):
         arrivals: list[float | None] = [
@@ -187,7 +187,7 @@ def test_findings_of_a_long_stream_keep_their_words() -> None:
     # A size that changes is another finding in every batch: more than the core keeps.
     samples, start = [], 0.0
     for _ in range(5):
-        taken = recording_samples(DEMO)
+        taken = [*sample_columns(DEMO)]
         for sample in taken:
             time = start + sample.time - taken[0].time
             size = 0.65 - 1e-5 * len(samples) if time > 1.0 else 1.0
@@ -201,7 +201,7 @@ def test_findings_of_a_long_stream_keep_their_words() -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_hostile_streams_have_one_verdict(seed: int) -> None:
     random = np.random.default_rng(seed)
-    taken = recording_samples(DEMO)
+    taken = [*sample_columns(DEMO)]
     time, i, scale = 0.0, 0, 1.0
     world = np.eye(3)
     samples = []
@@ -246,7 +246,7 @@ def test_hostile_streams_have_one_verdict(seed: int) -> None:
     "way", [copy.deepcopy, lambda g: pickle.loads(pickle.dumps(g))]
 )
 def test_a_copy_goes_on_with_what_was_seen(way: Callable[[Any], Any]) -> None:
-    taken = recording_samples(DEMO.part(slice(0, 300)))
+    taken = [*sample_columns(DEMO.part(slice(0, 300)))]
     samples = list(inject(taken, parse_faults("mirror@1+2")))
     guard, check = StreamGuard(HUMAN), InputCheck("right")
     copied_guard, copied_check = way(guard), way(check)
@@ -263,7 +263,7 @@ def test_a_copy_goes_on_with_what_was_seen(way: Callable[[Any], Any]) -> None:
 
 
 def test_a_sample_is_forgotten_but_not_what_the_input_was() -> None:
-    samples = recording_samples(DEMO.part(slice(0, 80)))
+    samples = [*sample_columns(DEMO.part(slice(0, 80)))]
     fast, slow = StreamGuard(HUMAN), ReferenceGuard(HUMAN)
     for k, sample in enumerate(samples):
         expect_same(fast.check(sample), slow.check(sample))
@@ -285,7 +285,7 @@ def test_recordings_are_judged_at_once_as_sample_by_sample(
     )
     for taken in (recording, gaps, replace(gaps, landmarks=0.6 * gaps.landmarks)):
         slow = ReferenceGuard(human)
-        expected = [slow.check(sample) for sample in recording_samples(taken)]
+        expected = [slow.check(sample) for sample in sample_columns(taken)]
         np.testing.assert_array_equal(
             StreamGuard(human).holds(taken), [each.is_held for each in expected]
         )
@@ -332,4 +332,4 @@ def test_ordinary_batches_need_no_python(
     guard = StreamGuard(scaled_human(recording, points="landmarks"))
     guard.holds(recording)
     InputCheck(recording.side).examine(recording)
-    assert math.isfinite(guard.check(recording_samples(recording)[-1]).dt)
+    assert math.isfinite(guard.check([*sample_columns(recording)][-1]).dt)

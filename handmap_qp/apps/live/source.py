@@ -15,7 +15,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Names, Side, Values
-from handmap_qp.human import HumanSample, Recording, recording_samples
+from handmap_qp.human import HumanSample, Recording, sample_columns
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers import write_recordings
 
@@ -135,7 +135,7 @@ class Replay:
         start = time.monotonic()
         duration = np.ptp(recording.time) + np.median(recording.steps)
         while True:
-            for sample in recording_samples(recording):
+            for sample in sample_columns(recording):
                 due = start + (sample.time + offset) / self._speed
                 if (wait := due - time.monotonic()) > 0.0:
                     time.sleep(wait)

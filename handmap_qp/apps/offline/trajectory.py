@@ -19,7 +19,6 @@ from handmap_qp.human import (
     Person,
     Recording,
     Rule,
-    recording_samples,
     sample_columns,
     scaled_human,
 )
@@ -177,8 +176,8 @@ def map_recording(
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
     follower = Follower(mapper)
+    samples = sample_columns(recording, wrist_poses)
     if not is_guarded:
-        samples = recording_samples(recording, wrist_poses)
         steps = (
             follower.map(mapper.landmarks.read(sample.landmarks, sample.wrist)[0], dt)
             if sample.valid
@@ -188,7 +187,7 @@ def map_recording(
     elif recording.object_shape:
         steps = follow_recording(follower, recording, wrist_poses)
     else:
-        table = follower.map_samples(sample_columns(recording, wrist_poses), progress)
+        table = follower.map_samples(samples, progress)
         return _trajectory(mapper.robot, recording.time, table)
     return trajectory_of(mapper.robot, recording.time, steps, progress)
 
