@@ -123,7 +123,9 @@ def measure_time(file: Path, count: int | None) -> dict[str, Any]:
     times = common.cpu_times(
         lambda i: fits.append(fitter.fit(recording.landmarks[seen[i]])), len(seen)
     )
-    errors = np.array([fit[2] for fit in fits])
+    measured = recording.landmarks[seen]
+    fitted = np.array([fitter.human.points(*fit) for fit in fits])
+    errors = np.linalg.norm(fitted - measured, axis=2)
     for i in range(0, len(seen), 10):
         excess.append(optimum_of(fitter, fits[i][0], recording.landmarks[seen[i]]))
     ratio = times / one

@@ -84,8 +84,7 @@ def thinned(motion: HumanMotion, every: int) -> HumanMotion:
     if every == 1:
         return motion
     kept = {
-        name: getattr(motion, name)[::every]
-        for name in ("time", "q", "wrist", "valid", "fit_error")
+        name: getattr(motion, name)[::every] for name in ("time", "q", "wrist", "valid")
     }
     steps = np.diff(kept["time"])
     first = np.median(steps) if len(steps) else motion.dt[0] * every

@@ -30,7 +30,6 @@ def synergy_motion(samples: int) -> HumanMotion:
             for t in time
         ]
     )
-    error = np.zeros((samples, len(human.reference_points)))
     return HumanMotion(
         human,
         time,
@@ -38,7 +37,6 @@ def synergy_motion(samples: int) -> HumanMotion:
         q,
         wrist,
         np.ones(samples, dtype=bool),
-        error,
     )
 
 

@@ -29,6 +29,4 @@ def waving(count: int = 40) -> HumanMotion:
         ]
     )
     dt = np.full(count, time[1])
-    return HumanMotion(
-        HUMAN, time, dt, q, wrist, np.ones(count, dtype=bool), np.zeros((count, 21))
-    )
+    return HumanMotion(HUMAN, time, dt, q, wrist, np.ones(count, dtype=bool))

@@ -54,7 +54,6 @@ def closing_motion(points: str | None = None) -> HumanMotion:
         q,
         wrist,
         valid,
-        np.zeros((COUNT, 21)),
     )
 
 

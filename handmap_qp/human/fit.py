@@ -22,7 +22,6 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
-from handmap_qp.se3 import lengths as norms
 from .measure import measure_hand
 from .recording import HumanMotion, Recording
 from .sample import LANDMARK_COUNT, PALM, PalmShape, human_name
@@ -72,15 +71,14 @@ class LandmarkFitter:
         self._lower, self._upper, self._rest = (q.reshape(_SHAPE) for q in limits)
         self._q: Array | None = None
 
-    def fit(self, landmarks: Array) -> tuple[Array, Array, Array]:
+    def fit(self, landmarks: Array) -> tuple[Array, Array]:
         """Fit one sample, starting from the one before.
 
         Args:
             landmarks: Measured landmarks [m], shape (21, 3), finite.
 
         Returns:
-            Joint angles [rad], shape (20,); wrist pose, shape (4, 4); distance of every landmark
-            [m], shape (21,).
+            Joint angles [rad], shape (20,); wrist pose, shape (4, 4).
 
         Raises:
             InvalidInputError: On a wrong shape, anything but finite numbers, or a palm less than
@@ -94,8 +92,7 @@ class LandmarkFitter:
         local = transform_points(inverse_pose(wrist), landmarks)
         postures, costs = map(np.array, zip(*self._fits(local), strict=True))
         self._q = postures[costs.argmin(axis=0), _EACH]
-        q = self._q.flatten()
-        return q, wrist, norms(self.human.points(q) - local)
+        return self._q.flatten(), wrist
 
     def _fits(self, local: Array) -> list[_Fit]:
         """Fit a first sample from several postures, any other from the one before.
@@ -157,8 +154,5 @@ def fit_recording(
     fits = zip(*map(fitter.fit, recording.landmarks[valid]), strict=True)
     # The samples before the first fit take it too.
     last = np.maximum(np.cumsum(valid) - 1, 0)
-    q, wrist, error = (np.array(column)[last] for column in fits)
-    error[~valid] = np.nan
-    return HumanMotion(
-        fitter.human, recording.time, recording.steps, q, wrist, valid, error
-    )
+    q, wrist = (np.array(column)[last] for column in fits)
+    return HumanMotion(fitter.human, recording.time, recording.steps, q, wrist, valid)

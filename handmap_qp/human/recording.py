@@ -155,8 +155,6 @@ class HumanMotion:
         wrist: Wrist poses in the tracker's world, shape (T, 4, 4).
         valid: Samples that were fitted, shape (T,). The others hold the last fitted posture; those
             before the first fitted one hold that one.
-        fit_error: Distance between the model's landmarks and the measured ones [m], shape (T, 21);
-            NaN where not valid.
     """
 
     human: Hand
@@ -165,7 +163,6 @@ class HumanMotion:
     q: Array
     wrist: Array
     valid: Array
-    fit_error: Array
 
 
 def axis_direction(axis: str) -> Array:

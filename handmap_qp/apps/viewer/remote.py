@@ -310,7 +310,7 @@ class ServiceSession:
         shown = HumanView(**rows)
         if shown.landmarks is not None:
             with suppress(InvalidInputError):
-                q, wrist, *_ = self._fitters[k].fit(shown.landmarks)
+                q, wrist = self._fitters[k].fit(shown.landmarks)
                 return shown._replace(q=q, wrist=wrist)
         if given := detail["human_wrist"]:
             wrist = msgspec.convert(given, Pose).matrix

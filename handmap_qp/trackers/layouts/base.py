@@ -218,7 +218,7 @@ class Layout(
         """
         expect(sample.valid, "sample", "a valid sample", got="another")
         fitter = LandmarkFitter(sample.side)
-        q, wrist, _ = fitter.fit(sample.landmarks)
+        q, wrist = fitter.fit(sample.landmarks)
         return self.write_posture(fitter.human, q, wrist)
 
     def read(
