@@ -122,11 +122,11 @@ class Recording:
         return replace(self, **columns)
 
     def __iter__(self) -> Iterator[HumanSample]:
-        """Yield the samples of what `sample_columns` returns."""
+        """Yield the samples, as of `sample`."""
         return map(self.sample, range(len(self)))
 
     def sample(self, i: int) -> HumanSample:
-        """Return a sample of what `sample_columns` returns."""
+        """Return a sample; the axes of its wrist are ours in what `sample_columns` returns."""
         seen = bool(self.valid[i])
         wrist = self.wrist[i] if self.wrist is not None and seen else None
         share = 1.0 if self.confidence is None else float(self.confidence[i])

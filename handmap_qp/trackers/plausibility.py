@@ -24,7 +24,6 @@ from handmap_qp.human import (
     Finding,
     Recording,
     check_side,
-    sample_columns,
 )
 from handmap_qp.ik import Compiled, in_core
 from handmap_qp.se3 import Array, lengths
@@ -162,8 +161,7 @@ class InputCheck(Compiled):
     @in_core
     def examine(self, recording: Recording) -> Finding | None:
         """Take a whole recording; see `examine_recording`."""
-        samples = sample_columns(recording, recording.wrist)
-        seen = [sample for sample in samples if sample.valid]
+        seen = [*recording.part(recording.valid)]
         found = 0
         for sample in seen:
             finding = self.update(sample.time, sample.landmarks, sample.wrist)
