@@ -24,7 +24,7 @@ from handmap_qp.hands import (
     find_pads,
     partner_names,
 )
-from handmap_qp.human import LANDMARK_NAMES, landmarks_at_rest
+from handmap_qp.human import LANDMARK_NAMES, finger_chains, landmarks_at_rest
 from handmap_qp.ik import AttachedPoints, IkOptions, PointDistances, PointIk
 from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.se3 import Array, frozen, lengths, transform_points, unit
@@ -403,7 +403,7 @@ def resting_posture(human: Hand) -> Array:
 
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> Array:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
-    joints = landmarks_at_rest(human)[1:].reshape(len(FINGERS), 4, 3)
+    joints = finger_chains(landmarks_at_rest(human))
     reaches = lengths(np.diff(joints, axis=1)).sum(axis=1)
     return reaches[[FINGERS.index(finger) for finger in fingers]]
 
