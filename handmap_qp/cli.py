@@ -181,7 +181,10 @@ def in_words_of_the_command_line(
 
 
 def _missing_library(error: ImportError) -> str:
-    """Say which system library a compiled package did not find; empty for other errors."""
+    """Say which system library a compiled package did not find, or what a package asks for.
+
+    Empty where a module is missing, which its error names.
+    """
     # The dynamic linker gives its name in the message only.
     library, found, _ = str(error).partition(": cannot open shared object file")
     advice = "".join(
@@ -189,7 +192,9 @@ def _missing_library(error: ImportError) -> str:
         for name, package in _SYSTEM_PACKAGES.items()
         if library.startswith(name)
     )
-    return f"the system library {library} is missing{advice}" if found else ""
+    if found:
+        return f"the system library {library} is missing{advice}"
+    return "" if error.name else library
 
 
 def parse(arguments: Sequence[str]) -> Command:

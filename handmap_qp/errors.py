@@ -227,9 +227,10 @@ class RefusedError(HandmapError):
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """Return `did you mean X?` for the name that is nearest to a mistyped one; else nothing."""
-    nearest = difflib.get_close_matches(name, sorted(names), n=1)
-    return f"did you mean {nearest[0]}?" if nearest else ""
+    """Return `did you mean X?` for the name nearest to a mistyped one in any case; else nothing."""
+    cased = {each.lower(): each for each in names}
+    nearest = difflib.get_close_matches(name.lower(), cased, n=1)
+    return f"did you mean {cased[nearest[0]]}?" if nearest else ""
 
 
 def reason_of(error: Exception) -> str:

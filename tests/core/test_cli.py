@@ -335,6 +335,7 @@ def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
         (["hands", "three_finger"], "handmap hands show three_finger"),
         (["robots", "g1"], "handmap robots show g1"),
         (["hands", "show", "alegro_right"], "did you mean allegro_right?"),
+        (["hands", "show", "LEAP_right"], "did you mean leap_right?"),
         (
             ["map", "x.npz", "--preset", "teleop"],
             "got 'teleop': did you mean teleoperation?",
@@ -448,6 +449,25 @@ def test_the_doctor_says_how_to_install_an_extra(
         doctor.extras()["view"] == "viser not installed: pip install 'handmap-qp[view]'"
     )
     assert doctor.extras()["plot"] == "installed"
+
+
+def test_a_package_that_asks_for_another_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def asks(module: str) -> None:
+        raise ImportError("shtab is required: pip install shtab")
+
+    monkeypatch.setattr(importlib, "import_module", asks)
+    assert cli.main(["doctor"]) == 2
+    assert capsys.readouterr().err == "handmap: shtab is required: pip install shtab\n"
+
+    # A module that is not there is a fault of the installation: all of it is shown.
+    def lacks(module: str) -> None:
+        raise ModuleNotFoundError("No module named 'gone'", name="gone")
+
+    monkeypatch.setattr(importlib, "import_module", lacks)
+    with pytest.raises(ModuleNotFoundError):
+        cli.main(["doctor"])
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,12 @@ def test_replay_leads_the_service(
         table = capsys.readouterr().out
         assert "three_finger" in table
         assert "calibrating: " in table
+        # Of a file with both hands, the robot's is played.
+        copy = tmp_path / "copy.npz"
+        command = ["track", "replay", "demo", "--speed", "50", "--record", str(copy)]
+        assert cli.main([*command, *target[:3], "g1_left"]) == 0
+        assert read_recording(copy).side == "left"
+        capsys.readouterr()
         command = ["track", "replay", str(millimetres), "--speed", "5"]
         assert cli.main([*command, *target]) == 2
         refused = capsys.readouterr()

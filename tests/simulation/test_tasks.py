@@ -17,7 +17,7 @@ from simulation_cases import CUBE
 
 from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
 from handmap_qp.apps.offline.trajectory import RobotMotion
-from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch
+from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch, read_pick
 from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import (
@@ -32,7 +32,7 @@ from handmap_qp.apps.simulation.pinch import (
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
-from handmap_qp.hands.spec import PadSpec
+from handmap_qp.hands.spec import PadSpec, Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.objects import (
     Box,
@@ -320,6 +320,16 @@ def test_a_robot_with_both_hands_holds_the_object_in_the_one_that_pinches(
     assert page.stat().st_size > 1e6
     assert cli.main(["simulate", *files, "--robot", "allegro_right"]) == 2
     assert "expected one recording of a hand" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_of_a_file_with_both_hands_that_of_the_robot_is_read(
+    side: Side, tmp_path: Path
+) -> None:
+    both = tmp_path / "both.npz"
+    write_recordings([made_pick("left"), made_pick("right")], both)
+    take, _ = read_pick(load_hand(f"g1_{side}"), [both])
+    assert take.recording.side == side
 
 
 def load_landmarks() -> np.ndarray:

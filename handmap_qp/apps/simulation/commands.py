@@ -98,7 +98,7 @@ def read_pick(robot: Hand, files: Sequence[Path]) -> tuple[Take, PinchWindow]:
         HandmapError: If it cannot be read, or shows no pick.
     """
     expect(len(files) == 1, "RECORDING", "one recording of a hand", value=len(files))
-    recording = read_recording(files[0])
+    recording = read_recording(files[0], robot.side)
     return prepare_take(recording, robot.side), find_pinch(recording)
 
 
