@@ -38,6 +38,8 @@ ROBOTS = (
     "leap_hand_right",
     "schunk_svh_hand_right",
     "shadow_hand_right",
+    "ability_hand_right",
+    "inspire_hand_right",
 )
 """Robots that the peers are run with, by the names of their configuration files."""
 _OWN_NAMES = {
