@@ -557,7 +557,9 @@ def test_run_is_repeatable(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", ["leap_hand_right", "schunk_svh_hand_right"])
+@pytest.mark.parametrize(
+    "robot", ["leap_hand_right", "schunk_svh_hand_right", "inspire_hand_right"]
+)
 @pytest.mark.parametrize(
     "name", ["dex-vector", "dexi-dexpilot", "dex-position", "dexi-position"]
 )
