@@ -18,9 +18,35 @@ _OFFLINE = (
     "cause: Failed to fetch",
     "the network was disabled",
 )
+# Whatever robot learning uses beside a hand, not older than these.
+COMPANY = (
+    "dex-retargeting>=0.5",
+    "gymnasium-robotics>=1.4",
+    "isaacteleop>=1.5",
+    "mani-skill>=3.0.1",
+    "mink>=1.3",
+)
 # lerobot 0.5 and later require numpy < 2.3, isaaclab 3.0 pins daqp 0.8.5. Both are for Python 3.12.
 NEIGHBOURS = {
-    "newest": ("lerobot>=0.6", "isaaclab>=3"),
+    "newest": (
+        *COMPANY,
+        "jax>=0.12",
+        "mujoco>=4",
+        "pin-pink>=4.4",
+        "rerun-sdk>=0.41",
+        "torch>=2.15",
+    ),
+    # isaaclab 3.0 pins pin-pink 3.3.0, and its torch and MuJoCo are older ones.
+    "all at once": (
+        *COMPANY,
+        "lerobot>=0.6",
+        "isaaclab>=3",
+        "jax",
+        "mujoco",
+        "pin-pink",
+        "rerun-sdk",
+        "torch",
+    ),
     # By the metadata of isaaclab 3.0.0 on PyPI, should a later one have others.
     "pins": (
         "numpy>=2,<2.3",
@@ -69,6 +95,7 @@ def test_it_can_be_installed_beside_its_neighbours(name: str, tmp_path: Path) ->
 
 
 def test_versions_that_exclude_each_other_are_noticed(tmp_path: Path) -> None:
+    # isaacsim 5.1 and ROS Jazzy bring numpy 1.26: there, only the client can be installed.
     done = resolved(tmp_path, ("numpy<2",))
     assert done.returncode == 1
     assert "numpy" in done.stderr
