@@ -33,7 +33,7 @@ unexport PYTHONPATH
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test pure fast lint docs wheel lowest bench peers lock clean
+.PHONY: help demo test pure fast lint docs wheel lowest paths bench peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -80,6 +80,11 @@ lowest: ## Run all tests with the lowest versions that pyproject.toml allows; ne
 	uv venv --quiet --clear --seed --python "$$python" $(LOWEST) && \
 	uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[all]' --group dev && \
 	$(LOWEST)/bin/python -m pytest $(PARALLEL) $(ARGS)
+
+paths: $(INSTALLED) ## Go the ways of new users in fresh environments (tests/paths), with times and sizes
+	@for name in leap_quest hours_of_landmarks svh_ur5_ros2 neighbours; do \
+	    PYTHONPATH=tests $(BIN)/python -m paths.$$name || exit 1; \
+	done
 
 bench: $(INSTALLED) ## Run every benchmark, one after the other
 	@for script in benchmarks/bench_*.py; do \
