@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -42,9 +42,22 @@ Robots = Mapping[str, Hand]
 """Robot hands by side, or a robot with two hands by `BOTH`."""
 
 
-Episode = tuple[str, str, Arrays]
-"""Keys of its recordings; what is done, in words; and its columns by the names of LeRobot: states
-of all hands side by side, (N, n), actions, likewise, and whether each hand was seen, (N, hands)."""
+class Episode(NamedTuple):
+    """An episode of the data set.
+
+    Attributes:
+        sources: Keys of its recordings.
+        task: What is done, in words.
+        state: States of all hands side by side, shape (N, n).
+        action: The state of the next frame, shape (N, n).
+        valid: Whether each hand was seen, shape (N, number of hands).
+    """
+
+    sources: str
+    task: str
+    state: Array
+    action: Array
+    valid: Array
 
 
 def assemble(
@@ -104,7 +117,8 @@ def _write_lerobot(
         argument="--out",
         overwrite=True,
     ) as writer:
-        for sources, task, columns in episodes:
+        for sources, task, *arrays in episodes:
+            columns = dict(zip(features, arrays, strict=True))
             writer.add(columns, task, {"source": sources})
     return root
 
@@ -119,20 +133,21 @@ def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Robots) -> 
     with created(path, "--out") as file:
         data = file.create_group("data")
         data.attrs["env_args"] = json.dumps(env)
-        for i, (sources, task, own) in enumerate(episodes):
-            state, action, valid = own.values()
-            check_room(file, 5 * state.nbytes)
+        for i, episode in enumerate(episodes):
+            check_room(file, 5 * episode.state.nbytes)
             demo = data.create_group(f"demo_{i}")
-            count = len(state)
-            demo.attrs.update(num_samples=count, source=sources, task=task)
+            count = len(episode.state)
+            demo.attrs.update(
+                num_samples=count, source=episode.sources, task=episode.task
+            )
             columns = {
-                "actions": action,
-                "states": state,
+                "actions": episode.action,
+                "states": episode.state,
                 "rewards": np.zeros(count),
                 "dones": (np.arange(count) == count - 1).astype(np.int64),
-                "obs/state": state,
-                "obs/valid": valid,
-                "next_obs/state": action,
+                "obs/state": episode.state,
+                "obs/valid": episode.valid,
+                "next_obs/state": episode.action,
             }
             for name, column in columns.items():
                 demo[name] = column
@@ -181,13 +196,13 @@ def _episode(
         valid.append(seen)
     whole = np.hstack(states)
     folder = Path(line.place[0]).parent.name
-    columns = {
-        "observation.state": whole,
-        "action": np.concatenate([whole[1:], whole[-1:]]),
-        "observation.valid": np.hstack(valid),
-    }
-    sources = ", ".join(line.key for line, _ in pairs)
-    return sources, folder.replace("_", " ") or "human hand motion", columns
+    return Episode(
+        sources=", ".join(line.key for line, _ in pairs),
+        task=folder.replace("_", " ") or "human hand motion",
+        state=whole,
+        action=np.concatenate([whole[1:], whole[-1:]]),
+        valid=np.hstack(valid),
+    )
 
 
 def _resampled(columns: Arrays, instants: Array) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands import Names, Values
+from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.mapping import PRESETS, Choice
 from handmap_qp.options import Option, Options, options_of
 from handmap_qp.se3 import Array
@@ -372,7 +372,10 @@ class Window:
     one browser (`BrowserCameras`). The tabs are on the right.
 
     Args:
-        shown: What has the hands, the file of options and the page: a `Replay` or `LiveViewer`.
+        human: The human hand.
+        variants: The robots.
+        options_text: Returns the text of the file of options.
+        page: Returns the page; may raise `HandmapError`.
 
     Attributes:
         scene: The hands.
@@ -384,9 +387,15 @@ class Window:
 
     latest: float | None = None
 
-    def __init__(self, server: ViserServer, shown: Any) -> None:
-        variants = shown.variants
-        self.scene = HandScene(server, shown.human, variants)
+    def __init__(
+        self,
+        server: ViserServer,
+        human: Hand,
+        variants: Sequence[Variant],
+        options_text: Callable[[], str],
+        page: Callable[[], bytes],
+    ) -> None:
+        self.scene = HandScene(server, human, variants)
         gui = server.gui
         gui.set_panel_label("handmap view: gauges")
         gui.main_panel.dock_left()
@@ -396,16 +405,16 @@ class Window:
         self.control, show, save = map(panel.add_tab, ("Control", "Show", "Save"))
         panel.dock_right()
         panel.set_width(_PANEL_WIDTH)
-        self.gauges = Gauges(server, variants[0].robot, shown.human)
+        self.gauges = Gauges(server, variants[0].robot, human)
         with show:
             self.display = add_controls(gui, "display")
         with save:
             add_controls(gui, "saving", self.send)
             self._saving = gui.add_markdown("", visible=False)
         self._files = {
-            "options.yaml": lambda _: shown.options_text().encode(),
+            "options.yaml": lambda _: options_text().encode(),
             "handmap.png": _picture,
-            "handmap.html": lambda _: shown.page(),
+            "handmap.html": lambda _: page(),
         }
         self._drawn = ()
         self._gauged = ()

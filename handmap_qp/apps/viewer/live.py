@@ -72,8 +72,13 @@ class LiveViewer(Window):
                 advice="check that a client sends samples to this session",
             )
         self._start = self._shown = source.choice
-        self.human = source.human
-        super().__init__(server, self)
+        super().__init__(
+            server,
+            source.human,
+            [self._variant()],
+            lambda: options_text(source.choice),
+            self._page,
+        )
         with self.control:
             self.status_text = server.gui.add_markdown("")
             self.stop, self.clear = add_controls(server.gui, "stopping")
@@ -85,24 +90,6 @@ class LiveViewer(Window):
             if source.is_shared:
                 presets = possible_presets(source.human, source.robot)
                 self.steering = SteeringControls(server, self._start, presets)
-
-    @property
-    def variants(self) -> list[Variant]:
-        """The robot as it is moved now, with its samples of the last 10 s."""
-        choice = self._source.choice
-        # The copy is one operation, so the thread that reads needs no lock.
-        samples = tuple(self.recent)
-        return [Variant(choice.preset, self._source.robot, choice, samples)]
-
-    def options_text(self) -> str:
-        """Return the text of a file with the options in force."""
-        return options_text(self._source.choice)
-
-    def page(self) -> bytes:
-        """Return the last 10 s as a page."""
-        (variant,) = variants = self.variants
-        title = f"{variant.robot.name}, {variant.label}"
-        return make_page(title, self.human, variants)
 
     @property
     def sample(self) -> ViewSample:
@@ -120,7 +107,7 @@ class LiveViewer(Window):
             self._reading.result()
         if self.steering:
             self._steer(self.steering)
-        (variant,) = variants = self.variants
+        variant = self._variant()
         if source.choice != self._shown:
             # Another preset or options, whichever client chose them.
             self._shown = source.choice
@@ -128,7 +115,7 @@ class LiveViewer(Window):
         self._stop_number = source.stop_number
         self.clear.visible = self._stop_number != 0 and source.is_shared
         self.scene.make_room(variant.samples[-1])
-        self.draw(variants, -1)
+        self.draw([variant], -1)
         latest = variant.samples[-_RATE_SAMPLES:]
         rate = (len(latest) - 1) / max(latest[-1].time - latest[0].time, 1e-6)
         text = f"{rate:.0f} samples per second"
@@ -165,6 +152,18 @@ class LiveViewer(Window):
             changes = in_force.changes_to(self._start)
         if changes:
             source.configure(changes)
+
+    def _variant(self) -> Variant:
+        """Return the robot as it is moved now, with its samples of the last 10 s."""
+        choice = self._source.choice
+        # The copy is one operation, so the thread that reads needs no lock.
+        return Variant(choice.preset, self._source.robot, choice, tuple(self.recent))
+
+    def _page(self) -> bytes:
+        """Return the last 10 s as a page."""
+        variant = self._variant()
+        title = f"{variant.robot.name}, {variant.label}"
+        return make_page(title, self._source.human, [variant])
 
     def _read(self) -> None:
         for sample in self._source:

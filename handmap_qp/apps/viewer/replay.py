@@ -240,7 +240,9 @@ class ReplayViewer(Window):
     def __init__(self, server: ViserServer, replay: Replay) -> None:
         self.server = server
         self.replay = replay
-        super().__init__(server, replay)
+        super().__init__(
+            server, replay.human, replay.variants, replay.options_text, replay.page
+        )
         # Options count from `_base`: the initial ones, or those of a preset chosen later.
         self._start = self._base = replay.choice
         self._changes: Values = {}
