@@ -275,6 +275,11 @@ class Hand:
         ranges = self.upper_limits - self.lower_limits
         return np.minimum(0.5 * LONGEST_STOP * self.velocity_limits, ranges)
 
+    @property
+    def extent(self) -> float:
+        """RMS distance of the reference points from their mean at rest [m]."""
+        return float(np.linalg.norm(self.points(self.rest).std(axis=0)))
+
     def at_position_limit(self, q: Array) -> Array:
         """Return which joints are within 1e-6 rad or m of a position limit, shape (n,)."""
         return (q <= self.lower_limits + 1e-6) | (q >= self.upper_limits - 1e-6)

@@ -418,7 +418,9 @@ def _find_length_unit(
     low, high = HAND_LENGTHS
     wrist = landmarks[:, 0]
     length = distances.hand_length
-    if np.abs(wrist[:, 2]).max() < 1e-4 * length < np.ptp(wrist[:, :2], axis=0).max():
+    depth = np.abs(wrist[:, 2]).max()
+    width, height = np.ptp(wrist[:, :2], axis=0)
+    if depth < 1e-4 * length < max(width, height):
         # The z of MediaPipe's image landmarks is relative to the wrist's.
         return Finding(
             "unit",

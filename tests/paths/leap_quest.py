@@ -15,7 +15,7 @@ from browser import Browser, find_chromium
 from paths.fresh import Fresh, stop
 
 from handmap_qp import read_recording
-from handmap_qp.human.recording import recording_samples
+from handmap_qp.human.recording import sample_columns
 from handmap_qp.trackers.layouts.tables import load_layout
 
 ROBOT = "leap_right"
@@ -26,9 +26,7 @@ def headset_joints() -> list[list[list[float]]]:
     """Return the 25 joints of a hand as a headset gives them [m], for each sample."""
     layout = load_layout("webxr25")
     samples = [
-        each
-        for each in recording_samples(read_recording("demo", "right"))
-        if each.valid
+        each for each in sample_columns(read_recording("demo", "right")) if each.valid
     ]
     return np.round([layout.write(each)[:, :3] for each in samples], 5).tolist()
 

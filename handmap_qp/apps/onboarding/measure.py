@@ -166,9 +166,7 @@ def check_size(hand: Hand) -> Found:
         lengths(tips.points(q) - tips.frame_pose("palm", q)[:3, 3]).max()
         for q in (tips.rest, tips.zero)
     )
-    cloud, human_cloud = (
-        1e3 * np.sqrt(one.points(one.rest).var(axis=0).sum()) for one in (tips, human)
-    )
+    cloud, human_cloud = 1e3 * tips.extent, 1e3 * human.extent
     ratio = length / HUMAN_LENGTH
     sizes = {
         "length, palm to fingertip": f"{1e3 * length:.0f} mm, {ratio:.2f} of a human hand",

@@ -305,7 +305,8 @@ def _outcome(episode: Episode, away: Array, freed: int, width: float) -> PinchOu
     free = Instant(*(column[freed:] for column in episode.at))
     kept = Instant(*(column[: 1 + lost[0]] if len(lost) else column for column in free))
     poses = inverse_pose(kept.wrist) @ kept.object_pose
-    turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
+    turns = poses[:, :3, :3]
+    turn = Rotation.from_matrix(turns[-1] @ turns[0].T).magnitude()
     return PinchOutcome(
         is_held=not len(lost)
         and free.links_touching[-1] >= 2

@@ -378,7 +378,7 @@ class HumanFigure(HandFigure):
     def __init__(self, server: ViserServer, node: str, hand: Hand) -> None:
         super().__init__(server, node, hand)
         self.shape: Shape = "ellipsoid"
-        self._size = float(np.sqrt(hand.points(hand.rest).var(axis=0).sum()))
+        self._size = hand.extent
         ball: Any = partial(
             server.scene.add_icosphere, radius=self._size, cast_shadow=False
         )
