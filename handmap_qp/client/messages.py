@@ -276,8 +276,8 @@ class Open(Request):
     resume: Literal["follow", "clutch"] = "follow"
     has_detail: bool = False
     is_shared: bool = False
-    following_error: Annotated[float, Meta(gt=0)] | None = None
-    following_time: Annotated[float, Meta(ge=0, le=10)] = 0.05
+    following_error: Annotated[float, Meta(gt=0.0)] | None = None
+    following_time: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05
     grip: Options | None = None
     object: Solid | Places | None = None
 
