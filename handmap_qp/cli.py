@@ -5,7 +5,7 @@ A user error is one line on stderr and exit code 2. Ctrl-C is exit code 130, but
 """
 
 import contextlib
-import importlib.util
+import importlib
 import inspect
 import io
 import os
@@ -16,7 +16,7 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Sequence
 from functools import reduce
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, Protocol, TextIO
@@ -42,7 +42,7 @@ class Command(Protocol):
 
 
 class _Place(NamedTuple):
-    """Module and class of a command."""
+    """Module and class of a command of the package."""
 
     module: str
     kind: str
@@ -54,10 +54,32 @@ class _Place(NamedTuple):
     @property
     def about(self) -> str:
         """The first line of the class's own explanation, from the file: an import takes longer."""
-        found: Any = importlib.util.find_spec(self.module)
-        source = Path(found.origin).read_text(encoding="utf-8")
-        _, _, text = source.partition(f"\nclass {self.kind}")
+        place = self.module.removeprefix("handmap_qp.").replace(".", "/")
+        file = Path(__file__).with_name(f"{place}.py")
+        _, _, text = file.read_text(encoding="utf-8").partition(f"\nclass {self.kind}")
         return text.split('"""')[1].partition("\n")[0]
+
+
+class _Added(NamedTuple):
+    """A command of another package, by its entry point."""
+
+    point: EntryPoint
+
+    def load(self) -> Any:
+        """Import the class; raise `HandmapError` if that is not possible."""
+        try:
+            return self.point.load()
+        except Exception as error:
+            problem = f"the command {self.point.name} of {self.point.value}"
+            raise HandmapError(f"{problem} cannot be loaded: {error}") from error
+
+    @property
+    def about(self) -> str:
+        """The first line of the class's own explanation, or why there is none."""
+        try:
+            return (inspect.getdoc(self.load()) or "").partition("\n")[0]
+        except HandmapError as error:
+            return str(error)
 
 
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
@@ -91,14 +113,16 @@ _MODULES = {
     "doctor": "doctor",
 }
 """Module below `handmap_qp.apps` of each command, in the order of the list of `handmap --help`."""
-COMMANDS = {
-    point.name: _Place(point.module, point.attr)
-    for point in entry_points(group="handmap_qp.commands")
-} | {
+COMMANDS: dict[str, Any] = {
     name: _Place(f"handmap_qp.apps.{module}", name.title().replace(" ", ""))
     for name, module in _MODULES.items()
 }
-"""All commands by name: those of other packages, by their entry points, and ours in that order."""
+COMMANDS |= {
+    point.name: _Added(point)
+    for point in entry_points(group="handmap_qp.commands")
+    if point.name not in COMMANDS
+}
+"""All commands by name: ours in that order, then those of other packages."""
 _GROUPS = {
     "hands": "List, describe, write and check descriptions of robot hands.",
     "robots": "List, describe and check robots with two hands; `hands init` describes one.",

@@ -202,7 +202,9 @@ class _Core:
         # Another task may replace the stream by opening a session, or end it by closing.
         while "stream" in self._sockets:
             reply = await self._read("stream", until)
-            if isinstance(reply, Error) and reply.code not in ("no_session", "taken"):
+            # Who watches has sent no sample.
+            is_ours = self.opened and isinstance(reply, Error)
+            if is_ours and reply.code not in ("no_session", "taken"):
                 raise ServiceError(reply)
             if reply or monotonic() >= until:
                 return reply if isinstance(reply, Command) else None

@@ -466,7 +466,8 @@ class Reset(Request):
 class Measured(Named):
     """Where the robot's joints are, as its driver reads them, in each period of its own.
 
-    Every client that is admitted may say it. A driver that has begun to must go on.
+    The session's owner and supervisors may say it by their keys, and everyone if the session is
+    shared. A driver that has begun to must go on.
 
     Attributes:
         measured_q: Joint angles in the order of `joint_names` [rad].

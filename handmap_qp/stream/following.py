@@ -53,18 +53,26 @@ class FollowingCheck:
         """Note a command: joint angles [rad or m], shape (n,), and its time on any clock [s]."""
         self._sent.append((now, np.array(q)))
 
-    def measure(self, q: ArrayLike, now: float) -> None:
+    def restart(self) -> None:
+        """Forget the commands and the joints that did not follow: the robot starts anew."""
+        self._sent.clear()
+        self._off_since[:] = np.inf
+
+    def measure(self, q: ArrayLike, now: float, *, goes_on: bool = True) -> None:
         """Compare measured joints with the commands.
 
         Args:
             q: Joint angles that the robot has now [rad or m], shape (n,).
             now: Time on the same clock [s].
+            goes_on: Whether measurements are promised to go on: if they stay away, the robot is
+                lost.
 
         Raises:
             InvalidInputError: If it is not n finite numbers.
         """
         q = as_floats(q, "measured_q", shape=self._allowed.shape, is_finite=True)
-        self._heard = now
+        if goes_on:
+            self._heard = now
         while len(self._sent) > 1 and self._sent[1][0] <= now - _DELAY:
             self._sent.popleft()
         late = np.array([command for _, command in self._sent] or [q])

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from patience import wait_until
 from service_tools import (
     HERE,
@@ -208,7 +209,7 @@ def test_a_heartbeat_goes_on_without_samples() -> None:
 def test_a_driver_tells_by_the_sessions_name() -> None:
     with (
         serving() as server,
-        connected(server, name="lab", following_error=0.2) as tracker,
+        connected(server, name="lab", following_error=0.2, is_shared=True) as tracker,
         client_of(server) as driver,
     ):
         driver.watch("lab")
@@ -226,6 +227,54 @@ def test_a_driver_tells_by_the_sessions_name() -> None:
         metrics = server.dispatcher.sessions.metrics
         assert in_loop(server, lambda: metrics.counts["not_following"]) == 1
         assert driver.status().mode == "not_following"
+
+
+def test_a_stranger_does_not_tell_where_a_robot_is() -> None:
+    with (
+        serving() as server,
+        connected(server, name="lab", following_error=0.2) as tracker,
+        client_of(server) as stranger,
+    ):
+        stranger.watch("lab")
+        q = np.array(tracker.step(q=human_q(), wrist=HERE).q)
+        for _ in range(20):
+            stranger.measured(q + 0.5)
+            command = tracker.step(q=human_q(), wrist=HERE)
+        assert command.status != "not_following"
+        assert command.following_error == ()
+
+
+def test_a_session_whose_encoders_stay_away_is_lost_again() -> None:
+    session, motors = watched()
+    run(session, motors, silent, 0.6, 3.0)
+    session.clutch()
+    assert session.mode == "following"
+    session.tick(5.0)
+    assert session.mode == "not_following"
+
+
+def test_a_robot_that_was_lost_and_stopped_begins_at_what_is_measured() -> None:
+    session, motors = watched()
+    _, _, lost = run(session, motors, jammed, 0.6, 3.0)
+    session.stop()
+    moved = np.clip(motors.q + 0.3, *session.robot.limits)
+    session.measure(measured(moved), 4.0)
+    session.clear(session.record.stop)
+    session.clutch()
+    np.testing.assert_array_equal(session.posture[0], moved)
+    command = session.step(Sampler()(4.1, human_q()), 4.01)
+    assert command.epoch > lost.epoch
+
+
+def test_joints_in_samples_may_pause_with_them() -> None:
+    session, motors = watched()
+    sample = Sampler()
+    for i in range(20):
+        q = tuple(motors.q)
+        session.step(replace(sample(0.01 * i), measured_q=q), 0.01 * i)
+    commands = [session.tick(0.2 + 0.01 * i) for i in range(60)]
+    assert session.mode == "hold"
+    assert any(command and "watchdog" in command.flags for command in commands)
 
 
 def test_measurements_of_another_robot_are_refused() -> None:

@@ -92,7 +92,9 @@ class Loop:
                     if command := client.latest(left):
                         self.hear(command, monotonic())
             self.turn(monotonic(), is_held=is_held())
-            client.measured(self.measured)
+            # Joints that were not read now are not told as fresh.
+            if self._answered == self._turned:
+                client.measured(self.measured)
 
     @property
     def measured(self) -> list[float]:

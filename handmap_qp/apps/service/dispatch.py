@@ -318,13 +318,14 @@ class Dispatcher:
     def _by_name(self, request: Named) -> AnyReply | None:
         """Answer a request by a session's public name.
 
-        Everyone may ask and stop, owner and supervisor may clear; all else needs `is_shared`.
+        Everyone may ask and stop, owner and supervisor may clear, and tell joints; all else needs
+        `is_shared`.
         """
         session = self.sessions.named(request.name or "")
         by = self._by
         refuse_if(request.session, "give session or name, not both", "name")
         may_clear = by.key in self._settings.supervisor or by.owner("") == session.owner
-        free = Status | Stop | Measured | (Clear if may_clear else Status)
+        free = Status | Stop | Clear | Measured if may_clear else Status | Stop
         is_alien = not (session.request.is_shared or isinstance(request, free))
         message = f"session {request.name!r} was not opened with is_shared: only its owner may"
         refuse_if(is_alien, message, "name", "denied")

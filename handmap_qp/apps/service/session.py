@@ -247,6 +247,7 @@ class Session:
         self._stamp = 0.0
         self._dt = 0.0
         self._stop = 0
+        self._is_lost = False
         self._reset_mapper()
         # The server's record is newer than the client's belief.
         if request.is_released if former is None else former.is_released:
@@ -467,7 +468,8 @@ class Session:
             self._following = FollowingCheck(self.robot, *limits)
         q = np.array(request.measured_q)
         with naming_field("measured_q"):
-            self._following.measure(q, now)
+            is_driver = isinstance(request, Measured)
+            self._following.measure(q, now, goes_on=is_driver)
         self._measured = np.clip(q, *self.robot.limits)
 
     def configure(self, request: Configure) -> None:
@@ -533,20 +535,26 @@ class Session:
         self._handle("loss")
         if self._state is not before:
             self.counts["not_following"] += 1
+            self._is_lost = True
             self._hands.mapper.release()
             self._be_where_measured()
             self._clock.hasten()
 
     def _be_where_measured(self) -> None:
-        """Take the robot to be where it was measured last."""
+        """Take the robot to be where it was measured last, and go on to watch it."""
+        following = self._following
         self._place(self._measured, self._commanded.wrist)
+        self._following = following
+        if following:
+            following.restart()
         self._epoch = _new_epoch()
 
     def _prepare_to_engage(self) -> None:
         """Refuse while a stop is in force; go on from where a robot is that did not follow."""
         message = f"the robot was stopped: clear the stop {self._stop} first"
         refuse_if(self._state.is_stopped, message, code="stopped")
-        if self._state is SessionState.LOST:
+        if self._is_lost:
+            self._is_lost = False
             self._be_where_measured()
 
     def _handle(self, event: Event) -> None:
@@ -589,7 +597,7 @@ class Session:
         flags = [rule] if rule else self._accept(now)
         command = self._command(
             now,
-            "calibrating",
+            self._state.mode if self._state.is_halted else "calibrating",
             flags,
             sample,
             rule=rule,

@@ -184,8 +184,8 @@ class PinchScene:
     """A robot that follows a recorded pinch, and objects for it.
 
     Attributes:
-        commands: Commands of the mapping for the whole recording; of a robot with several hands,
-            the first one pinches.
+        commands: Motion that the mapping commands for the whole recording; of a robot with several
+            hands, the first one pinches.
         window: When the human pinches.
         physics: Actuators, gravity and time steps; the friction is that of each trial.
 

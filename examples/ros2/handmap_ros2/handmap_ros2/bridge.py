@@ -75,7 +75,9 @@ class Bridge:
         client = self._client
         try:
             if name == "clear":
-                client.clear(client.status().stop)
+                if not (stop := client.status().stop):
+                    return "no stop is in force"
+                client.clear(stop)
             else:
                 getattr(client, name)()
         except (ServiceError, ServiceTimeoutError) as error:

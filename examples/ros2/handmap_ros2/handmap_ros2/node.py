@@ -36,8 +36,7 @@ class HandmapNode(Node):
         self._ends: dict[str, Any] = {}
         self._wrist: list[float] | None = None
         self.client = Client(self._given("address"))
-        self._bridge = Bridge(self, self.client, self._given("controller"))
-        self._is_joined = False
+        self._bridge: Bridge | None = None
         if self._given("robot"):
             self.create_subscription(PoseStamped, "human/wrist", self.on_wrist, 1)
             self.create_subscription(
@@ -64,7 +63,7 @@ class HandmapNode(Node):
 
     def spin_once(self) -> None:
         """Publish what has come; join the session first."""
-        self._attempt(self._bridge.spin_once)
+        self._attempt(lambda bridge: bridge.spin_once())
 
     def on_wrist(self, stamped: Any) -> None:
         """Keep the wrist's pose for the joints that follow."""
@@ -73,7 +72,7 @@ class HandmapNode(Node):
 
     def on_joints(self, joints: Any) -> None:
         """Lead the session by a sample: joint angles by name, in any order."""
-        self._attempt(lambda: self._lead(joints))
+        self._attempt(lambda _: self._lead(joints))
 
     def _lead(self, joints: Any) -> None:
         opened = self.client.opened
@@ -87,22 +86,23 @@ class HandmapNode(Node):
             time=stamp.sec + 1e-9 * stamp.nanosec,
         )
 
-    def _attempt(self, act: Callable[[], None]) -> None:
+    def _attempt(self, act: Callable[[Bridge], None]) -> None:
         """Act in the session, and log what goes wrong, every two seconds at most."""
         try:
-            if not self._is_joined:
-                self._join()
-            act()
+            if self._bridge is None:
+                self._bridge = self._join()
+            act(self._bridge)
         except (KeyError, ValueError, ServiceError, ServiceTimeoutError) as error:
             self.get_logger().warning(repr(error), throttle_duration_sec=2.0)
 
-    def _join(self) -> None:
+    def _join(self) -> Bridge:
+        """Open the session or watch it; services that act on it are offered then."""
         session, robot = self._given("session"), self._given("robot")
         if robot:
             self.client.open(robot, name=session)
         else:
             self.client.watch(session)
-        self._is_joined = True
+        return Bridge(self, self.client, self._given("controller"))
 
     def _given(self, parameter: str) -> str:
         return self.get_parameter(parameter).value
