@@ -55,7 +55,7 @@ class _Place(NamedTuple):
     def about(self) -> str:
         """The first line of the class's own explanation, from the file: an import takes longer."""
         place = self.module.removeprefix("handmap_qp.").replace(".", "/")
-        file = Path(__file__).with_name(f"{place}.py")
+        file = Path(__file__).parent / f"{place}.py"
         _, _, text = file.read_text(encoding="utf-8").partition(f"\nclass {self.kind}")
         return text.split('"""')[1].partition("\n")[0]
 
@@ -346,7 +346,9 @@ def _any_command() -> Any:
     kinds = defaultdict(list)
     for name, place in COMMANDS.items():
         group, _, word = name.rpartition(" ")
-        kinds[group].append(named(word, place.load(), place.about))
+        # One of another package that cannot be loaded is left out.
+        with contextlib.suppress(HandmapError):
+            kinds[group].append(named(word, place.load(), place.about))
     groups = [named(group, reduce(or_, kinds[group])) for group in _GROUPS]
     return reduce(or_, [*kinds[""], *groups])
 

@@ -141,6 +141,8 @@ class Greet:
 """
 ENTRY_POINTS = """[handmap_qp.commands]
 greet = added_command:Greet
+gone = added_command:Gone
+demo = added_command:Greet
 [handmap_qp.presets]
 follow = added_method:PRESET
 broken = added_method:BROKEN
@@ -264,6 +266,9 @@ LINES = (
     ("greet --name leap", 0, "good day, leap"),
     ("greet --nam leap", 2, "--name"),
     ("greed", 2, "greet"),
+    ("--help", 0, "gone the command gone of added_command:Gone cannot be loaded"),
+    ("gone", 2, "cannot be loaded"),
+    ("demo --help", 0, "Map a human hand's motion"),
     ("--completion bash", 0, "greet"),
 )
 COMMANDS = """
