@@ -244,10 +244,14 @@ def test_a_stranger_does_not_tell_where_a_robot_is() -> None:
         assert command.following_error == ()
 
 
-def test_a_session_whose_encoders_stay_away_is_lost_again() -> None:
+@pytest.mark.parametrize("is_placed", [False, True])
+def test_a_session_whose_encoders_stay_away_is_lost_again(is_placed: bool) -> None:
     session, motors = watched()
     run(session, motors, silent, 0.6, 3.0)
-    session.clutch()
+    if is_placed:
+        session.reset(replace(RESET, robot_q=tuple(motors.q)), 5.0)
+    else:
+        session.clutch()
     assert session.mode == "following"
     session.tick(5.0)
     assert session.mode == "not_following"

@@ -238,6 +238,7 @@ class Session:
         self.payload = b""
         self.answer: AnyReply = Done()
         self._form = SampleForm(request, self.robot)
+        self._following: FollowingCheck | None = None
         self._hands = hands
         start = self._start(self.robot.rest, None, request)
         self._place(*(start if former is None else former.posture), motion)
@@ -522,7 +523,8 @@ class Session:
         self, q: Array, wrist: Array | None, motion: Motion | None = None
     ) -> None:
         """Take the robot to be at a posture, or in a motion if that is one of this robot."""
-        self._following: FollowingCheck | None = None
+        if self._following:
+            self._following.restart()
         self._commanded = CommandedRobot(self.robot, q, wrist)
         nq = self.robot.model.nq
         if motion is not None and len(motion.q) == nq and wrist is not None:
@@ -542,11 +544,7 @@ class Session:
 
     def _be_where_measured(self) -> None:
         """Take the robot to be where it was measured last, and go on to watch it."""
-        following = self._following
         self._place(self._measured, self._commanded.wrist)
-        self._following = following
-        if following:
-            following.restart()
         self._epoch = _new_epoch()
 
     def _prepare_to_engage(self) -> None:
