@@ -2,13 +2,12 @@
 
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from threading import Event
 from time import monotonic
 
 import numpy as np
 
-from handmap_qp.client import Client, Command, ServiceError
+from handmap_qp.client import Client, Command
 from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Values
 from .driver import Driver, DriverError
@@ -87,10 +86,8 @@ class Loop:
         while not over.is_set():
             due = max(due + 1.0 / self._driver.rate, monotonic() + 0.001)
             while (left := due - monotonic()) > 0.0:
-                # An error in the stream is about a sample of the session's owner.
-                with suppress(ServiceError):
-                    if command := client.latest(left):
-                        self.hear(command, monotonic())
+                if command := client.latest(left):
+                    self.hear(command, monotonic())
             self.turn(monotonic(), is_held=is_held())
             # Joints that were not read now are not told as fresh.
             if self._answered == self._turned:

@@ -214,12 +214,7 @@ class ServiceSource:
         with self._client as client:
             heard = monotonic()
             while True:
-                try:
-                    command = client.latest(_WAIT)
-                except ServiceError:
-                    # The service refused a sample of the session's client.
-                    continue
-                if command:
+                if command := client.latest(_WAIT):
                     heard = monotonic()
                     if landmarks := (command.detail or {}).get("landmarks"):
                         yield HumanSample(command.time, self.side, np.array(landmarks))

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.apps.connection import FAILURES, connected, only_session
-from handmap_qp.client import Command, KeyFiles, ServiceError
+from handmap_qp.client import Command, KeyFiles
 from handmap_qp.client.messages import Pose
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import (
@@ -136,12 +136,7 @@ class ServiceSession:
                 if monotonic() >= next_status:
                     self._update_status()
                     next_status = monotonic() + _STATUS_PERIOD
-                try:
-                    command = client.latest(_WAIT)
-                except ServiceError:
-                    # The service refused a sample of its client; the client gets the error.
-                    continue
-                if not command:
+                if not (command := client.latest(_WAIT)):
                     continue
                 if not self._is_as_before(command):
                     self._update_status()
