@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lerobot_runs import run_lerobot
 
 from handmap_qp.trackers.formats import lerobot
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
@@ -96,16 +96,5 @@ def test_lerobot_reads_what_was_written(
 
 def read(root: Path, home: Path) -> dict[str, Any]:
     """Return what LeRobot sees."""
-    command = [PYTHON, str(READER), str(root)]
-    # LeRobot must not ask the network, nor write into the home directory.
-    own = {"HF_HOME": str(home / "hub"), "HF_HUB_OFFLINE": "1", "PYTHONPATH": ""}
-    done = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-        env=os.environ | own,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    return json.loads(done.stdout.splitlines()[-1])
+    said = run_lerobot(home, PYTHON, str(READER), str(root))
+    return json.loads(said.splitlines()[-1])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lerobot_runs import run_lerobot
 from service_tools import HERE, address_of, client_of, human_q, serving
 
 from handmap_qp import load_hand
@@ -153,9 +153,10 @@ def test_the_simulated_hand_goes_where_actions_say(
 def test_lerobot_records_and_trains(tmp_path: Path) -> None:
     """The two commands of `examples/lerobot/README.md`, shorter."""
     shared = ["--dataset.repo_id=lab/pinch", f"--dataset.root={tmp_path / 'set'}"]
-    _run(
+    commands = Path(PYTHON).parent
+    run_lerobot(
         tmp_path,
-        "lerobot-record",
+        str(commands / "lerobot-record"),
         *shared,
         "--robot.type=handmap_hand",
         "--teleop.type=handmap",
@@ -171,9 +172,9 @@ def test_lerobot_records_and_trains(tmp_path: Path) -> None:
     assert info["total_frames"] == pytest.approx(30, abs=3)
     video = tmp_path / "set/videos/observation.images.front"
     assert list(video.rglob("*.mp4"))
-    _run(
+    run_lerobot(
         tmp_path,
-        "lerobot-train",
+        str(commands / "lerobot-train"),
         *shared,
         "--dataset.video_backend=pyav",
         "--policy.type=act",
@@ -190,17 +191,3 @@ def test_lerobot_records_and_trains(tmp_path: Path) -> None:
         f"--output_dir={tmp_path / 'out'}",
     )
     assert (tmp_path / "out/checkpoints/000010/pretrained_model").is_dir()
-
-
-def _run(home: Path, command: str, *words: str) -> None:
-    """Run a command of LeRobot; it must not ask the network, nor write into the home directory."""
-    own = {"HF_HOME": str(home / "hub"), "HF_HUB_OFFLINE": "1", "PYTHONPATH": ""}
-    done = subprocess.run(
-        [Path(PYTHON).parent / command, *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-        env=os.environ | own,
-    )
-    assert done.returncode == 0, done.stderr[-3000:]

@@ -1,9 +1,12 @@
 """What an action is: the commanded joints of a hand, and its wrist's pose where it floats."""
 
+from functools import cached_property
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handmap_qp import Hand
+from handmap_qp import Hand, load_hand
 from handmap_qp.se3 import pose_from_xyz_quat, quat_wxyz_from_rotation
 
 Action = dict[str, float]
@@ -43,3 +46,30 @@ def command_of(hand: Hand, action: Action) -> tuple[np.ndarray, np.ndarray | Non
         return q, None
     wrist[3:] /= np.linalg.norm(wrist[3:])
     return q, pose_from_xyz_quat(wrist, "wxyz")
+
+
+class OfHand:
+    """What the teleoperator and the robot of a hand have in common; neither is calibrated here."""
+
+    config: Any
+
+    @cached_property
+    def hand(self) -> Hand:
+        """The robot hand."""
+        return load_hand(self.config.hand)
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Names of an action's numbers."""
+        return features(self.hand)
+
+    @property
+    def is_calibrated(self) -> bool:
+        """True: the service measures the person's hand, and a simulated hand needs none."""
+        return True
+
+    def calibrate(self) -> None:
+        """Do nothing."""
+
+    def configure(self) -> None:
+        """Do nothing."""

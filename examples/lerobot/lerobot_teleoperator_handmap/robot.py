@@ -2,20 +2,18 @@
 
 import time
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from lerobot.robots import Robot, RobotConfig
 
-from handmap_qp import load_hand
 from handmap_qp.apps.drawing.hands import load_shape
 from handmap_qp.apps.drawing.raster import Camera, render
 from handmap_qp.apps.simulation.physics import Body
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.mapping.objects import parse_object
 from handmap_qp.se3 import affine
-from .actions import Action, action_of, command_of, features
+from .actions import Action, OfHand, action_of, command_of, features
 
 # The simulation's object stands aside [m]: the hand is to be seen alone.
 _ASIDE = affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
@@ -41,7 +39,7 @@ class HandmapHandConfig(RobotConfig):
     height: int = 120
 
 
-class HandmapHand(Robot):
+class HandmapHand(OfHand, Robot):
     """A robot hand with position control, simulated in real time.
 
     The first action puts the hand where it says, as a robot that is where its teleoperator is.
@@ -59,22 +57,12 @@ class HandmapHand(Robot):
         self._simulator: Simulator | None = None
         self._told: float | None = None
 
-    @cached_property
-    def hand(self) -> Any:
-        """The robot hand."""
-        return load_hand(self.config.hand)
-
     @property
     def observation_features(self) -> dict[str, Any]:
         """Names of the measured numbers, and the shape of the camera's picture."""
         return features(self.hand) | {
             "front": (self.config.height, self.config.width, 3)
         }
-
-    @property
-    def action_features(self) -> dict[str, type]:
-        """Names of an action's numbers."""
-        return features(self.hand)
 
     @property
     def is_connected(self) -> bool:
@@ -87,17 +75,6 @@ class HandmapHand(Robot):
         self._shape = load_shape(self.hand)
         self._put(self.hand.rest, np.eye(4) if self.hand.is_floating else None)
         self._told = None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """True: a simulated hand needs none."""
-        return True
-
-    def calibrate(self) -> None:
-        """Do nothing."""
-
-    def configure(self) -> None:
-        """Do nothing."""
 
     def get_observation(self) -> dict[str, Any]:
         """Return the measured joints, the wrist's pose and the camera's picture."""

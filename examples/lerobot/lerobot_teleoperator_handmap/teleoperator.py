@@ -2,18 +2,17 @@
 
 import time
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
-from handmap_qp import HandMapper, load_hand, read_recording
+from handmap_qp import HandMapper, read_recording
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.client import ADDRESS, Client, Command
 from handmap_qp.human import scaled_human
-from .actions import Action, action_of, features
+from .actions import Action, OfHand, action_of
 
 
 @TeleoperatorConfig.register_subclass("handmap")
@@ -36,7 +35,7 @@ class HandmapConfig(TeleoperatorConfig):
     timeout: float = 10.0
 
 
-class Handmap(Teleoperator):
+class Handmap(OfHand, Teleoperator):
     """A person's hand, mapped to a robot hand by handmap_qp.
 
     Stops of the session stop this too: `get_action` repeats the last command, as the session's own
@@ -51,16 +50,6 @@ class Handmap(Teleoperator):
         super().__init__(config)
         self.config = config
         self._source: _Session | _Recording | None = None
-
-    @cached_property
-    def hand(self) -> Any:
-        """The robot hand."""
-        return load_hand(self.config.hand)
-
-    @property
-    def action_features(self) -> dict[str, type]:
-        """Names of an action's numbers."""
-        return features(self.hand)
 
     @property
     def feedback_features(self) -> dict[str, type]:
@@ -80,17 +69,6 @@ class Handmap(Teleoperator):
             if config.session
             else _Recording(self.hand, config)
         )
-
-    @property
-    def is_calibrated(self) -> bool:
-        """True: the service measures the person's hand, a recording its own."""
-        return True
-
-    def calibrate(self) -> None:
-        """Do nothing."""
-
-    def configure(self) -> None:
-        """Do nothing."""
 
     def get_action(self) -> Action:
         """Return the newest command."""
