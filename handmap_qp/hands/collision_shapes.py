@@ -65,10 +65,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
         raise hand.spec.error(problem, "urdf") from error
     for part in geometry.geometryObjects:
         if part.name in meshes:
-            mesh = meshes.pop(part.name)
-            part.meshPath = mesh.get("filename", "")
-            part.meshScale = _scale(mesh)
-            part.geometry = _hull_of(mesh)
+            part.geometry = _hull_of(meshes.pop(part.name))
         elif isinstance(part.geometry, coal.Cylinder):
             part.geometry = prism_around(part.geometry)
     if meshes:
