@@ -38,7 +38,7 @@ class BoundOpenAndClose:
 
     def __init__(self, choices: OpenAndClose, human: Hand, robot: Hand) -> None:
         self.robot = robot
-        self.open = robot.rest
+        self.rest = robot.rest
         self.shut = robot.rest + choices.closed * (robot.upper_limits - robot.rest)
         self.span = tip_distance(human.points(human.rest), np.eye(4))
 
@@ -51,18 +51,13 @@ class BoundOpenAndClose:
         """Take the reference; this method needs none."""
         return self
 
-    @property
-    def rest(self) -> np.ndarray:
-        """Joint positions that the QP's rest term pulls to."""
-        return self.open
-
     def targets(self, sample: HumanPose) -> Targets:
         """Return the reference points of the robot at a posture between open and shut."""
         assert sample.wrist is not None
         share = 1.0 - np.clip(
             tip_distance(sample.points, sample.wrist) / self.span, 0.0, 1.0
         )
-        q = self.open + share * (self.shut - self.open)
+        q = self.rest + share * (self.shut - self.rest)
         return Targets(
             self.robot.points(q, sample.wrist), sample.wrist, {"share": np.array(share)}
         )

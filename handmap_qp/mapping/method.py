@@ -103,38 +103,34 @@ class TargetMap(Protocol):
     """Turns samples into targets, counted from one reference of both hands.
 
     One that the core has too (`Compiled`) makes targets of its arrays by a method `asked`.
+
+    Attributes:
+        rest: Joint positions that the QP's rest term pulls to [rad or m], shape (n,).
     """
 
-    @property
-    def rest(self) -> Array:
-        """Joint positions that the QP's rest term pulls to [rad or m], shape (n,)."""
+    rest: Array
 
     def targets(self, sample: HumanPose) -> Targets:
         """Return the targets of one sample; a failure changes nothing."""
 
 
 class BoundMethod(Protocol):
-    """A method for two given hands. Plain attributes serve as the properties below."""
+    """A method for two given hands.
 
-    @property
-    def robot(self) -> Hand:
-        """The hand that follows, with the reference points that the method moves."""
+    Attributes:
+        robot: The hand that follows, with the reference points that the method moves.
+        contacts: Collision shapes kept apart; None for the choice of
+            `IkOptions.avoids_self_collision`.
+        needs_wrist: Use of every sample's wrist pose, for error messages; empty if not needed.
+        reference_needs_wrist: Use of the reference sample's wrist pose, likewise.
+        renews_reference: True if every sample becomes the reference of the next one (Fig. 3).
+    """
 
-    @property
-    def contacts(self) -> ShapePairs | None:
-        """Collision shapes kept apart; None for the choice of `IkOptions.avoids_self_collision`."""
-
-    @property
-    def needs_wrist(self) -> str:
-        """Use of every sample's wrist pose, for error messages; empty if it is not needed."""
-
-    @property
-    def reference_needs_wrist(self) -> str:
-        """Use of the reference sample's wrist pose, for error messages; empty if not needed."""
-
-    @property
-    def renews_reference(self) -> bool:
-        """True if every sample becomes the reference of the next one (Fig. 3)."""
+    robot: Hand
+    contacts: ShapePairs | None
+    needs_wrist: str
+    reference_needs_wrist: str
+    renews_reference: bool
 
     def start_palm(self, sample: HumanPose) -> Array:
         """Return where a floating robot's palm is put at the first sample, shape (4, 4)."""
