@@ -235,11 +235,3 @@ def test_what_does_not_fit_is_named(robot: Hand) -> None:
     with pytest.raises(InvalidInputError) as error:
         contact_sheet([("ours", robot)], [])
     assert error.value.argument == "rows"
-    row = SheetRow("open", "", human_points(0.0), ())
-    with pytest.raises(InvalidInputError) as error:
-        contact_sheet([("ours", robot)], [row])
-    assert error.value.argument == "rows[0].q"
-    lost = SheetRow("open", "", np.full((21, 3), np.nan), ())
-    with pytest.raises(InvalidInputError) as error:
-        contact_sheet([], [lost])
-    assert error.value.argument == "rows[0].landmarks"

@@ -20,7 +20,6 @@ from handmap_qp.errors import expect, require
 from handmap_qp.hands import Hand, Side, Values, find_fingers
 from handmap_qp.human import (
     FIRST_JOINTS,
-    LANDMARK_COUNT,
     PALM,
     Recording,
     finger_chains,
@@ -163,7 +162,7 @@ def contact_sheet(
         column has the views of `VIEWS` side by side.
 
     Raises:
-        InvalidInputError: If there are no rows, or shapes do not fit.
+        InvalidInputError: If there are no rows.
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     pictures = pose_pictures(columns, rows, side=side)
@@ -216,20 +215,11 @@ def pose_pictures(
         human's column comes first.
 
     Raises:
-        InvalidInputError: If there are no rows, or shapes do not fit.
+        InvalidInputError: If there are no rows.
         MissingExtraError: If trimesh is not installed.
     """
     advice = "find_poses finds them"
     expect(rows, "rows", "at least one pose", got="none", advice=advice)
-    wanted = LANDMARK_COUNT, 3
-    for i, row in enumerate(rows):
-        as_floats(row.landmarks, f"rows[{i}].landmarks", shape=wanted, is_finite=True)
-        expect(
-            len(row.q) == len(columns),
-            f"rows[{i}].q",
-            f"joint angles of {len(columns)} columns",
-            value=len(row.q),
-        )
     human = _pictures(
         [_human_triangles(row.landmarks) for row in rows], side, _HUMAN_BACKGROUND
     )
