@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from section_four.contacts import Grasp
 from section_four.experiment import HandMotion, Run, Scene
 
-from handmap_qp.apps.simulation.physics import Body, Physics
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
@@ -109,7 +109,7 @@ class SoftSimulator(Simulator):
 
     Args:
         hand: The hand, without an arm.
-        body: The object.
+        shape: The object's shape.
         physics: Contacts, actuators and time steps.
         compliance: Compliance in series with that of the joints [rad/(N m)], shape (n, n).
 
@@ -122,9 +122,9 @@ class SoftSimulator(Simulator):
     """
 
     def __init__(
-        self, hand: Hand, body: Body, physics: Physics, compliance: npt.ArrayLike
+        self, hand: Hand, shape: Shape, physics: Physics, compliance: npt.ArrayLike
     ) -> None:
-        super().__init__(hand, body, physics)
+        super().__init__(hand, shape, physics)
         count = len(hand.joint_names)
         soft = finite_array(compliance, (count, count), "compliance")
         model = self.model
@@ -244,13 +244,13 @@ def carry(
     Returns:
         What the object did.
     """
-    physics, options = physics or Physics(), options or ArcOptions()
+    physics = (physics or Physics()).replaced(mass=mass)
+    options = options or ArcOptions()
     assert grasp.shape is not None
-    body = Body(grasp.shape, mass)
     if compliance is None:
-        simulator = Simulator(grasp.hand, body, physics)
+        simulator = Simulator(grasp.hand, grasp.shape, physics)
     else:
-        simulator = SoftSimulator(grasp.hand, body, physics, compliance)
+        simulator = SoftSimulator(grasp.hand, grasp.shape, physics, compliance)
     stiffness = stiffness_of(simulator)
     weight = np.concatenate([mass * np.array(physics.gravity), np.zeros(3)])
     forces = holding_forces(grasp, weight, options.normal_force)

@@ -30,7 +30,7 @@ from bench_grips import TORQUES, held_cells, medians
 from holding import FINGERS, add_choices, hold
 
 from handmap_qp import HandMapper, load_hand
-from handmap_qp.apps.simulation.physics import Body, Physics
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.human import sample_columns
 from handmap_qp.mapping.hand_pair import robot_fingers
@@ -58,7 +58,10 @@ def tried(
     offset = random.normal(0.0, 0.002, 3)
     hand, shape = load_hand(robot), parse_object(recording.object_shape)
     physics = Physics(
-        friction=friction, gravity=(0.0, -9.81, 0.0), torque=TORQUES.get(robot, 1e3)
+        mass=mass,
+        friction=friction,
+        gravity=(0.0, -9.81, 0.0),
+        torque=TORQUES.get(robot, 1e3),
     )
     grip = None
     if force is not None:
@@ -72,7 +75,7 @@ def tried(
         for i, pose in enumerate(recording.object_pose)
     ]
     poses = [step.diagnostics["object_pose"] for step in steps]
-    simulator = Simulator(hand, Body(shape, mass), physics)
+    simulator = Simulator(hand, shape, physics)
     for start in range(_LATEST, _EARLIEST, -1):
         command = steps[start].command
         simulator.reset(

@@ -33,7 +33,7 @@ import numpy as np
 from passing import CLOSING, FINGERS, HANGS, HELD_AT, RATE, SIDES, Person
 
 from handmap_qp import Hand
-from handmap_qp.apps.simulation.physics import Body, Physics
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch import Pads, success_rate
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands.pads import find_pads
@@ -133,8 +133,9 @@ class Scene:
 
     def _start(self, bar: Bar, pose: np.ndarray) -> Simulator:
         """Put a bar on its stand, and the robot where the recording starts."""
-        body = Body(Box((bar.width, bar.width, LENGTH)), bar.mass)
-        simulator = Simulator(self.whole, body, Physics(friction=bar.friction))
+        shape = Box((bar.width, bar.width, LENGTH))
+        physics = Physics(mass=bar.mass, friction=bar.friction)
+        simulator = Simulator(self.whole, shape, physics)
         simulator.reset(simulator.hand.configuration_vector(self.q[0], None), pose)
         simulator.set_stand(holds=True)
         return simulator

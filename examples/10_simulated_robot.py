@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.apps.simulation.physics import Body, Physics
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Instant, Simulator
 from handmap_qp.client import Client, Command
@@ -166,9 +166,9 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=math.inf, help="time [s]")
     given = parser.parse_args()
     # +y is up, as in a headset's world.
-    physics = Physics(gravity=(0.0, -9.81, 0.0))
-    body = Body(parse_object(given.object), 0.05)
-    simulator = Simulator(load_hand(given.robot), body, physics)
+    physics = Physics(mass=0.05, gravity=(0.0, -9.81, 0.0))
+    shape = parse_object(given.object)
+    simulator = Simulator(load_hand(given.robot), shape, physics)
     with Client(given.server) as client:
         StandIn(simulator, client, given.session).run(given.duration, show)
 

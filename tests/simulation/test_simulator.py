@@ -17,7 +17,7 @@ from section_four.statics import quasistatic
 from simulation_cases import CUBE, cube_grasp
 
 from handmap_qp import InvalidInputError, InvalidOptionsError, load_hand
-from handmap_qp.apps.simulation.physics import Body, Physics
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.objects import Box, Cylinder, MeshShape, Sphere
@@ -54,10 +54,10 @@ def simulate(
     hand: Hand, physics: Physics, compliance: np.ndarray | None = None
 ) -> Simulator:
     """The cube and a hand, whose motors may have springs in series."""
-    body = Body(CUBE, MASS)
+    physics = physics.replaced(mass=MASS)
     if compliance is None:
-        return Simulator(hand, body, physics)
-    return SoftSimulator(hand, body, physics, compliance)
+        return Simulator(hand, CUBE, physics)
+    return SoftSimulator(hand, CUBE, physics, compliance)
 
 
 def posed(simulator: Simulator, q: np.ndarray, wrist: np.ndarray | None) -> np.ndarray:
@@ -92,7 +92,7 @@ def test_a_free_object_falls_as_galileo_said(
     shape: Box | Sphere | Cylinder | MeshShape,
 ) -> None:
     grasp = cube_grasp()
-    simulator = Simulator(grasp.hand, Body(shape, MASS))
+    simulator = Simulator(grasp.hand, shape, Physics(mass=MASS))
     simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), FAR)
     simulator.follow(simulator.target, 0.3)
     step, time = simulator.physics.time_step, simulator.time
@@ -196,7 +196,7 @@ def test_planned_forces_balance_the_load_and_are_found_in_the_simulation(
 def test_soft_synergies_are_springs_in_series() -> None:
     """Both equations of the model, solved for the torques by hand."""
     hand = cube_grasp().hand
-    drive = SoftSimulator(hand, Body(CUBE), Physics(), SOFT)
+    drive = SoftSimulator(hand, CUBE, Physics(), SOFT)
     q, reference = np.linspace(-0.2, 0.3, 8), np.array([0.4, -0.1])
     torques = drive.torques(SYNERGIES @ reference, q, np.zeros(8))
     synergy = reference - SYNERGIES.T @ torques / 2.0
@@ -205,7 +205,7 @@ def test_soft_synergies_are_springs_in_series() -> None:
     inertia = drive.damping @ np.linalg.inv(drive.stiffness) @ drive.damping / 4.0
     np.testing.assert_allclose(inertia, np.diag(np.diag(inertia)), atol=1e-9)
     with pytest.raises(InvalidInputError, match="compliance"):
-        SoftSimulator(hand, Body(CUBE), Physics(), np.eye(3))
+        SoftSimulator(hand, CUBE, Physics(), np.eye(3))
 
 
 @pytest.mark.slow
@@ -285,7 +285,7 @@ def test_the_same_commands_give_the_same_motion() -> None:
 def test_the_simulation_keeps_the_time_of_its_commands() -> None:
     """Samples of 115 Hz are no whole steps of 2 ms, and those of 1 kHz less than one."""
     grasp = cube_grasp()
-    simulator = Simulator(grasp.hand, Body(CUBE))
+    simulator = Simulator(grasp.hand, CUBE)
     for _ in range(2):
         simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), FAR)
         for k in range(1, 116):
@@ -303,7 +303,7 @@ def test_torques_are_those_of_the_maker_at_most() -> None:
     assert text != hand.urdf_text
     weak = Hand(hand.spec, urdf_text=text)
     for limit, wanted in ((1e3, {0.05, 5.0}), (0.4, {0.05, 0.4})):
-        simulator = Simulator(weak, Body(CUBE), Physics(torque=limit))
+        simulator = Simulator(weak, CUBE, Physics(torque=limit))
         bounds = simulator.model.actuator_forcerange
         np.testing.assert_array_equal(bounds[:, 0], -bounds[:, 1])
         assert set(bounds[:, 1]) == wanted
@@ -312,11 +312,11 @@ def test_torques_are_those_of_the_maker_at_most() -> None:
     torque = np.abs(simulator.instant().torque)
     assert torque.max() == pytest.approx(0.4)
     assert torque[bounds[:, 1] == 0.05] == pytest.approx(0.05)
-    romeo = Simulator(load_hand("romeo_left"), Body(CUBE), Physics(torque=0.7))
+    romeo = Simulator(load_hand("romeo_left"), CUBE, Physics(torque=0.7))
     assert romeo.model.actuator_forcerange[0, 1] == 0.7
     # Arms have those of their URDF alone.
     arm = load_hand("g1_arm_left")
-    bounds = Simulator(arm, Body(CUBE), Physics(torque=0.1)).model.actuator_forcerange
+    bounds = Simulator(arm, CUBE, Physics(torque=0.1)).model.actuator_forcerange
     efforts = arm.model.effortLimit[arm.v_indices]
     wanted = np.where(arm.moves_wrist, efforts, np.minimum(efforts, 0.1))
     np.testing.assert_array_equal(bounds[:, 1], wanted)
@@ -324,7 +324,7 @@ def test_torques_are_those_of_the_maker_at_most() -> None:
 
 def test_the_clearance_is_the_distance_of_the_nearest_link() -> None:
     grasp = cube_grasp()
-    simulator = Simulator(grasp.hand, Body(Sphere(0.02)))
+    simulator = Simulator(grasp.hand, Sphere(0.02))
     simulator.reset(
         posed(simulator, grasp.q, np.eye(4)),
         affine(np.eye(3), (0.0, 0.0, -0.3)),
@@ -347,7 +347,7 @@ def test_a_stand_holds_the_object_until_it_lets_go() -> None:
     grasp = cube_grasp()
     pose = FAR.copy()
     pose[:3, :3] = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    simulator = Simulator(grasp.hand, Body(CUBE, 0.3))
+    simulator = Simulator(grasp.hand, CUBE, Physics(mass=0.3))
     simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), pose)
     simulator.set_stand(holds=True)
     simulator.follow(simulator.target, 0.3)
@@ -361,7 +361,7 @@ def test_a_stand_holds_the_object_until_it_lets_go() -> None:
 def test_an_object_slides_on_its_stand_by_coulombs_law(push: float) -> None:
     """A push of `push` times mu m g moves it by (push - 1) mu g t^2 / 2, or not at all."""
     grasp, physics = cube_grasp(), Physics(friction=0.5)
-    simulator = Simulator(grasp.hand, Body(CUBE, 0.3), physics)
+    simulator = Simulator(grasp.hand, CUBE, physics.replaced(mass=0.3))
     simulator.reset(posed(simulator, grasp.q, grasp.wrist_pose), FAR)
     simulator.set_stand(holds=True)
     weight = 0.3 * np.linalg.norm(physics.gravity)
@@ -396,7 +396,7 @@ def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
 def test_mimic_joints_follow_their_leaders() -> None:
     """One motor bends all fingers of Romeo's hand."""
     hand = load_hand("romeo_left")
-    simulator = Simulator(hand, Body(CUBE, MASS))
+    simulator = Simulator(hand, CUBE, Physics(mass=MASS))
     simulator.reset(posed(simulator, hand.rest, np.eye(4)), FAR)
     q = hand.rest + 0.2 * (hand.upper_limits - hand.rest)
     simulator.follow(posed(simulator, q, np.eye(4)), 0.4)
@@ -415,7 +415,7 @@ def test_mimic_joints_follow_their_leaders() -> None:
 def test_bodies_are_where_pinocchio_has_them(name: str) -> None:
     """At random postures; a hand on an arm has a fixed root."""
     hand = load_hand(name)
-    simulator = Simulator(hand, Body(CUBE))
+    simulator = Simulator(hand, CUBE)
     random = np.random.default_rng(0)
     q = random.uniform(hand.lower_limits, hand.upper_limits)
     wrist = None
@@ -437,7 +437,7 @@ def test_links_without_mass_have_that_of_their_shapes() -> None:
     text = re.sub(r"<inertial>.*?</inertial>", "", hand.urdf_text, flags=re.DOTALL)
     light = Hand(hand.spec, urdf_text=text)
     masses = [
-        Simulator(light, Body(CUBE), Physics(density=density)).model.body_mass
+        Simulator(light, CUBE, Physics(density=density)).model.body_mass
         for density in (500.0, 1000.0)
     ]
     fingers = masses[0] != masses[1]
@@ -456,6 +456,7 @@ def test_links_without_mass_have_that_of_their_shapes() -> None:
         {"density": "heavy"},
         {"torque": 0.0},
         {"armature": float("inf")},
+        {"mass": 0.0},
     ],
     ids=str,
 )
@@ -466,14 +467,10 @@ def test_impossible_physics_is_refused(change: dict) -> None:
 
 
 def test_impossible_bodies_and_starts_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match="mass"):
-        Body(CUBE, 0.0)
-    with pytest.raises(InvalidInputError, match="shape"):
-        Body("cube", 1.0)  # ty: ignore[invalid-argument-type]
     with pytest.raises(InvalidInputError, match="points"):
         MeshShape(np.zeros((4, 3)))
     grasp = cube_grasp()
-    simulator = Simulator(grasp.hand, Body(CUBE, MASS))
+    simulator = Simulator(grasp.hand, CUBE, Physics(mass=MASS))
     with pytest.raises(InvalidInputError, match="wrist"):
         simulator.reset(posed(simulator, grasp.q, np.zeros((4, 4))), FAR)
     with pytest.raises(InvalidInputError, match="q"):

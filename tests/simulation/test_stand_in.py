@@ -14,7 +14,7 @@ from patience import PATIENCE, wait_until
 from service_tools import address_of, client_of, serving
 
 from handmap_qp import InvalidInputError, load_hand
-from handmap_qp.apps.simulation.physics import Body
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.client import Client
 from handmap_qp.mapping.objects import Sphere
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 
 def simulator(robot: str = "three_finger") -> Simulator:
-    return Simulator(load_hand(robot), Body(Sphere(0.02), 0.05))
+    return Simulator(load_hand(robot), Sphere(0.02), Physics(mass=0.05))
 
 
 def test_the_stand_in_goes_where_the_commands_say() -> None:

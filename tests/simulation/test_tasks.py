@@ -18,7 +18,7 @@ from simulation_cases import CUBE
 from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch, read_pick
-from handmap_qp.apps.simulation.physics import Body, Physics
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import (
     Pads,
@@ -101,7 +101,7 @@ def test_the_middle_is_as_far_from_the_surfaces_of_both_pads() -> None:
     pads = Pads(hand)
     thumb, finger = (find_pads(hand)[name] for name in ("thumb", "index"))
     assert thumb.radius > finger.radius + 1e-3
-    simulator = Simulator(hand, Body(CUBE))
+    simulator = Simulator(hand, CUBE)
     simulator.reset(
         simulator.hand.configuration_vector(hand.rest, np.eye(4)), np.eye(4)
     )
@@ -154,7 +154,7 @@ def test_a_trial_starts_where_the_open_hand_is_last_clear_of_the_object(
     scene = PinchScene(pinching.commands, window, pinching.physics)
     episode = scene.run(PinchTrial()).episode
     place = episode.at.object_pose[0]
-    simulator = Simulator(pinching.commands.robot, episode.body, pinching.physics)
+    simulator = Simulator(pinching.commands.robot, episode.shape, pinching.physics)
     gaps = []
     for i in range(9):
         simulator.reset(pinching.commands.at(i), place)
@@ -551,7 +551,7 @@ def test_a_hand_without_shapes_cannot_touch() -> None:
         r"<collision_checking>.*?</collision_checking>", "", text, flags=re.DOTALL
     )
     with pytest.raises(HandError, match="no collision shapes"):
-        Simulator(Hand(hand.spec, urdf_text=text), Body(CUBE))
+        Simulator(Hand(hand.spec, urdf_text=text), CUBE)
 
 
 @pytest.mark.slow
@@ -566,7 +566,9 @@ def test_a_dozen_recordings_are_picks_and_the_household_can_be_simulated(
     assert len(HOUSEHOLD) == 12
     for trial in HOUSEHOLD.values():
         assert 0.005 < surface(trial.shape).extents[0] < 0.2
-        simulator = Simulator(pinching.commands.robot, Body(trial.shape, trial.mass))
+        simulator = Simulator(
+            pinching.commands.robot, trial.shape, Physics(mass=trial.mass)
+        )
         # The frame's origin is inside, where the pads come together.
         reach = simulator.model.geom("/object").rbound
         assert 0.0 < reach < 0.2

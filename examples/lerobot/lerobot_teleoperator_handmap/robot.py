@@ -9,7 +9,6 @@ from lerobot.robots import Robot, RobotConfig
 
 from handmap_qp.apps.drawing.hands import load_shape
 from handmap_qp.apps.drawing.raster import Camera, render
-from handmap_qp.apps.simulation.physics import Body
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.mapping.objects import parse_object
 from handmap_qp.se3 import affine
@@ -71,7 +70,7 @@ class HandmapHand(OfHand, Robot):
 
     def connect(self, calibrate: bool = True) -> None:
         """Begin the simulation."""
-        self._simulator = Simulator(self.hand, Body(parse_object("sphere:0.04")))
+        self._simulator = Simulator(self.hand, parse_object("sphere:0.04"))
         self._shape = load_shape(self.hand)
         self._put(self.hand.rest, np.eye(4) if self.hand.is_floating else None)
         self._told = None

@@ -12,9 +12,9 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands import Hand, Values, read_collision_shapes
-from handmap_qp.mapping import Cylinder, geometry_of
+from handmap_qp.mapping import Cylinder, Shape, geometry_of
 from handmap_qp.se3 import Arrays, mirror_sign, quat_wxyz_from_rotation
-from .physics import Body, Physics
+from .physics import Physics
 
 OBJECT = "/object"
 WRIST = "/wrist"
@@ -35,12 +35,12 @@ _ARM_STIFFNESS = 3000.0
 _UNLIMITED = 1e5
 
 
-def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
+def build_model(hand: Hand, shape: Shape, physics: Physics) -> Any:
     """Build the model of a hand and an object.
 
     Args:
         hand: The hand; its root floats, or is fixed to the world.
-        body: The object.
+        shape: The object's shape.
         physics: Contacts, stiffness and time steps.
 
     Returns:
@@ -64,13 +64,13 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
         )
     held = spec.worldbody.add_body(name=OBJECT)
     held.add_freejoint(name=OBJECT)
-    match body.shape:
+    match shape:
         # Not the prism that stands for it elsewhere.
         case Cylinder(radius, length):
-            shape = coal.Cylinder(radius, length)
+            solid = coal.Cylinder(radius, length)
         case _:
-            shape = geometry_of(body.shape)
-    held.add_geom(name=OBJECT, mass=body.mass, **_shape(spec, shape), **_HELD)
+            solid = geometry_of(shape)
+    held.add_geom(name=OBJECT, mass=physics.mass, **_shape(spec, solid), **_HELD)
     _couple_followers(spec, hand)
     # A spring with critical damping for each joint of the hand, and of its arm.
     stiffness = np.where(hand.moves_wrist, _ARM_STIFFNESS, physics.joint_stiffness)

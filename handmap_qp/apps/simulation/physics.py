@@ -1,41 +1,17 @@
-"""What a simulation assumes: `Physics`, and the object with its shape and mass, `Body`."""
+"""What a simulation assumes: `Physics`."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError, expect
+from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Vector
-from handmap_qp.mapping import Shape
 from handmap_qp.options import NotNegative, Options, Positive
-from handmap_qp.se3 import Array, as_floats, lengths, unit
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Body:
-    """A free object.
-
-    Attributes:
-        shape: Its shape.
-        mass: Its mass, spread evenly over the shape [kg].
-
-    Raises:
-        InvalidInputError: If the mass is not > 0, or the shape is none.
-    """
-
-    shape: Shape
-    mass: float = 0.1
-
-    def __post_init__(self) -> None:
-        is_shape = isinstance(self.shape, Shape)
-        expect(is_shape, "shape", "a shape", value=self.shape)
-        mass = as_floats(self.mass, "mass", shape=(), is_finite=True)
-        expect(mass > 0.0, "mass", "a number > 0", value=self.mass)
+from handmap_qp.se3 import Array, lengths, unit
 
 
 class Physics(Options, frozen=True):
-    """Contacts, actuators and time steps.
+    """The object's mass, contacts, actuators and time steps.
 
     Links of the hand collide with the object, not with each other.
 
@@ -43,6 +19,7 @@ class Physics(Options, frozen=True):
     weight is compensated beside them.
 
     Attributes:
+        mass: Mass of the object, spread evenly over its shape [kg].
         friction: Coulomb coefficient between hand and object.
         torsion: Coefficient of friction against spinning about the contact normal [m]: the radius
             of a soft pad's patch times `friction`. 0 for hard fingers, as in Sec. IV.
@@ -56,6 +33,7 @@ class Physics(Options, frozen=True):
         contact_time: Time constant with which a penetration is corrected [s].
     """
 
+    mass: Positive = 0.1
     friction: NotNegative = 0.8
     torsion: NotNegative = 0.005
     joint_stiffness: Positive = 3.0

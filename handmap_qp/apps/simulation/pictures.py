@@ -43,8 +43,8 @@ def frames(
     """
     at = episode.at
     shape = load_shape(episode.hand)
-    held = solid(surface(episode.body.shape), _OBJECT_COLOUR)
-    turn = affine(turn_up(episode.up))
+    held = solid(surface(episode.shape), _OBJECT_COLOUR)
+    turn = affine(turn_up(episode.physics.up))
     wrists = at.wrist if episode.hand.is_floating else [None] * len(at.time)
 
     def scene(i: int, of_object: int) -> Triangles:
@@ -128,8 +128,8 @@ def write_page(path: Path, episodes: Mapping[str, Episode], title: str) -> None:
     variants = []
     for name, episode in episodes.items():
         # From +z up, as in pictures, to +y up and seen along +z, as in the view.
-        axes = UPRIGHT[:3, :3] @ turn_up(episode.up)
-        held = surface(episode.body.shape)
+        axes = UPRIGHT[:3, :3] @ turn_up(episode.physics.up)
+        held = surface(episode.shape)
         hand = episode.hand
         samples = [
             ViewSample(

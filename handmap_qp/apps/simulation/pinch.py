@@ -39,7 +39,7 @@ from handmap_qp.se3 import (
     unit,
 )
 from .commands import PinchWindow
-from .physics import Body, Physics, turn_up
+from .physics import Physics, turn_up
 from .simulator import Episode, Instant, Simulator
 
 CUBE = Box((0.03, 0.03, 0.03))
@@ -56,7 +56,7 @@ _CLEAR = 0.015
 # The object is lost farther than this, and half its size, from the middle between the pads [m].
 _LOST = 0.02
 # The object of the simulation in which the pads meet, far from the hand.
-_NOTHING = Body(Sphere(0.01), 0.01)
+_NOTHING = Sphere(0.01)
 _FAR = affine(np.eye(3), (0.0, 0.0, 100.0))
 
 Objects = Literal["nominal", "varied"]
@@ -221,9 +221,8 @@ class PinchScene:
         # The object's z is up and its x along the pinch, turned about the vertical.
         turn = rotation_from_rpy((0.0, 0.0, trial.yaw))
         axes = turn_up(self.physics.up, met.places[1] - met.places[0]).T @ turn
-        physics = self.physics.replaced(friction=trial.friction)
-        body = Body(trial.shape, trial.mass)
-        simulator = Simulator(self.commands.robot, body, physics)
+        physics = self.physics.replaced(mass=trial.mass, friction=trial.friction)
+        simulator = Simulator(self.commands.robot, trial.shape, physics)
         start = self._put_clear(simulator, affine(axes, place))
         instants = []
         away = []

@@ -11,9 +11,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from handmap_qp.hands import Hand
+from handmap_qp.mapping import Shape
 from handmap_qp.se3 import Array, Arrays, affine, check_pose, quat_wxyz_from_rotation
 from .model import OBJECT, WRIST, build_model
-from .physics import Body, Physics
+from .physics import Physics
 
 # Friction of the stand against turning the object acts at the last levers [m]: 2/3 of the radius of
 # a disc of 30 mm under even pressure.
@@ -53,22 +54,22 @@ class Episode(NamedTuple):
 
     Attributes:
         hand: The hand.
-        body: The object.
+        shape: The object's shape.
         at: All instants, each field of T rows.
-        up: Direction against gravity, shape (3,).
+        physics: What was assumed.
     """
 
     hand: Hand
-    body: Body
+    shape: Shape
     at: Instant
-    up: Array
+    physics: Physics
 
     @classmethod
     def of(cls, simulator: Simulator, instants: Sequence[Instant]) -> Episode:
         """Return what happened in a simulation, instant after instant."""
         columns = map(np.array, zip(*instants, strict=True))
         at = Instant(*columns)
-        return cls(simulator.hand, simulator.body, at, simulator.physics.up)
+        return cls(simulator.hand, simulator.shape, at, simulator.physics)
 
     @property
     def columns(self) -> Arrays:
@@ -77,7 +78,7 @@ class Episode(NamedTuple):
             **self.at._asdict(),
             "joint_names": np.array(self.hand.joint_names),
             "robot": np.array(self.hand.name),
-            "object_mass": np.array(self.body.mass),
+            "object_mass": np.array(self.physics.mass),
         }
 
 
@@ -86,12 +87,12 @@ class Simulator:
 
     Args:
         hand: The hand; floating, or on an arm, or fixed to the world.
-        body: The object.
+        shape: The object's shape.
         physics: Contacts, actuators and time steps; the usual ones if omitted.
 
     Attributes:
         hand: The hand.
-        body: The object.
+        shape: The object's shape.
         physics: Contacts, actuators and time steps.
         model: The `mujoco.MjModel`.
         data: The state, `mujoco.MjData`.
@@ -101,11 +102,11 @@ class Simulator:
         HandError: If the hand has no collision shapes.
     """
 
-    def __init__(self, hand: Hand, body: Body, physics: Physics = Physics()) -> None:
+    def __init__(self, hand: Hand, shape: Shape, physics: Physics = Physics()) -> None:
         self.hand = hand
-        self.body = body
+        self.shape = shape
         self.physics = physics
-        self.model = build_model(hand, body, self.physics)
+        self.model = build_model(hand, shape, self.physics)
         self.data = mujoco.MjData(self.model)
         self.target = hand.configuration_vector(hand.rest)
         self._due = 0.0
