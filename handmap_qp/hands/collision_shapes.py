@@ -131,10 +131,6 @@ def _take_meshes(robot: Element) -> dict[str, Element]:
     return meshes
 
 
-def _scale(mesh: Element) -> Array:
-    return np.array(get_numbers(mesh, "scale", 3, "1 1 1"))
-
-
 def is_missing(mesh: Element) -> bool:
     """Return whether the file of a `<mesh>`, an absolute path, does not exist."""
     return not Path(mesh.get("filename", "")).is_file()
@@ -149,8 +145,9 @@ def _hull_of(mesh: Element) -> coal.Convex | None:
     """Read a `<mesh>` as its convex hull; None if it is lost."""
     file = mesh.get("filename", "")
     try:
+        scale = get_numbers(mesh, "scale", 3, "1 1 1")
         stat = Path(file).stat()
-        return _hull_in(file, tuple(_scale(mesh)), stat.st_mtime_ns, stat.st_size)
+        return _hull_in(file, tuple(scale), stat.st_mtime_ns, stat.st_size)
     except (OSError, RuntimeError, ValueError):
         return None
 

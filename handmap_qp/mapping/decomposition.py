@@ -51,10 +51,9 @@ class PolarFactors(NamedTuple):
     axes: Array
     stretches: Array
 
-    def stretch(self, stretches: Array | None = None) -> Array:
-        """Return the symmetric factor U, shape (..., 3, 3), or U with other eigenvalues."""
-        values = self.stretches if stretches is None else stretches
-        return (self.axes * values[..., None, :]) @ self.axes.mT
+    def stretch(self, stretches: Array) -> Array:
+        """Return the symmetric factor U with such eigenvalues, shape (..., 3, 3)."""
+        return (self.axes * stretches[..., None, :]) @ self.axes.mT
 
 
 def polar(linear: Array) -> PolarFactors:
@@ -95,7 +94,7 @@ def decompose(
     matrix = _check_motion(motion)
     point = as_floats(pivot, "pivot", shape=(3,), is_finite=True)
     factors = polar(matrix[:3, :3])
-    stretch = factors.stretch()
+    stretch = factors.stretch(factors.stretches)
     image = matrix[:3, :3] @ point + matrix[:3, 3]
     return Decomposition(
         rigid=about(factors.rotation, point, image),

@@ -10,7 +10,7 @@ import pytest
 from injection import inject, parse_faults
 
 from handmap_qp import Hand, HandMapper, InvalidInputError, load_hand, read_recording
-from handmap_qp.apps.offline.summary import count_rules, find_holds
+from handmap_qp.apps.offline.summary import find_holds, summarise
 from handmap_qp.apps.offline.trajectory import Trajectory, trajectory_of
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import sample_columns
@@ -80,7 +80,7 @@ FAULTS = {
 @pytest.mark.parametrize(("fault", "rule"), FAULTS.items(), ids=FAULTS.keys())
 def test_no_fault_makes_the_robot_snap(stage: Stage, fault: str, rule: str) -> None:
     faulty = stage.run(list(inject(stage.samples, parse_faults(fault))))
-    assert rule in count_rules(faulty)
+    assert rule in summarise(faulty)["rules"]
     clean, guarded = speeds(stage.clean, stage.period), speeds(faulty, stage.period)
     assert guarded[0] <= stage.robot.velocity_limits.max() * 1.01
     # The way back adds a little to the human's own motion. The wrist lies 0.1 m from the knuckles.

@@ -37,11 +37,12 @@ def summarise(trajectory: Trajectory) -> Values:
     points = 1e3 * trajectory.point_error[seen]
     step = 1e6 * trajectory.step_cpu[seen]
     consistency = trajectory.consistency[~np.isnan(trajectory.consistency)]
+    rules = sorted(trajectory.rule[trajectory.rule != ""].tolist())
     found = {
         "robot": robot.name,
         "samples": len(trajectory.time),
         "held": (~seen).sum(),
-        "rules": count_rules(trajectory),
+        "rules": dict(Counter(rules).most_common()),
         "events": find_holds(trajectory),
         "consistency_mm_mean": (1e3 * consistency).mean() if len(consistency) else None,
         "confidence_mean": trajectory.confidence[seen].mean(),
@@ -87,12 +88,6 @@ def find_holds(trajectory: Trajectory) -> list[Values]:
         }
         for hold in stretches(~trajectory.valid)
     ]
-
-
-def count_rules(trajectory: Trajectory) -> dict[str, int]:
-    """Count the samples that break each rule, most frequent first."""
-    rules = sorted(trajectory.rule[trajectory.rule != ""].tolist())
-    return dict(Counter(rules).most_common())
 
 
 def notes(summary: Values) -> list[str]:

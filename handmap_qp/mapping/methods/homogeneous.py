@@ -75,7 +75,7 @@ class HomogeneousMap(Compiled):
         self.robot_offsets = robot.points - robot_pivot
         self.robot_wrist = affine(robot.wrist[:3, :3], robot.wrist[:3, 3] - robot_pivot)
         # Residual gain of every pair, scaled by the ratio of sizes, shape (n_r, n_h).
-        self.share: Array | None = None
+        self.share = np.zeros((len(robot.points), len(sample.points)))
         if method.partners:
             pairs = tuple(np.array(method.partners).T)
             of_robot, of_human = robot.points[pairs[0]], sample.points[pairs[1]]
@@ -84,7 +84,6 @@ class HomogeneousMap(Compiled):
                 for points in (of_robot, of_human)
             )
             ratio = robot_size / human_size if human_size > 0.0 else 1.0
-            self.share = np.zeros((len(robot.points), len(sample.points)))
             self.share[pairs] = options.residual_gain * ratio
 
     def targets(self, sample: HumanPose) -> Targets:
@@ -108,10 +107,9 @@ class HomogeneousMap(Compiled):
             rotation = moved[:3, :3]
             rigid_image = transform_points(moved, pivot)
         points = self.robot_offsets @ (Q @ linear @ Q.T).T + self._placed(image)
-        if self.share is not None:
-            # The residual refers to the imposed motion, so it makes up for clamping and gain.
-            residual = sample.points - (self.human_offsets.dot(linear.T) + image)
-            points += self.share.dot(residual) @ Q.T
+        # The residual refers to the imposed motion, so it makes up for clamping and gain.
+        residual = sample.points - (self.human_offsets.dot(linear.T) + image)
+        points += self.share.dot(residual) @ Q.T
         wrist = affine(Q @ rotation @ Q.T, self._placed(rigid_image)).dot(
             self.robot_wrist
         )
