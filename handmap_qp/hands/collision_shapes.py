@@ -164,9 +164,10 @@ def _hull_in(file: str, scale: tuple[float, ...], *_: int) -> coal.Convex | None
     return convex_hull(corners) if _SIZES[0] < size < _SIZES[1] else None
 
 
-_HEADER = 84
-_TRIANGLE = 50
-"""Bytes of a triangle: normal, three corners and an attribute."""
+_HEADER = 84  # bytes
+_TRIANGLE = np.dtype(
+    [("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")]
+)
 
 
 def _stl_vertices(file: str) -> Array | None:
@@ -179,10 +180,10 @@ def _stl_vertices(file: str) -> Array | None:
         return None
     content = Path(file).read_bytes()
     count = int.from_bytes(content[_HEADER - 4 : _HEADER], "little")
-    if count == 0 or len(content) != _HEADER + count * _TRIANGLE:
+    if count == 0 or len(content) != _HEADER + count * _TRIANGLE.itemsize:
         return None
-    triangles = np.frombuffer(content, np.uint8, offset=_HEADER).reshape(count, -1)
-    return triangles[:, 12:48].copy().view("<f4").reshape(-1, 3).astype(float)
+    triangles = np.frombuffer(content, _TRIANGLE, offset=_HEADER)
+    return triangles["corners"].reshape(-1, 3).astype(float)
 
 
 # Sides of a prism in the place of a cylinder, and its least radius and half length [m].
@@ -216,13 +217,10 @@ def convex_hull(points: Array) -> coal.Convex | None:
         hull = ConvexHull(points)
     except QhullError:
         return None
-    corners = points[hull.vertices]
-    # The indices of its corners are in order.
+    # The indices of its corners are in order. Distances need no side of a triangle, only its edges.
     triangles = np.searchsorted(hull.vertices, hull.simplices)
-    is_inward = np.linalg.det(corners[triangles] - corners.mean(axis=0)) < 0.0
-    triangles[is_inward] = triangles[is_inward, ::-1]
     vertices = coal.StdVec_Vec3s()
     faces = coal.StdVec_Triangle()
-    vertices.extend([*corners])
+    vertices.extend([*points[hull.vertices]])
     faces.extend([coal.Triangle(*triangle) for triangle in triangles.tolist()])
     return coal.Convex(vertices, faces)
