@@ -182,7 +182,7 @@ def _stl_vertices(file: str) -> Array | None:
     count = int.from_bytes(content[_HEADER - 4 : _HEADER], "little")
     if count == 0 or len(content) != _HEADER + count * _TRIANGLE.itemsize:
         return None
-    triangles = np.frombuffer(content, _TRIANGLE, offset=_HEADER)
+    triangles = np.ndarray(count, _TRIANGLE, content, _HEADER)
     return triangles["corners"].reshape(-1, 3).astype(float)
 
 
