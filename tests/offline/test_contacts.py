@@ -21,7 +21,7 @@ from handmap_qp.apps.offline.contacts import contact_metrics
 from handmap_qp.apps.offline.hand_trace import HandTrace, trace_robot
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Values
-from handmap_qp.se3 import affine, rotation_from_rpy, transform_points
+from handmap_qp.se3 import affine, inverse_pose, rotation_from_rpy, transform_points
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -53,7 +53,9 @@ def measure(robot: HandTrace, recording: Recording, human: HandTrace) -> Values:
     assert motion is not None
     shape = take().shape
     assert shape is not None
-    return contact_metrics(human, robot, recording, shape, ALLEGRO, motion.q)
+    wrist = robot.palm @ inverse_pose(ALLEGRO.wrist_to_palm)
+    motion = dataclasses.replace(motion, wrist=wrist)
+    return contact_metrics(human, robot, recording, shape, motion)
 
 
 def robot_trace() -> HandTrace:

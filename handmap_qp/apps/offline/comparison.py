@@ -425,8 +425,7 @@ def _run(method: ComparedMethod, take: Take, robot: Hand) -> Run:
     if not motion.moves_wrist:
         fidelity.values.update(palm_deg=np.nan, palm_mm=np.nan)
     if take.shape:
-        found = contact_metrics(
-            take.trace, trace, recording, take.shape, robot, motion.q
-        )
+        shape = take.shape
+        found = contact_metrics(take.trace, trace, recording, shape, motion)
         fidelity.values.update(found)
     return Run(method.name, take, *fidelity, motion)

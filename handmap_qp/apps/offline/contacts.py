@@ -7,7 +7,6 @@ a hand on an arm or a stand, both palms lay it in the robot's world at the first
 import numpy as np
 
 from handmap_qp.hands import (
-    Hand,
     Values,
     distal_shapes,
     find_fingers,
@@ -18,6 +17,7 @@ from handmap_qp.mapping import Shape, distances_to, nearest
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
 from .fidelity import SETTLING
 from .hand_trace import TIP, HandTrace
+from .trajectory import RobotMotion
 
 SKIN = 0.01
 """A person's fingertip touches where its landmark, inside the finger, is as near as this [m]."""
@@ -31,8 +31,7 @@ def contact_metrics(
     robot: HandTrace,
     recording: Recording,
     shape: Shape,
-    hand: Hand,
-    q: Array,
+    motion: RobotMotion,
 ) -> Values:
     """Measure contacts of the fingers that both hands have.
 
@@ -41,8 +40,7 @@ def contact_metrics(
         robot: The robot's, of the same samples.
         recording: The recording, with an object.
         shape: The object's shape.
-        hand: The robot hand.
-        q: Its joint angles [rad or m], shape (T, n).
+        motion: The robot's, with its joints.
 
     Returns:
         The metrics of the group `Object in the hand` whose question arises.
@@ -54,9 +52,8 @@ def contact_metrics(
     time = recording.time
     counts = recording.valid & np.isfinite(poses).all(axis=(1, 2))
     counts &= time >= time[0] + SETTLING
-    q, poses = q[counts], poses[counts]
-    there = poses
-    if not hand.is_floating:
+    there = poses = poses[counts]
+    if not motion.robot.is_floating:
         start = recording.valid.argmax()
         there = robot.palm[start] @ inverse_pose(human.palm[start]) @ poses
     names = [name for name in human.names if name in robot.names]
@@ -65,11 +62,11 @@ def contact_metrics(
     touches = np.array([nearest(shape, points).distances for points in ends]) <= SKIN
     if not touches.any():
         return {}
-    touched, deepest = _touched(robot, there, shape, hand, q)
+    touched, deepest = _touched(motion, np.flatnonzero(counts), there, shape, names)
     both = (touches & touched).sum()
     # The first sample of each touch.
     begins = np.diff(touches, axis=0, prepend=False) & touches
-    rows = np.arange(len(q))[:, None] * begins
+    rows = np.arange(len(poses))[:, None] * begins
     first = np.maximum.accumulate(rows, axis=0), np.arange(len(names))
 
     def since(places: Array) -> Array:
@@ -96,17 +93,16 @@ def contact_metrics(
 
 
 def _touched(
-    robot: HandTrace, poses: Array, shape: Shape, hand: Hand, q: Array
+    motion: RobotMotion, samples: Array, poses: Array, shape: Shape, names: list[str]
 ) -> tuple[Array, float]:
     """Return which fingers touch an object, (T, k), and how deep the deepest link is in it [m]."""
+    hand = motion.robot
     links = read_collision_shapes(hand)
-    own = [distal_shapes(find_fingers(hand)[name], links) for name in robot.names]
+    own = [distal_shapes(find_fingers(hand)[name], links) for name in names]
     placed = hand.configuration()
-    wrists = robot.palm @ inverse_pose(hand.wrist_to_palm)
     gaps = []
-    for angles, wrist, pose in zip(q, wrists, poses, strict=True):
-        own_wrist = wrist if hand.is_floating else None
-        placed.place(hand.configuration_vector(angles, own_wrist))
+    for i, pose in zip(samples, poses, strict=True):
+        placed.place(motion.at(i))
         gaps.append([gap for gap, _ in distances_to(shape, pose, placed, links)])
     rows = np.array(gaps)
     nearest_links = [rows[:, shapes].min(axis=1, initial=np.inf) for shapes in own]
