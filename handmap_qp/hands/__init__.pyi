@@ -55,6 +55,7 @@ from .shape_pairs import distal_shapes as distal_shapes
 from .shape_pairs import named_pairs as named_pairs
 from .shape_pairs import pair_distances as pair_distances
 from .shape_pairs import pair_ends as pair_ends
+from .shape_pairs import paired as paired
 from .shape_pairs import random_postures as random_postures
 from .sources import is_mjcf as is_mjcf
 from .sources import package_folder as package_folder

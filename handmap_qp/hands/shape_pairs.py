@@ -60,7 +60,7 @@ def pair_ends(geometry: pin.GeometryModel) -> list[tuple[int, int]]:
     return [(pair.first, pair.second) for pair in geometry.collisionPairs]
 
 
-def _paired(geometry: pin.GeometryModel, ends: ArrayLike) -> pin.GeometryModel:
+def paired(geometry: pin.GeometryModel, ends: ArrayLike) -> pin.GeometryModel:
     """Return the shapes with k pairs of their indices alone, shape (k, 2)."""
     paired = geometry.copy()
     paired.removeAllCollisionPairs()
@@ -93,7 +93,7 @@ def named_pairs(hand: Hand, pairs: Sequence[Links]) -> ShapePairs:
                 key = f"collision.pairs[{i}]"
                 raise hand.spec.error(f"{link!r} {what}", key, link)
     ends = [end for a, b in pairs for end in product(shapes[a], shapes[b])]
-    geometry = _paired(geometry, ends)
+    geometry = paired(geometry, ends)
     return ShapePairs(geometry, ("",) * len(geometry.collisionPairs))
 
 
@@ -122,15 +122,15 @@ def all_pairs(hand: Hand) -> ShapePairs:
         ]
     )
     postures = np.array([hand.rest, hand.zero])
-    distances = pair_distances(hand, _paired(shapes, ends), postures)
+    distances = pair_distances(hand, paired(shapes, ends), postures)
     is_apart = np.all(distances > 0.0, axis=0)
     is_near = is_apart & np.all(distances < _COARSE, axis=0)
-    near = _paired(shapes, ends[is_near])
+    near = paired(shapes, ends[is_near])
     distances = pair_distances(hand, near, random_postures(hand, _POSTURES))
     is_often = np.mean(distances <= 0.0, axis=0) > _OVERLAPPING
     never = distances.max(axis=0) < np.where(is_often, _COARSE, _PARTED)
     is_apart[is_near] = ~never
-    geometry = _paired(shapes, ends[is_apart])
+    geometry = paired(shapes, ends[is_apart])
     joined = tuple(compress(ShapePairs(near, ()).links, never))
     return ShapePairs(geometry, _pinching_fingers(geometry, chains), joined)
 
@@ -160,7 +160,7 @@ def common_pairs(
         order = [*own]
         found = [(k, order.index(end)) for k, end in enumerate(common) if own[end]]
         pinching.append(np.array(found, dtype=int).reshape(-1, 2).T)
-    return ShapePairs(_paired(of[0].geometry, common), fingers), pinching
+    return ShapePairs(paired(of[0].geometry, common), fingers), pinching
 
 
 def _pinching_fingers(geometry: pin.GeometryModel, chains: dict[str, Finger]) -> Names:

@@ -13,6 +13,7 @@ from handmap_qp.hands import (
     distal_shapes,
     find_fingers,
     pair_distances,
+    paired,
     read_collision_shapes,
 )
 from handmap_qp.ik import core_tree, pair_bounds
@@ -35,19 +36,17 @@ class GapMeter:
 
     def __init__(self, hand: Hand) -> None:
         self._hand = hand
-        self._geometry = read_collision_shapes(hand)
-        # First pair of each finger that pinches.
-        self._groups: dict[str, int] = {}
-        shapes = {
-            finger: distal_shapes(chain, self._geometry)
+        shapes = read_collision_shapes(hand)
+        ends = {
+            finger: distal_shapes(chain, shapes)
             for finger, chain in find_fingers(hand).items()
         }
-        thumb = shapes.pop(THUMB, [])
-        for finger, others in shapes.items():
-            if thumb and others:
-                self._groups[finger] = len(self._geometry.collisionPairs)
-            for pair in product(thumb, others):
-                self._geometry.addCollisionPair(pin.CollisionPair(*pair))
+        thumb = ends.pop(THUMB, [])
+        self._pinching = {
+            finger: paired(shapes, [*product(thumb, others)])
+            for finger, others in ends.items()
+            if thumb and others
+        }
 
     def pinches(self, q: Array) -> ByFinger:
         """Measure the gaps between the distal links of the thumb and of each other finger [m].
@@ -60,11 +59,10 @@ class GapMeter:
         Returns:
             Gaps by the finger's name, shape (T,) each.
         """
-        starts = list(self._groups.values())
-        if not starts:
-            return {}
-        columns = self._smallest(self._geometry, q, starts, np.inf).T
-        return dict(zip(self._groups, columns, strict=True))
+        return {
+            finger: self._smallest(pairs, q, np.inf)
+            for finger, pairs in self._pinching.items()
+        }
 
     def nearest(self, q: Array, most: float = FAR) -> Array:
         """Measure the smallest distance between any two links that can collide [m], shape (T,).
@@ -74,23 +72,17 @@ class GapMeter:
 
         Joint angles q are of shape (T, n) [rad]; `most` stands for larger distances [m].
         """
-        return self._smallest(self._colliding, q, [0], most)[:, 0]
+        return self._smallest(self._colliding, q, most)
 
     @cached_property
     def _colliding(self) -> pin.GeometryModel:
         return all_pairs(self._hand).geometry
 
-    def _smallest(
-        self,
-        geometry: pin.GeometryModel,
-        q: Array,
-        starts: list[int],
-        most: float,
-    ) -> Array:
-        """Measure the least distances, at most `most`, of g groups from `starts` on [m], (T, g)."""
+    def _smallest(self, geometry: pin.GeometryModel, q: Array, most: float) -> Array:
+        """Measure the least distance of any of the pairs, at most `most` [m], shape (T,)."""
         hand = self._hand
         if tree := core_tree(hand):
             pairs = pair_bounds(hand.model, geometry)
-            return tree.smallest_distances(pairs.core, q, starts, most)
-        groups = np.split(pair_distances(hand, geometry, q), starts[1:], axis=1)
-        return np.array([group.min(axis=1, initial=most) for group in groups]).T
+            return tree.smallest_distances(pairs.core, q, [0], most)[:, 0]
+        distances = pair_distances(hand, geometry, q)
+        return distances.min(axis=1, initial=most)
