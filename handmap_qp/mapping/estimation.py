@@ -16,6 +16,7 @@ from handmap_qp.se3 import (
     affine,
     as_floats,
     as_points,
+    check_pose,
     frozen,
     lengths,
     nearest_rotation,
@@ -231,8 +232,5 @@ def estimate_motion(
     )
     if prior is None:
         return estimator.estimate(after)
-    rotation = as_floats(prior, "prior", shape=(3, 3))
-    is_orthogonal = np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6
-    is_rotation = is_orthogonal and np.linalg.det(rotation) > 0.0
-    expect(is_rotation, "prior", "a rotation", value=prior)
-    return estimator.estimate(after, rotation)
+    turn = affine(as_floats(prior, "prior", shape=(3, 3)))
+    return estimator.estimate(after, check_pose(turn, "prior")[:3, :3])
