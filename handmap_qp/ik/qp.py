@@ -27,7 +27,7 @@ from handmap_qp.hands import Configuration, Hand, Names
 from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
 from .limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
 from .options import IkOptions
-from .tasks import Goal, Task, TaskRows, tasks_named
+from .tasks import Goal, JointPositions, Task, TaskRows, tasks_named
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
@@ -178,12 +178,10 @@ def cost_rows(
         damping = options.error_damping * lengths(residual) * lengths(rows.T)
         damping[: 3 if hand.is_floating else 0] = 0.0  # a floating wrist's translation
         terms.append(TaskRows(residual, rows, damping))
-    joints = np.eye(configuration.nv)[hand.joint_columns]
-    q = configuration.q[hand.q_indices]
-    for weight, posture in goal.postures:
-        rows = np.reshape(weight, (-1, 1)) * joints
-        terms.append(TaskRows(weight * (q - posture), rows))
-    return [*terms, *(task.linearise(configuration) for task in goal.tasks)]
+    every = slice(None)
+    postures = [JointPositions(hand, every, q, weight) for weight, q in goal.postures]
+    tasks = *postures, *goal.tasks
+    return [*terms, *(task.linearise(configuration) for task in tasks)]
 
 
 def direct_cost(

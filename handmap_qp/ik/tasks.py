@@ -206,21 +206,22 @@ class JointPositions(NamedTuple):
 
     Attributes:
         hand: The hand.
-        columns: Indices of the joints in `Hand.joint_names`, shape (k,).
+        columns: Which of the joints in `Hand.joint_names`: indices, shape (k,), or a slice.
         positions: Positions of all joints, of which theirs are wanted [rad or m], shape (n,).
-        weight: Weight [1/rad or 1/m].
+        weight: Weight of all, or of each of them, shape (k,) [1/rad or 1/m].
     """
 
     hand: Hand
-    columns: Array
+    columns: Array | slice
     positions: Array
-    weight: float
+    weight: Array | float
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row a joint; see `Task.linearise`."""
         off = hand.q[self.hand.q_indices] - self.positions
         rows = np.eye(hand.nv)[self.hand.joint_columns[self.columns]]
-        return TaskRows(self.weight * off[self.columns], self.weight * rows)
+        scale = np.reshape(self.weight, (-1, 1))
+        return TaskRows(self.weight * off[self.columns], scale * rows)
 
 
 def _check_numbers(values: ArrayLike, count: int, name: str) -> Array:
