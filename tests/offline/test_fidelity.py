@@ -292,13 +292,13 @@ def test_pinches_are_judged_by_the_surfaces(trace: HandTrace) -> None:
     closed[200:250] = -0.002
     nearest[100:150] = -0.0015
     gaps: Any = SimpleNamespace(
-        pinches=lambda _: {"index": closed}, nearest=lambda _: nearest
+        pinches=lambda q: {"index": closed[q]}, nearest=lambda q: nearest[q]
     )
     counts = times(trace) >= 0.5
 
     def measured(gap: float) -> tuple[int, dict[str, float]]:
         human = samples(pinching(trace, gap), counts)
-        return gap_metrics(human, gaps, np.zeros((count, 1)), counts)
+        return gap_metrics(human, gaps, counts)
 
     pinch_samples, values = measured(0.01)
     assert pinch_samples == 250

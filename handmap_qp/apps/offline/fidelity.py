@@ -127,7 +127,7 @@ def assess_fidelity(
     pinch_samples = 0
     if motion:
         hand = motion.robot
-        pinch_samples, found = gap_metrics(h, GapMeter(hand), motion.q, counts)
+        pinch_samples, found = gap_metrics(h, GapMeter(hand), motion.q[counts])
         values |= found | joint_metrics(hand, motion.q, time, counts, human_q)
         values["pinch_order"] = pinch_order(h, r)
         values["workspace"] = workspace_share(r, sample_workspace(hand))
@@ -228,18 +228,16 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
     return spearmanr(*pairs).statistic
 
 
-def gap_metrics(
-    human: HandTrace, gaps: GapMeter, q: Array, counts: Array
-) -> tuple[int, Values]:
+def gap_metrics(human: HandTrace, gaps: GapMeter, q: Array) -> tuple[int, Values]:
     """Return how many samples of pairs the human pinches, and metrics of the robot's surfaces."""
     wanted = pinch_gaps(human)
     pinches = gaps.pinches(q)
     shared = [name for name in wanted if name in pinches]
     h = np.array([wanted[name] for name in shared])
-    r = np.array([pinches[name][counts] for name in shared])
+    r = np.array([pinches[name] for name in shared])
     pinched = r[h < PINCH]
     apart = r[h > OPEN]
-    nearest = gaps.nearest(q)[counts]
+    nearest = gaps.nearest(q)
     found: Values = {
         "self_penetration": (nearest < -TOUCHING).mean(),
         "colliding": (nearest < 0.0).mean(),
