@@ -176,9 +176,8 @@ class PairBounds(Compiled):
         turning = jacobian[3:].any(axis=0)
         has_sliding = (is_between & ~turning).any(axis=1)
         # Sliding between the shapes doubles the acceleration that turns give their points.
-        relative = is_between * turning * (1.0 + has_sliding)[:, None]
-        common = moved[self.first] * moved[self.second] * turning
-        self.turns = relative + 2.0 * common
+        sliding = is_between * has_sliding[:, None]
+        self.turns = turning * (moved[self.first] + moved[self.second] + sliding)
 
 
 pair_bounds = lru_cache(maxsize=32)(PairBounds)
