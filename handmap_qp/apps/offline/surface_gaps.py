@@ -1,6 +1,5 @@
 """Distances between a robot hand's surfaces over time: pinches and self-penetration."""
 
-from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -9,7 +8,6 @@ import pinocchio as pin
 from handmap_qp.hands import (
     THUMB,
     Hand,
-    all_pairs,
     distal_shapes,
     find_fingers,
     pair_distances,
@@ -17,6 +15,7 @@ from handmap_qp.hands import (
     read_collision_shapes,
 )
 from handmap_qp.ik import core_tree, pair_bounds
+from handmap_qp.mapping import robot_fingers
 from handmap_qp.se3 import Array
 from .hand_trace import ByFinger
 
@@ -72,11 +71,8 @@ class GapMeter:
 
         Joint angles q are of shape (T, n) [rad]; `most` stands for larger distances [m].
         """
-        return self._smallest(self._colliding, q, most)
-
-    @cached_property
-    def _colliding(self) -> pin.GeometryModel:
-        return all_pairs(self._hand).geometry
+        pairs = robot_fingers(self._hand).contacts
+        return self._smallest(pairs.geometry, q, most)
 
     def _smallest(self, geometry: pin.GeometryModel, q: Array, most: float) -> Array:
         """Measure the least distance of any of the pairs, at most `most` [m], shape (T,)."""
