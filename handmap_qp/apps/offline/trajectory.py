@@ -112,10 +112,11 @@ class Trajectory(RobotMotion):
     def columns(self) -> Arrays:
         """Plain arrays by name, without those that follow from them and the robot; rad and m."""
         robot = self.robot
-        arrays = vars(self).copy()
-        del arrays["step_cpu"], arrays["about"], arrays["moves_wrist"]
-        if self.object_pose is None:
-            del arrays["object_pose"]
+        arrays = {
+            name: column
+            for name, column in vars(self).items()
+            if isinstance(column, Array) and name != "step_cpu"
+        }
         return arrays | {
             "joint_names": np.array(robot.joint_names),
             "point_names": np.array([point.name for point in robot.reference_points]),
