@@ -91,8 +91,11 @@ class HomogeneousMap(Compiled):
         options = self.options
         pivot = self.pivot
         Q = self.alignment
-        moved = self._wrist_motion(sample)
-        turn = None if moved is None else moved[:3, :3]
+        moved = turn = None
+        if options.rigid_from == "wrist":
+            assert sample.wrist is not None
+            moved = sample.wrist @ inverse_pose(self.human_wrist)
+            turn = moved[:3, :3]
         estimate = self.estimator.estimate(sample.points, turn)
         image = estimate.image(pivot)
         factors = polar(estimate.linear)
@@ -134,13 +137,6 @@ class HomogeneousMap(Compiled):
         }
         flags = ("stretch_clamped",) if is_clamped else ()
         return Targets(points, wrist, found, flags=flags)
-
-    def _wrist_motion(self, sample: HumanPose) -> Array | None:
-        """Return the wrist's motion since the reference, (4, 4); None if it is not asked for."""
-        if self.options.rigid_from != "wrist":
-            return None
-        assert sample.wrist is not None
-        return sample.wrist @ inverse_pose(self.human_wrist)
 
     def _placed(self, image: Array) -> Array:
         """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
