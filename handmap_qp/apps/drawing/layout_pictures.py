@@ -66,7 +66,11 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
 
 def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
     human = sized_human(side)
-    q = _open_posture(human)
+    # Spread fingers, so that indices do not cover one another.
+    q = 0.25 * human.rest
+    # Abduction is the first of a finger's four joints.
+    q[::4] = _SPREADS
+    q = np.clip(q, *human.limits)
     solid = load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT)
     points, labels, is_used = _entries(layout, human, q)
     directions = _wrist_axes(layout, side)
@@ -113,14 +117,6 @@ def _halo() -> Values:
     from matplotlib import patheffects
 
     return {"path_effects": [patheffects.withStroke(linewidth=2.5, foreground="white")]}
-
-
-def _open_posture(human: Hand) -> Array:
-    """Return an open hand with spread fingers, so that indices do not cover one another."""
-    q = 0.25 * human.rest
-    # Abduction is the first of a finger's four joints.
-    q[::4] = _SPREADS
-    return np.clip(q, *human.limits)
 
 
 def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:

@@ -141,7 +141,11 @@ class VirtualObjectMap(PalmMap):
         self.rest = robot.q
         self._points = method.human_points
         before = self.follow(sample)[2][self._points]
-        _check_shape(before)
+        values = np.linalg.svd(before - before.mean(axis=0), compute_uv=False)
+        if not values[1] > _FLATTEST * values[0]:
+            raise DegeneratePointsError(
+                "the points of a virtual object lie on a line", singular_values=values
+            )
         self._object = method.options.enclose(before)
         follower = method.options.enclose(self.robot_points[method.robot_points])
         self._centre = follower.centre
@@ -204,15 +208,6 @@ def _tips(hand: Hand, fewest: int) -> Array:
         )
     # Landmarks of the palm would hide the motion of the fingers.
     return np.array(chosen if len(chosen) >= fewest else range(len(names)))
-
-
-def _check_shape(points: Array) -> None:
-    """Reject points that lie on a line or in one place."""
-    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if not values[1] > _FLATTEST * values[0]:
-        raise DegeneratePointsError(
-            "the points of a virtual object lie on a line", singular_values=values
-        )
 
 
 def enclosing_ball(
