@@ -82,12 +82,16 @@ class InputArguments:
         layout: Layout of the file's values where they are not 21 landmarks: a name of
             `handmap layouts`, or the path of a table of your own. Reads .npz and .csv.
         side: Which hand the recording is of, where the file does not say.
+        fps: Samples a second, of a video whose hands have no time in the file.
     """
 
     layout: Annotated[str | None, hinted("LAYOUT", "(default: the file's own)")] = None
     side: Annotated[
         Side | None, arg(help_behavior_hint="(default: what the file says)")
     ] = None
+    fps: Annotated[float | None, hinted("FLOAT", "(default: what the file says)")] = (
+        None
+    )
 
     def read(
         self, path: Path, wanted: Side | None = None, person: Path | None = None
@@ -105,12 +109,14 @@ class InputArguments:
             InvalidInputError: If it is in another order, of the other hand, in other units or the
                 like (`handmap_qp.trackers.plausibility`).
         """
+        given = {"fps": self.fps, "said": self.side}
         if self.layout is not None:
+            expect(self.fps is None, "--fps", "none with --layout", value=self.fps)
             lengths = read_person(person).lengths if person else None
             layout = load_layout(self.layout)
             return read_with_layout(path, layout, self.side, lengths)
         try:
-            recording = read_recording(path, self.side or wanted)
+            recording = read_recording(path, self.side or wanted, **given)
         except RecordingError as error:
             if hint := layout_hint(path):
                 error.problem += f"; {hint}"
@@ -141,7 +147,7 @@ class InputArguments:
             if given:
                 raise InvalidInputError("has no effect on both hands", argument=option)
         if self.layout is None:
-            hands = read_hands(paths)
+            hands = read_hands(paths, fps=self.fps)
             for recording in hands.values():
                 check_recording(recording)
             return hands

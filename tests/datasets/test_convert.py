@@ -21,7 +21,7 @@ pytest.importorskip("rosbags")
 pytestmark = pytest.mark.slow
 
 ONE_WAY = ("lerobot", "dexycb", "arctic", "grab", "hot3d")
-NAMES = [name for name in FORMATS if name not in ONE_WAY]
+NAMES = [name for name in FORMATS.own if name not in ONE_WAY]
 
 
 @pytest.fixture(scope="module")

@@ -48,7 +48,7 @@ pytestmark = pytest.mark.slow
 
 LOSSLESS = ("npz", "robomimic")
 ONE_WAY = ("lerobot", "dexycb", "arctic", "grab", "hot3d")
-READ = [form for form in FORMATS.values() if form.name not in ONE_WAY]
+READ = [form for form in FORMATS.own.values() if form.name not in ONE_WAY]
 
 
 def hand(

@@ -10,10 +10,10 @@ from tyro.conf import Positional
 
 from handmap_qp.apps.arguments import check_names, hinted
 from handmap_qp.errors import expect
+from handmap_qp.hands import Side
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers import (
     FORMATS,
-    HandModelFormat,
     Source,
     format_to_write,
     list_sources,
@@ -53,6 +53,8 @@ class Convert:
             recording of several in a file, `demo` the one that comes with the package.
         format: Format to write, where the suffix does not tell it.
         mano: The licensed MANO model: MANO_RIGHT.pkl, or the folder that holds both hands.
+        side: Which hand files are of that do not say it.
+        fps: Samples a second, of videos whose hands have no time in the file.
         json: Print one JSON object.
     """
 
@@ -62,6 +64,8 @@ class Convert:
         hinted(f"{{{','.join(FORMATS)}}}", "(default: by the suffix of OUT)"),
     ] = None
     mano: Annotated[Path | None, hinted("FILE", "(default: $HANDMAP_MANO)")] = None
+    side: Side | None = None
+    fps: float | None = None
     json: bool = False
 
     def run(self) -> None:
@@ -77,10 +81,9 @@ class Convert:
         has_files = bool(form.suffixes) and not out.suffix
         if form.suffixes and not has_files:
             check_output("OUT", out, form.suffixes)
-        sources = [
-            self._with_model(source)
-            for source in chain.from_iterable(map(list_sources, inputs))
-        ]
+        given = {"model": self.mano, "fps": self.fps, "said": self.side}
+        found = (list_sources(file, **given) for file in inputs)
+        sources = [*chain.from_iterable(found)]
         unread = {source.path: source.format.unread(source.path) for source in sources}
         recordings = list(map(Source.read, sources))
         contents = {out: recordings}
@@ -100,12 +103,6 @@ class Convert:
             not_read=list(dict.fromkeys(chain.from_iterable(unread.values()))),
             lost=form.losses(recordings),
         )
-
-    def _with_model(self, source: Source) -> Source:
-        """Return a source with the model that the user named, if it needs one."""
-        form = source.format
-        is_mano = isinstance(form, HandModelFormat)
-        return source._replace(format=type(form)(self.mano)) if is_mano else source
 
     def _report(self, **done: Any) -> None:
         """Print what was converted, and what was lost: not read, or not held by the format."""

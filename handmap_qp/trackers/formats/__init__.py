@@ -4,9 +4,9 @@ A format is an object of a subclass of `RecordingFormat`. Other packages add the
 of the group `handmap_qp.formats`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import Names, Side
@@ -42,7 +42,7 @@ _KINDS = (
 )
 
 
-FORMATS: Mapping[str, RecordingFormat] = Plugins(
+FORMATS: Plugins[RecordingFormat] = Plugins(
     "handmap_qp.formats",
     lambda: {kind.name: kind() for kind in _KINDS},
     "handmap_qp.trackers.formats.base:RecordingFormat",
@@ -60,7 +60,10 @@ _OURS = {file.stem: file for file in DEMO_FILE.parent.glob("*.npz")}
 
 _REFUSED = {
     ".pkl": "is a pickle, as those of OakInk2, which may run code and is not read; save pose or "
-    "joints, and object_pose, as an .npz of the form mano (docs/files.md)"
+    "joints, and object_pose, as an .npz of the form mano, or install examples/hamer, which reads "
+    "arrays alone (docs/files.md)",
+    ".npy": "is an array without a time and a side; save landmarks, time and handedness as an "
+    ".npz, or install examples/hamer (docs/files.md)",
 }
 """Why files with a suffix of no format are not read."""
 
@@ -93,12 +96,13 @@ class Source(NamedTuple):
             return self.format.read(self.path, self.entry)
 
 
-def list_sources(path: Path | str) -> tuple[Source, ...]:
+def list_sources(path: Path | str, **given: Any) -> tuple[Source, ...]:
     """List the recordings of a file or data set, without reading their samples.
 
     Args:
         path: The file or folder; `PATH::NAME` for one of its recordings, `demo` for the recording
             that comes with the package.
+        given: What the user says of the file, as of `RecordingFormat.given`.
 
     Raises:
         InvalidInputError: If `path` is something else than a path.
@@ -119,7 +123,7 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     if not file.is_file():
         file = _OURS.get(str(file), file)
     with reading(file):
-        form = format_of(file)
+        form = format_of(file).given(**given)
         entries = form.entries(file)
     chosen = [entry for entry in entries if name in ("", entry.name)]
     if not chosen:
@@ -128,11 +132,12 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     return tuple(Source(file, form, entry) for entry in chosen)
 
 
-def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
+def read_hands(paths: Sequence[Path | str], **given: Any) -> dict[Side, Recording]:
     """Read a recording of the left and one of the right hand, from one file or from two.
 
     Args:
         paths: Files, as of `list_sources`, in any order.
+        given: As of `list_sources`, for all of them.
 
     Returns:
         The two recordings by side.
@@ -141,7 +146,7 @@ def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
         InvalidInputError: If the files have other recordings than one of each hand.
         HandmapError: As of `list_sources`, and if a recording is damaged.
     """
-    sources = [source for path in paths for source in list_sources(path)]
+    sources = [source for path in paths for source in list_sources(path, **given)]
     sides = [source.entry.side for source in sources]
     expect(
         sorted(sides) == ["left", "right"],
@@ -152,13 +157,16 @@ def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
     return {source.entry.side: source.read() for source in sources}
 
 
-def read_recording(path: Path | str, side: Side | None = None) -> Recording:
+def read_recording(
+    path: Path | str, side: Side | None = None, **given: Any
+) -> Recording:
     """Read one recording from a file of any format.
 
     Args:
         path: The file or folder; `PATH::NAME` for one of several recordings in it, and `demo` for
             the recording that comes with the package.
         side: Which hand to take of a file with both.
+        given: As of `list_sources`.
 
     Returns:
         The recording; samples with numbers that are not finite are marked as not valid. Where the
@@ -170,7 +178,7 @@ def read_recording(path: Path | str, side: Side | None = None) -> Recording:
             than expected, or it holds several recordings and none was named.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    found = list_sources(path)
+    found = list_sources(path, **given)
     sources = [source for source in found if source.entry.side == side] or found
     if len(sources) > 1:
         listing = _listing([source.entry for source in sources])
@@ -197,8 +205,13 @@ def format_of(path: Path) -> RecordingFormat:
     is_folder = path.is_dir()
     suffix = path.suffix.lower()
     name = path.name.lower()
-    forms = [f for f in FORMATS.values() if is_folder or name.endswith(f.suffixes)]
-    for form in forms:
+    forms = [
+        form
+        for form in FORMATS.values()
+        if is_folder or name.endswith((*form.suffixes, *form.named))
+    ]
+    # Others first: they may read more of what ours take for their own.
+    for form in sorted(forms, key=lambda form: form.name in FORMATS.own):
         if form.recognises(path):
             return form
     problem = f"is not of the form {' or '.join(form.name for form in forms)}"

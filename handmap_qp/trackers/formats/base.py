@@ -4,7 +4,7 @@ import abc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -116,18 +116,33 @@ class RecordingFormat(abc.ABC):
     Attributes:
         name: Short name, as of `handmap convert --format`.
         suffixes: Suffixes of its files, the usual one first; empty for folders.
+        named: Suffixes of files that are read where a user names them, and not looked for.
         lacks: What of a recording it cannot hold: names of `LOSSES`.
         left_out: What all its files hold besides what is read, in words.
     """
 
     name: str
     suffixes: Names
+    named: Names = ()
     lacks: ClassVar[Names] = ()
     left_out: ClassVar[Names] = ()
 
     def recognises(self, path: Path) -> bool:
         """Tell whether an existing file with one of the suffixes, or a folder, is of this form."""
         return path.is_file()
+
+    def given(self, *, fps: float | None = None, **_: Any) -> Self:
+        """Return the format with what a user says of its files, where they do not.
+
+        Args:
+            fps: Samples a second, in place of the file's instants.
+
+        Raises:
+            InvalidInputError: If its files have instants of their own.
+        """
+        wanted = f"none, because files of the form {self.name} have instants"
+        expect(fps is None, "--fps", wanted, value=fps)
+        return self
 
     @abc.abstractmethod
     def entries(self, path: Path) -> Sequence[Entry]:

@@ -10,7 +10,7 @@ import os
 import pickle
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.lib.format import MAGIC_PREFIX
@@ -39,10 +39,24 @@ class HandModelFormat(RecordingFormat):
 
     Args:
         model: File of the model, or its folder; that of `HANDMAP_MANO` if omitted.
+        fps: Samples a second, in place of what files say.
+        said: Which hand files are of that do not say it.
     """
 
-    def __init__(self, model: Path | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        model: Path | None = None,
+        fps: float | None = None,
+        said: Side | None = None,
+    ) -> None:
         self._model = model
+        self._fps = fps
+        self._said = said
+
+    def given(self, **given: Any) -> Self:
+        """Return the format with what a user says, as of the class."""
+        return type(self)(**given)
 
     def model_of(self, side: Side) -> Arrays:
         """Load the arrays of `_MODEL` of the user's file or folder, or that of `HANDMAP_MANO`."""
@@ -79,7 +93,7 @@ class HandModelFormat(RecordingFormat):
         entries = []
         for entry, arrays in self.hands(path).items():
             main = next(arrays[name] for name in OF_MANO if name in arrays)
-            side = side_of(arrays.get("side"), "side")
+            side = side_of(arrays.get("side", self._said), "side")
             entries.append(Entry(entry, side, len(np.atleast_1d(main))))
         return entries
 
@@ -93,12 +107,14 @@ class HandModelFormat(RecordingFormat):
             model = self.model_of(entry.side)
             joints = _joints_of_parameters(model, arrays, entry.samples)
         time = arrays.get("time")
-        if time is None:
-            if "fps" not in arrays:
-                raise InvalidInputError("has neither 'time' nor 'fps'")
-            fps = as_floats(arrays["fps"], "fps", shape=(), is_finite=True)
+        rate = self._fps or (arrays.get("fps") if time is None else None)
+        if rate is not None:
+            fps = as_floats(rate, "fps", shape=(), is_finite=True)
             expect(fps > 0.0, "fps", "a rate > 0", value=fps)
             time = np.arange(len(joints)) / fps
+        if time is None:
+            advice = "give the frames per second by --fps"
+            raise InvalidInputError("has neither 'time' nor 'fps'", advice=advice)
         return build_recording(
             path,
             entry,
@@ -117,9 +133,10 @@ class ManoFormat(HandModelFormat):
     Needed: `side` (right or left), `time (T,)` [s] or `fps`, and either `joints (T, 21, 3)` [m] in
     MANO's order (16 joints, then the tips from thumb to little), or parameters: `pose (T, 48)`, or
     `global_orient (T, 3)` and `hand_pose (T, 45)` or fewer principal components, as rotation
-    vectors [rad]; `betas (10,)`, or `v_template (778, 3)` [m], the mesh at rest; `transl (T, 3)`
-    [m]; and `flat_hand_mean`, whether 0 is the flat hand. Parameters need the user's copy of the
-    model. An object may have `object_pose (T, 4, 4)`, in the same world, and `object_shape`.
+    vectors [rad], or as rotation matrices (T, n, 3, 3); `betas (10,)`, or of each sample, of which
+    the mean counts, or `v_template (778, 3)` [m], the mesh at rest; `transl (T, 3)` [m]; and
+    `flat_hand_mean`, whether 0 is the flat hand. Parameters need the user's copy of the model. An
+    object may have `object_pose (T, 4, 4)`, in the same world, and `object_shape`.
     """
 
     name = "mano"
@@ -163,14 +180,20 @@ def _joints_of_parameters(
         )
 
     def given(name: str, *shape: int | str) -> Array:
-        return as_floats(arrays.get(name), name, shape=shape, is_finite=True)
+        values: Any = arrays.get(name)
+        if np.ndim(values) == 4:
+            values = vectors_of(values).reshape(count, -1)
+        return as_floats(values, name, shape=shape, is_finite=True)
 
     if "pose" in arrays:
         root, fingers = np.split(given("pose", count, 48), [3], axis=1)
     else:
         root = given("global_orient", count, 3)
         fingers = given("hand_pose", count, "k")
-    shape = given("betas", _SHAPES) if "betas" in arrays else np.zeros(_SHAPES)
+    shape = np.zeros(_SHAPES)
+    if "betas" in arrays:
+        arrays = arrays | {"betas": np.atleast_2d(arrays["betas"])}
+        shape = given("betas", "T", _SHAPES).mean(axis=0)
     components = fingers.shape[1]
     expect(
         components <= _TURNS,
@@ -242,6 +265,14 @@ def rotations_of(turns: Array) -> Array:
     return rotations.reshape(*turns.shape, 3)
 
 
+def vectors_of(rotations: Any) -> Array:
+    """Return rotation vectors [rad], shape (n, 3), of rotations, shape (..., 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    matrices = as_floats(rotations, "rotations").reshape(-1, 3, 3)
+    return Rotation.from_matrix(matrices).as_rotvec()
+
+
 def _dense(values: Any) -> Any:
     return values.toarray() if hasattr(values, "toarray") else values
 
@@ -260,6 +291,8 @@ _ALLOWED = {
     "numpy.core.multiarray.scalar",
     "numpy._core.multiarray._reconstruct",
     "numpy._core.multiarray.scalar",
+    "numpy.core.numeric._frombuffer",
+    "numpy._core.numeric._frombuffer",
     "numpy.ndarray",
     "numpy.dtype",
     "_codecs.encode",
@@ -269,14 +302,20 @@ _ALLOWED = {
 
 
 class _ArrayUnpickler(pickle.Unpickler):
-    """Unpickles arrays, and nothing that could run code."""
+    """Unpickles arrays, and nothing that could run code.
+
+    A pickle runs code by naming a function that is called. Those of `_ALLOWED` build arrays of what
+    the pickle itself holds; any other name ends the reading before it is looked up.
+    """
 
     def find_class(self, module: str, name: str) -> Any:
         if module.partition(".")[0] == "chumpy":
             return _Shell
         place = f"{module}.{name}"
         if place not in _ALLOWED:
-            raise pickle.UnpicklingError(f"holds {place}, which is not read")
+            raise pickle.UnpicklingError(
+                f"holds {place}, which is not read; save arrays of numpy"
+            )
         return super().find_class(module, name)
 
 
