@@ -33,11 +33,17 @@ class Plugins(Mapping[str, T]):
         group: Group of the entry points.
         own: Makes the package's own things, at the first use.
         kind: Class of all of them, as `module:name`; imported when another package has one.
+        others: Other names of some, which are not listed.
     """
 
     def __init__(
-        self, group: str, own: Callable[[], Mapping[str, T]], kind: str
+        self,
+        group: str,
+        own: Callable[[], Mapping[str, T]],
+        kind: str,
+        others: Mapping[str, str] | None = None,
     ) -> None:
+        self._names = others or {}
         self._group = group
         self._make = own
         self._kind = kind
@@ -59,6 +65,7 @@ class Plugins(Mapping[str, T]):
             KeyError: If there is none.
             PluginError: If that of another package cannot be used.
         """
+        name = self._names.get(name, name)
         return self.own[name] if name in self.own else self._load(self._others[name])
 
     def __iter__(self) -> Iterator[str]:

@@ -24,7 +24,7 @@ from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout, sized_human
 from handmap_qp.trackers.layouts.files import read_with_layout
 from handmap_qp.trackers.layouts.points import PointLayout
-from handmap_qp.trackers.layouts.tables import load_layout
+from handmap_qp.trackers.layouts.tables import load_layout, table_text
 from handmap_qp.trackers.plausibility import examine_recording
 from handmap_qp.trackers.wrist_axes import palm_axes
 
@@ -116,6 +116,12 @@ def test_all_forms_of_a_joint_mean_the_same(name: str) -> None:
         assert (sample.wrist is None) == (size == 3)
         if sample.wrist is not None:
             np.testing.assert_allclose(sample.wrist, wrist, atol=1e-12)
+
+
+def test_a_quest_has_the_layout_of_its_browser() -> None:
+    assert load_layout("quest") is load_layout("webxr25") is LAYOUTS["quest"]
+    assert table_text("quest") == table_text("webxr25")
+    assert "quest" not in [*LAYOUTS]
 
 
 @pytest.mark.parametrize("side", SIDES)

@@ -26,7 +26,7 @@ def table_text(layout: str | Path) -> str:
         InvalidInputError: As of `load_layout`.
     """
     found = load_layout(layout)
-    file = _FOLDER / f"{layout}.yaml" if str(layout) in LAYOUTS else Path(layout)
+    file = _FOLDER / f"{found.name}.yaml" if str(layout) in LAYOUTS else Path(layout)
     if not file.is_file():
         return msgspec.yaml.encode(found).decode()
     return file.read_text(encoding="utf-8")
