@@ -1,11 +1,12 @@
-"""The recording that comes with the package: made from the human model, not of a person.
+"""The recordings `demo` and `pinch` of the package: made from the human model, not of a person.
 
-Both hands go through the gestures of `GESTURES` while their wrists move and turn. Landmarks get the
-noise, the jitter, the dropped frames and the loss of a headset's tracker. The file is the same byte
-for byte each time: numbers are rounded to what the file keeps (0.1 mm, 0.1 ms), and it is not
-compressed.
+Both hands go through the gestures of `GESTURES` while their wrists move and turn; in `pinch`, each
+picks something up, carries it and puts it down, as `PICK` says. Landmarks get the noise, the
+jitter, the dropped frames and the loss of a headset's tracker. The files are the same byte for byte
+each time: numbers are rounded to what a file keeps (0.1 mm, 0.1 ms), and they are not compressed.
 
     python benchmarks/demo_recording.py handmap_qp/trackers/demo.npz
+    python benchmarks/demo_recording.py handmap_qp/trackers/pinch.npz --pinch
 """
 
 from __future__ import annotations
@@ -120,43 +121,54 @@ GESTURES: tuple[Gesture, ...] = (
     Gesture("rest", _REST),
 )
 """What the right hand does, in order; the left hand begins in the middle."""
+_AJAR = ((0.0, 0.9, 0.1, -0.1), (0.05, 0.3, 0.3, 0.15), *_REST[2:])
+PICK: tuple[Gesture, ...] = (
+    Gesture("around it", _AJAR),
+    Gesture("pinch index", _pinch(1)),
+    Gesture("lift", _pinch(1), shift=(0.0, 0.0, 0.10)),
+    Gesture("carry", _pinch(1), shift=(0.08, 0.05, 0.10)),
+    Gesture("put down", _pinch(1), shift=(0.08, 0.05, 0.0)),
+    Gesture("let go", _AJAR, shift=(0.08, 0.05, 0.0)),
+)
+"""What both hands do in `pinch`: thumb and index finger are 10 cm apart before and after."""
 
 
-def demo_arrays() -> dict[str, np.ndarray]:
-    """Return the arrays of the file, as `NpzFormat` reads them."""
+def demo_arrays(gestures: tuple[Gesture, ...] = GESTURES) -> dict[str, np.ndarray]:
+    """Return the arrays of a file, as `NpzFormat` reads them."""
     rng = np.random.default_rng(20140531)
-    duration = len(GESTURES) * (_REACH + _HOLD)
+    duration = len(gestures) * (_REACH + _HOLD)
     frames = np.arange(int(duration * RATE))
     # Two frames are dropped, and the instants jitter.
-    frames = np.delete(frames, [151, 304])
+    frames = frames[~np.isin(frames, [151, 304])]
     time = frames / RATE + np.clip(rng.normal(0.0, _JITTER, len(frames)), -0.01, 0.01)
     time = np.round(time - time[0], 4)
     arrays: dict[str, np.ndarray] = {}
-    starts: dict[Side, int] = {"left": len(GESTURES) // 2, "right": 0}
+    first = len(GESTURES) // 2 if gestures is GESTURES else 0
+    starts: dict[Side, int] = {"left": first, "right": 0}
     for side, start in starts.items():
-        own = _hand_arrays(side, time, np.roll(np.arange(len(GESTURES)), -start), rng)
+        own = _hand_arrays(side, time, [*gestures[start:], *gestures[:start]], rng)
         arrays |= {f"{side}_{name}": array for name, array in own.items()}
     return arrays
 
 
-def write_demo(file: Path) -> None:
-    """Write the recording.
+def write_demo(file: Path, gestures: tuple[Gesture, ...] = GESTURES) -> None:
+    """Write a recording.
 
     Raises:
         InvalidInputError: If the file cannot be written.
     """
     with replaced_file(file, "file") as stream:
         # Not compressed: the bytes would depend on the version of zlib, and a wheel is compressed.
-        np.savez(stream, allow_pickle=False, **demo_arrays())
+        np.savez(stream, allow_pickle=False, **demo_arrays(gestures))
 
 
 def _hand_arrays(
-    side: Side, time: np.ndarray, order: np.ndarray, rng: np.random.Generator
+    side: Side, time: np.ndarray, gestures: list[Gesture], rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """Return what the tracker says of one hand."""
     lengths = HumanLengths.from_hand_length(HAND_LENGTH)
     human = load_hand(human_name(side), points="landmarks", lengths=lengths)
-    q, turn, shift = _motion(time, [GESTURES[i] for i in order])
+    q, turn, shift = _motion(time, gestures)
     mirror = -1.0 if side == "left" else 1.0
     usual = np.array([0.16, 0.30, 1.05])
     landmarks, wrist = np.empty((len(time), 21, 3)), np.empty((len(time), 4, 4))
@@ -226,4 +238,6 @@ def _seven(pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("out", type=Path, help="file to write, .npz")
-    write_demo(parser.parse_args().out)
+    parser.add_argument("--pinch", action="store_true", help="write `pinch`")
+    given = parser.parse_args()
+    write_demo(given.out, PICK if given.pinch else GESTURES)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from demo_recording import GESTURES, HAND_LENGTH, write_demo
+from demo_recording import GESTURES, HAND_LENGTH, PICK, write_demo
 
 from handmap_qp import read_recording
 from handmap_qp.apps.offline.poses import find_poses
+from handmap_qp.apps.simulation.commands import find_pinch
 from handmap_qp.cli import main
 from handmap_qp.hands.spec import Side
 from handmap_qp.stream.measurement import measure_person
@@ -22,6 +24,20 @@ def test_the_command_makes_the_same_bytes(tmp_path: Path) -> None:
     write_demo(tmp_path / "demo.npz")
     assert (tmp_path / "demo.npz").read_bytes() == DEMO_FILE.read_bytes()
     assert DEMO_FILE.stat().st_size < 300_000
+    file = DEMO_FILE.with_name("pinch.npz")
+    write_demo(tmp_path / "pinch.npz", PICK)
+    assert (tmp_path / "pinch.npz").read_bytes() == file.read_bytes()
+    assert file.stat().st_size < 100_000
+
+
+def test_both_hands_of_pinch_pick_something_up(capsys: pytest.CaptureFixture) -> None:
+    pytest.importorskip("mujoco")
+    for side in SIDES:
+        window = find_pinch(read_recording("pinch", side))
+        assert 2.0 < (window.end - window.closed) / 30.0 < 3.5
+    assert main(["simulate", "pinch", "--robot", "three_finger", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert row["held"] == "yes"
 
 
 @pytest.mark.parametrize("side", SIDES)
