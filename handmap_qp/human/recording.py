@@ -43,6 +43,7 @@ class Recording:
             (T, 4, 4); None if there is none. NaN where it is not seen; arbitrary where a sample is
             not valid.
         object_shape: The object's shape, as of `parse_object`; empty if it is not known.
+        task: What is done, in words; empty if it is not known.
 
     Raises:
         InvalidInputError: If an array has another shape or type than expected, time does not
@@ -60,6 +61,7 @@ class Recording:
     upright: str = ""
     object_pose: Array | None = None
     object_shape: str = ""
+    task: str = ""
 
     def __post_init__(self) -> None:
         """Check the arrays, and replace them by read-only copies."""

@@ -416,7 +416,8 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     valid[8:11], landmarks[8:11] = False, np.nan
     right = replace(right, valid=valid, landmarks=landmarks)
     write_recordings([piece(0, 20, "left"), right], folder / "0.npz")
-    write_recordings([piece(40, 20, "left")], folder / "1.npz")
+    told = replace(piece(40, 20, "left"), task="fill the cup")
+    write_recordings([told], folder / "1.npz")
     command = ["batch", str(root / "in"), "--robot", "allegro_left", "allegro_right"]
     return [*command, "--workers", "0", "--fps", "50", "--out", str(root / "out")]
 
@@ -435,8 +436,9 @@ def test_the_data_set_keeps_limits_and_pairs_hands(form: str, pairs: list[str]) 
             feature_names(root, "observation.state")[0] == f"left_{left.joint_names[0]}"
         )
         assert [episode["tasks"] for episode in episodes_of(root)] == [
-            ["pour water"]
-        ] * 2
+            ["pour water"],
+            ["fill the cup"],
+        ]
         found = [columns_of(root, i) for i in range(2)]
         episodes_ = [
             (f["observation.state"], f["action"], f["observation.valid"]) for f in found

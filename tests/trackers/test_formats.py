@@ -73,6 +73,7 @@ def hand(
         "valid": np.arange(count) != 2,
         "side": side,
         "source": "a test",
+        "task": "wave",
         "wrist": np.array(wrist),
         "confidence": rng.uniform(0.1, 1.0, count),
         **changes,
@@ -108,7 +109,7 @@ def test_a_hand_survives(form: RecordingFormat, is_plain: bool, tmp_path: Path) 
     lost = " ".join(losses)
     if form.name in LOSSLESS:
         assert not losses
-        assert found.source == given.source
+        assert (found.source, found.task) == (given.source, given.task)
     if "instants" not in lost:
         np.testing.assert_array_equal(found.time, given.time, strict=True)
     if "wrist" not in lost:
@@ -194,7 +195,7 @@ def test_every_number_survives(
 
 
 def test_a_lerobot_set_is_read_by_pyarrow_alone(tmp_path: Path) -> None:
-    given = [hand(count=4), hand("left", count=7, seed=2)]
+    given = [hand(count=4), hand("left", count=7, seed=2, task="")]
     write_recordings(given, tmp_path / "set")
     info = json.loads((tmp_path / "set/meta/info.json").read_text())
     assert info["codebase_version"] == "v3.0"
@@ -229,7 +230,7 @@ def test_a_lerobot_set_is_read_by_pyarrow_alone(tmp_path: Path) -> None:
     tasks = pq.read_table(tmp_path / "set/meta/tasks.parquet").to_pydict()
     assert tasks == {
         "task_index": [0, 1],
-        "task": ["right human hand", "left human hand"],
+        "task": ["wave", "left human hand"],
     }
     with pytest.raises(InvalidInputError, match="exists already"):
         write_recordings(given, tmp_path / "set")
@@ -278,6 +279,8 @@ def test_egodex_is_read_as_documented(tmp_path: Path) -> None:
     poses = np.tile(np.eye(4), (count, 1, 1))
     with h5py.File(tmp_path / "0.hdf5", "w") as file:
         file["camera/intrinsic"] = np.eye(3)
+        file.attrs["llm_description"] = "plug it in"
+        file.attrs["llm_description2"] = "unplug it"
         for side in ("left", "right"):
             for name in (*joint_names(side), f"{side}IndexFingerMetacarpal"):
                 poses[:, :3, 3] = rng.normal(size=(count, 3))
@@ -290,6 +293,10 @@ def test_egodex_is_read_as_documented(tmp_path: Path) -> None:
     np.testing.assert_array_equal(left.valid, [False, True, True, True, True])
     assert left.confidence is not None
     np.testing.assert_allclose(left.confidence, np.linspace(0.0, 1.0, count))
+    assert left.task == "plug it in"
+    with h5py.File(tmp_path / "0.hdf5", "a") as file:
+        file.attrs["which_llm_description"] = "2"
+    assert read_recording(tmp_path / "0.hdf5", "left").task == "unplug it"
     (source, _) = list_sources(tmp_path / "0.hdf5")
     assert "2 other poses" in source.format.unread(source.path)
 

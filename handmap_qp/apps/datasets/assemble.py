@@ -198,7 +198,7 @@ def _episode(
     folder = Path(line.place[0]).parent.name
     return Episode(
         sources=", ".join(line.key for line, _ in pairs),
-        task=folder.replace("_", " ") or "human hand motion",
+        task=line.task or folder.replace("_", " ") or "human hand motion",
         state=whole,
         action=np.concatenate([whole[1:], whole[-1:]]),
         valid=np.hstack(valid),

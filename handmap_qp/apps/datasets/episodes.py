@@ -122,6 +122,7 @@ def _run(job: Job) -> Values:
     return {
         "status": "done",
         "frames": len(trajectory.time),
+        "task": recordings[0].task,
         "metrics": metrics,
         "out": job.out,
         "sha256": save_episode(job.folder / job.out, trajectory.columns | columns),

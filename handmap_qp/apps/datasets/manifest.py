@@ -45,6 +45,7 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         frames: Number of samples.
         cpu_s: CPU time [s].
         kills: How often the worker died over it.
+        task: What is done, in words, where the recording says it.
         metrics: Numbers about the episode, by name (`episodes.MEASURES`).
         out: The file written, below the folder of the batch.
         sha256: Its digest, as `sha256sum` prints it; empty in manifests up to version 0.2.
@@ -63,6 +64,7 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
     frames: int = 0
     cpu_s: float = 0.0
     kills: int = 0
+    task: str = ""
     metrics: dict[str, float | None] = {}
     out: str = ""
     sha256: str = ""

@@ -40,7 +40,7 @@ Of poses they are the upper three rows, row by row.
 """
 
 
-WORDS = ("source", "upright", "object_shape")
+WORDS = ("source", "upright", "object_shape", "task")
 """Fields of `Recording` that are words, and empty where they are not known."""
 
 
@@ -51,6 +51,7 @@ LOSSES = {
     "upright": "which axes are up and forward",
     "object_pose": "the object",
     "object_shape": "the object's shape",
+    "task": "the words about the task",
     "no wrist": "that the wrist's orientation is unknown",
     "wrist position": "the wrist's position where it is not its landmark",
     "no confidence": "that the confidence is unknown",

@@ -224,8 +224,9 @@ class EgoDexFormat(_Hdf5Format):
     """Both hands as poses of ARKit's joints.
 
     A sample is valid where all 21 poses are finite and the wrist's confidence is above 0. Its
-    confidence is the mean over the 21 joints. Files of this package have the tracker's instants in
-    a further array `time (N,)`; others have 30 frames a second.
+    confidence is the mean over the 21 joints. The task is `llm_description`, or the second one if
+    `which_llm_description` says so. Files of this package have the tracker's instants in a further
+    array `time (N,)`; others have 30 frames a second.
     """
 
     name = "egodex"
@@ -263,6 +264,10 @@ class EgoDexFormat(_Hdf5Format):
                 shares = np.array([numbers(given, n, (count,)) for n in names])
                 is_seen &= shares[0] > 0.0
                 confidence = shares.mean(axis=0)
+            # The second description is of the same motion the other way round.
+            is_back = str(file.attrs.get("which_llm_description")) == "2"
+            key = "llm_description2" if is_back else "llm_description"
+            task = str(file.attrs.get(key, ""))
             time = np.arange(count) / RATE
             if "time" in file:
                 time = numbers(file, "time", (count,))
@@ -274,6 +279,7 @@ class EgoDexFormat(_Hdf5Format):
             prefix=f"{entry.side} hand: ",
             valid=is_seen,
             source="EgoDex",
+            task=task,
             wrist=poses[0],
             confidence=confidence,
         )
@@ -302,6 +308,7 @@ class EgoDexFormat(_Hdf5Format):
         )
         with created(path) as file:
             file["time"] = recordings[0].time
+            file.attrs["llm_description"] = recordings[0].task
             for recording in recordings:
                 given = 1.0 if recording.confidence is None else recording.confidence
                 turns = np.tile(np.eye(3), (21, len(recording), 1, 1))

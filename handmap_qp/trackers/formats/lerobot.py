@@ -102,7 +102,7 @@ class LeRobotFormat(RecordingFormat):
             for own in recordings:
                 columns = {f"observation.{name}": column(own, name) for name in fields}
                 about = {key: getattr(own, key) for key in ("name", "side", *WORDS)}
-                writer.add(columns, f"{own.side} human hand", about)
+                writer.add(columns, own.task or f"{own.side} human hand", about)
 
 
 @contextmanager

@@ -141,7 +141,7 @@ class ManoFormat(HandModelFormat):
 
     name = "mano"
     suffixes = (".npz",)
-    lacks = ("wrist", "confidence", "source", "upright", "object_pose")
+    lacks = ("wrist", "confidence", "source", "upright", "task", "object_pose")
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the archive has joints or parameters."""

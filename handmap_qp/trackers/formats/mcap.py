@@ -68,6 +68,7 @@ class McapFormat(RecordingFormat):
         "digits of time",
         "source",
         "upright",
+        "task",
         "object_pose",
         "unseen",
         "digits of wrist",
