@@ -31,21 +31,26 @@ from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.human.sample import PALM
 from handmap_qp.se3 import inverse_pose, rigid_fit, transform_points
+from handmap_qp.trackers.formats.base import SIDES
 from peers import build, runner
 
-ROBOTS = (
-    "allegro_hand_right",
-    "leap_hand_right",
-    "schunk_svh_hand_right",
-    "shadow_hand_right",
-    "ability_hand_right",
-    "inspire_hand_right",
+ROBOTS = tuple(
+    f"{hand}_{side}"
+    for side in SIDES
+    for hand in (
+        "allegro_hand",
+        "leap_hand",
+        "schunk_svh_hand",
+        "shadow_hand",
+        "ability_hand",
+        "inspire_hand",
+    )
 )
 """Robots that the peers are run with, by the names of their configuration files."""
 _OWN_NAMES = {
-    "allegro_right": "allegro_hand_right",
-    "leap_right": "leap_hand_right",
-    "shadow_right": "shadow_hand_right",
+    f"{hand}_{side}": f"{hand}_hand_{side}"
+    for hand in ("allegro", "leap", "shadow")
+    for side in SIDES
 }
 # The same axes, senses and zeros, by other names: those of MuJoCo's models of the two hands.
 _LEAP_JOINTS = {
@@ -54,6 +59,8 @@ _LEAP_JOINTS = {
     "rf": {"mcp": "9", "rot": "8", "pip": "10", "dip": "11"},
     "th": {"cmc": "12", "axl": "13", "mcp": "14", "ipl": "15"},
 }
+# Descriptions of the left Allegro hand count its fingers from opposite sides.
+_ALLEGRO_LEFT = (8, 4, 0, 12)
 # Of the peers' Shadow alone.
 _WRIST_JOINTS = ("WRJ2", "WRJ1")
 
@@ -131,7 +138,7 @@ class PeerMotion:
     Attributes:
         method: How the peer was run.
         robot: Our robot hand.
-        recording: The recording that the peer got: mirrored, if a left hand was recorded.
+        recording: The recording that the peer got: mirrored, if the other hand was recorded.
         q: Joint positions in the order of `robot.joint_names` [rad], shape (T, n). They may lie
             outside the robot's limits: they are the peer's, unchanged.
         cpu_time: CPU time of each retargeted sample [s], NaN where a sample was held, shape (T,).
@@ -192,8 +199,8 @@ def run_peer(method: PeerMethod | str, recording: Recording, robot: Hand) -> Pee
 
     Args:
         method: One of `METHODS`, or its name.
-        recording: Landmarks of a hand; a left one is mirrored.
-        robot: A right robot hand that the peers have a configuration for (`peer_robot`).
+        recording: Landmarks of a hand; those of the other one than the robot's are mirrored.
+        robot: A robot hand that the peers have a configuration for (`peer_robot`).
 
     Returns:
         The peer's motion.
@@ -209,11 +216,11 @@ def run_peer(method: PeerMethod | str, recording: Recording, robot: Hand) -> Pee
         raise PeerError(
             f"{', '.join(missing)}: not built in {build.peers_folder()}: run make peers"
         )
-    right = mirrored(recording) if recording.side == "left" else recording
-    file = build.peers_folder() / "cache" / f"{_key(chosen, name, right)}.npz"
+    own = recording if recording.side == robot.side else mirrored(recording)
+    file = build.peers_folder() / "cache" / f"{_key(chosen, name, own)}.npz"
     if not file.is_file():
-        _run(chosen, name, right, file)
-    return read_result(file, chosen, right, robot)
+        _run(chosen, name, own, file)
+    return read_result(file, chosen, own, robot)
 
 
 def read_result(
@@ -281,15 +288,15 @@ def peer_robot(robot: Hand) -> str:
     Raises:
         InvalidInputError: If the peers have no configuration for it.
     """
-    if robot.side == "right" and robot.name in _OWN_NAMES:
+    if _OWN_NAMES.get(robot.name, "").endswith(robot.side):
         return _OWN_NAMES[robot.name]
-    if robot.side == "right":
-        for name in ROBOTS:
-            if set(robot.joint_names) <= _peer_joints(name):
-                return name
+    for name in ROBOTS:
+        is_sure = name.endswith(robot.side) and name != "allegro_hand_left"
+        if is_sure and {*robot.joint_names} <= _peer_joints(name):
+            return name
     raise InvalidInputError(
         argument="robot",
-        expected=f"a right hand with the joints of one of {', '.join(ROBOTS)}",
+        expected=f"a hand with the joints of one of {', '.join(ROBOTS)}",
         value=robot.name,
         got=f"{robot.name} ({robot.side})",
         advice="the peers have no configuration for it",
@@ -298,10 +305,14 @@ def peer_robot(robot: Hand) -> str:
 
 def peer_joint(robot: Hand, name: str) -> str:
     """Return the peers' name of a joint of a robot hand of ours."""
-    if robot.name == "leap_right":
+    if robot.name in ("leap_left", "leap_right"):
         finger, _, joint = name.partition("_")
         return _LEAP_JOINTS[finger][joint]
-    return name.removeprefix("rh_") if robot.name == "shadow_right" else name
+    if robot.name == "allegro_left":
+        finger, link = divmod(int(name.removeprefix("joint_").removesuffix(".0")), 4)
+        return f"joint_{_ALLEGRO_LEFT[finger] + link}.0"
+    is_shadow = robot.name in ("shadow_left", "shadow_right")
+    return name.removeprefix("rh_").removeprefix("lh_") if is_shadow else name
 
 
 def _root_pose(robot: Hand) -> np.ndarray:

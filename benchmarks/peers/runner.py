@@ -4,12 +4,13 @@
 
 The peers are run as in their own examples. Vectors between landmarks are given in the frame that
 dex-retargeting estimates from the wrist and the knuckles of index and middle finger
-(`example/vector_retargeting/single_hand_detector.py`, `OPERATOR2MANO_RIGHT`). Its position method
-gets the landmarks in the tracker's world and moves a free root, which starts at the wrist
-(`example/position_retargeting/hand_robot_viewer.py`). Configuration files are the peers' own
+(`example/vector_retargeting/single_hand_detector.py`, `OPERATOR2MANO_RIGHT` and `_LEFT`). Its
+position method gets the landmarks in the tracker's world and moves a free root, which starts at the
+wrist (`example/position_retargeting/hand_robot_viewer.py`). Configuration files are the peers' own
 (`configs/teleop`, `configs/offline`), and so are robot descriptions (dex-urdf).
 
-IN holds `landmarks` (T, 21, 3) [m] of a right hand in MediaPipe's order, and `valid` (T,). OUT gets
+IN holds `landmarks` (T, 21, 3) [m] of a hand of the robot's side in MediaPipe's order, `valid` (T,)
+and `handedness`. OUT gets
 
 - `joint_names`: all joints of the robot, followers (mimic) among them, n of them;
 - `q`: (T, n) [rad], the last command where a sample is not valid, the first one before it;
@@ -51,15 +52,16 @@ _NO_FILTER = 1.0
 _REPORTS = 4
 
 
-def operator_frame(landmarks: np.ndarray) -> np.ndarray:
-    """Axes of a right hand in which the peers' robots are described: z distal, x out of the palm.
+def operator_frame(landmarks: np.ndarray, sign: float = 1.0) -> np.ndarray:
+    """Axes of a hand in which the peers' robots are described: z distal, x out of the palm.
 
-    The same as `estimate_frame_from_hand_points(...) @ OPERATOR2MANO_RIGHT` of dex-retargeting's
-    examples: z runs from the wrist to the middle finger's knuckle, and the index finger's knuckle
-    lies in the y-z plane, at positive y of the middle finger's.
+    The same as `estimate_frame_from_hand_points(...) @ OPERATOR2MANO_RIGHT`, or `_LEFT`, of
+    dex-retargeting's examples: z runs from the wrist to the middle finger's knuckle, and the index
+    finger's knuckle lies in the y-z plane, at positive y of the middle finger's on a right hand.
 
     Args:
         landmarks: Landmarks [m], shape (21, 3).
+        sign: 1 of a right hand, -1 of a left one.
 
     Returns:
         The axes as columns, shape (3, 3).
@@ -69,6 +71,7 @@ def operator_frame(landmarks: np.ndarray) -> np.ndarray:
     across = landmarks[_INDEX_KNUCKLE] - landmarks[_MIDDLE_KNUCKLE]
     across = across - (across @ distal) * distal
     across = across / np.linalg.norm(across)
+    across = sign * across
     return np.column_stack([np.cross(across, distal), across, distal])
 
 
@@ -92,19 +95,23 @@ def human_indices(config: dict[str, Any]) -> np.ndarray:
     return 4 * np.array(pairs).T
 
 
-def reference_value(landmarks: np.ndarray, indices: np.ndarray) -> np.ndarray:
+def reference_value(
+    landmarks: np.ndarray, indices: np.ndarray, sign: float = 1.0
+) -> np.ndarray:
     """What a peer's `retarget` takes for one sample.
 
     Args:
         landmarks: Landmarks [m], shape (21, 3).
         indices: Of `human_indices`.
+        sign: As of `operator_frame`.
 
     Returns:
         Positions in the landmarks' own frame, or vectors in the operator's frame [m], shape (k, 3).
     """
     if indices.ndim == 1:
         return landmarks[indices]
-    return (landmarks[indices[1]] - landmarks[indices[0]]) @ operator_frame(landmarks)
+    vectors = landmarks[indices[1]] - landmarks[indices[0]]
+    return vectors @ operator_frame(landmarks, sign)
 
 
 def root_angles(rotation: np.ndarray) -> np.ndarray:
@@ -141,9 +148,11 @@ class Solver:
         joint_names: All joints of the peer's robot, those of a free root among them.
         version: Version of the peer.
         failures: Samples that the peer's solver gave up on and said so.
+        sign: As of `operator_frame`.
     """
 
     peer = ""
+    sign = 1.0
 
     def __init__(self, config: dict[str, Any]) -> None:
         self.version = importlib.metadata.version(self.peer)
@@ -182,7 +191,8 @@ class DexRetargeting(Solver):
     def start(self, landmarks: np.ndarray) -> None:
         """Warm start by the peer's own method."""
         rotations = importlib.import_module("pytransform3d.rotations")
-        wrist_quat_wxyz = rotations.quaternion_from_matrix(operator_frame(landmarks))
+        frame = operator_frame(landmarks, self.sign)
+        wrist_quat_wxyz = rotations.quaternion_from_matrix(frame)
         self._solver.warm_start(landmarks[_WRIST], wrist_quat_wxyz)
 
     def retarget(self, reference: np.ndarray) -> np.ndarray:
@@ -209,9 +219,8 @@ class DexiRs(Solver):
     def start(self, landmarks: np.ndarray) -> None:
         """Set the joints of the free root: dexi-rs has no warm start of its own."""
         q = np.array(self._solver.get_qpos())
-        pose = np.concatenate(
-            [landmarks[_WRIST], root_angles(operator_frame(landmarks))]
-        )
+        frame = operator_frame(landmarks, self.sign)
+        pose = np.concatenate([landmarks[_WRIST], root_angles(frame)])
         q[[self.joint_names.index(name) for name in ROOT_JOINTS]] = pose
         self._solver.set_qpos(q.tolist())
 
@@ -236,7 +245,7 @@ def retarget_all(
 
     Args:
         solver: The peer.
-        landmarks: Landmarks of a right hand [m], shape (T, 21, 3).
+        landmarks: Landmarks of a hand of the robot's side [m], shape (T, 21, 3).
         valid: Samples to retarget, shape (T,).
         indices: Of `human_indices`.
         report: Called with the number of samples done after each one.
@@ -251,7 +260,7 @@ def retarget_all(
         solver.start(landmarks[first])
     for i in range(first, len(valid)):
         if valid[i]:
-            reference = reference_value(landmarks[i], indices)
+            reference = reference_value(landmarks[i], indices, solver.sign)
             started = time.process_time_ns()
             q[i] = solver.retarget(reference)
             cpu_time[i] = 1e-9 * (time.process_time_ns() - started)
@@ -309,9 +318,10 @@ def main() -> None:
         landmarks = arrays["landmarks"].astype(float)
         valid = arrays["valid"].astype(bool) & np.isfinite(landmarks).all(axis=(1, 2))
         side = str(arrays["handedness"])
-    if side != "right":
+    if not arguments.robot.endswith(side):
         raise SystemExit(
-            f"runner.py: handedness: expected right, got {side}: mirror it first"
+            f"runner.py: handedness: {arguments.robot} does not follow a {side} hand: "
+            "mirror it first"
         )
     if not valid.any():
         raise SystemExit("runner.py: no sample is valid")
@@ -322,6 +332,7 @@ def main() -> None:
         is_filtered=not arguments.no_filter,
     )
     solver = SOLVERS[arguments.peer](config)
+    solver.sign = 1.0 if side == "right" else -1.0
     name = f"{arguments.peer} {arguments.method} {arguments.robot}"
     steps = {len(valid) * part // _REPORTS for part in range(1, _REPORTS + 1)}
 
