@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -404,19 +406,48 @@ FINGER = """<body name="base_{0}" pos="{1} {2} 0" euler="0 0 {3}">
 <geom type="capsule" size=".007" fromto="0 0 0 0 .03 0"/></body></body>"""
 
 
+PLACES = {
+    "index": (-0.03, 0.04, 0.0),
+    "middle": (0.0, 0.04, 0.0),
+    "ring": (0.03, 0.04, 0.0),
+}
+
+
+def write_claw(model: Path) -> None:
+    fingers = [FINGER.format(name, *place) for name, place in PLACES.items()]
+    thumb = FINGER.format("thumb", -0.03, -0.03, 1.2)
+    model.write_text(CLAW % "".join([*fingers, thumb]))
+
+
+def test_edit_of_an_mjcf_file_writes_nothing_before_it_saves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    editor = pytest.importorskip("handmap_qp.apps.onboarding.editor")
+    model = tmp_path / "scene.xml"
+    write_claw(model)
+    opened = []
+    monkeypatch.setattr(editor, "showing", lambda *_, **__: nullcontext())
+    monkeypatch.setattr(editor, "run_frames", lambda _: None)
+    monkeypatch.setattr(
+        editor,
+        "HandEditor",
+        lambda *given: opened.append(given) or SimpleNamespace(tick=None),
+    )
+    for _ in range(2):
+        editor.HandsEdit(str(model)).run()
+        assert [*tmp_path.iterdir()] == [model]
+    _, found, out = opened[-1]
+    write_hand(found, out)
+    hand = load_hand(out)
+    assert hand.spec.urdf == "scene.xml"
+    assert "flex_thumb" in hand.joint_names
+
+
 def test_init_takes_an_mjcf_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    places = {
-        "index": (-0.03, 0.04, 0.0),
-        "middle": (0.0, 0.04, 0.0),
-        "ring": (0.03, 0.04, 0.0),
-    }
-    fingers = [FINGER.format(name, *place) for name, place in places.items()]
     model = tmp_path / "scene.xml"
-    model.write_text(
-        CLAW % "".join([*fingers, FINGER.format("thumb", -0.03, -0.03, 1.2)])
-    )
+    write_claw(model)
     out = tmp_path / "made" / "claw.yaml"
     HandsInit(model, side="right", out=out).run()
     printed = capsys.readouterr().out
@@ -427,7 +458,7 @@ def test_init_takes_an_mjcf_file(
     hand = load_hand(out)
     assert hand.spec.urdf == "scene.urdf"
     assert set(hand.joint_names) == {
-        f"{j}_{f}" for j in ("flex", "curl") for f in (*places, "thumb")
+        f"{j}_{f}" for j in ("flex", "curl") for f in (*PLACES, "thumb")
     }
     model.unlink()
     assert load_hand(out).joint_names == hand.joint_names

@@ -69,7 +69,7 @@ class HandsEdit:
         out = self.out or given.with_suffix(".yaml")
         check_free(out, overwrite=self.overwrite or out == given)
         if given.suffix.lower() in ROBOT_FILES:
-            source = open_source(given, out.parent, overwrite=self.overwrite)
+            source = open_source(given)
             found = edit.described(detect(source[0]), source)
         else:
             found = edit.open_description(given)

@@ -79,13 +79,15 @@ RobotSource = tuple[Path, str, Names]
 """A URDF, how `hand.yaml` refers to it, and what a conversion from MJCF left out, in sentences."""
 
 
-def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotSource:
+def open_source(
+    robot: Path, folder: Path | None = None, *, overwrite: bool = False
+) -> RobotSource:
     """Find the URDF of a robot, and convert an MJCF file to one.
 
     Args:
         robot: A URDF or MJCF file, `package://PACKAGE/path`, or `robot_descriptions:MODULE`.
         folder: Folder of the `hand.yaml`. The URDF and the meshes of an MJCF file are written
-            beside it.
+            beside it; into the user's cache if omitted, and `hand.yaml` refers to the MJCF file.
         overwrite: Whether to replace a URDF that is there.
 
     Raises:
@@ -97,11 +99,12 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     given = str(robot).replace("package:/", "package://", 1).replace(":///", "://")
     source = source_path(given)
     path = source or robot
+    named = given if source else str(path)
     if not is_mjcf(path):
-        return path, given if source else str(path), ()
+        return path, named, ()
     mjcf = hands.mjcf
-    if source:
-        return mjcf.cached_urdf(path), given, mjcf.ConvertedMjcf(path).notes
+    if source or not folder:
+        return mjcf.cached_urdf(path), named, mjcf.ConvertedMjcf(path).notes
     urdf = folder / f"{path.stem}.urdf"
     check_new("--out", urdf, overwrite=overwrite)
     converted = mjcf.ConvertedMjcf(path, f"{path.stem}_meshes")
