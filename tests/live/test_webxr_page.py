@@ -146,6 +146,18 @@ def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
     wait_for_text(browser, "#right .state", "held until Engage")
     click(browser, "#right .engage")
     wait_for_text(browser, "#right .state", "streaming")
+    # Joints that do not follow hold the whole robot, and both hands say so.
+    session = sessions(server)["webxr-both"]
+
+    def lose() -> None:
+        session._measured = session._commanded.q
+        session._lose()
+
+    in_loop(server, lose)
+    for side in ("right", "left"):
+        wait_for_text(browser, f"#{side} .state", "joints do not follow")
+    click(browser, "#right .engage")
+    wait_for_text(browser, "#right .state", "streaming")
     click(browser, "#stop")
     wait_for_text(browser, "#right .state", "emergency stop")
     click(browser, "#right .clear")

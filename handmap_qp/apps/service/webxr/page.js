@@ -110,6 +110,9 @@ function stateOf(card) {
   if (session.error) return ["error", session.error];
   if (!session.isOpen) return ["waiting", `opening ${session.robot}`];
   if (last?.status === "stopped") return ["error", "emergency stop: the robot holds"];
+  if (last?.status === "not_following") {
+    return ["error", "the robot's joints do not follow: it holds until Engage"];
+  }
   if (!card.joints) {
     return ["waiting", card.seen ? "hand lost: the robot holds" : "waiting for the hand"];
   }

@@ -160,8 +160,9 @@ export class RobotSession extends HandSession {
 
   lastOf(side) {
     const { last } = this;
-    // A stop is that of the whole robot, whatever its hands say.
-    return last?.status === "stopped" ? last : last && { ...last, ...last.hands?.[side] };
+    // These are of the whole robot, whatever its hands say.
+    const isWhole = ["stopped", "not_following"].includes(last?.status);
+    return isWhole ? last : last && { ...last, ...last.hands?.[side] };
   }
 }
 
