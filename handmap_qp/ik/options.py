@@ -6,13 +6,15 @@ import numpy as np
 from msgspec import Meta
 
 from handmap_qp.hands import Hand, Names
-from handmap_qp.options import NotNegative, Options, Positive
+from handmap_qp.options import NotNegative, Options, Positive, number
 from handmap_qp.se3 import Array
 
 LENGTH_UNIT = 0.01
 """Length that counts as one in the cost [m]."""
 ANGLE_UNIT = 0.1
 """Wrist rotation that counts as one in the cost [rad]."""
+_MOST = 1e6  # of a weight, whose square the QP must hold beside those of others
+_Weight = Annotated[float, number(high=_MOST)]
 
 
 class IkOptions(Options, frozen=True):
@@ -59,14 +61,14 @@ class IkOptions(Options, frozen=True):
         tasks: Further terms of the cost by name, of other packages (`handmap_qp.tasks`).
     """
 
-    point_weight: NotNegative = 1.0
-    wrist_position_weight: NotNegative = 3.0
-    wrist_orientation_weight: NotNegative = 3.0
-    rest_weight: NotNegative = 0.2
-    damping: Positive = 0.1
-    error_damping: NotNegative = 0.7
-    speed_weight: NotNegative = 0.0
-    acceleration_weight: NotNegative = 0.0
+    point_weight: _Weight = 1.0
+    wrist_position_weight: _Weight = 3.0
+    wrist_orientation_weight: _Weight = 3.0
+    rest_weight: _Weight = 0.2
+    damping: Annotated[float, number(high=_MOST, above=True)] = 0.1
+    error_damping: _Weight = 0.7
+    speed_weight: _Weight = 0.0
+    acceleration_weight: _Weight = 0.0
     formulation: Literal["compiled", "direct", "mink"] = "compiled"
     solver: str = "daqp"
     max_iterations: Annotated[int, Meta(ge=1)] = 3

@@ -237,7 +237,6 @@ class PointIk:
 
     Raises:
         InvalidOptionsError: If there is no such solver or task.
-        OverflowError: If a weight has no finite square.
     """
 
     def __init__(
@@ -250,9 +249,6 @@ class PointIk:
     ) -> None:
         self.hand = hand
         self.options = options
-        for name in ("rest_weight", "damping", "speed_weight", "acceleration_weight"):
-            # A square that overflows is refused here, not at a sample.
-            math.pow(getattr(options, name), 2.0)
         collisions = None
         if contacts:
             collisions = ik.collision.CollisionLimit(hand, contacts, _HORIZON)

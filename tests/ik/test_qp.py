@@ -28,6 +28,7 @@ from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.limits import BoxLimits, Gate, Motion
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.ik.solvers import make_solver
+from handmap_qp.options import Option, options_of
 
 ARM = arm_hand()
 HAND = load_hand("three_finger", mount="floating")
@@ -469,3 +470,27 @@ def test_a_slower_box_is_in_the_box_and_keeps_the_share_where_braking_allows(
     # Beyond the share only as far as the full box makes it go.
     np.testing.assert_array_equal(upper[upper > farthest], full[0][upper > farthest])
     np.testing.assert_array_equal(lower[lower < -farthest], full[1][lower < -farthest])
+
+
+WEIGHTS = [
+    option
+    for option in options_of(IkOptions)
+    if option.name.endswith(("weight", "damping"))
+]
+
+
+@pytest.mark.parametrize("option", WEIGHTS, ids=lambda option: option.name)
+@pytest.mark.parametrize("formulation", ["compiled", "direct"])
+def test_the_largest_weight_is_solved_and_a_larger_one_named(
+    option: Option, formulation: str
+) -> None:
+    human, robot = load_hand("human"), load_hand("three_finger")
+    assert option.range
+    changes = {option.name: option.range[1], "formulation": formulation}
+    mapper = HandMapper(human, robot, ik=IkOptions(**changes))
+    fist = human.rest + 0.5 * (human.upper_limits - human.rest)
+    for _ in range(3):
+        step = mapper.map_step(fist, np.eye(4))
+        assert step.status != "failed"
+    with pytest.raises(InvalidOptionsError, match=f"{option.name}: expected"):
+        IkOptions(**{option.name: 1e200})
