@@ -109,14 +109,15 @@ class InputArguments:
             InvalidInputError: If it is in another order, of the other hand, in other units or the
                 like (`handmap_qp.trackers.plausibility`).
         """
-        given = {"fps": self.fps, "said": self.side}
         if self.layout is not None:
             expect(self.fps is None, "--fps", "none with --layout", value=self.fps)
             lengths = read_person(person).lengths if person else None
             layout = load_layout(self.layout)
             return read_with_layout(path, layout, self.side, lengths)
         try:
-            recording = read_recording(path, self.side or wanted, **given)
+            recording = read_recording(
+                path, self.side or wanted, fps=self.fps, said=self.side
+            )
         except RecordingError as error:
             if hint := layout_hint(path):
                 error.problem += f"; {hint}"

@@ -486,11 +486,11 @@ def test_the_largest_weight_is_solved_and_a_larger_one_named(
 ) -> None:
     human, robot = load_hand("human"), load_hand("three_finger")
     assert option.range
-    changes = {option.name: option.range[1], "formulation": formulation}
+    changes: dict[str, Any] = {option.name: option.range[1], "formulation": formulation}
     mapper = HandMapper(human, robot, ik=IkOptions(**changes))
     fist = human.rest + 0.5 * (human.upper_limits - human.rest)
     for _ in range(3):
         step = mapper.map_step(fist, np.eye(4))
         assert step.status != "failed"
     with pytest.raises(InvalidOptionsError, match=f"{option.name}: expected"):
-        IkOptions(**{option.name: 1e200})
+        IkOptions().replaced(**{option.name: 1e200})

@@ -79,7 +79,7 @@ class HamerFormat(ManoFormat):
         """Read each hand."""
         arrays = _read(path)
         if KEYPOINTS in arrays:
-            return _hands_of(arrays, self._said)
+            return _hands_of(arrays, self.said)
         if np.ndim(arrays.get("hand_pose", 0.0)) == 4:
             arrays = {"flat_hand_mean": True} | arrays
         return {"": arrays}

@@ -9,10 +9,12 @@ import abc
 import os
 import pickle
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Self
 
 import numpy as np
+import pinocchio as pin
 from numpy.lib.format import MAGIC_PREFIX
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
@@ -34,34 +36,28 @@ _KNOWN = {"side", "time", "fps", "valid", "betas", "transl", "v_template", *OF_M
 _KNOWN |= {"global_orient", "flat_hand_mean", "object_pose", "object_shape"}
 
 
+@dataclass(frozen=True)
 class HandModelFormat(RecordingFormat):
     """Files whose hands are joints or parameters of MANO.
 
-    Args:
+    Attributes:
         model: File of the model, or its folder; that of `HANDMAP_MANO` if omitted.
         fps: Samples a second, in place of what files say.
         said: Which hand files are of that do not say it.
     """
 
-    def __init__(
-        self,
-        *,
-        model: Path | None = None,
-        fps: float | None = None,
-        said: Side | None = None,
-    ) -> None:
-        self._model = model
-        self._fps = fps
-        self._said = said
+    model: Path | None = None
+    fps: float | None = None
+    said: Side | None = None
 
     def given(self, **given: Any) -> Self:
         """Return the format with what a user says, as of the class."""
-        return type(self)(**given)
+        return replace(self, **given)
 
     def model_of(self, side: Side) -> Arrays:
         """Load the arrays of `_MODEL` of the user's file or folder, or that of `HANDMAP_MANO`."""
         name = f"MANO_{side.upper()}.pkl"
-        found = self._model or os.environ.get(ENVIRONMENT)
+        found = self.model or os.environ.get(ENVIRONMENT)
         if not found:
             raise RecordingError(
                 "MANO parameters need the licensed model (mano.is.tue.mpg.de): give the path of "
@@ -93,7 +89,7 @@ class HandModelFormat(RecordingFormat):
         entries = []
         for entry, arrays in self.hands(path).items():
             main = next(arrays[name] for name in OF_MANO if name in arrays)
-            side = side_of(arrays.get("side", self._said), "side")
+            side = side_of(arrays.get("side", self.said), "side")
             entries.append(Entry(entry, side, len(np.atleast_1d(main))))
         return entries
 
@@ -107,14 +103,14 @@ class HandModelFormat(RecordingFormat):
             model = self.model_of(entry.side)
             joints = _joints_of_parameters(model, arrays, entry.samples)
         time = arrays.get("time")
-        rate = self._fps or (arrays.get("fps") if time is None else None)
-        if rate is not None:
+        if time is None or self.fps:
+            rate = self.fps or arrays.get("fps")
+            if rate is None:
+                advice = "give the frames per second by --fps"
+                raise InvalidInputError("has neither 'time' nor 'fps'", advice=advice)
             fps = as_floats(rate, "fps", shape=(), is_finite=True)
             expect(fps > 0.0, "fps", "a rate > 0", value=fps)
             time = np.arange(len(joints)) / fps
-        if time is None:
-            advice = "give the frames per second by --fps"
-            raise InvalidInputError("has neither 'time' nor 'fps'", advice=advice)
         return build_recording(
             path,
             entry,
@@ -182,7 +178,8 @@ def _joints_of_parameters(
     def given(name: str, *shape: int | str) -> Array:
         values: Any = arrays.get(name)
         if np.ndim(values) == 4:
-            values = vectors_of(values).reshape(count, -1)
+            matrices = as_floats(values, name).reshape(-1, 3, 3)
+            values = np.reshape([*map(pin.log3, matrices)], (count, -1))
         return as_floats(values, name, shape=shape, is_finite=True)
 
     if "pose" in arrays:
@@ -190,10 +187,9 @@ def _joints_of_parameters(
     else:
         root = given("global_orient", count, 3)
         fingers = given("hand_pose", count, "k")
-    shape = np.zeros(_SHAPES)
-    if "betas" in arrays:
-        arrays = arrays | {"betas": np.atleast_2d(arrays["betas"])}
-        shape = given("betas", "T", _SHAPES).mean(axis=0)
+    arrays = {"betas": np.zeros(_SHAPES)} | arrays
+    arrays["betas"] = np.atleast_2d(arrays["betas"])
+    shape = given("betas", "T", _SHAPES).mean(axis=0)
     components = fingers.shape[1]
     expect(
         components <= _TURNS,
@@ -259,18 +255,8 @@ def _posed_joints(
 
 def rotations_of(turns: Array) -> Array:
     """Return rotations, shape (..., 3, 3), of rotation vectors [rad], shape (..., 3)."""
-    from scipy.spatial.transform import Rotation
-
-    rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()
-    return rotations.reshape(*turns.shape, 3)
-
-
-def vectors_of(rotations: Any) -> Array:
-    """Return rotation vectors [rad], shape (n, 3), of rotations, shape (..., 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    matrices = as_floats(rotations, "rotations").reshape(-1, 3, 3)
-    return Rotation.from_matrix(matrices).as_rotvec()
+    vectors = as_floats(turns, "turns").reshape(-1, 3)
+    return np.reshape([*map(pin.exp3, vectors)], (*turns.shape, 3))
 
 
 def _dense(values: Any) -> Any:
