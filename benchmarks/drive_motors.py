@@ -1,6 +1,6 @@
 """Measure `handmap drive` from a recording to the joints of emulated motors.
 
-The motors are `examples/drive/emulated_motors.py`: a LEAP hand whose joints lag by 30 ms.
+The motors are `handmap_drive.emulator`: a LEAP hand whose joints lag by 30 ms.
 Prints the tables of docs/drive.md: following and pinches on a bus that is good, slow or bad, and
 how long a stop takes to reach the motors. All processes share one machine, with what else runs on
 it.
@@ -14,21 +14,17 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-import sys
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from handmap_drive.demo import Chain, Driven
 from handmap_drive.drive import HOLDING
 
 from handmap_qp import read_recording
 from handmap_qp.apps.tables import markdown_table
 from handmap_qp.client import Client
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "drive"))
-from demo import Chain, Driven
 
 BUSES: dict[str, dict[str, float]] = {
     "good": {},

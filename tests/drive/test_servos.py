@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated_motors import Emulator
 from handmap_drive import DRIVERS
 from handmap_drive.driver import Driver, DriverError, Health
+from handmap_drive.emulator import Emulator
 from handmap_drive.servos import Servos
 from patience import wait_until
 

@@ -3,7 +3,7 @@
 It speaks protocol 2 of Dynamixel or the protocol of Feetech STS, registers and checksums included.
 Each motor follows its goal with a lag, a speed limit, and a torque limited as its registers say.
 
-    python examples/drive/emulated_motors.py dynamixel --ids 0-15
+    python -m handmap_drive.emulator dynamixel --ids 0-15
 
 The first line that it prints is JSON with the `port` for `handmap drive --port`. After that, it
 takes lines of JSON on stdin, and answers each with the state of all motors:
@@ -366,7 +366,7 @@ class Emulator:
 
     def __init__(self, kind: str, *options: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, __file__, kind, *options],
+            [sys.executable, "-m", "handmap_drive.emulator", kind, *options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

