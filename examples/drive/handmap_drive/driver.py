@@ -16,7 +16,7 @@ class Health(NamedTuple):
     """How motors are.
 
     Attributes:
-        temperature: Of each motor [degrees Celsius], shape (n,).
+        temperature: Of each motor [degrees Celsius], shape (n,); NaN if it does not tell.
         faults: What motors report themselves, such as `if_mcp: overload`.
     """
 
@@ -64,4 +64,7 @@ class Driver(Protocol):
         """
 
     def stop(self) -> None:
-        """Take the torque away. Called again and again, because a message may be lost."""
+        """Take the torque away. Called again and again, because a message may be lost.
+
+        A hand that cannot be without torque holds where it is, with the least it can.
+        """

@@ -1,9 +1,11 @@
-"""Emulated servos on a pseudo-terminal: try a driver without a robot.
+"""Emulated motors on a pseudo-terminal or on loopback: try a driver without a robot.
 
-It speaks protocol 2 of Dynamixel or the protocol of Feetech STS, registers and checksums included.
-Each motor follows its goal with a lag, a speed limit, and a torque limited as its registers say.
+It speaks protocol 2 of Dynamixel, the protocol of Feetech STS, Modbus of an Inspire RH56 (RTU, or
+TCP on loopback) or the messages of an Ability Hand, registers and checksums included. Each motor
+follows its goal with a lag, a speed limit, and a torque limited as its registers say.
 
     python -m handmap_drive.emulator dynamixel --ids 0-15
+    python -m handmap_drive.emulator inspire-tcp
 
 The first line that it prints is JSON with the `port` for `handmap drive --port`. After that, it
 takes lines of JSON on stdin, and answers each with the state of all motors:
@@ -12,9 +14,9 @@ takes lines of JSON on stdin, and answers each with the state of all motors:
     {"loss": 0.01}                 share of messages that get lost, in both directions
     {"damage": 0.01}               share of answers with a wrong byte
     {"latency": 0.002}             time before an answer [s]
-    {"wall": {"3": [-1, 0.5]}}     an obstacle: where a motor can move [rad from 180 degrees]
+    {"wall": {"3": [-1, 0.5]}}     an obstacle: where a motor can move [rad, servos from 180 deg]
     {"temperature": {"3": 75}}     [degrees Celsius]
-    {"silent": [3]}                motors that do not answer
+    {"silent": [3]}                motors that do not answer; any of a hand: all of it
     {"deaf": [102]}                registers for which messages to all motors get lost
     {"unplug": true}               the port is gone
 
@@ -30,14 +32,18 @@ import os
 import random
 import select
 import signal
+import socket
 import subprocess
 import sys
 import time
 import tty
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from .emulated_hands import AbilityProtocol, ModbusRtu, ModbusTcp
 
 TURN = 4096
 LAG = 0.03  # s
@@ -92,11 +98,39 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-class Protocol2:
+class ServoProtocol:
+    """What messages of servos do."""
+
+    walls: Mapping[int, tuple[float, float]] = {}
+    width: int  # of addresses
+
+    def obey(self, bus: Bus, target: int, instruction: int, body: bytes) -> None:
+        """Do what a message says, and answer."""
+        at = int.from_bytes(body[: self.width], "little")
+        size = int.from_bytes(body[self.width : 2 * self.width], "little")
+        rest = body[2 * self.width :]
+        # Ping, read, write; then those of many motors.
+        if instruction == 1:
+            bus.say(target, 0, b"\0\0\0")
+        elif instruction == 2:
+            bus.say(target, 0, bus.read(target, at, size))
+        elif instruction == 3 and target in bus.motors:
+            error = bus.motors[target].write(at, body[self.width :])
+            bus.say(target, error, b"")
+        elif instruction == 0x82:
+            for number in rest:
+                bus.say(number, 0, bus.read(number, at, size))
+        elif instruction == 0x83 and at not in bus.deaf:
+            for i in range(0, len(rest), size + 1):
+                if servo := bus.motors.get(rest[i]):
+                    servo.write(at, rest[i + 1 : i + 1 + size])
+
+
+class Protocol2(ServoProtocol):
     """Dynamixel's messages: header, number, length, instruction, parameters, CRC."""
 
     header = b"\xff\xff\xfd\x00"
-    width = 2  # of addresses
+    width = 2
 
     def take(self, buffer: bytearray) -> tuple[int, int, bytes] | None:
         """Remove the first message: motor, instruction, parameters; None if it is not complete."""
@@ -122,7 +156,7 @@ class Protocol2:
         return message + crc16(message).to_bytes(2, "little")
 
 
-class ProtocolScs:
+class ProtocolScs(ServoProtocol):
     """Feetech's messages: header, number, length, instruction, parameters, sum."""
 
     header = b"\xff\xff"
@@ -161,6 +195,11 @@ class Servo:
         self.put(family.limit, family.full)
         self.put(family.goal, self.units(angle))
         self.show()
+
+    def confine(self, wall: tuple[float, float]) -> None:
+        """Let the joint move in a range only [rad]."""
+        self.wall = wall
+        self.angle = float(np.clip(self.angle, *wall))
 
     def units(self, angle: float) -> int:
         return round((angle / (2.0 * np.pi) + 0.5) * TURN)
@@ -239,16 +278,70 @@ class Servo:
         self.put(family.temperature, round(self.temperature))
 
 
-class Bus:
-    """All motors behind a pseudo-terminal."""
+KINDS: dict[str, tuple[Family, Callable[[], Any]]] = {
+    "dynamixel": (DYNAMIXEL, Protocol2),
+    "feetech": (FEETECH, ProtocolScs),
+    "inspire": (DYNAMIXEL._replace(full=1000, watchdog=0), ModbusRtu),
+    "inspire-tcp": (DYNAMIXEL._replace(full=1000, watchdog=0), ModbusTcp),
+    "ability": (DYNAMIXEL, AbilityProtocol),
+}
+"""Registers in which a motor keeps its state, and the protocol."""
 
-    def __init__(self, kind: str, numbers: list[int], angle: float) -> None:
-        family = DYNAMIXEL if kind == "dynamixel" else FEETECH
-        self.protocol = Protocol2() if kind == "dynamixel" else ProtocolScs()
-        self.motors = {n: Servo(family, n, angle) for n in numbers}
-        self.master, self.slave = os.openpty()
+
+class Terminal:
+    """A pseudo-terminal."""
+
+    def __init__(self) -> None:
+        self.fd, self.slave = os.openpty()
         tty.setraw(self.slave)
         self.port = os.ttyname(self.slave)
+
+    def read(self) -> bytes:
+        return os.read(self.fd, 65536)
+
+    def close(self) -> None:
+        os.close(self.fd)
+        os.close(self.slave)
+        self.fd = -1
+
+
+class Loopback:
+    """A TCP server on loopback, for one client at a time."""
+
+    def __init__(self) -> None:
+        self.server = self.open = socket.create_server(("127.0.0.1", 0))
+        self.port = f"127.0.0.1:{self.server.getsockname()[1]}"
+
+    @property
+    def fd(self) -> int:
+        return self.open.fileno()
+
+    def read(self) -> bytes:
+        if self.open is self.server:
+            self.open, _ = self.server.accept()
+            return b""
+        data = self.open.recv(65536)
+        if not data:
+            self.open = self.server
+        return data
+
+    def close(self) -> None:
+        self.open.close()
+        self.server.close()
+
+
+class Bus:
+    """All motors behind a port."""
+
+    def __init__(self, kind: str, numbers: list[int], angle: float) -> None:
+        family, protocol = KINDS[kind]
+        self.protocol = protocol()
+        self.motors = {
+            n: Servo(family, n, angle) for n in self.protocol.walls or numbers
+        }
+        for number, wall in self.protocol.walls.items():
+            self.motors[number].confine(wall)
+        self.line = Loopback() if kind.endswith("-tcp") else Terminal()
         self.loss = self.damage = self.latency = 0.0
         self.silent: set[int] = set()
         self.deaf: set[int] = set()
@@ -272,52 +365,36 @@ class Bus:
 
     def receive(self) -> None:
         """Read what has been written to the port, and answer."""
-        self.buffer += os.read(self.master, 65536)
+        self.buffer += self.line.read()
         while found := self.protocol.take(self.buffer):
             if self.random.random() >= self.loss:
-                self.obey(*found)
-
-    def obey(self, target: int, instruction: int, body: bytes) -> None:
-        width = self.protocol.width
-        at = int.from_bytes(body[:width], "little")
-        size = int.from_bytes(body[width : 2 * width], "little")
-        rest = body[2 * width :]
-        now = time.monotonic()
-        for servo in self.motors.values():
-            servo.heard = now
-        # Ping, read, write; then those of many motors.
-        if instruction == 1:
-            self.say(target, 0, b"\0\0\0")
-        elif instruction == 2:
-            self.say(target, 0, self.read(target, at, size))
-        elif instruction == 3 and target in self.motors:
-            self.say(target, self.motors[target].write(at, body[width:]), b"")
-        elif instruction == 0x82:
-            for number in rest:
-                self.say(number, 0, self.read(number, at, size))
-        elif instruction == 0x83 and at not in self.deaf:
-            for i in range(0, len(rest), size + 1):
-                if servo := self.motors.get(rest[i]):
-                    servo.write(at, rest[i + 1 : i + 1 + size])
+                for servo in self.motors.values():
+                    servo.heard = time.monotonic()
+                self.protocol.obey(self, *found)
 
     def read(self, number: int, at: int, size: int) -> bytes:
         servo = self.motors.get(number)
         return bytes(servo.memory[at : at + size]) if servo else b""
 
     def say(self, number: int, error: int, data: bytes) -> None:
-        """Answer as a motor, unless it is silent or the answer gets lost."""
+        """Answer as a motor, unless it is silent."""
         servo = self.motors.get(number)
-        is_lost = self.random.random() < self.loss
-        if servo is None or number in self.silent or is_lost:
+        if servo is None or number in self.silent:
             return
         if servo.family.watchdog and servo.get(servo.family.fault):
             error |= 128
-        answer = bytearray(self.protocol.answer(number, error, data))
+        self.send(self.protocol.answer(number, error, data))
+
+    def send(self, message: bytes) -> None:
+        """Send an answer, unless it gets lost."""
+        answer = bytearray(message)
+        if self.random.random() < self.loss:
+            return
         if self.random.random() < self.damage:
             answer[self.random.randrange(len(answer))] ^= 0x41
         if self.latency:
             time.sleep(self.latency)
-        os.write(self.master, answer)
+        os.write(self.line.fd, answer)
 
     def change(self, orders: dict[str, Any]) -> None:
         """Carry out a line of stdin."""
@@ -329,9 +406,7 @@ class Bus:
             for number, value in orders[name].items():
                 setattr(self.motors[int(number)], name, value)
         if orders.get("unplug"):
-            os.close(self.master)
-            os.close(self.slave)
-            self.master = -1
+            self.line.close()
 
     def state(self) -> dict[str, Any]:
         """Return what all motors do, in the order of their numbers."""
@@ -341,7 +416,7 @@ class Bus:
             "goal": [servo.goal for servo in motors],
             "angle": [servo.angle for servo in motors],
             "limit": [servo.limit for servo in motors],
-            "torque": [servo.has_torque for servo in motors],
+            "torque": [servo.has_torque and servo.limit > 0.0 for servo in motors],
             "effort": [servo.effort for servo in motors],
         }
 
@@ -357,11 +432,11 @@ class Emulator:
     """Emulated motors in a process of their own; also a context manager.
 
     Args:
-        kind: `dynamixel` or `feetech`.
+        kind: One of `KINDS`.
         *options: Further words of the command line.
 
     Attributes:
-        port: Name of the pseudo-terminal.
+        port: Name of the pseudo-terminal, or HOST:PORT.
     """
 
     def __init__(self, kind: str, *options: str) -> None:
@@ -393,8 +468,8 @@ class Emulator:
 
 def main() -> None:
     """Emulate until SIGTERM or the end of stdin."""
-    parser = argparse.ArgumentParser(description="Emulated servos.")
-    parser.add_argument("kind", choices=["dynamixel", "feetech"])
+    parser = argparse.ArgumentParser(description="Emulated motors.")
+    parser.add_argument("kind", choices=KINDS)
     parser.add_argument("--ids", default="0-15", help="first and last number")
     parser.add_argument("--angle", type=float, default=0.3, help="at the start [rad]")
     parser.add_argument("--log", help="file (.npz) to write at the end")
@@ -402,13 +477,13 @@ def main() -> None:
     first, last = map(int, given.ids.split("-"))
     bus = Bus(given.kind, list(range(first, last + 1)), given.angle)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    print(json.dumps({"port": bus.port}), flush=True)
+    print(json.dumps({"port": bus.line.port}), flush=True)
     try:
         while True:
-            watched = [sys.stdin, *([bus.master] if bus.master >= 0 else [])]
+            watched = [sys.stdin, *([bus.line.fd] if bus.line.fd >= 0 else [])]
             ready, _, _ = select.select(watched, [], [], STEP)
             bus.advance()
-            if bus.master in ready:
+            if bus.line.fd in ready:
                 bus.receive()
             if sys.stdin in ready:
                 if not (line := sys.stdin.readline()):

@@ -1,13 +1,14 @@
 """Tables of motors: YAML files that say which motor belongs to which joint."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta, Struct
 
 from handmap_qp.apps.refusals import naming
-from handmap_qp.errors import InvalidInputError, reason_of
+from handmap_qp.errors import InvalidInputError, expect, reason_of
 from handmap_qp.hands import Names
 
 
@@ -39,8 +40,9 @@ class Motors(Struct, frozen=True, forbid_unknown_fields=True):
         effort: As of `Driver`.
         full: The largest torque, in units of the motors.
         motors: The motors.
-        bus: Family of servos.
-        setup: Further registers to write at the start: address, bytes, value.
+        bus: Family of servos, or the hand.
+        address: Number of a hand on its bus.
+        setup: Further registers of servos to write at the start: address, bytes, value.
     """
 
     baud: int
@@ -49,7 +51,8 @@ class Motors(Struct, frozen=True, forbid_unknown_fields=True):
     effort: float
     full: int
     motors: Annotated[tuple[Motor, ...], Meta(min_length=1)]
-    bus: Literal["dynamixel", "feetech"] = "dynamixel"
+    bus: Literal["dynamixel", "feetech", "inspire", "ability"] = "dynamixel"
+    address: int = 1
     setup: tuple[tuple[int, int, int], ...] = ()
 
 
@@ -65,3 +68,51 @@ def read_motors(file: Path) -> Motors:
     except msgspec.MsgspecError as error:
         problem = f"{file}: {reason_of(error)}"
         raise InvalidInputError(problem, argument="--motors") from error
+
+
+class TableDriver:
+    """What drivers with a table share; attributes as of `Driver`.
+
+    Args:
+        own: Name of the package's table; empty if there is none.
+        port: The port.
+        joints: Joints of the session; those without a motor are left out.
+        file: The user's table, in place of the package's.
+
+    Raises:
+        InvalidInputError: If the table cannot be used, or has joints that the session does not.
+    """
+
+    buses: ClassVar[Names]
+    numbers: ClassVar[range]
+    """What `bus` and the `id` of a motor may be in the table."""
+
+    def __init__(
+        self, own: str, port: str, joints: Names, file: Path | None = None
+    ) -> None:
+        expect(own or file, "--motors", "a table of the servos")
+        self._table = table = read_motors(
+            file or Path(__file__).with_name(f"{own}.yaml")
+        )
+        motors = table.motors
+        kinds = " or ".join(self.buses)
+        expect(table.bus in self.buses, "--motors", f"bus: {kinds}", value=table.bus)
+        self._ids = [motor.id for motor in motors]
+        expect(
+            {*self._ids} <= {*self.numbers},
+            "--motors",
+            f"each id in {self.numbers[0]} to {self.numbers[-1]}",
+            got=", ".join(map(str, self._ids)),
+        )
+        self.rate, self.speed, self.effort = table.rate, table.speed, table.effort
+        self.joint_names = tuple(n for m in motors for n in m.joint if n in joints)
+        expect(
+            len(self.joint_names) == len(motors),
+            "--motors",
+            f"joints of the session, {', '.join(joints)}",
+            got=", ".join(motor.joint[0] for motor in motors),
+        )
+        self.range = np.array([motor.range for motor in motors]).T
+        places = np.array([(motor.zero, motor.ratio) for motor in motors])
+        self._zero, self._ratio = places.T
+        self._port_name = port

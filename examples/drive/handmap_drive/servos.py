@@ -13,10 +13,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import expect
 from handmap_qp.hands import Names
 from .driver import DriverError, Health
-from .motors import read_motors
+from .motors import TableDriver
 
 _WRITING, _READING = 1.0, 0.01
 """Longest waits of one call of the port [s]; a missing answer counts after some 40 ms."""
@@ -25,42 +24,22 @@ _ALERT = 128
 """Bit in an answer of a motor with a fault, which `read` tells."""
 
 
-class Servos:
-    """The servos of a table; attributes as of `Driver`.
+class Servos(TableDriver):
+    """The servos of a table; arguments and attributes as of `TableDriver`."""
 
-    Args:
-        own: Name of the package's table; empty if there is none.
-        port: The port.
-        joints: Joints of the session; those without a motor are left out.
-        file: The user's table, in place of the package's.
-
-    Raises:
-        InvalidInputError: If the table cannot be used, or has joints that the session does not.
-    """
+    buses = ("dynamixel", "feetech")
+    numbers = range(253)
 
     def __init__(
         self, own: str, port: str, joints: Names, file: Path | None = None
     ) -> None:
-        here = Path(__file__)
-        expect(own or file, "--motors", "a table of the servos")
-        self._table = table = read_motors(file or here.with_name(f"{own}.yaml"))
-        motors = table.motors
-        self.rate, self.speed, self.effort = table.rate, table.speed, table.effort
-        self.joint_names = tuple(n for m in motors for n in m.joint if n in joints)
-        expect(
-            len(self.joint_names) == len(motors),
-            "--motors",
-            f"joints of the session, {', '.join(joints)}",
-            got=", ".join(motor.joint[0] for motor in motors),
-        )
-        self.range = np.array([motor.range for motor in motors]).T
-        families = msgspec.yaml.decode(here.with_suffix(".yaml").read_bytes())
-        self._own = family = SimpleNamespace(**families[table.bus])
+        super().__init__(own, port, joints, file)
+        families = msgspec.yaml.decode(Path(__file__).with_suffix(".yaml").read_bytes())
+        self._own = family = SimpleNamespace(**families[self._table.bus])
         self._fields = np.dtype(family.fields)
-        self._ids = [motor.id for motor in motors]
-        places = np.array([(motor.zero, motor.ratio) for motor in motors])
-        self._zero, self._ratio = places.T * family.turn / (2.0 * np.pi)
-        self._port_name = port
+        self._zero, self._ratio = (
+            value * family.turn / (2.0 * np.pi) for value in (self._zero, self._ratio)
+        )
         self._has_torque, self._limit = False, np.array(-1)
 
     def connect(self) -> None:

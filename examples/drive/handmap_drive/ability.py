@@ -1,0 +1,138 @@
+"""PSYONIC's Ability Hand on a serial port, by `pyserial`.
+
+Messages are those of the maker's ABILITY-HAND-ICD and of his package `ability-hand`. The package is
+not used: at its import it writes a file `config.py` into the current folder, its client needs
+threads and ends the process if the hand does not answer, and it keeps matplotlib below 3.10.1.
+"""
+
+import importlib
+import termios
+from contextlib import suppress
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from .driver import DriverError, Health
+from .motors import TableDriver
+
+POSITION, TORQUE, READ = 0x12, 0x32, 0xA2
+"""Messages: go to positions, give currents, only tell; all with the answer `STATE`."""
+STATE = np.dtype(
+    [
+        ("header", "u1"),
+        ("motor", [("position", "<i2"), ("current", "<i2")], 6),
+        ("speed", "<i2", 6),
+        ("hot", "u1"),
+    ]
+)
+"""Answer without its checksum: the message's header, then the state of the motors."""
+SCALE = np.radians(150.0) / 32767
+"""Unit of positions [rad]."""
+NONE = (0,) * 6
+"""Currents of motors without torque."""
+FLAG, ESCAPE = b"\x7e", b"\x7d"
+_WRITING, _READING = 1.0, 0.02
+"""Longest waits of one call of the port [s]."""
+_YIELDING = 0.1
+"""Time in which a motor comes back to its share of the current [s]."""
+_PIECES = 8
+"""Flags that are waited for; an answer has two."""
+
+
+def stuffed(body: bytes) -> bytes:
+    """Return a message with its checksum, between flags and without flags inside."""
+    body += bytes([-sum(body) & 255])
+    for byte in (ESCAPE, FLAG):
+        body = body.replace(byte, ESCAPE + bytes([byte[0] ^ 0x20]))
+    return FLAG + body + FLAG
+
+
+def unstuffed(piece: bytes) -> bytes:
+    """Return what was between flags, without its checksum; nothing if that is wrong."""
+    for byte in (FLAG, ESCAPE):
+        piece = piece.replace(ESCAPE + bytes([byte[0] ^ 0x20]), byte)
+    return b"" if sum(piece) & 255 else piece[:-1]
+
+
+class Ability(TableDriver):
+    """An Ability Hand; arguments and attributes as of `TableDriver`.
+
+    The hand itself has no limit of torque where it goes to positions. So a motor whose current is
+    more than its share gets goals that are nearer and nearer to where it is, within some 0.1 s.
+    """
+
+    buses = ("ability",)
+    numbers = range(6)
+
+    def connect(self) -> None:
+        """See `Driver`."""
+        serial = importlib.import_module("serial")
+        self._port = serial.Serial(
+            self._port_name,
+            self._table.baud,
+            timeout=_READING,
+            write_timeout=_WRITING,
+        )
+        self._share, self._written = np.ones(len(self._ids)), monotonic()
+        self._effort = np.zeros(len(self._ids))
+        self._places = self._ask(TORQUE, NONE)["motor"]["position"]
+
+    def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
+        """See `Driver`; the hand does not tell temperatures."""
+        state = self._ask(READ)
+        self._places = state["motor"]["position"]
+        current = state["motor"]["current"][self._ids]
+        self._effort = np.sign(self._ratio) * current / self._table.full
+        faults = tuple(
+            f"{name}: too hot, or a collision"
+            for name, i in zip(self.joint_names, self._ids, strict=True)
+            if state["hot"] >> i & 1
+        )
+        unknown = np.full(len(self._ids), np.nan)
+        return self._q, self._effort, Health(unknown, faults)
+
+    @property
+    def _q(self) -> np.ndarray:
+        """Where the joints were [rad]."""
+        return (SCALE * self._places[self._ids] - self._zero) / self._ratio
+
+    def write(self, q: np.ndarray, effort: float) -> None:
+        """See `Driver`."""
+        now = monotonic()
+        dt = min(now - self._written, _YIELDING)
+        self._written = now
+        # Slower than the hand tells its currents; at most twice as much in this time.
+        change = np.minimum(effort / np.maximum(np.abs(self._effort), 1e-6), 2.0)
+        self._share = np.minimum(self._share * change ** (dt / _YIELDING), 1.0)
+        goal = self._q + self._share * (q - self._q)
+        values = self._places.copy()
+        values[self._ids] = np.rint((self._zero + self._ratio * goal) / SCALE)
+        # What the motors do, `read` tells.
+        with suppress(DriverError):
+            self._ask(POSITION, values)
+
+    def stop(self) -> None:
+        """See `Driver`."""
+        with suppress(DriverError):
+            self._ask(TORQUE, NONE)
+
+    def _ask(self, header: int, values: Any = ()) -> Any:
+        """Send a message, with a value for each motor, and return the hand's `STATE`.
+
+        Raises:
+            DriverError: If no answer arrives, or only damaged ones.
+        """
+        # Of a port that is gone, this is no OSError; the next call raises one.
+        with suppress(termios.error):
+            self._port.reset_input_buffer()
+        body = bytes([self._table.address, header])
+        self._port.write(stuffed(body + np.array(values, "<i2").tobytes()))
+        for _ in range(_PIECES):
+            piece = self._port.read_until(FLAG)
+            if not piece.endswith(FLAG):
+                break
+            answer = unstuffed(piece[:-1])
+            if len(answer) == STATE.itemsize:
+                return np.frombuffer(answer, STATE)[0]
+        raise DriverError("the hand does not answer")

@@ -1,0 +1,141 @@
+"""Inspire RH56 hands by Modbus: RTU on a serial port, or TCP; by `pymodbus`.
+
+Registers are those of the maker's manuals (RH56 user manual V1.09, RH56DFTP V1.0.0). Each field is
+read by itself, as the maker's examples do. The hand has no order that takes its torque away.
+"""
+
+import importlib
+import time
+from contextlib import suppress
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.errors import expect
+from .driver import DriverError, Health
+from .motors import TableDriver
+
+ANGLE_SET, FORCE_SET, SPEED_SET = 1486, 1498, 1522
+"""Registers to write, a word for each motor: little to index finger, bend and turn of the thumb."""
+ANGLE_ACT, FORCE_ACT, ERROR, TEMPERATURE = 1546, 1582, 1606, 1618
+"""Registers to read; the last two have a byte for each motor."""
+OPEN = 1000
+"""Angle of an open finger, and the largest force and speed; a closed finger is at 0."""
+HOLD = 0xFFFF
+"""In place of an angle: the motor stays where it is."""
+FAULTS = ("locked rotor", "overheating", "overcurrent", "motor", "communication")
+"""Bits of `ERROR`."""
+_PATIENCE = 0.05
+"""Longest wait for an answer [s]."""
+_OTHERS = {FORCE_ACT: "<i2", ERROR: "u1", TEMPERATURE: "u1"}
+"""Registers that are read in turns, one in each, and their type."""
+
+
+class _NoAnswerError(DriverError):
+    """A message or its answer was lost or damaged."""
+
+
+class Inspire(TableDriver):
+    """An RH56 hand; arguments and attributes as of `TableDriver`.
+
+    The port is that of a serial adapter, or HOST:PORT for Modbus TCP.
+    """
+
+    buses = ("inspire",)
+    numbers = range(6)
+
+    def connect(self) -> None:
+        """See `Driver`."""
+        modbus = importlib.import_module("pymodbus.client")
+        self._refusals = importlib.import_module("pymodbus.exceptions")
+        host, _, number = self._port_name.rpartition(":")
+        more: dict[str, Any] = {"timeout": _PATIENCE, "retries": 0}
+        if host:
+            expect(number.isdigit(), "--port", "HOST:PORT", value=self._port_name)
+            self._client = modbus.ModbusTcpClient(host, port=int(number), **more)
+        else:
+            baud = self._table.baud
+            self._client = modbus.ModbusSerialClient(
+                self._port_name, baudrate=baud, **more
+            )
+        self._is_late = False
+        for at, value in ((ANGLE_SET, HOLD), (FORCE_SET, 0), (SPEED_SET, OPEN)):
+            self._put(at, value)
+        self._force = 0
+        self._seen = {at: self._get(at, kind) for at, kind in _OTHERS.items()}
+        self._next = cycle(_OTHERS)
+
+    def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
+        """See `Driver`; torques and health are of one of the last three calls."""
+        angle = self._get(ANGLE_ACT, "<i2")
+        at = next(self._next)
+        self._seen[at] = self._get(at, _OTHERS[at])
+        force, error, temperature = self._seen.values()
+        faults = tuple(
+            f"{name}: {text}"
+            for name, bits in zip(self.joint_names, error, strict=True)
+            for bit, text in enumerate(FAULTS)
+            if bits >> bit & 1
+        )
+        # A force is positive where a finger closes, and its angle becomes less.
+        return (
+            (angle - self._zero) / self._ratio,
+            -np.sign(self._ratio) * force / self._table.full,
+            Health(temperature, faults),
+        )
+
+    def write(self, q: np.ndarray, effort: float) -> None:
+        """See `Driver`."""
+        force = round(effort * self._table.full)
+        goal = np.clip(np.rint(self._zero + self._ratio * q), 0, OPEN)
+        # Without an answer, the hand does not get the angles. What it refuses is an error.
+        with suppress(_NoAnswerError):
+            if force != self._force:
+                self._put(FORCE_SET, force)
+                self._force = force
+            self._put(ANGLE_SET, goal)
+
+    def stop(self) -> None:
+        """Hold where the motors are, with the least force."""
+        self._force = -1
+        for at, value in ((ANGLE_SET, HOLD), (FORCE_SET, 0)):
+            with suppress(DriverError):
+                self._put(at, value)
+
+    def _get(self, at: int, kind: str) -> np.ndarray:
+        """Read a field of the table's motors."""
+        count = len(self.numbers) * np.dtype(kind).itemsize // 2
+        words = self._ask("read_holding_registers", at, count=count).registers
+        # Of two bytes in a word, the first is the lower one.
+        return np.array(words, "<u2").view(kind)[self._ids]
+
+    def _put(self, at: int, values: Any) -> None:
+        """Write a field of all motors; those that the table does not have stay."""
+        words = np.full(len(self.numbers), HOLD if at == ANGLE_SET else 0)
+        words[self._ids] = values
+        self._ask("write_registers", at, values=words.tolist())
+
+    def _ask(self, name: str, at: int, **more: Any) -> Any:
+        """Send a message, and return the answer.
+
+        Raises:
+            DriverError: If there is none, or it is an error.
+            OSError: If the port is gone.
+        """
+        if self._is_late:
+            # RTU answers have no number: a late one would pass for the next.
+            time.sleep(_PATIENCE)
+        self._is_late = True
+        try:
+            answer = getattr(self._client, name)(
+                at, device_id=self._table.address, **more
+            )
+        except self._refusals.ConnectionException as error:
+            raise OSError(f"{self._port_name} cannot be opened") from error
+        except self._refusals.ModbusException as error:
+            raise _NoAnswerError(f"register {at}: no answer") from error
+        self._is_late = False
+        if answer.isError():
+            raise DriverError(f"register {at}: refused, code {answer.exception_code}")
+        return answer

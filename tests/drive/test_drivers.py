@@ -1,0 +1,464 @@
+"""Drivers by their packages, against emulated motors on a pseudo-terminal or on loopback."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from handmap_drive import DRIVERS
+from handmap_drive.ability import FLAG, Ability, stuffed, unstuffed
+from handmap_drive.driver import DriverError, Health
+from handmap_drive.emulator import Emulator
+from handmap_drive.inspire import Inspire
+from handmap_drive.motors import read_motors
+from handmap_drive.servos import Servos
+from patience import wait_until
+
+from handmap_qp import load_hand
+from handmap_qp.errors import HandmapError, InvalidInputError
+
+for module in ("dynamixel_sdk", "scservo_sdk", "pymodbus"):
+    pytest.importorskip(module, reason="needs the packages of examples/drive")
+
+JOINTS = tuple(map(str, range(16)))
+"""Joints of the LEAP hand, as its URDF names them."""
+START = 0.3
+UNIT = 2.0 * np.pi / 4096
+"""Resolution of the emulated motors [rad]; encoders are not coarser."""
+
+
+class Kind(NamedTuple):
+    """What differs between motors.
+
+    Attributes:
+        driver: Their driver.
+        bus: Its name in a table.
+        full: Units of the largest torque.
+        places: Zero and ratio of two joints; the second turns the other way and twice as far.
+        overload: What a motor says that presses for too long.
+        overheating: What a motor says that is too hot.
+        limit: Register of the limit of torque, if they have one.
+    """
+
+    driver: Any
+    bus: str
+    full: int
+    places: list[tuple[float, float]]
+    overload: str = "overload"
+    overheating: str = "overheating"
+    limit: int = 0
+
+
+SERVO_PLACES = [(np.pi, 1.0), (np.pi + 0.6, -2.0)]
+# 1000 units are 1.47 rad, and count down.
+INSPIRE = Kind(
+    Inspire,
+    "inspire",
+    1000,
+    [(1000.0, -1000.0 / 1.47), (1000.0 - 600.0 / 1.47, 2000.0 / 1.47)],
+    overload="locked rotor",
+    limit=1498,
+)
+KINDS = {
+    "dynamixel": Kind(Servos, "dynamixel", 2352, SERVO_PLACES, limit=102),
+    "feetech": Kind(Servos, "feetech", 1000, SERVO_PLACES, limit=48),
+    "inspire": INSPIRE,
+    "inspire-tcp": INSPIRE,
+    "ability": Kind(
+        Ability,
+        "ability",
+        621,
+        [(0.0, 1.0), (0.6, -2.0)],
+        overload="too hot, or a collision",
+        overheating="too hot, or a collision",
+    ),
+}
+MOTORS = [name for name in KINDS if not name.endswith("-tcp")]
+LIMITED = [name for name in MOTORS if KINDS[name].limit]
+
+
+def table(folder: Path, kind: str, **changes: object) -> Path:
+    """Write a table of two motors, one of which turns the other way and twice as far."""
+    file = folder / "motors.yaml"
+    bus = KINDS[kind]
+    fields: dict[str, Any] = {
+        "bus": bus.bus,
+        "address": 80 if kind == "ability" else 1,
+        "baud": 1000000,
+        "rate": 100.0,
+        "speed": 8.0,
+        "effort": 0.2,
+        "full": bus.full,
+        "motors": [
+            {"joint": [name], "id": i, "zero": zero, "ratio": ratio, "range": [-1, 1]}
+            for i, (name, (zero, ratio)) in enumerate(
+                zip("ab", bus.places, strict=True)
+            )
+        ],
+    }
+    file.write_text(json.dumps(fields | changes))
+    return file
+
+
+@contextmanager
+def two(folder: Path, kind: str) -> Iterator[tuple[Emulator, Any]]:
+    """Emulate motors, and connect to two of them."""
+    with (
+        Emulator(kind, "--ids", "0-1") as emulator,
+        connected(emulator, table(folder, kind), kind) as motors,
+    ):
+        yield emulator, motors
+
+
+@contextmanager
+def connected(emulator: Emulator, file: Path, kind: str) -> Iterator[Any]:
+    motors = KINDS[kind].driver("", emulator.port, ("x", "b", "a"), file)
+    try:
+        motors.connect()
+        yield motors
+    finally:
+        if isinstance(motors, Inspire):
+            motors._client.close()
+
+
+def seen(motors: Any) -> tuple[np.ndarray, np.ndarray, Health]:
+    """Read the motors; on a busy machine the emulator may be late."""
+
+    def read() -> tuple[np.ndarray, np.ndarray, Health] | None:
+        with suppress(DriverError):
+            return motors.read()
+        return None
+
+    return wait_until(read)
+
+
+def follow(motors: Any, q: np.ndarray, effort: float, seconds: float = 0.5) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        motors.write(q, effort)
+        seen(motors)
+
+
+def pushing(emulator: Emulator, **orders: Any) -> list[bool]:
+    """Return which of the two motors can have a torque."""
+    return emulator.order(**orders)["torque"][:2].tolist()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_joints_go_where_they_are_told(kind: str, tmp_path: Path) -> None:
+    with two(tmp_path, kind) as (emulator, motors):
+        assert motors.joint_names == ("a", "b")
+        q, effort, health = seen(motors)
+        # zero - ratio: (0.3 - 0.6) / -2 of the second.
+        np.testing.assert_allclose(q, [START, 0.15], atol=UNIT)
+        np.testing.assert_array_equal(effort, [0.0, 0.0])
+        if kind != "ability":
+            np.testing.assert_array_equal(health.temperature, [30, 30])
+        assert not any(pushing(emulator))
+        goal = np.array([0.9, -0.2])
+        follow(motors, goal, 0.2)
+        np.testing.assert_allclose(seen(motors)[0], goal, atol=2.0 * UNIT)
+        state = emulator.order()
+        np.testing.assert_allclose(state["angle"][:2], [0.9, 1.0], atol=2.0 * UNIT)
+        if KINDS[kind].limit:
+            np.testing.assert_allclose(state["limit"][:2], 0.2, atol=1e-3)
+        motors.stop()
+        seen(motors)
+        assert not any(pushing(emulator))
+        # And again, with the same limit.
+        follow(motors, np.array([0.3, 0.15]), 0.2)
+        np.testing.assert_allclose(seen(motors)[0], [0.3, 0.15], atol=2.0 * UNIT)
+
+
+@pytest.mark.parametrize("kind", MOTORS)
+def test_motors_that_are_stopped_on_their_way_stay_there(
+    kind: str, tmp_path: Path
+) -> None:
+    with two(tmp_path, kind) as (emulator, motors):
+        wait_until(
+            lambda: motors.write(np.array([1.3, -0.3]), 0.5) or seen(motors)[0][0] > 0.5
+        )
+        motors.stop()
+        # Only where a message was lost is it said again.
+        wait_until(lambda: not any(pushing(emulator)) or motors.stop())
+        state = emulator.order()
+        before = state["angle"]
+        assert before[0] < 1.2
+        # A hand without an order for no torque gets a goal where it is.
+        if kind == "inspire":
+            np.testing.assert_allclose(state["goal"], before, atol=2.0 * UNIT)
+        time.sleep(0.1)
+        np.testing.assert_allclose(emulator.order()["angle"], before, atol=2.0 * UNIT)
+
+
+@pytest.mark.parametrize("kind", MOTORS)
+def test_a_joint_that_is_blocked_presses_with_the_limit(
+    kind: str, tmp_path: Path
+) -> None:
+    with two(tmp_path, kind) as (emulator, motors):
+        emulator.order(wall={"0": [0.3, 0.5], "1": [0.3, 0.5]})
+        # The motors would press with more: 0.6 of the largest torque per rad.
+        follow(motors, np.array([0.9, -0.4]), 0.1, 0.5 if KINDS[kind].limit else 1.0)
+        # A hand tells its torques every third time.
+        for _ in range(3):
+            _, effort, _ = seen(motors)
+        state = emulator.order()
+        np.testing.assert_allclose(state["effort"][:2], [0.1, 0.1], atol=2e-3)
+        # As torques of joints, the second of which turns the other way.
+        np.testing.assert_allclose(effort, [0.1, -0.1], atol=2e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_lost_and_damaged_messages_are_never_a_wrong_position(
+    kind: str, tmp_path: Path
+) -> None:
+    with two(tmp_path, kind) as (emulator, motors):
+        emulator.order(loss=0.03, damage=0.05)
+        lost = 0
+        for i in range(50):
+            motors.write(np.full(2, 0.15 + 0.002 * i), 0.2)
+            try:
+                q, _, health = motors.read()
+            except DriverError:
+                lost += 1
+                continue
+            assert (np.abs(q - 0.22) < 0.2).all()
+            if kind != "ability":
+                assert (health.temperature == 30).all()
+            assert not health.faults
+        assert 0 < lost < 25
+        emulator.order(loss=0.0, damage=0.0)
+        motors.stop()
+        seen(motors)
+        assert not any(pushing(emulator))
+
+
+def test_a_damaged_message_of_the_ability_hand_is_none() -> None:
+    body = bytes([0x12, *range(0x6C, 0x90), 0x20])
+    message = stuffed(body)
+    assert unstuffed(message[1:-1]) == body
+    for i in range(1, len(message) - 1):
+        for flip in (1, 0x41, 0x80):
+            damaged = bytearray(message)
+            damaged[i] ^= flip
+            pieces = bytes(damaged).split(FLAG)
+            assert len(body) not in [len(unstuffed(piece)) for piece in pieces]
+
+
+def test_what_an_inspire_hand_refuses_is_an_error(tmp_path: Path) -> None:
+    # That hand has forces up to 1000.
+    file = table(tmp_path, "inspire", full=3000)
+    with (
+        Emulator("inspire") as emulator,
+        connected(emulator, file, "inspire") as motors,
+    ):
+        with pytest.raises(DriverError, match=r"register 1498: refused, code 3"):
+            follow(motors, np.array([0.9, -0.2]), 0.5)
+        assert not any(pushing(emulator))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_late_answers_are_never_those_of_another_message(
+    kind: str, tmp_path: Path
+) -> None:
+    with two(tmp_path, kind) as (emulator, motors):
+        follow(motors, np.array([START, 0.15]), 0.2, 0.05)
+        emulator.order(latency=0.06)
+        for _ in range(4):
+            motors.write(np.array([START, 0.15]), 0.2)
+            with suppress(DriverError):
+                q, effort, health = motors.read()
+                np.testing.assert_allclose(q, [START, 0.15], atol=0.01)
+                np.testing.assert_allclose(effort, 0.0, atol=0.01)
+                assert not health.faults
+        # Pushed away in the meantime.
+        emulator.order(latency=0.0, wall={"0": [0.5, 0.6]})
+        wait_until(lambda: emulator.order()["angle"][0] == 0.5)
+        np.testing.assert_allclose(seen(motors)[0], [0.5, 0.15], atol=0.01)
+
+
+@pytest.mark.parametrize("kind", MOTORS)
+def test_faults_of_motors_are_named(kind: str, tmp_path: Path) -> None:
+    heat, load = (
+        f": {text}" for text in (KINDS[kind].overheating, KINDS[kind].overload)
+    )
+    with two(tmp_path, kind) as (emulator, motors):
+        follow(motors, np.array([0.3, 0.15]), 0.2, 0.1)
+        emulator.order(temperature={"1": 75.0})
+        follow(motors, np.array([0.3, 0.15]), 0.2, 0.1)
+        _, _, health = seen(motors)
+        assert health.faults == (f"b{heat}",)
+        if kind != "ability":
+            np.testing.assert_array_equal(health.temperature, [30, 75])
+        assert pushing(emulator) == [True, False]
+        emulator.order(wall={"0": [1.52, 1.6]})
+        # Pressing with all its torque for a second: 0.6 of the largest per rad.
+        for _ in range(30):
+            follow(motors, np.array([0.0, 0.15]), 1.0, 0.1)
+            if len(faults := seen(motors)[2].faults) > 1:
+                break
+        assert faults == (f"a{load}", f"b{heat}")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_motors_that_do_not_answer_and_a_missing_port_are_named(
+    kind: str, tmp_path: Path
+) -> None:
+    is_servo = KINDS[kind].driver is Servos
+    text = r"^motor 1: .*no status packet" if is_servo else "no answer|not answer"
+    with Emulator(kind, "--ids", "0-1") as emulator:
+        emulator.order(silent=[1])
+        with (
+            pytest.raises(DriverError, match=r"^motor 1: " if is_servo else text),
+            connected(emulator, table(tmp_path, kind), kind),
+        ):
+            pass
+    with two(tmp_path, kind) as (emulator, motors):
+        emulator.order(silent=[1])
+        with pytest.raises(DriverError, match=text):
+            motors.read()
+        emulator.order(silent=[])
+        follow(motors, np.array([0.3, 0.15]), 0.2, 0.05)
+        # In mid-motion.
+        motors.write(np.array([1.3, -0.3]), 0.2)
+        emulator.order(unplug=True)
+        with pytest.raises(OSError, match=r"."):
+            follow(motors, np.array([0.3, 0.15]), 0.2)
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "ability"])
+def test_the_watchdog_of_the_motors_stops_them_and_is_armed_again(
+    kind: str, tmp_path: Path
+) -> None:
+    with two(tmp_path, kind) as (emulator, motors):
+        follow(motors, np.array([0.3, 0.15]), 0.2, 0.1)
+        emulator.order(wall={"0": [0.0, 0.5], "1": [0.0, 0.5]})
+        # On its way when messages end.
+        motors.write(np.array([1.0, 0.05]), 0.5)
+        goal = emulator.order()["goal"]
+        state = wait_until(
+            lambda: (now := emulator.order())["goal"][0] != goal[0] and now,
+            "the motors go on without their computer",
+        )
+        np.testing.assert_allclose(state["goal"], state["angle"], atol=0.2)
+        seen(motors)
+        follow(motors, np.array([0.4, 0.1]), 0.2)
+        np.testing.assert_allclose(seen(motors)[0], [0.4, 0.1], atol=2.0 * UNIT)
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "text"),
+    [
+        ("dynamixel", {"motors": []}, "length >= 1"),
+        ("dynamixel", {"bus": "canopen"}, "Invalid enum value 'canopen'"),
+        ("dynamixel", {"currant": 3}, "unknown field `currant`"),
+        ("dynamixel", {"bus": "inspire"}, "expected bus: dynamixel or feetech"),
+        ("inspire", {"bus": "ability"}, "expected bus: inspire"),
+        (
+            "inspire",
+            {"motors": [{"joint": ["a"], "id": 6, "zero": 0, "range": [-1, 1]}]},
+            "expected each id in 0 to 5, got 6",
+        ),
+        (
+            "dynamixel",
+            {"motors": [{"joint": ["c"], "id": 0, "zero": 0, "range": [-1, 1]}]},
+            "expected joints of the session, a, b, got c",
+        ),
+    ],
+)
+def test_a_wrong_table_is_refused(
+    kind: str, changes: dict[str, object], text: str, tmp_path: Path
+) -> None:
+    make = KINDS[kind].driver
+    with pytest.raises(InvalidInputError, match=text) as raised:
+        make("leap", "/dev/null", ("a", "b"), table(tmp_path, kind, **changes))
+    assert raised.value.argument == "--motors"
+    with pytest.raises(InvalidInputError, match=r"expected a table of the servos"):
+        DRIVERS["servos"]("/dev/null", ("a", "b"), None)
+    with pytest.raises(InvalidInputError, match=r"no\.yaml: No such file"):
+        make("leap", "/dev/null", ("a", "b"), tmp_path / "no.yaml")
+
+
+@pytest.mark.parametrize("port", ["127.0.0.1:http", "127.0.0.1:1"])
+def test_a_wrong_address_of_a_hand_is_refused(port: str, tmp_path: Path) -> None:
+    motors = Inspire("", port, ("a", "b"), table(tmp_path, "inspire"))
+    with pytest.raises((InvalidInputError, OSError), match=r"127\.0\.0\.1"):
+        motors.connect()
+
+
+@pytest.mark.parametrize("prefix", ["", "name"])
+def test_the_table_of_the_leap_hand_is_of_both_models(prefix: str) -> None:
+    fingers = [
+        f"{f}_{j}" for f in ("if", "mf", "rf") for j in ("mcp", "rot", "pip", "dip")
+    ]
+    thumb = ["th_cmc", "th_axl", "th_mcp", "th_ipl"]
+    joints = tuple(fingers + thumb) if prefix else JOINTS
+    with Emulator("dynamixel") as emulator:
+        servos = DRIVERS["leap"](emulator.port, joints, None)
+        servos.connect()
+        q, _, _ = seen(servos)
+        np.testing.assert_allclose(q, START, atol=UNIT)
+        assert sorted(servos.joint_names) == sorted(joints)
+        # Motor 1 bends the index finger, motor 0 spreads it: LEAP_Hand_API.
+        if prefix:
+            assert servos.joint_names[:4] == ("if_rot", "if_mcp", "if_pip", "if_dip")
+
+
+@pytest.mark.parametrize(
+    ("driver", "hand"),
+    [
+        ("inspire_right", "inspire_right"),
+        ("inspire_left", "inspire_left"),
+        ("ability", "ability_right"),
+        ("ability", "ability_left"),
+    ],
+)
+def test_the_tables_of_hands_are_those_of_their_descriptions(
+    driver: str, hand: str
+) -> None:
+    try:
+        robot = load_hand(hand)
+    except HandmapError as error:
+        pytest.skip(str(error))
+    motors = DRIVERS[driver]("", robot.joint_names, None)
+    assert sorted(motors.joint_names) == sorted(robot.joint_names)
+    order = [robot.joint_names.index(name) for name in motors.joint_names]
+    lower, upper = robot.limits[:, order]
+    assert (motors.range[0] >= lower - 1e-3).all()
+    assert (motors.range[1] <= upper + 1e-3).all()
+    # A finger closes towards the palm: its farther limit is the closed one.
+    if driver != "ability":
+        np.testing.assert_allclose(motors.range, [lower, upper], atol=1e-3)
+    assert motors.speed <= robot.velocity_limits.max()
+
+
+@pytest.mark.parametrize("own", ["inspire_right", "inspire_left"])
+def test_an_angle_of_1000_is_open_and_0_is_closed(own: str) -> None:
+    import handmap_drive
+
+    file = Path(handmap_drive.__file__).with_name(f"{own}.yaml")
+    for motor in read_motors(file).motors:
+        at = motor.zero + motor.ratio * np.array(motor.range)
+        # Joints are open at 0.
+        is_open = np.abs(motor.range) == 0.0
+        np.testing.assert_allclose(at[is_open], 1000.0, atol=0.5)
+        np.testing.assert_allclose(at[~is_open], 0.0, atol=0.5)
+
+
+@pytest.mark.parametrize("kind", LIMITED)
+def test_no_torque_before_its_limit_has_arrived(kind: str, tmp_path: Path) -> None:
+    with two(tmp_path, kind) as (emulator, motors):
+        emulator.order(deaf=[KINDS[kind].limit])
+        follow(motors, np.array([0.5, 0.5]), 0.1, 0.1)
+        assert not any(pushing(emulator, deaf=[]))
+        np.testing.assert_allclose(emulator.order()["angle"][:2], START, atol=UNIT)
+        follow(motors, np.array([0.5, 0.5]), 0.1, 0.1)
+        state = emulator.order()
+        np.testing.assert_allclose(state["limit"][:2], 0.1, atol=1e-3)
+        assert pushing(emulator) == [True, True]
