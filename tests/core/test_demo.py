@@ -2,6 +2,7 @@
 
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -146,12 +147,16 @@ def test_a_file_in_the_way_is_an_error(tmp_path: Path) -> None:
 def test_motors_are_the_demo_of_another_package(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    asked = []
-    monkeypatch.setattr(demo, "DEMOS", {"drive": lambda *words: asked.append(words)})
+    def drive(*words: object) -> None:
+        asked.append(words)
+
+    asked: list[tuple[object, ...]] = []
+    point = SimpleNamespace(load=lambda: drive)
+    monkeypatch.setattr(demo, "entry_points", lambda **_: {"drive": point})
     Demo(drive=True).run()
     Demo(HAND, Path("here"), drive=True).run()
     assert asked == [(None, Path("demo")), (HAND, Path("here"))]
-    monkeypatch.setattr(demo, "DEMOS", {})
+    monkeypatch.setattr(demo, "entry_points", lambda **_: {})
     with pytest.raises(InvalidInputError, match="pip install examples/drive") as raised:
         Demo(drive=True).run()
     assert raised.value.argument == "--drive"

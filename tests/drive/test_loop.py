@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
@@ -237,6 +237,15 @@ def test_goals_stay_in_the_range_of_the_motors(
     drive.go(1.0, command(a=2.5, b=-1.5))
     np.testing.assert_array_equal(drive.motors.q, [-1.0, 2.0])
     assert capsys.readouterr().err == "handmap: b: the motor goes to -1 rad, not -1.5\n"
+
+
+def test_one_lost_answer_at_the_start_is_nothing() -> None:
+    motors = Motors()
+    answers = iter([DriverError("lost"), DriverError("lost"), motors.read()])
+    with patch.object(motors, "read", Mock(side_effect=answers)):
+        drive = Drive(command(), motors)
+    drive.go(0.1, command())
+    assert motors.has_torque
 
 
 def test_motors_that_are_where_the_hand_cannot_be_are_refused() -> None:

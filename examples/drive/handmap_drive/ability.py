@@ -8,12 +8,13 @@ threads and ends the process if the hand does not answer, and it keeps matplotli
 import importlib
 import termios
 from contextlib import suppress
+from functools import partial
 from time import monotonic
 from typing import Any
 
 import numpy as np
 
-from .driver import DriverError, Health
+from .driver import DriverError, Health, insisting
 from .motors import TableDriver
 
 POSITION, TORQUE, READ = 0x12, 0x32, 0xA2
@@ -32,7 +33,7 @@ SCALE = np.radians(150.0) / 32767
 NONE = (0,) * 6
 """Currents of motors without torque."""
 FLAG, ESCAPE = b"\x7e", b"\x7d"
-_WRITING, _READING = 1.0, 0.02
+_WRITING, _READING = 1.0, 0.05
 """Longest waits of one call of the port [s]."""
 _YIELDING = 0.1
 """Time in which a motor comes back to its share of the current [s]."""
@@ -76,7 +77,8 @@ class Ability(TableDriver):
         )
         self._share, self._written = np.ones(len(self._ids)), monotonic()
         self._effort = np.zeros(len(self._ids))
-        self._places = self._ask(TORQUE, NONE)["motor"]["position"]
+        state = insisting(partial(self._ask, TORQUE, NONE))
+        self._places = state["motor"]["position"]
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`; the hand does not tell temperatures."""

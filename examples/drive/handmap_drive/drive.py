@@ -10,7 +10,7 @@ import numpy as np
 from handmap_qp.client import Client, Command
 from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Values
-from .driver import Driver, DriverError
+from .driver import Driver, DriverError, insisting
 
 SILENCE = 0.08
 """Time without a command after which motors only hold [s]."""
@@ -51,7 +51,7 @@ class Loop:
         self, driver: Driver, command: Command, effort: float, hottest: float
     ) -> None:
         self._driver, self._effort, self._hottest = driver, effort, hottest
-        self._q, *_ = driver.read()
+        self._q, *_ = insisting(driver.read)
         self._from = self._goal = self._written = self._q
         beyond = np.abs(self._q - np.clip(self._q, *driver.range))
         i = beyond.argmax()

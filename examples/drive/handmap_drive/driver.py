@@ -1,15 +1,31 @@
 """The seam of motors: what a driver does."""
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from contextlib import suppress
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands import Names
 
+T = TypeVar("T")
+
 
 class DriverError(HandmapError):
     """Motors do not answer, or report a fault of their own."""
+
+
+def insisting(ask: Callable[[], T]) -> T:
+    """Return what motors answer, in three attempts: for the start, where one is not enough.
+
+    Raises:
+        DriverError: If none of them has an answer.
+    """
+    for _ in range(2):
+        with suppress(DriverError):
+            return ask()
+    return ask()
 
 
 class Health(NamedTuple):

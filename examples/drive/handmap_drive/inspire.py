@@ -8,13 +8,14 @@ import importlib
 import logging
 import time
 from contextlib import suppress
+from functools import partial
 from itertools import cycle
 from typing import Any
 
 import numpy as np
 
 from handmap_qp.errors import expect
-from .driver import DriverError, Health
+from .driver import DriverError, Health, insisting
 from .motors import TableDriver
 
 ANGLE_SET, FORCE_SET, SPEED_SET = 1486, 1498, 1522
@@ -64,9 +65,11 @@ class Inspire(TableDriver):
             )
         self._is_late = False
         for at, value in ((FORCE_SET, 0), (ANGLE_SET, HOLD), (SPEED_SET, OPEN)):
-            self._put(at, value)
+            insisting(partial(self._put, at, value))
         self._force = 0
-        self._seen = {at: self._get(at, kind) for at, kind in _OTHERS.items()}
+        self._seen = {
+            at: insisting(partial(self._get, at, kind)) for at, kind in _OTHERS.items()
+        }
         self._next = cycle(_OTHERS)
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:

@@ -1,6 +1,7 @@
 """The command `handmap demo`: the recording of the package on a robot hand, with pictures."""
 
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +14,6 @@ from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import expect
 from handmap_qp.hands import load_hand
 from handmap_qp.output_files import output_folder
-from handmap_qp.plugins import Plugins
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import DEMO, read_recording, save_npz
 from .poses import find_poses
@@ -22,8 +22,6 @@ from .trajectory import Told, Trajectory, map_hands
 
 FILES = ("errors.png", "gestures.png", "joints.png", "trajectory.npz")
 """What the demo writes."""
-DEMOS = Plugins("handmap_qp.demos", dict, "collections.abc:Callable")
-"""Demos of other packages: functions of the robot's name, none for their own, and the folder."""
 
 _INK, _PALE, _JOINT = "#222831", "#8a929c", "#3f6fb5"
 _MOST_POINTS = 5  # that are drawn: more would have the same colours
@@ -64,11 +62,11 @@ class Demo:
     def run(self) -> None:
         """Run the demo, and print its errors and files."""
         if self.drive:
-            what = "the package handmap-drive"
-            expect(
-                "drive" in DEMOS, "--drive", what, advice="pip install examples/drive"
-            )
-            return DEMOS["drive"](self.robot, self.out)
+            # A function of the robot's name, none for its own, and the folder.
+            found = entry_points(group="handmap_qp.demos", name="drive")
+            advice = "pip install examples/drive"
+            expect(found, "--drive", "the package handmap-drive", advice=advice)
+            return found["drive"].load()(self.robot, self.out)
         with progress("mapping") as advance:
             trajectory = self.write(advance)
         title = f"the package's recording to {trajectory.robot.name}"
