@@ -1,12 +1,12 @@
 """Measure `handmap drive` from a recording to the joints of emulated motors.
 
-The motors are `handmap_drive.emulator`: a LEAP hand whose joints lag by 30 ms.
-Prints the tables of docs/drive.md: following and pinches on a bus that is good, slow or bad, and
-how long a stop takes to reach the motors. All processes share one machine, with what else runs on
-it.
+The motors are `handmap_drive.emulator`: a LEAP hand with Dynamixel or Feetech servos, an Inspire
+and an Ability hand, whose joints lag by 30 ms. Prints the tables of docs/drive.md: following and
+pinches on a bus that is good, slow or bad, and how long a stop takes to reach the motors. All
+processes share one machine, with what else runs on it.
 
     python benchmarks/drive_motors.py
-    python benchmarks/drive_motors.py --robot benchmarks/hands/leap_right.yaml --stops 20
+    python benchmarks/drive_motors.py --motors dynamixel --stops 20
 """
 
 from __future__ import annotations
@@ -16,8 +16,12 @@ import os
 import signal
 import threading
 import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import handmap_drive
+import msgspec
 import numpy as np
 from handmap_drive.demo import Chain, Driven
 from handmap_drive.drive import HOLDING
@@ -26,6 +30,13 @@ from handmap_qp import read_recording
 from handmap_qp.apps.tables import markdown_table
 from handmap_qp.client import Client
 
+MOTORS = {
+    "dynamixel": "leap_right",
+    "feetech": "leap_right",
+    "inspire": "inspire_right",
+    "ability": "ability_right",
+}
+"""Robot hand of each kind of motors."""
 BUSES: dict[str, dict[str, float]] = {
     "good": {},
     "0.1 % lost, 0.1 % damaged": {"loss": 0.001, "damage": 0.001},
@@ -35,19 +46,30 @@ PAUSE = 1.5
 """Time between two stops, in which motors drive again [s]."""
 
 
-def following(name: str, driven: Driven) -> dict[str, Any]:
+def chain_of(kind: str, folder: Path, **orders: float) -> Chain:
+    """Return the chain of a kind of motors."""
+    recording, servos = read_recording("demo", "right"), None
+    if kind == "feetech":
+        own = Path(handmap_drive.__file__).with_name("leap.yaml")
+        table = msgspec.yaml.decode(own.read_bytes())
+        table |= {"bus": kind, "baud": 1000000, "full": 1000, "setup": []}
+        servos = (kind, folder / "feetech.yaml")
+        servos[1].write_bytes(msgspec.yaml.encode(table))
+    return Chain(MOTORS[kind], recording, servos, **orders)
+
+
+def following(kind: str, bus: str, driven: Driven) -> dict[str, Any]:
     """Return a row about following."""
     count, share = driven.pinches()
     said = driven.summary
     return {
-        "bus": name,
+        "motors": kind,
+        "bus": bus,
         "rate [Hz]": said["rate [Hz]"],
         "age of commands, p50 / p95 [ms]": f"{said['age of commands, median [ms]']:.1f} / "
         f"{said['age of commands, 95 % [ms]']:.1f}",
         "joints behind commands [ms]": 1e3 * driven.delay,
-        "error then, RMS [rad]": float(
-            np.sqrt(np.mean(driven.error(driven.delay) ** 2))
-        ),
+        "error then, RMS [rad]": driven.rms,
         "pinches closed": f"{share:.2f} of {count}",
         "answers lost": said["answers lost"],
         "stops": said["stops"],
@@ -95,46 +117,48 @@ def reached(driven: Driven, starts: list[float], limit: float) -> list[float]:
     return found
 
 
+def stopping(kind: str, driven: Driven, times: dict[str, list[float]]) -> list[Any]:
+    """Return rows about stops."""
+    largest = driven.torque.max(axis=1)
+    held = HOLDING * largest.max() + 1e-3
+    found = {
+        "`client.stop()` to no torque": reached(driven, times["message"], 0.0),
+        "SIGSTOP of the service to no torque": reached(driven, times["frozen"], 0.0),
+    }
+    # An Ability hand has no limit of torque to read.
+    if ((largest > 0.0) & (largest <= held)).any():
+        less = reached(driven, times["frozen"], held)
+        found["SIGSTOP of the service to a third of the torque"] = less
+    return [
+        {
+            "motors": kind,
+            "stop": name,
+            "median [ms]": 1e3 * np.median(ms),
+            "largest [ms]": 1e3 * max(ms),
+        }
+        for name, ms in found.items()
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Motors by `handmap drive`.")
-    parser.add_argument("--robot", default="leap_right")
-    parser.add_argument("--recording", default="demo")
+    parser.add_argument("--motors", nargs="+", default=[*MOTORS], choices=MOTORS)
     parser.add_argument("--stops", type=int, default=10)
     given = parser.parse_args()
-    recording = read_recording(given.recording, "right")
-    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n")
-    table = []
-    for name, orders in BUSES.items():
-        with Chain(given.robot, recording, **orders) as chain:
-            chain.approach()
-            table.append(following(name, chain.end(*chain.lead())))
-    print(markdown_table(table), "\n")
-    with Chain(given.robot, recording) as chain:
-        chain.approach()
-        driven, times = stops(chain, given.stops)
-    held = HOLDING * driven.torque.max() + 1e-3
-    print(
-        markdown_table(
-            [
-                {
-                    "stop": name,
-                    "median [ms]": 1e3 * np.median(ms),
-                    "largest [ms]": 1e3 * max(ms),
-                }
-                for name, ms in {
-                    "`client.stop()` to no torque": reached(
-                        driven, times["message"], 0.0
-                    ),
-                    "SIGSTOP of the service to a third of the torque": reached(
-                        driven, times["frozen"], held
-                    ),
-                    "SIGSTOP of the service to no torque": reached(
-                        driven, times["frozen"], 0.0
-                    ),
-                }.items()
-            ]
-        )
-    )
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n", flush=True)
+    follows, stopped = [], []
+    with TemporaryDirectory() as name:
+        for kind in given.motors:
+            for bus, orders in BUSES.items():
+                with chain_of(kind, Path(name), **orders) as chain:
+                    chain.approach()
+                    driven = chain.end(*chain.lead())
+                follows.append(following(kind, bus, driven))
+            with chain_of(kind, Path(name)) as chain:
+                chain.approach()
+                stopped += stopping(kind, *stops(chain, given.stops))
+    print(markdown_table(follows), "\n")
+    print(markdown_table(stopped))
 
 
 if __name__ == "__main__":

@@ -462,3 +462,20 @@ def test_no_torque_before_its_limit_has_arrived(kind: str, tmp_path: Path) -> No
         state = emulator.order()
         np.testing.assert_allclose(state["limit"][:2], 0.1, atol=1e-3)
         assert pushing(emulator) == [True, True]
+
+
+@pytest.mark.parametrize("page", ["dynamixel", "inspire", "ability"])
+def test_the_lines_of_a_page_find_the_motors(
+    page: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (Path(__file__).parents[2] / f"docs/motors/{page}.md").read_text()
+    _, _, rest = text.partition("```python\n")
+    lines, _, _ = rest.partition("```")
+    with Emulator(page) as emulator:
+        try:
+            exec(lines.replace("/dev/ttyUSB0", emulator.port), names := {})
+        except HandmapError as error:
+            pytest.skip(str(error))
+        assert not emulator.order()["torque"].any()
+    assert names["q"][0] == pytest.approx(START, abs=UNIT)
+    assert names["motors"].joint_names[0] in capsys.readouterr().out

@@ -158,18 +158,28 @@ class Chain:
     Args:
         robot: One of `HANDS`, or the hand.yaml of one.
         recording: The recording that leads it.
+        servos: In place of the hand's own motors, emulated servos and their table.
         **orders: Orders to the emulated motors, such as `loss`.
 
     Raises:
         HandmapError: If the hand cannot be loaded, or has no emulated motors.
     """
 
-    def __init__(self, robot: str, recording: Recording, **orders: Any) -> None:
+    def __init__(
+        self,
+        robot: str,
+        recording: Recording,
+        servos: tuple[str, Path] | None = None,
+        **orders: Any,
+    ) -> None:
         self._file = (robot,) if robot.endswith(".yaml") else ()
         self.robot = load_hand(robot)
         names = ", ".join(HANDS)
         expect(self.robot.name in HANDS, "--robot", f"one of {names}", value=robot)
         self._driver, self._kind, slower = HANDS[self.robot.name]
+        self._table = None
+        if servos:
+            self._driver, (self._kind, self._table) = "servos", servos
         self.recording = slowed(recording, slower)
         self._orders = orders
         self._random = np.random.default_rng(0)
@@ -192,8 +202,10 @@ class Chain:
             is_shared=True,
             **measure_person(self.recording).session_fields(),
         )
+        table = ("--motors", str(self._table)) if self._table else ()
         self.drive = Process(
             *("drive", "demo", "--driver", self._driver, "--port", self.motors.port),
+            *table,
             *("--from", server, "--no-deadman", "--json"),
         )
         return self
@@ -241,8 +253,8 @@ class Chain:
             raise HandmapError(said.splitlines()[-1].removeprefix("handmap: "))
         self.motors.__exit__()
         log = np.load(self.log)
-        motors = DRIVERS[self._driver]("", self.robot.joint_names, None).joint_names
-        order = [motors.index(name) for name in self.robot.joint_names]
+        motors = DRIVERS[self._driver]("", self.robot.joint_names, self._table)
+        order = [motors.joint_names.index(name) for name in self.robot.joint_names]
         return Driven(
             self.robot,
             self.recording,

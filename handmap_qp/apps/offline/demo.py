@@ -64,8 +64,12 @@ class Demo:
         if self.drive:
             # A function of the robot's name, none for its own, and the folder.
             found = entry_points(group="handmap_qp.demos", name="drive")
-            advice = "pip install examples/drive"
-            expect(found, "--drive", "the package handmap-drive", advice=advice)
+            expect(
+                found,
+                "--drive",
+                "the package handmap-drive",
+                advice="pip install examples/drive",
+            )
             return found["drive"].load()(self.robot, self.out)
         with progress("mapping") as advance:
             trajectory = self.write(advance)
