@@ -161,6 +161,13 @@ def test_a_wrist_beside_the_values_may_be_seven_numbers(name: str) -> None:
     np.testing.assert_allclose(sample.wrist, wrist, atol=1e-12)
 
 
+def test_a_ragged_wrist_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="wrist: expected numbers"):
+        load_layout("visionpro25").read(
+            np.ones((25, 3)), time=0.0, side="right", wrist=[[0.0, []]]
+        )
+
+
 def test_the_axes_of_a_wrist_are_those_that_the_table_names() -> None:
     # Ultraleap: millimetres, fingers along -z, back of the hand along +y.
     layout, pose = load_layout("leap26"), np.eye(4)

@@ -310,7 +310,7 @@ class Layout(
             seen &= as_flags(valid, count)
         beside = None
         if wrists is not None:
-            beside = self._wrists_beside(np.asarray(wrists), side, seen)
+            beside = self._wrists_beside(as_floats(wrists, "wrist"), side, seen)
         landmarks = np.full((count, 21, 3), np.nan)
         poses = None
         if seen.any():
