@@ -29,6 +29,7 @@ _RARE = (
     "last_refusal",
     "unanswered",
     "reopened",
+    "troubles",
 )
 """Rows of the table that are left out if there is nothing to count."""
 

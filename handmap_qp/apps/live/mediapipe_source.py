@@ -22,6 +22,7 @@ from handmap_qp.apps.arguments import hinted
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Side
 from handmap_qp.human import UNSEEN, HumanSample
+from .source import Source
 
 VARIABLE = "HANDMAP_MEDIAPIPE"
 """Environment variable that names another folder."""
@@ -105,7 +106,7 @@ def _run(command: list[Any], problem: str) -> None:
 
 
 @dataclass(eq=False)
-class MediapipeSource:
+class MediapipeSource(Source):
     """Tracks one hand in a camera's picture or a video with MediaPipe, in its environment.
 
     Landmarks are in metres in upright axes of the camera: x right in the picture, y up, z towards

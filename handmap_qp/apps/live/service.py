@@ -12,7 +12,7 @@ from handmap_qp.client import Command, KeyFiles, ServiceError, ServiceTimeoutErr
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Side, Values
 from handmap_qp.human import HumanSample, Person
-from .source import Sink
+from .source import Sink, Source
 
 _SILENCE = 1.0
 """Time without a command after which the service counts as silent [s]."""
@@ -152,7 +152,7 @@ class ServiceSink(Sink):
         self._refusal = str(error)
 
 
-class ServiceSource:
+class ServiceSource(Source):
     """Watches a session, whichever program or page leads it, and yields its landmarks.
 
     Samples are those that the service mapped: at a rate above its own, the newest ones. Samples

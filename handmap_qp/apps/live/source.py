@@ -46,6 +46,10 @@ class Source(Protocol):
         """Yield samples as they arrive, until the source ends or its reader leaves."""
         ...
 
+    def summary(self) -> Values:
+        """Return what else is to be said at the end, by label."""
+        return {}
+
 
 class Sink(contextlib.AbstractContextManager[Any, Any], Protocol):
     """Takes samples; a context manager that finishes its work at the end of the block."""
@@ -96,13 +100,13 @@ def run(
                 state = f"{source.name}: {count} samples at {rate:.0f}{expected} Hz"
                 state += f", hand seen in {seen / count:.0%}"
                 report(" | ".join([state, *(sink.status() for sink in sinks)]))
-    summary: Values = {"samples": count, "hand_seen": seen}
+    summary: Values = {"samples": count, "hand_seen": seen, **source.summary()}
     for sink in sinks:
         summary |= sink.summary()
     return summary
 
 
-class Replay:
+class Replay(Source):
     """A recording that arrives as if it were live.
 
     Args:
