@@ -1,0 +1,242 @@
+"""Gloves by UDP and ZeroMQ: what arrives is what was sent, and what is wrong is never mapped."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from patience import PATIENCE
+from source_cases import (
+    SENDER,
+    Tracked,
+    assert_same,
+    demo,
+    free_port,
+    run,
+    start,
+    track,
+    wait_for_datagrams,
+)
+
+from handmap_qp import load_hand, load_layout
+from handmap_qp.human.sample import HumanSample
+
+datagrams = pytest.importorskip(
+    "handmap_sources.datagrams", reason="needs the packages of examples/sources"
+)
+HOST = "127.0.0.1"
+STEP = 0.01
+
+
+def message(i: int, layout: str = "manus25", **changes: Any) -> dict[str, Any]:
+    """Return the i-th sample of the demo as a device sends it, whose clock began 100 s ago."""
+    joints = load_layout(layout).write(demo()[i]).tolist()
+    return {"time": 100.0 + STEP * i, "side": "right", "joints": joints} | changes
+
+
+def packet(i: int, **changes: Any) -> str:
+    """Return such a message on the wire, in hexadecimal digits."""
+    return json.dumps(message(i, **changes)).encode().hex()
+
+
+def tracked(
+    lines: list[str],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    layout: str = "manus25",
+    kind: str = "udp",
+) -> Tracked:
+    """Track what a sender sends line by line."""
+    file = tmp_path / "packets.txt"
+    file.write_text("\n".join(lines))
+    is_udp = kind == "udp"
+    port = free_port(socket.SOCK_DGRAM if is_udp else socket.SOCK_STREAM)
+    address = f"{'udp' if is_udp else 'tcp'}://{HOST}:{port}"
+
+    def send() -> None:
+        if is_udp:
+            wait_for_datagrams(port)
+        with start(SENDER, kind, f"{HOST}:{port}", file) as process:
+            assert process.wait(PATIENCE) == 0
+
+    return track(["datagrams", address, "--layout", layout], send, capsys, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["udp", "zmq"])
+@pytest.mark.parametrize("form", [msgspec.json, msgspec.msgpack])
+def test_what_arrives_is_what_was_sent(
+    kind: str, form: Any, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    layout = "manus25" if form is msgspec.json else "openxr26"
+    count = len(demo())
+    lines = [form.encode(message(i, layout)).hex() for i in range(count)]
+    result = tracked(lines, capsys, tmp_path, layout, kind)
+    assert_same(result.recording, demo())
+    # On the sender's clock.
+    np.testing.assert_allclose(result.recording.time, STEP * np.arange(count))
+    assert not result.troubles
+    assert result.recording.upright == load_layout(layout).upright
+
+
+@pytest.mark.slow
+def test_what_is_wrong_is_counted_told_once_and_not_mapped(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    whole = bytes.fromhex(packet(3))
+    lines = [
+        packet(0),
+        packet(0),
+        packet(2),  # 1 is lost on the way, or late:
+        packet(1),
+        packet(1),
+        whole[:-9].hex(),
+        whole.replace(b"0.", b"0x", 1).hex(),
+        "c1",
+        packet(3, joints=message(3)["joints"][:-1]),
+        packet(3, joints=[[1e9, 0, 0, math.nan]]),
+        packet(3, joints=None),
+        packet(3, confidence=2.0),
+        (whole + b" " * datagrams.LARGEST).hex(),
+        packet(3, side="left"),
+        packet(3, side="left"),
+        packet(3),
+        "from 127.0.0.2",
+        packet(4),
+        packet(5),
+    ]
+    result = tracked(lines, capsys, tmp_path)
+    assert_same(result.recording, [demo()[i] for i in (0, 2, 3)])
+    assert result.troubles == {
+        "not in order": 3,
+        "damaged": 7,
+        "too large": 1,
+        "other hand": 2,
+        "another sender": 2,
+    }
+    told = [line for line in result.messages if "silent" not in line]
+    assert sum("more of this is counted only" in line for line in told) >= 5
+    for text in (
+        "late or twice",
+        "cannot be read",
+        "32768 bytes",
+        "left hand",
+        "127.0.0.2",
+    ):
+        assert sum(text in line for line in result.messages) == 1, text
+
+
+@pytest.mark.slow
+def test_a_sender_that_starts_again_goes_on_but_no_other_takes_its_place(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    lines = [
+        *(packet(0), packet(1), "wait", "from 127.0.0.2", packet(2), "wait"),
+        # The same machine with another port, whose clock begins anew.
+        *("from 127.0.0.1", packet(3, time=0.0), packet(4, time=0.01)),
+        # The hand is lost.
+        packet(5, time=0.02, valid=False),
+    ]
+    result = tracked(lines, capsys, tmp_path)
+    recording = result.recording
+    assert recording.valid.tolist() == [True] * 4 + [False]
+    truth = [demo()[i].landmarks for i in (0, 1, 3, 4)]
+    np.testing.assert_allclose(recording.landmarks[:4], truth, atol=1e-6)
+    assert 2.0 < recording.time[2] < 10.0
+    np.testing.assert_allclose(np.diff(recording.time[2:]), STEP)
+    assert result.troubles == {"another sender": 1}
+    assert result.summary["troubles"]["silent"] >= 2
+    assert sum("nothing has arrived" in line for line in result.messages) == 1
+
+
+def read_as(layout: str, **fields: Any) -> HumanSample:
+    """Return what a source makes of a message."""
+    source = datagrams.TrackDatagrams(address="udp://*:1", layout=layout)
+    sample = source._sample(msgspec.json.encode(fields), (HOST, 1))
+    assert sample is not None, source.troubles
+    return sample
+
+
+def test_angles_come_by_name() -> None:
+    glove, human = load_layout("manus"), load_hand("human")
+    values = glove.write_posture(human, human.rest + 0.1, np.eye(4))
+    angles = dict(zip(glove.columns, values.tolist(), strict=True))
+    truth = glove.read(angles, time=0.0, side="right").landmarks
+    backwards = dict(reversed(angles.items()))
+    found = read_as("manus", joints=backwards).landmarks
+    np.testing.assert_array_equal(found, truth)
+
+
+def test_a_wrist_comes_beside_joints() -> None:
+    layout = load_layout("visionpro25")
+    joints = layout.write(demo()[0])
+    pose = np.eye(4)
+    pose[:3, 3] = 0.1, 0.2, 0.3
+    truth = layout.read(joints, time=0.0, side="right", wrist=pose)
+    found = read_as("visionpro25", joints=joints.tolist(), wrist=pose.tolist())
+    np.testing.assert_array_equal(found.landmarks, truth.landmarks)
+    assert found.wrist is not None
+    assert truth.wrist is not None
+    np.testing.assert_array_equal(found.wrist, truth.wrist)
+
+
+# Of the right types, so that they come as far as possible.
+ODD = st.floats() | st.sampled_from([None, True, -(2**63), "1", {}])
+LISTS = st.recursive(ODD, lambda inner: st.lists(inner, max_size=4))
+FIELDS = {
+    "time": st.floats(),
+    "side": st.sampled_from([None, "right", "left", "middle"]),
+    "joints": st.just(message(0)["joints"])
+    | st.lists(LISTS)
+    | st.dictionaries(st.text(max_size=3), st.floats()),
+    "wrist": st.none() | st.just(np.eye(4).tolist()) | st.lists(LISTS),
+    "valid": st.booleans(),
+    "confidence": st.floats(),
+}
+MESSAGES = st.fixed_dictionaries({}, optional=FIELDS).map(msgspec.msgpack.encode)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.binary() | MESSAGES, st.sampled_from(["manus", "visionpro25", "manus25"]))
+def test_no_message_ends_it(wire: bytes, layout: str) -> None:
+    source = datagrams.TrackDatagrams(address="udp://*:1", layout=layout)
+    sample: HumanSample | None = source._sample(wire, (HOST, 1))
+    if sample is None:
+        assert source.troubles.total() == 1
+    else:
+        assert math.isfinite(sample.time)
+        assert not sample.valid or np.isfinite(sample.landmarks).all()
+    deep = b'{"joints": ' + 100000 * b"["
+    assert source._sample(deep[: datagrams.LARGEST], (HOST, 1)) is None
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["udp://127.0.0.1", "--layout", "manus25"], "ADDRESS: expected udp://"),
+        (["udp://*:99999", "--layout", "manus25"], "ADDRESS: "),
+        (["udp://8.8.8.8:5580", "--layout", "manus25"], "ADDRESS: Cannot assign"),
+        (["tcp://*:5580", "--layout", "manus25"], "ADDRESS: Invalid argument"),
+        (["udp://*:5580", "--layout", "manus52"], "did you mean manus25?"),
+    ],
+)
+def test_every_mistake_is_one_line(
+    words: list[str],
+    complaint: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    record = ["--record", str(tmp_path / "out.npz")]
+    assert run("track", "datagrams", *words, *record) == 2
+    message = capsys.readouterr().err
+    assert complaint in message
+    assert message.count("\n") == 1
+    assert not [*tmp_path.iterdir()]
