@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import tomllib
 from collections.abc import Callable
 from functools import cache
@@ -93,20 +92,23 @@ def track(
         send: Returns when everything was sent.
     """
     out = tmp_path / "tracked.npz"
+    is_over = threading.Event()
 
     def send_and_end() -> None:
         try:
             send()
             # What has arrived waits in a buffer.
-            time.sleep(0.3)
+            is_over.wait(0.3)
         finally:
-            os.kill(os.getpid(), signal.SIGINT)
+            if not is_over.is_set():
+                os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=send_and_end)
     thread.start()
     try:
         code = run("track", *words, "--record", str(out), "--json")
     finally:
+        is_over.set()
         thread.join()
     return Tracked(code, *capsys.readouterr(), out)
 

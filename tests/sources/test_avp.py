@@ -112,11 +112,12 @@ def test_forearm_and_markers_after_the_joints_change_nothing(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     samples = demo()[:10]
-    _, joints = recorded(samples)
+    wrists, joints = recorded(samples)
     more = np.full((len(samples), 4, 4, 4), 666.0)
-    # A stylus has its buttons in the last row.
-    joints[:, 3, 3] = 0.5, 0.0, 0.0, 1001.0
-    file = saved(tmp_path / "avp.npz", samples, joints=np.hstack([joints, more]))
+    # The app uses last rows for something else.
+    wrists[:, 3] = joints[:, 3, 3] = 0.5, 0.0, 0.0, 1001.0
+    joints = np.hstack([joints, more])
+    file = saved(tmp_path / "avp.npz", samples, wrists=wrists, joints=joints)
     result, _ = tracked(file, capsys, tmp_path)
     assert_same(result.recording, samples)
 
@@ -133,7 +134,7 @@ def test_a_hand_that_stands_still_exactly_is_not_seen(
     # Neither before it was seen, nor after it was lost.
     assert not valid[0]
     assert last + 10 < len(valid)
-    assert 0.2 < time[last + 1] - time[last] < 0.5
+    assert time[last + 1] - time[last] > 0.2
 
 
 def test_damaged_poses_and_the_other_hand_are_not_mapped(
@@ -156,7 +157,11 @@ def test_a_lost_connection_is_made_again(
 ) -> None:
     samples = demo()[:20]
     halves = samples[:10], samples[10:]
-    files = [saved(tmp_path / f"{i}.npz", half) for i, half in enumerate(halves)]
+    # The first stream is cut off, and the second one ends.
+    files = [
+        saved(tmp_path / f"{i}.npz", half, ends=bool(i))
+        for i, half in enumerate(halves)
+    ]
     port = free_port(socket.SOCK_STREAM)
     with headset(port, files[0]) as first:
 

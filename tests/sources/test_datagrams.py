@@ -26,7 +26,9 @@ from source_cases import (
     wait_for_datagrams,
 )
 
-from handmap_qp import load_hand, load_layout
+from handmap_qp import HumanLengths, load_hand, load_layout
+from handmap_qp.apps.live.cli import Target
+from handmap_qp.human.person import Person, write_person
 from handmap_qp.human.sample import HumanSample
 
 datagrams = pytest.importorskip(
@@ -77,10 +79,11 @@ def test_what_arrives_is_what_was_sent(
     kind: str, form: Any, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     layout = "manus25" if form is msgspec.json else "openxr26"
-    count = len(demo())
+    # As many as a receiver that is held up may find waiting.
+    count = 20
     lines = [form.encode(message(i, layout)).hex() for i in range(count)]
     result = tracked(lines, capsys, tmp_path, layout, kind)
-    assert_same(result.recording, demo())
+    assert_same(result.recording, demo()[:count])
     # On the sender's clock.
     np.testing.assert_allclose(result.recording.time, STEP * np.arange(count))
     assert not result.troubles
@@ -139,7 +142,9 @@ def test_a_sender_that_starts_again_goes_on_but_no_other_takes_its_place(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     lines = [
-        *(packet(0), packet(1), "wait", "from 127.0.0.2", packet(2), "wait"),
+        # The same clock after a silence, although it is ahead.
+        *(packet(0), packet(1), "wait", packet(2, time=110.0)),
+        *("wait", "from 127.0.0.2", packet(3)),
         # The same machine with another port, whose clock begins anew.
         *("from 127.0.0.1", packet(3, time=0.0), packet(4, time=0.01)),
         # The hand is lost.
@@ -147,25 +152,26 @@ def test_a_sender_that_starts_again_goes_on_but_no_other_takes_its_place(
     ]
     result = tracked(lines, capsys, tmp_path)
     recording = result.recording
-    assert recording.valid.tolist() == [True] * 4 + [False]
-    truth = [demo()[i].landmarks for i in (0, 1, 3, 4)]
-    np.testing.assert_allclose(recording.landmarks[:4], truth, atol=1e-6)
-    assert 2.0 < recording.time[2] < 10.0
-    np.testing.assert_allclose(np.diff(recording.time[2:]), STEP)
+    assert recording.valid.tolist() == [True] * 5 + [False]
+    assert_same(recording, demo()[:5])
+    times = [0.0, STEP, 10.0, 11.0, 11.0 + STEP, 11.0 + 2.0 * STEP]
+    np.testing.assert_allclose(recording.time, times)
     assert result.troubles == {"another sender": 1}
     assert result.summary["troubles"]["silent"] >= 2
     assert sum("nothing has arrived" in line for line in result.messages) == 1
 
 
-def read_as(layout: str, **fields: Any) -> HumanSample:
+def read_as(layout: str, person: Path | None = None, **fields: Any) -> HumanSample:
     """Return what a source makes of a message."""
-    source = datagrams.TrackDatagrams(address="udp://*:1", layout=layout)
+    target = Target(person=person)
+    place = "udp://*:1"
+    source = datagrams.TrackDatagrams(address=place, layout=layout, target=target)
     sample = source._sample(msgspec.json.encode(fields), (HOST, 1))
     assert sample is not None, source.troubles
     return sample
 
 
-def test_angles_come_by_name() -> None:
+def test_angles_come_by_name_and_are_of_the_person(tmp_path: Path) -> None:
     glove, human = load_layout("manus"), load_hand("human")
     values = glove.write_posture(human, human.rest + 0.1, np.eye(4))
     angles = dict(zip(glove.columns, values.tolist(), strict=True))
@@ -173,6 +179,11 @@ def test_angles_come_by_name() -> None:
     backwards = dict(reversed(angles.items()))
     found = read_as("manus", joints=backwards).landmarks
     np.testing.assert_array_equal(found, truth)
+    lengths = HumanLengths.from_hand_length(0.23)
+    write_person(Person("large", lengths, 0.015), tmp_path / "large.yaml")
+    large = read_as("manus", tmp_path / "large.yaml", joints=angles).landmarks
+    size = np.linalg.norm(large[12] - large[0]) / np.linalg.norm(found[12] - found[0])
+    assert 1.15 < size < 1.3
 
 
 def test_a_wrist_comes_beside_joints() -> None:

@@ -144,7 +144,7 @@ class TrackDatagrams(DeviceSource):
             # A program that starts again has another clock, and for UDP another port.
             is_late = message.time + offset <= self._last
             if sender != self._sender or (is_silent and is_late):
-                offset = now - message.time
+                offset = max(now, self._last + SILENCE) - message.time
             time = message.time + offset
         # Also false for NaN.
         if not self._last < time < math.inf:
