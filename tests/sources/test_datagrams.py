@@ -164,7 +164,7 @@ def test_a_sender_that_starts_again_goes_on_but_no_other_takes_its_place(
 def read_as(layout: str, person: Path | None = None, **fields: Any) -> HumanSample:
     """Return what a source makes of a message."""
     target = Target(person=person)
-    place = "udp://*:1"
+    place = "udp://:1"
     source = datagrams.TrackDatagrams(address=place, layout=layout, target=target)
     sample = source._sample(msgspec.json.encode(fields), (HOST, 1))
     assert sample is not None, source.troubles
@@ -218,7 +218,7 @@ MESSAGES = st.fixed_dictionaries({}, optional=FIELDS).map(msgspec.msgpack.encode
 @settings(max_examples=150, deadline=None)
 @given(st.binary() | MESSAGES, st.sampled_from(["manus", "visionpro25", "manus25"]))
 def test_no_message_ends_it(wire: bytes, layout: str) -> None:
-    source = datagrams.TrackDatagrams(address="udp://*:1", layout=layout)
+    source = datagrams.TrackDatagrams(address="udp://:1", layout=layout)
     sample: HumanSample | None = source._sample(wire, (HOST, 1))
     if sample is None:
         assert source.troubles.total() == 1
@@ -232,11 +232,11 @@ def test_no_message_ends_it(wire: bytes, layout: str) -> None:
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["udp://127.0.0.1", "--layout", "manus25"], "ADDRESS: expected udp://"),
-        (["udp://*:99999", "--layout", "manus25"], "ADDRESS: "),
+        (["udp://127.0.0.1", "--layout", "manus25"], "ADDRESS: expected udp://:PORT"),
+        (["udp://:99999", "--layout", "manus25"], "ADDRESS: "),
         (["udp://8.8.8.8:5580", "--layout", "manus25"], "ADDRESS: Cannot assign"),
         (["tcp://*:5580", "--layout", "manus25"], "ADDRESS: Invalid argument"),
-        (["udp://*:5580", "--layout", "manus52"], "did you mean manus25?"),
+        (["udp://:5580", "--layout", "manus52"], "did you mean manus25?"),
     ],
 )
 def test_every_mistake_is_one_line(

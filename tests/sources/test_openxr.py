@@ -101,7 +101,7 @@ def test_a_missing_extension_or_runtime_is_one_line(tmp_path: Path) -> None:
 
 
 def test_it_ends_by_ctrl_c_and_closes_its_session(tmp_path: Path) -> None:
-    shown(tmp_path, demo()[:4] * 2000, 1)
+    shown(tmp_path, demo()[:4] * 50, 1)
     with socket.socket(type=socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         target = f"--right=127.0.0.1:{receiver.getsockname()[1]}"

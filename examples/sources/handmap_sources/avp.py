@@ -34,6 +34,8 @@ _VERSION = 25000.0
 _LOST = 0.2
 """Time after which a wrist that repeats exactly is one that the headset does not see [s]."""
 _OPTIONS = [
+    # The headset is in the same network.
+    ("grpc.enable_http_proxy", 0),
     # A network that is lost is noticed, and so is an address that nobody has.
     ("grpc.keepalive_time_ms", 2000),
     ("grpc.keepalive_timeout_ms", 2000),

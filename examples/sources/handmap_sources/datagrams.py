@@ -21,7 +21,7 @@ LARGEST = 32768
 """Largest message [byte]; one of 127 joints as matrices has less."""
 SILENCE = 1.0
 """Time without samples after which a sender counts as silent, and may have started anew [s]."""
-_ADDRESS = re.compile(r"(udp|tcp)://[^:/]+:[1-9]\d{0,4}")
+_ADDRESS = re.compile(r"(udp|tcp)://[^:/]*:[1-9]\d{0,4}")
 Sender = tuple[str, int]
 
 
@@ -56,11 +56,11 @@ class TrackDatagrams(DeviceSource):
     time [s], side, wrist, valid and confidence. Without time, that of arrival is used.
 
     Examples:
-        handmap track datagrams udp://*:5580 --layout manus25 --record glove.npz
+        handmap track datagrams udp://:5580 --layout manus25 --record glove.npz
         handmap track datagrams tcp://192.168.1.7:5590 --layout openxr26 --to 127.0.0.1 --robot hey5
 
     Attributes:
-        address: Where to listen for datagrams, udp://*:PORT or udp://ADDRESS-OF-THIS-MACHINE:PORT;
+        address: Where to listen for datagrams, udp://:PORT or udp://ADDRESS-OF-THIS-MACHINE:PORT;
             or a ZeroMQ publisher to subscribe to, tcp://HOST:PORT.
         layout: Layout of the joints: a name of `handmap layouts`, or the path of a table.
     """
@@ -81,7 +81,7 @@ class TrackDatagrams(DeviceSource):
         Raises:
             InvalidInputError: If the address cannot be listened at or subscribed to.
         """
-        expected = "udp://HOST:PORT or tcp://HOST:PORT"
+        expected = "udp://:PORT, udp://HOST:PORT or tcp://HOST:PORT"
         is_address = _ADDRESS.fullmatch(self.address)
         expect(is_address, "ADDRESS", expected, value=self.address)
         is_udp = self.address.startswith("udp")
@@ -93,7 +93,7 @@ class TrackDatagrams(DeviceSource):
 
     def _datagrams(self) -> Iterator[tuple[bytes, Sender] | None]:
         """Yield datagrams and who sent them; None after each silence."""
-        host, port = self.address[6:].replace("*", "").split(":")
+        host, port = self.address.removeprefix("udp://").split(":")
         with socket.socket(type=socket.SOCK_DGRAM) as receiver:
             try:
                 receiver.bind((host, int(port)))

@@ -5,7 +5,7 @@ It imports nothing of handmap_qp. On a PC with the runtime of a headset, copy th
     pip install pyopenxr
     python openxr.py --right 192.168.1.5:5580 --left 192.168.1.5:5581
 
-On the machine with handmap, `handmap track datagrams udp://*:5580 --layout openxr26` takes the
+On the machine with handmap, `handmap track datagrams udp://:5580 --layout openxr26` takes the
 right hand. Joints are in the LOCAL space of the runtime [m]: y up, -z forward.
 """
 
