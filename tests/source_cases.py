@@ -21,6 +21,7 @@ import pytest
 from patience import wait_until
 
 from handmap_qp import cli
+from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.trackers.formats import read_recording
@@ -38,9 +39,9 @@ ADDED = {
 
 
 @cache
-def demo() -> list[HumanSample]:
-    """Return samples of the recording that comes with the package, of a right hand."""
-    samples = [*sample_columns(read_recording("demo", side="right"))]
+def demo(side: Side = "right") -> list[HumanSample]:
+    """Return samples of the recording that comes with the package."""
+    samples = [*sample_columns(read_recording("demo", side=side))]
     return [sample for sample in samples[:200:4] if sample.valid]
 
 
@@ -92,6 +93,12 @@ def track(
         send: Returns when everything was sent.
     """
     out = tmp_path / "tracked.npz"
+    code = run_beside(send, "track", *words, "--record", str(out), "--json")
+    return Tracked(code, *capsys.readouterr(), out)
+
+
+def run_beside(send: Callable[[], object], *words: str) -> int:
+    """Run a command of `handmap`, and press Ctrl-C after everything was sent."""
     is_over = threading.Event()
 
     def send_and_end() -> None:
@@ -106,11 +113,10 @@ def track(
     thread = threading.Thread(target=send_and_end)
     thread.start()
     try:
-        code = run("track", *words, "--record", str(out), "--json")
+        return run(*words)
     finally:
         is_over.set()
         thread.join()
-    return Tracked(code, *capsys.readouterr(), out)
 
 
 def run(*words: str) -> int:

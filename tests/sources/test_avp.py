@@ -21,12 +21,14 @@ from source_cases import (
     demo,
     free_port,
     run,
+    run_beside,
     start,
     track,
 )
 
+from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.trackers import load_layout
+from handmap_qp.trackers import SIDES, load_layout
 
 avp = pytest.importorskip(
     "handmap_sources.avp", reason="needs the packages of examples/sources"
@@ -90,13 +92,15 @@ def tracked(
         return result, bytes.fromhex(process.stdout.readline())
 
 
+@pytest.mark.parametrize("side", SIDES)
 def test_a_hand_comes_as_the_app_sends_it(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    side: Side, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    file = saved(tmp_path / "avp.npz", demo())
-    result, asked = tracked(file, capsys, tmp_path)
+    file = saved(tmp_path / "avp.npz", demo(side))
+    result, asked = tracked(file, capsys, tmp_path, "--side", side)
     # Each pose once, although each was sent twice.
-    assert_same(result.recording, demo())
+    assert_same(result.recording, demo(side))
+    assert result.recording.side == side
     assert result.recording.upright == "+z up, +y forward"
     assert result.troubles == {"disconnected": 1}
     assert sum("connection is lost" in line for line in result.messages) == 1
@@ -137,7 +141,23 @@ def test_a_hand_that_stands_still_exactly_is_not_seen(
     assert time[last + 1] - time[last] > 0.2
 
 
-def test_damaged_poses_and_the_other_hand_are_not_mapped(
+def test_the_other_hand_is_not_mapped(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    file = saved(tmp_path / "avp.npz", demo("left")[:10])
+    out = tmp_path / "tracked.npz"
+    with headset(port, file) as process:
+        wait = partial(process.wait, PATIENCE)
+        words = ["track", "avp", f"127.0.0.1:{port}", "--record", str(out)]
+        assert run_beside(wait, *words) == 2
+    message = capsys.readouterr().err
+    assert "no joints" in message
+    assert "not seen in any" in message
+    assert not out.exists()
+
+
+def test_damaged_poses_are_not_mapped(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     samples = demo()[:10]
