@@ -98,6 +98,7 @@ def test_what_is_wrong_is_counted_told_once_and_not_mapped(
     lines = [
         packet(0),
         packet(0),
+        packet(1, time=1e300),
         packet(2),  # 1 is lost on the way, or late:
         packet(1),
         packet(1),
@@ -119,7 +120,7 @@ def test_what_is_wrong_is_counted_told_once_and_not_mapped(
     result = tracked(lines, capsys, tmp_path)
     assert_same(result.recording, [demo()[i] for i in (0, 2, 3)])
     assert result.troubles == {
-        "not in order": 3,
+        "not in order": 4,
         "damaged": 7,
         "too large": 1,
         "other hand": 2,
@@ -142,21 +143,27 @@ def test_a_sender_that_starts_again_goes_on_but_no_other_takes_its_place(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     lines = [
-        # The same clock after a silence, although it is ahead.
-        *(packet(0), packet(1), "wait", packet(2, time=110.0)),
+        # The same clock after a silence.
+        *(packet(0), packet(1), "wait", packet(2, time=102.5)),
         *("wait", "from 127.0.0.2", packet(3)),
         # The same machine with another port, whose clock begins anew.
         *("from 127.0.0.1", packet(3, time=0.0), packet(4, time=0.01)),
+        # A clock that is set.
+        *(packet(5, time=1e6), "wait", packet(5, time=2e6), packet(6, time=2e6 + STEP)),
         # The hand is lost.
-        packet(5, time=0.02, valid=False),
+        packet(7, time=2e6 + 2.0 * STEP, valid=False),
     ]
     result = tracked(lines, capsys, tmp_path)
     recording = result.recording
-    assert recording.valid.tolist() == [True] * 5 + [False]
-    assert_same(recording, demo()[:5])
-    times = [0.0, STEP, 10.0, 11.0, 11.0 + STEP, 11.0 + 2.0 * STEP]
-    np.testing.assert_allclose(recording.time, times)
-    assert result.troubles == {"another sender": 1}
+    assert recording.valid.tolist() == [True] * 7 + [False]
+    assert_same(recording, demo()[:7])
+    # Ours counts where another one begins.
+    steps = np.diff(recording.time)
+    own = np.array([STEP, 2.5 - STEP, math.nan, STEP, math.nan, STEP, STEP])
+    np.testing.assert_allclose(np.where(np.isnan(own), own, steps), own)
+    assert steps[2] + steps[1] > 3.2
+    assert steps[4] > 1.6
+    assert result.troubles == {"another sender": 1, "not in order": 1}
     assert result.summary["troubles"]["silent"] >= 2
     assert sum("nothing has arrived" in line for line in result.messages) == 1
 

@@ -21,6 +21,8 @@ LARGEST = 32768
 """Largest message [byte]; one of 127 joints as matrices has less."""
 SILENCE = 1.0
 """Time without samples after which a sender counts as silent, and may have started anew [s]."""
+LEAP = 5.0
+"""Least time by which a sender's clock is not believed to be ahead of the first sample's [s]."""
 _ADDRESS = re.compile(r"(udp|tcp)://[^:/]*:[1-9]\d{0,4}")
 Sender = tuple[str, int]
 
@@ -142,13 +144,14 @@ class TrackDatagrams(DeviceSource):
         offset, time = self._offset, now
         if message.time is not None:
             # A program that starts again has another clock, and for UDP another port.
-            is_late = message.time + offset <= self._last
-            if sender != self._sender or (is_silent and is_late):
-                offset = max(now, self._last + SILENCE) - message.time
+            is_next = self._last < message.time + offset < now + LEAP
+            if sender != self._sender or (is_silent and not is_next):
+                offset = now - message.time
             time = message.time + offset
         # Also false for NaN.
-        if not self._last < time < math.inf:
-            return self.note("not in order", "samples arrive late or twice")
+        if not self._last < time < now + LEAP:
+            text = "samples arrive late or twice, or their time leaps"
+            return self.note("not in order", text)
         if message.valid:
             more = {"wrist": message.wrist, "confidence": message.confidence}
             sample = self.read(message.joints, time, **more)
