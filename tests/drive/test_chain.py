@@ -25,7 +25,8 @@ from handmap_qp import cli
 from handmap_qp.apps.service.server import Server
 from handmap_qp.client import Client
 
-pytest.importorskip("dynamixel_sdk", reason="needs the packages of examples/drive")
+for module in ("dynamixel_sdk", "pymodbus"):
+    pytest.importorskip(module, reason="needs the packages of examples/drive")
 
 
 class Chain:
@@ -76,7 +77,6 @@ class Chain:
 HANDS = {
     "dynamixel": ("servos", {"full": 2352}, {"zero": 3.14159}),
     "inspire": ("inspire_right", {"full": 1000}, {"zero": 1000, "ratio": -680.3}),
-    "inspire-tcp": ("inspire_right", {"full": 1000}, {"zero": 1000, "ratio": -680.3}),
     "ability": ("ability", {"full": 621, "address": 80}, {"zero": 0}),
 }
 """Driver, and what a table of these motors has, by kind."""
@@ -99,7 +99,7 @@ def chain(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Chain]:
             for i, name in enumerate(owner.opened.joint_names[:count])
         ]
         table = {
-            "bus": kind.removesuffix("-tcp"),
+            "bus": kind,
             "baud": 1000000,
             "rate": 80.0,
             "speed": 8.0,
@@ -119,7 +119,7 @@ def chain(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Chain]:
                 chain.process.communicate()
 
 
-@pytest.mark.parametrize("chain", ["dynamixel", "inspire", "ability"], indirect=True)
+@pytest.mark.parametrize("chain", HANDS, indirect=True)
 def test_the_stop_of_another_client_and_a_frozen_server_reach_the_motors(
     chain: Chain,
 ) -> None:

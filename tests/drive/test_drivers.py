@@ -263,7 +263,7 @@ def test_what_an_inspire_hand_refuses_is_an_error(tmp_path: Path) -> None:
         assert not any(pushing(emulator))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", MOTORS)
 def test_late_answers_are_never_those_of_another_message(
     kind: str, tmp_path: Path
 ) -> None:
@@ -385,10 +385,19 @@ def test_a_wrong_table_is_refused(
         make("leap", "/dev/null", ("a", "b"), tmp_path / "no.yaml")
 
 
-@pytest.mark.parametrize("port", ["127.0.0.1:http", "127.0.0.1:1"])
-def test_a_wrong_address_of_a_hand_is_refused(port: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("port", "text"),
+    [
+        ("127.0.0.1:http", r"^--port: expected HOST:PORT"),
+        ("127.0.0.1:1", r"127\.0\.0\.1:1 is gone, or cannot be opened"),
+        ("/dev/none:1", r"/dev/none:1 is gone, or cannot be opened"),
+    ],
+)
+def test_a_wrong_port_of_a_hand_is_refused(
+    port: str, text: str, tmp_path: Path
+) -> None:
     motors = Inspire("", port, ("a", "b"), table(tmp_path, "inspire"))
-    with pytest.raises((InvalidInputError, OSError), match=r"127\.0\.0\.1"):
+    with pytest.raises((InvalidInputError, OSError), match=text):
         motors.connect()
 
 

@@ -55,7 +55,8 @@ class Inspire(TableDriver):
         self._refusals = importlib.import_module("pymodbus.exceptions")
         host, _, number = self._port_name.rpartition(":")
         more: dict[str, Any] = {"timeout": _PATIENCE, "retries": 0}
-        if host:
+        # Names of serial ports may have colons, too.
+        if host and "/" not in host:
             expect(number.isdigit(), "--port", "HOST:PORT", value=self._port_name)
             self._client = modbus.ModbusTcpClient(host, port=int(number), **more)
         else:
@@ -138,7 +139,7 @@ class Inspire(TableDriver):
                 at, device_id=self._table.address, **more
             )
         except self._refusals.ConnectionException as error:
-            raise OSError(f"{self._port_name} cannot be opened") from error
+            raise OSError(f"{self._port_name} is gone, or cannot be opened") from error
         except self._refusals.ModbusException as error:
             raise _NoAnswerError(f"register {at}: no answer") from error
         self._is_late = False
