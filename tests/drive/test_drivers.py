@@ -204,7 +204,11 @@ def test_a_joint_that_is_blocked_presses_with_the_limit(
     with two(tmp_path, kind) as (emulator, motors):
         emulator.order(wall={"0": [0.3, 0.5], "1": [0.3, 0.5]})
         # The motors would press with more: 0.6 of the largest torque per rad.
-        follow(motors, np.array([0.9, -0.4]), 0.1, 0.5 if KINDS[kind].limit else 1.0)
+        # Farther than any of them can be told.
+        far = np.array([9.0, -9.0])
+        motors.write(far, 0.1)
+        assert (emulator.order()["goal"][:2] > 1.0).all()
+        follow(motors, far, 0.1, 0.5 if KINDS[kind].limit else 1.0)
         # A hand tells its torques every third time.
         for _ in range(3):
             _, effort, _ = seen(motors)

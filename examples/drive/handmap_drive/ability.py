@@ -28,7 +28,9 @@ STATE = np.dtype(
     ]
 )
 """Answer without its checksum: the message's header, then the state of the motors."""
-SCALE = np.radians(150.0) / 32767
+_FARTHEST = 32767
+"""Largest position, 150 degrees; a larger one would pass for one on the other side."""
+SCALE = np.radians(150.0) / _FARTHEST
 """Unit of positions [rad]."""
 NONE = (0,) * 6
 """Currents of motors without torque."""
@@ -109,7 +111,8 @@ class Ability(TableDriver):
         self._share = np.minimum(self._share * change ** (dt / _YIELDING), 1.0)
         goal = self._q + self._share * (q - self._q)
         values = self._places.copy()
-        values[self._ids] = np.rint((self._zero + self._ratio * goal) / SCALE)
+        places = np.rint((self._zero + self._ratio * goal) / SCALE)
+        values[self._ids] = np.clip(places, -_FARTHEST, _FARTHEST)
         # What the motors do, `read` tells.
         with suppress(DriverError):
             self._ask(POSITION, values)

@@ -28,8 +28,9 @@ class Modbus:
     """Registers of an RH56: maker's user manual V1.09. At 0 rad a joint is open."""
 
     walls: ClassVar = dict(enumerate([(0.0, 1.47)] * 4 + [(0.0, 0.6), (0.0, 1.308)]))
-    words = (1486, 1498, 1522, 1546, 1582)
-    halves = (1606, 1612, 1618)
+    sizes: ClassVar = dict.fromkeys((1486, 1498, 1522, 1546, 1582), 6)
+    sizes |= dict.fromkeys((1606, 1612, 1618), 3)
+    """Registers of each field, whose first has its number."""
 
     def __init__(self) -> None:
         self.speed = [1000] * 6
@@ -40,7 +41,7 @@ class Modbus:
         if bus.silent or (code == 16 and at in bus.deaf):
             return
         answer = bytes([code | 0x80, 2])
-        is_known = count == (6 if at in self.words else 3 if at in self.halves else 0)
+        is_known = count == self.sizes.get(at)
         if is_known and code == 3:
             answer = bytes([code, 2 * count]) + self.read(bus, at)
         elif is_known and code == 16:
@@ -60,7 +61,7 @@ class Modbus:
                 1618: servo.temperature,
             }
             state.append(round(values.get(at, 0)))
-        if at in self.words:
+        if self.sizes[at] == 6:
             return struct.pack(">6h", *state)
         # The first of two motors has the lower byte of their word.
         return bytes(state[i ^ 1] for i in range(6))
