@@ -98,8 +98,6 @@ class HandPair:
             joints of the common fingers, in the order of `partners`.
         fingers: Names of the common fingers, the thumb first where there is one.
         chains: The robot's fingers that have joints, by name, in the order of `fingers`.
-        pads: Their pads.
-        contacts: All pairs of the robot's collision shapes that may collide.
         partners: Index of the human reference point that each robot reference point follows, (m,).
         finger_of: Index of the finger that each robot reference point is of, shape (m,).
         tips: Index of the human reference point at each common fingertip, shape (f,).
@@ -140,10 +138,7 @@ class HandPair:
         points = require_points(human, needed, "this method").reshape(-1, 4)
         self.tips = points[:, 0]
         self.knuckles = points[:, 3]
-        # Shapes are read only for hands that can be a pair: it takes longest.
         self.chains = measured.used
-        self.pads = measured.pads
-        self.contacts = measured.contacts
         self.robot = measured.with_points
         names = point_indices(human)
         self.partners = np.array(
@@ -203,8 +198,7 @@ class HandPair:
         if self.has_jaws:
             at_rest = self.human_rest[self.tips]
             gaps = lengths(at_rest[1:] - at_rest[0])
-            pads = [self.pads[finger] for finger in self.fingers]
-            task = gap_task(self.robot, pads, gaps)
+            task = gap_task(self.robot, self.measured.pinching, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
         places = [chain.knuckle for chain in self.chains.values()]

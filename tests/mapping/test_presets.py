@@ -116,7 +116,7 @@ def test_pairs_with_one_robot_share_its_contacts() -> None:
     robot = load_hand("allegro_right")
     pairs = [hand_pair(load_hand("human"), robot) for _ in range(2)]
     assert pairs[0] is not pairs[1]
-    assert pairs[0].contacts is pairs[1].contacts
+    assert pairs[0].measured is pairs[1].measured
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PadSpec
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
-from handmap_qp.mapping.hand_pair import hand_pair, resting_posture
+from handmap_qp.mapping.hand_pair import hand_pair, resting_posture, robot_fingers
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.methods.teleoperation import (
     BoundTeleoperation,
@@ -191,7 +191,7 @@ def test_a_hand_onto_itself_is_itself() -> None:
 
 def covered(robot: Hand, thickness: float) -> Hand:
     """The robot with soft covers on its fingertips, which its URDF does not have [m]."""
-    pads = hand_pair(HUMAN, robot).pads
+    pads = hand_pair(HUMAN, robot).measured.pads
     model = robot.model
     points = []
     for point in robot.spec.points:
@@ -224,7 +224,7 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(
     apart = GapMeter(ALLEGRO).pinches(opened.command.q[None])
     assert min(gap[0] for gap in apart.values()) > 0.01
     # An open hand keeps thumb and fingers farther apart than a pinch, and all other links alike.
-    of_thumb = np.array(hand_pair(HUMAN, robot).contacts.fingers) == finger
+    of_thumb = np.array(robot_fingers(robot).contacts.fingers) == finger
     assert (
         opened.asked.margins[of_thumb].min()
         > closed.asked.margins[of_thumb].max() + 0.002

@@ -197,7 +197,7 @@ class BoundTeleoperation(PalmMethod):
         self.pair = hand_pair(human, robot)
         pair = self.pair
         super().__init__(choices, human, pair.robot)
-        self.contacts = pair.contacts if choices.avoids_contact else None
+        self.contacts = pair.measured.contacts if choices.avoids_contact else None
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge
         )
