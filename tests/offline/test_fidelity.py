@@ -120,7 +120,8 @@ def times(trace: HandTrace) -> np.ndarray:
 def assess(
     one: HandTrace, other: HandTrace, valid: np.ndarray | None = None
 ) -> dict[str, float]:
-    return assess_fidelity(one, other, times(one), valid).values
+    seen = np.ones(len(one.palm), dtype=bool) if valid is None else valid
+    return assess_fidelity(one, other, times(one), seen).values
 
 
 SAME = {
@@ -171,7 +172,7 @@ def test_tips_from_the_knuckles_do_not_depend_on_the_palms_origin(
     aside = changed(
         trace, "ring", tip_of(trace, "ring") + np.array([0.003, 0.0, -0.004])
     )
-    found = assess_fidelity(trace, aside, times(trace))
+    found = assess_fidelity(trace, aside, times(trace), times(trace) >= 0.0)
     assert found.fingers["ring"]["tip_error_knuckles_mm"] == pytest.approx(5.0)
     assert found.values["tip_error_knuckles_mm"] == pytest.approx(1.0)
 
@@ -271,7 +272,8 @@ def test_joints_outside_limits_and_too_fast_are_counted(
     q[200:225] = human.upper_limits + 0.01
     step_cpu = np.full(len(q), 0.002)
     motion = RobotMotion(human, times(trace), q, poses(len(q)), step_cpu)
-    found = assess_fidelity(trace, trace, times(trace), None, motion, q)
+    seen = times(trace) >= 0.0
+    found = assess_fidelity(trace, trace, times(trace), seen, motion, q)
     result = found.values
     assert result["step_time_ms"] == pytest.approx(2.0)
     assert result["outside_limits"] == pytest.approx(25 / 250)
@@ -472,10 +474,11 @@ def test_hands_of_the_shared_folder_are_described(name: str) -> None:
 def test_traces_that_do_not_fit_are_rejected(trace: HandTrace) -> None:
     time = times(trace)
     for robot, valid, argument in (
-        (samples(trace, np.arange(10)), None, "robot"),
-        (trace, np.zeros(len(time), dtype=bool), "time"),
-        (trace.part(np.arange(len(time)), ()), None, "robot"),
+        (samples(trace, np.arange(10)), time >= 0.0, "robot"),
+        (trace, time < 0.0, "time"),
+        (trace, time[1:] >= 0.0, "valid"),
+        (trace.part(np.arange(len(time)), ()), time >= 0.0, "robot"),
     ):
         with pytest.raises(InvalidInputError) as caught:
-            assess_fidelity(trace, robot, time, valid=valid)
+            assess_fidelity(trace, robot, time, valid)
         assert caught.value.argument == argument

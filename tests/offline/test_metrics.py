@@ -30,7 +30,8 @@ def test_every_metric_is_one_of_fidelity() -> None:
     )
     landmarks = np.array([transform_points(np.eye(4), points) for points in landmarks])
     trace = trace_human(landmarks, HumanLengths.from_hand_length(0.19))
-    values = assess_fidelity(trace, trace, np.arange(100) / 100.0).values
+    time = np.arange(100) / 100.0
+    values = assess_fidelity(trace, trace, time, time >= 0.0).values
     assert list(values) == [m.key for m in METRICS]
     # These metrics need surfaces, an object, joints, workspace or times; all others have a value.
     unknown = {key for key, value in values.items() if np.isnan(value)}

@@ -88,7 +88,7 @@ def assess_fidelity(
     human: HandTrace,
     robot: HandTrace,
     time: Array,
-    valid: Array | None = None,
+    valid: Array,
     motion: RobotMotion | None = None,
     human_q: Array | None = None,
 ) -> Fidelity:
@@ -98,7 +98,7 @@ def assess_fidelity(
         human: The human's motion (`trace_human`).
         robot: The robot's, of the same samples (`trace_robot`).
         time: Instants, increasing [s], shape (T,).
-        valid: Samples in which the hand was seen, shape (T,); all if omitted.
+        valid: Samples in which the hand was seen, shape (T,).
         motion: The same with its joints and step times, for surfaces, limits and workspace.
         human_q: The fitted human's joint angles [rad], shape (T, m), for the jerk ratio only.
 
@@ -107,13 +107,12 @@ def assess_fidelity(
             finger in common.
     """
     shared = [name for name in human.names if name in robot.names]
-    seen = np.ones(len(time), dtype=bool) if valid is None else valid
     wanted = f"{len(time)} samples as in time"
-    sized = {"human": human.palm, "robot": robot.palm, "valid": seen}
+    sized = {"human": human.palm, "robot": robot.palm, "valid": valid}
     for name, rows in sized.items():
         expect(len(rows) == len(time), name, wanted, value=len(rows))
     expect(shared, "robot", "a finger that the human has too", got="none")
-    counts = seen & (time >= time[0] + SETTLING)
+    counts = valid & (time >= time[0] + SETTLING)
     expect(
         counts.any(), "time", "valid samples after the first half second", got="none"
     )

@@ -324,7 +324,8 @@ def check_following(hand: Hand) -> Found:
         points = np.array([step.human_points for step in steps])
         q = np.array([step.command.q for step in steps])
         human = trace_human(points, person, hand.side)
-        fidelity = assess_fidelity(human, trace_robot(hand, q), _DT * np.arange(len(q)))
+        time = _DT * np.arange(len(q))
+        fidelity = assess_fidelity(human, trace_robot(hand, q), time, time >= 0.0)
         found.append(fidelity.values["extension_correlation"])
     own, fast = found
     what = f"follows {own:.2f} of your fingers (extension) with its speed limits"
