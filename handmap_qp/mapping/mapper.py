@@ -52,6 +52,26 @@ from .method import (
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
 
+class Asked(NamedTuple):
+    """What one hand of a person asks of the robot. The core has it, too, as `Ask`.
+
+    Attributes:
+        pose: The person's hand.
+        targets: Of the robot's hand; of a `Leader`, before its palm is turned.
+        rest: Joint positions that the QP's rest term pulls to, shape (n,).
+        dt: Time since the last sample [s].
+        speed: Share of the speed limits at which the robot may move.
+        map: What made the targets; None where the robot's hand stays.
+    """
+
+    pose: HumanPose
+    targets: Targets
+    rest: Array
+    dt: float
+    speed: float = 1.0
+    map: Any = None
+
+
 class Mover:
     """Base of what moves a robot by a solver, its `point_ik`."""
 
@@ -290,14 +310,16 @@ class HandMapper(Mover):
         reference = self._reference or self._reference_at(sample)
         target_map = reference.map
         own: Any = None if sample.wrist is None else self._core_at(target_map)
-        asked = None if own else target_map.targets(sample)
+        targets = None if own else target_map.targets(sample)
         if bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             bound.start(sample, reference.posture)
         if reference is not self._reference:
             self._begin(reference)
-        if asked:
-            stages = self._moved(sample, asked, target_map, dt, speed)
+        if targets:
+            rest = target_map.rest
+            asked = Asked(sample, targets, rest, dt, speed, target_map)
+            stages = self._moved(asked)
         else:
             stages = own.follow(sample, dt, speed)
         self.core = own
@@ -326,29 +348,23 @@ class HandMapper(Mover):
         duration = perf_counter() - started
         return structs.replace(step, out_of_range=outside, duration=duration)
 
-    def _moved(
-        self,
-        sample: HumanPose,
-        asked: Targets,
-        target_map: TargetMap,
-        dt: float,
-        speed: float,
-    ) -> Stages:
+    def _moved(self, asked: Asked) -> Stages:
         """Move the robot towards its targets in Python, or in the core by its QP alone."""
+        targets = asked.targets
         if self._is_released:
-            result = self.point_ik.hold(dt)
+            result = self.point_ik.hold(asked.dt)
         else:
             result = self.point_ik.solve(
-                asked.points,
-                asked.wrist,
-                dt,
-                rest=target_map.rest,
-                tasks=(*asked.tasks, *self.tasks),
-                margins=asked.margins,
-                speed=speed,
+                targets.points,
+                targets.wrist,
+                asked.dt,
+                rest=asked.rest,
+                tasks=(*targets.tasks, *self.tasks),
+                margins=targets.margins,
+                speed=asked.speed,
             )
-            asked = structs.replace(asked, points=result.targets)
-        return stages_of(sample, asked, result)
+            targets = structs.replace(targets, points=result.targets)
+        return stages_of(asked.pose, targets, result)
 
     def _core_at(self, target_map: TargetMap) -> Any:
         """Return the core's mapper by the map of a reference; None if Python has to map."""

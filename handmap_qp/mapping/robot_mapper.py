@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from operator import attrgetter
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -51,8 +51,16 @@ from handmap_qp.se3 import (
     smoothstep,
     transform_points,
 )
-from .mapper import HandMapper, Mover, check_dt, check_joints, posture_of, stages_of
-from .method import HumanPose, MapStep, Method, Stages, TargetMap, Targets
+from .mapper import (
+    Asked,
+    HandMapper,
+    Mover,
+    check_dt,
+    check_joints,
+    posture_of,
+    stages_of,
+)
+from .method import HumanPose, MapStep, Method, Stages, Targets
 from .palm import PalmMap
 
 # Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
@@ -62,26 +70,6 @@ _TOGETHER = 0.2
 _TOGETHER_SHARE = 5.0
 # Where a base is that nobody has moved; a copy of it is slower, and no different.
 _HOME = frozen(np.eye(4))
-
-
-class Asked(NamedTuple):
-    """What one hand of a person asks of the robot. The core has it, too, as `Ask`.
-
-    Attributes:
-        pose: The person's hand.
-        targets: Of the robot's hand, before its palm is turned.
-        rest: Joint positions that the QP's rest term pulls to, shape (n,).
-        dt: Time since the last sample [s].
-        speed: Share of the speed limits at which the robot may move.
-        map: What made the targets; None where the robot's hand stays.
-    """
-
-    pose: HumanPose
-    targets: Targets
-    rest: Array
-    dt: float
-    speed: float = 1.0
-    map: Any = None
 
 
 class Leader(HandMapper):
@@ -115,16 +103,9 @@ class Leader(HandMapper):
         self.since = 0.0
         self.last = MapStep(self.asked, (), 0.0)
 
-    def _moved(
-        self,
-        sample: HumanPose,
-        asked: Targets,
-        target_map: TargetMap,
-        dt: float,
-        speed: float,
-    ) -> Any:
-        """Ask for targets."""
-        return Asked(sample, asked, target_map.rest, dt, speed, target_map)
+    def _moved(self, asked: Asked) -> Any:
+        """Ask the robot to move."""
+        return asked
 
     @property
     def is_staying(self) -> bool:
