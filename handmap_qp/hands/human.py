@@ -46,7 +46,7 @@ HUMAN_JOINTS: Names = tuple(
 
 # Proportions of hands (Buchholz et al. 1992); the file names their source.
 _FILE = urdf_directory() / "human" / "buchholz.json"
-_BUCHHOLZ = json.loads(_FILE.read_text(encoding="utf-8"))
+_BUCHHOLZ = json.loads(_FILE.read_bytes())
 # Hand breadth over hand length at which these offsets set the index and little MCP joints as far
 # apart as trackers see them: the median of five tracked hands has them at 0.347 of the
 # wrist-to-middle-tip length, which is 0.990 hand lengths here, so that sqrt((0.347 * 0.990)^2 -

@@ -63,5 +63,5 @@ def load_synergies() -> Synergies:
     `urdf/human/synergies.json` names their source.
     """
     file = urdf_directory() / "human" / "synergies.json"
-    document = json.loads(file.read_text(encoding="utf-8"))
+    document = json.loads(file.read_bytes())
     return Synergies(*(frozen(np.array(document[key])) for key in ("S", "q_m")))
