@@ -16,7 +16,7 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Sequence
 from functools import reduce
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, Protocol, TextIO
@@ -31,6 +31,7 @@ from handmap_qp.errors import (
     expect,
     warn,
 )
+from handmap_qp.plugins import Plugins
 
 
 class Command(Protocol):
@@ -113,16 +114,19 @@ _MODULES = {
     "doctor": "doctor",
 }
 """Module below `handmap_qp.apps` of each command, in the order of the list of `handmap --help`."""
-COMMANDS: dict[str, Any] = {
+_OWN = {
     name: _Place(f"handmap_qp.apps.{module}", name.title().replace(" ", ""))
     for name, module in _MODULES.items()
 }
-COMMANDS |= {
-    point.name: _Added(point)
-    for point in entry_points(group="handmap_qp.commands")
-    if point.name not in COMMANDS
-}
-"""All commands by name: ours in that order, then those of other packages."""
+
+
+class _Commands(Plugins[Any]):
+    def _load(self, point: EntryPoint) -> Any:
+        return _Added(point)
+
+
+COMMANDS = _Commands("handmap_qp.commands", lambda: _OWN, "")
+"""All commands by name: ours in that order, then those of other packages, looked up when asked."""
 _GROUPS = {
     "hands": "List, describe, write and check descriptions of robot hands.",
     "robots": "List, describe and check robots with two hands; `hands init` describes one.",
@@ -237,8 +241,10 @@ def parse(arguments: Sequence[str]) -> Command:
             a mistake, which has the exit code 2.
     """
     firsts = (" ".join(arguments[:2]), *arguments[:1])
-    name = next(filter(COMMANDS.__contains__, firsts), None)
-    if not name:
+    known = (_OWN, _OPTIONS, COMMANDS)
+    found = (word for words in known for word in firsts if word in words)
+    name = next(found, None)
+    if not name or name in _OPTIONS:
         _answer_without_command(arguments)
     command = COMMANDS[name].load()
     # Options of a method had the name of one in front, before methods could be added.

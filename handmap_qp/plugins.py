@@ -41,9 +41,9 @@ class Plugins(Mapping[str, T]):
         group: str,
         own: Callable[[], Mapping[str, T]],
         kind: str,
-        others: Mapping[str, str] | None = None,
+        **others: str,
     ) -> None:
-        self._names = others or {}
+        self._names = others
         self._group = group
         self._make = own
         self._kind = kind

@@ -15,7 +15,7 @@ from tyro.conf import FlagConversionOff, Positional, arg
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import FINGERS, Hand, Names, Side, Values, load_hand, load_whole
-from handmap_qp.human import Person, Recording, mirrored, read_person
+from handmap_qp.human import Person, Recording, at_rate, mirrored, read_person
 from handmap_qp.mapping import (
     PRESETS,
     Choice,
@@ -82,7 +82,7 @@ class InputArguments:
         layout: Layout of the file's values where they are not 21 landmarks: a name of
             `handmap layouts`, or the path of a table of your own. Reads .npz and .csv.
         side: Which hand the recording is of, where the file does not say.
-        fps: Samples a second, of a video whose hands have no time in the file.
+        fps: Samples a second, in place of the time in the file.
     """
 
     layout: Annotated[str | None, hinted("LAYOUT", "(default: the file's own)")] = None
@@ -115,9 +115,7 @@ class InputArguments:
             layout = load_layout(self.layout)
             return read_with_layout(path, layout, self.side, lengths)
         try:
-            recording = read_recording(
-                path, self.side or wanted, fps=self.fps, said=self.side
-            )
+            recording = read_recording(path, self.side or wanted)
         except RecordingError as error:
             if hint := layout_hint(path):
                 error.problem += f"; {hint}"
@@ -128,6 +126,7 @@ class InputArguments:
                 argument="--side",
                 advice="leave --side out, or correct the file",
             )
+        recording = at_rate(recording, self.fps)
         check_recording(recording, name=str(path))
         return recording
 
@@ -148,9 +147,10 @@ class InputArguments:
             if given:
                 raise InvalidInputError("has no effect on both hands", argument=option)
         if self.layout is None:
-            hands = read_hands(paths, fps=self.fps)
-            for recording in hands.values():
-                check_recording(recording)
+            hands = read_hands(paths)
+            for side, recording in hands.items():
+                hands[side] = at_rate(recording, self.fps)
+                check_recording(hands[side])
             return hands
         expect(
             len(paths) in (1, 2), "RECORDING", "one file or two", got=f"{len(paths)}"

@@ -167,6 +167,18 @@ class HumanMotion:
     valid: Array
 
 
+def at_rate(recording: Recording, fps: float | None) -> Recording:
+    """Return a recording with so many samples a second in place of its instants, unless None.
+
+    Raises:
+        InvalidInputError: If there is no such rate.
+    """
+    if fps is None:
+        return recording
+    expect(0.0 < fps <= 1e6, "fps", "a rate > 0", value=fps)
+    return replace(recording, time=np.arange(len(recording)) / fps)
+
+
 def axis_direction(axis: str) -> Array:
     """Return the unit vector of an axis such as `-z`, shape (3,)."""
     sign, name = axis

@@ -404,7 +404,7 @@ def _find_time_unit(times: Array) -> Finding | None:
         )
     elif step == 1.0:
         found += ", so it counts samples or milliseconds"
-        advice = "give time in seconds"
+        advice = "give time in seconds, or the rate by --fps"
     elif fitting:
         found += f", so it is in {fitting[0]}"
         advice = f"multiply it by {_TIME_UNITS[fitting[0]]:g}"

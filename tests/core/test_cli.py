@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handmap_qp import cli, load_hand
+from handmap_qp import cli, load_hand, plugins
 from handmap_qp.apps import doctor, tables
 
 KEYS = {
@@ -327,6 +327,25 @@ def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
         assert place.about == (place.load().__doc__ or "").partition("\n")[0], name
 
 
+def test_other_packages_are_looked_up_only_when_asked(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(
+        plugins, "entry_points", lambda *, group: asked.append(group) or []
+    )
+    # As in a new process.
+    monkeypatch.delitem(vars(cli.COMMANDS), "_others", raising=False)
+    for words in (["--version"], ["map", "--help"], ["hands", "show", "--help"]):
+        with pytest.raises(SystemExit):
+            cli.main(words)
+    assert "handmap_qp.commands" not in asked
+    with pytest.raises(SystemExit):
+        cli.main(["--help"])
+    assert "handmap_qp.commands" in asked
+    vars(cli.COMMANDS).pop("_others")
+
+
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
@@ -342,7 +361,7 @@ def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
         ),
         (
             ["map", "x.npz", "--ik.damping", "-1"],
-            "--ik.damping: expected a finite number > 0, ",
+            "--ik.damping: expected a number in (0, 1e+06], ",
         ),
         (
             ["map", "x.npz", "--ridge", "-1"],

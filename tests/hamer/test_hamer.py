@@ -90,11 +90,15 @@ def test_one_array_becomes_a_hand_by_its_side_and_rate(
 ) -> None:
     arrays = {"pred_keypoints_3d": DEMO[side].landmarks}
     path, out = write(tmp_path / "hand.npy", arrays), tmp_path / "hand.csv"
-    assert main(["convert", str(path), str(out)]) == 2
-    assert "right or left" in capsys.readouterr().err
-    words = ["convert", str(path), str(out), "--side", side]
-    assert main(words) == 2
-    assert "--fps" in capsys.readouterr().err
+    # The array does not say which hand it is of, nor when.
+    with pytest.raises(RecordingError, match="it has 2 recordings"):
+        read_recording(path)
+    words = ["convert", f"{path}::{side}", str(out)]
+    assert main(words) == 0
+    assert "the time, which the file does not have" in capsys.readouterr().out
+    robot = ["--robot", "three_finger", "--out", str(tmp_path / "mapped.npz")]
+    assert main(["map", str(out), *robot]) == 2
+    assert "counts samples" in capsys.readouterr().err
     assert main([*words, "--fps", "25"]) == 0
     found = read_recording(out)
     assert found.side == side
@@ -102,7 +106,6 @@ def test_one_array_becomes_a_hand_by_its_side_and_rate(
     np.testing.assert_array_equal(found.landmarks[seen], DEMO[side].landmarks[seen])
     np.testing.assert_allclose(found.time, np.arange(len(found)) / 25.0)
     words = ["map", str(path), "--side", side, "--fps", "25", "--mirror"]
-    robot = ["--robot", "three_finger", "--out", str(tmp_path / "mapped.npz")]
     is_right = side == "right"
     assert main([*words[: -1 if is_right else None], *robot]) == 0
 
@@ -159,10 +162,8 @@ def test_rotation_matrices_are_rotation_vectors(
     monkeypatch.setenv("HANDMAP_MANO", str(tmp_path))
     expected = read_recording(write(tmp_path / "vectors.npz", vectors))
     for name in ("matrices.pkl", "matrices.h5"):
-        arrays = given if name.endswith("pkl") else given | {"side": 0}
-        if name.endswith("h5"):
-            del arrays["side"]
-        found = read_recording(write(tmp_path / name, arrays), said="right")
+        arrays = {key: given[key] for key in given if key != "side"}
+        found = read_recording(write(tmp_path / name, arrays), "right")
         np.testing.assert_allclose(found.landmarks, expected.landmarks, atol=1e-9)
 
 

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Names, Values
+from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import LANDMARK_COUNT, Recording, finite_samples
 from handmap_qp.se3 import Array, as_floats
 from handmap_qp.trackers import SIDES, read_archive
@@ -39,7 +40,8 @@ SHIFTS = ("pred_cam_t_full", "cam_t")
 _MAIN = {KEYPOINTS, *OF_MANO}
 """Arrays of which a file has one for each frame."""
 _OWN = {*_MAIN, *FLAGS, *SHIFTS, "global_orient", "betas", "transl"}
-_OWN |= {"flat_hand_mean", "fps", "time", "side"}
+_TIMES = {"time", "fps"}
+_OWN |= {"flat_hand_mean", "side", *_TIMES}
 
 
 class HamerFormat(ManoFormat):
@@ -48,11 +50,13 @@ class HamerFormat(ManoFormat):
     `pred_keypoints_3d` is (T, 21, 3), or (T, n, 21, 3) of n hands in a frame [m]; NaN where a hand
     was not found. Of several hands of a side in a frame the first one counts. An `.npy` file is
     this array. `right` or `is_right` says by 1 or 0 which hands are right ones, shape (), (n,),
-    (T,) or (T, n); `side` or `--side` says it of all. `pred_cam_t_full` or `cam_t` is where the
-    hands are in the camera's axes [m], shape (T, 3) or (T, n, 3). `time (T,)` or `fps` is in the
-    file, or given by `--fps`.
+    (T,) or (T, n); `side` says it of all. A file that does not say it is taken for the hand that is
+    asked for. `pred_cam_t_full` or `cam_t` is where the hands are in the camera's axes [m], shape
+    (T, 3) or (T, n, 3). Without `time (T,)` and `fps`, samples are numbered, for `--fps`.
 
-    Without keypoints, `global_orient`, `hand_pose` and `betas` are MANO's, as of the form `mano`.
+    Without keypoints, `global_orient`, `hand_pose` and `betas` are MANO's, as of the form `mano`;
+    turns may be rotation matrices (T, n, 3, 3), of which the identity is the flat hand, and of
+    `betas (T, 10)` the mean is taken.
     A pickle is read as of `read_table`, which runs no code.
     """
 
@@ -72,21 +76,31 @@ class HamerFormat(ManoFormat):
                 return np.load(path, mmap_mode="r").shape[-2:] == (LANDMARK_COUNT, 3)
             return False
         if suffix == ".npz":
-            return KEYPOINTS in member_names(path)
+            return not member_names(path).isdisjoint((KEYPOINTS, "hand_pose"))
         return not _MAIN.isdisjoint(_read(path))
 
     def hands(self, path: Path) -> HandArrays:
         """Read each hand."""
         arrays = _read(path)
+        if _TIMES.isdisjoint(arrays):
+            arrays["fps"] = 1.0
         if KEYPOINTS in arrays:
-            return _hands_of(arrays, self.said)
-        if np.ndim(arrays.get("hand_pose", 0.0)) == 4:
-            arrays = {"flat_hand_mean": True} | arrays
-        return {"": arrays}
+            return _hands_of(arrays)
+        if "betas" in arrays:
+            arrays["betas"] = np.atleast_2d(arrays["betas"]).mean(axis=0)
+        for name in ("global_orient", "hand_pose"):
+            if np.ndim(arrays.get(name, 0.0)) == 4:
+                arrays[name] = _vectors_of(as_floats(arrays[name], name))
+                arrays["flat_hand_mean"] = True
+        return {side: arrays | {"side": side} for side in _sides_of(arrays)}
 
     def unread(self, path: Path) -> Names:
-        """Name the arrays that a recording cannot hold."""
-        return tuple(sorted({*_read(path)} - _OWN))
+        """Name the arrays that a recording cannot hold, and the time if there is none."""
+        arrays = _read(path)
+        others = sorted({*arrays} - _OWN)
+        if _TIMES.isdisjoint(arrays):
+            others.append("the time, which the file does not have")
+        return tuple(others)
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Refuse: write the form `mano` in its place."""
@@ -110,7 +124,18 @@ def _read(path: Path) -> Values:
         return {**file.attrs, **arrays}
 
 
-def _hands_of(arrays: Values, said: str | None) -> HandArrays:
+def _sides_of(arrays: Values) -> Sequence[Side]:
+    """Return the side that a file names, or both."""
+    return [side_of(arrays["side"], "side")] if "side" in arrays else SIDES
+
+
+def _vectors_of(rotations: Array) -> Array:
+    """Return rotation vectors [rad], shape (T, 3 n), of rotations, shape (T, n, 3, 3)."""
+    vectors = [*map(pin.log3, rotations.reshape(-1, 3, 3))]
+    return np.reshape(vectors, (len(rotations), -1))
+
+
+def _hands_of(arrays: Values) -> HandArrays:
     """Return the hands of predicted keypoints, as arrays of `ManoFormat`."""
     points = as_floats(arrays[KEYPOINTS], KEYPOINTS)
     shape = (
@@ -121,16 +146,17 @@ def _hands_of(arrays: Values, said: str | None) -> HandArrays:
     places = frames.shape[:2]
     shifts = _each(arrays, SHIFTS, places, 3)
     flags = _each(arrays, FLAGS, places)
-    if flags is None:
-        side = side_of(arrays.get("side", said), "right")
-        flags = np.full(places, float(side == "right"))
-    is_flag = np.isin(flags, (0.0, 1.0)) | ~np.isfinite(frames).all(axis=(2, 3))
-    expect(is_flag.all(), "right", "1 for each right hand and 0 for each left one")
+    if flags is not None:
+        is_flag = np.isin(flags, (0.0, 1.0)) | ~np.isfinite(frames).all(axis=(2, 3))
+        expect(is_flag.all(), "right", "1 for each right hand and 0 for each left one")
     hands: HandArrays = {}
-    for side in SIDES:
-        own = flags == float(side == "right")
+    for side in SIDES if flags is not None else _sides_of(arrays):
+        own: Array = np.ones(places, dtype=bool)
+        if flags is not None:
+            own = np.equal(flags, float(side == "right"))
         chosen = np.arange(len(frames)), own.argmax(axis=1)
-        joints = _unmirrored(frames[chosen], own.any(axis=1), side)
+        is_there: Any = own.any(axis=1)
+        joints = _unmirrored(frames[chosen], is_there, side)
         if joints is None:
             continue
         if shifts is not None:
@@ -139,7 +165,7 @@ def _hands_of(arrays: Values, said: str | None) -> HandArrays:
             **{name: arrays[name] for name in ("time", "fps") if name in arrays},
             "side": side,
             "joints": joints[:, np.argsort(FROM_MANO)],
-            "valid": own.any(axis=1) & finite_samples(joints),
+            "valid": is_there & finite_samples(joints),
         }
     return hands
 

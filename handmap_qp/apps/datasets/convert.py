@@ -10,10 +10,11 @@ from tyro.conf import Positional
 
 from handmap_qp.apps.arguments import check_names, hinted
 from handmap_qp.errors import expect
-from handmap_qp.hands import Side
+from handmap_qp.human import at_rate
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers import (
     FORMATS,
+    HandModelFormat,
     Source,
     format_to_write,
     list_sources,
@@ -53,8 +54,7 @@ class Convert:
             recording of several in a file, `demo` the one that comes with the package.
         format: Format to write, where the suffix does not tell it.
         mano: The licensed MANO model: MANO_RIGHT.pkl, or the folder that holds both hands.
-        side: Which hand files are of that do not say it.
-        fps: Samples a second, of videos whose hands have no time in the file.
+        fps: Samples a second, in place of the time in the files.
         json: Print one JSON object.
     """
 
@@ -64,7 +64,6 @@ class Convert:
         hinted(f"{{{','.join(FORMATS)}}}", "(default: by the suffix of OUT)"),
     ] = None
     mano: Annotated[Path | None, hinted("FILE", "(default: $HANDMAP_MANO)")] = None
-    side: Side | None = None
     fps: float | None = None
     json: bool = False
 
@@ -81,11 +80,12 @@ class Convert:
         has_files = bool(form.suffixes) and not out.suffix
         if form.suffixes and not has_files:
             check_output("OUT", out, form.suffixes)
-        given = {"model": self.mano, "fps": self.fps, "said": self.side}
-        found = (list_sources(file, **given) for file in inputs)
-        sources = [*chain.from_iterable(found)]
+        sources = [
+            self._with_model(source)
+            for source in chain.from_iterable(map(list_sources, inputs))
+        ]
         unread = {source.path: source.format.unread(source.path) for source in sources}
-        recordings = list(map(Source.read, sources))
+        recordings = [at_rate(source.read(), self.fps) for source in sources]
         contents = {out: recordings}
         if has_files:
             names = [f"{source.name}{form.suffixes[0]}" for source in sources]
@@ -103,6 +103,12 @@ class Convert:
             not_read=list(dict.fromkeys(chain.from_iterable(unread.values()))),
             lost=form.losses(recordings),
         )
+
+    def _with_model(self, source: Source) -> Source:
+        """Return a source with the model that the user named, if it needs one."""
+        form = source.format
+        is_mano = isinstance(form, HandModelFormat)
+        return source._replace(format=type(form)(self.mano)) if is_mano else source
 
     def _report(self, **done: Any) -> None:
         """Print what was converted, and what was lost: not read, or not held by the format."""

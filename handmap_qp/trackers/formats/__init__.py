@@ -6,7 +6,7 @@ of the group `handmap_qp.formats`.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import Names, Side
@@ -96,13 +96,12 @@ class Source(NamedTuple):
             return self.format.read(self.path, self.entry)
 
 
-def list_sources(path: Path | str, **given: Any) -> tuple[Source, ...]:
+def list_sources(path: Path | str) -> tuple[Source, ...]:
     """List the recordings of a file or data set, without reading their samples.
 
     Args:
         path: The file or folder; `PATH::NAME` for one of its recordings, `demo` for the recording
             that comes with the package.
-        given: What the user says of the file, as of `RecordingFormat.given`.
 
     Raises:
         InvalidInputError: If `path` is something else than a path.
@@ -123,7 +122,7 @@ def list_sources(path: Path | str, **given: Any) -> tuple[Source, ...]:
     if not file.is_file():
         file = _OURS.get(str(file), file)
     with reading(file):
-        form = format_of(file).given(**given)
+        form = format_of(file)
         entries = form.entries(file)
     chosen = [entry for entry in entries if name in ("", entry.name)]
     if not chosen:
@@ -132,12 +131,11 @@ def list_sources(path: Path | str, **given: Any) -> tuple[Source, ...]:
     return tuple(Source(file, form, entry) for entry in chosen)
 
 
-def read_hands(paths: Sequence[Path | str], **given: Any) -> dict[Side, Recording]:
+def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
     """Read a recording of the left and one of the right hand, from one file or from two.
 
     Args:
         paths: Files, as of `list_sources`, in any order.
-        given: As of `list_sources`, for all of them.
 
     Returns:
         The two recordings by side.
@@ -146,7 +144,7 @@ def read_hands(paths: Sequence[Path | str], **given: Any) -> dict[Side, Recordin
         InvalidInputError: If the files have other recordings than one of each hand.
         HandmapError: As of `list_sources`, and if a recording is damaged.
     """
-    sources = [source for path in paths for source in list_sources(path, **given)]
+    sources = [source for path in paths for source in list_sources(path)]
     sides = [source.entry.side for source in sources]
     expect(
         sorted(sides) == ["left", "right"],
@@ -157,16 +155,13 @@ def read_hands(paths: Sequence[Path | str], **given: Any) -> dict[Side, Recordin
     return {source.entry.side: source.read() for source in sources}
 
 
-def read_recording(
-    path: Path | str, side: Side | None = None, **given: Any
-) -> Recording:
+def read_recording(path: Path | str, side: Side | None = None) -> Recording:
     """Read one recording from a file of any format.
 
     Args:
         path: The file or folder; `PATH::NAME` for one of several recordings in it, and `demo` for
             the recording that comes with the package.
         side: Which hand to take of a file with both.
-        given: As of `list_sources`.
 
     Returns:
         The recording; samples with numbers that are not finite are marked as not valid. Where the
@@ -178,7 +173,7 @@ def read_recording(
             than expected, or it holds several recordings and none was named.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    found = list_sources(path, **given)
+    found = list_sources(path)
     sources = [source for source in found if source.entry.side == side] or found
     if len(sources) > 1:
         listing = _listing([source.entry for source in sources])

@@ -4,7 +4,7 @@ import abc
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -131,19 +131,6 @@ class RecordingFormat(abc.ABC):
     def recognises(self, path: Path) -> bool:
         """Tell whether an existing file with one of the suffixes, or a folder, is of this form."""
         return path.is_file()
-
-    def given(self, *, fps: float | None = None, **_: Any) -> Self:
-        """Return the format with what a user says of its files, where they do not.
-
-        Args:
-            fps: Samples a second, in place of the file's instants.
-
-        Raises:
-            InvalidInputError: If its files have instants of their own.
-        """
-        wanted = f"none, because files of the form {self.name} have instants"
-        expect(fps is None, "--fps", wanted, value=fps)
-        return self
 
     @abc.abstractmethod
     def entries(self, path: Path) -> Sequence[Entry]:

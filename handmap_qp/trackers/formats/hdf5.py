@@ -234,6 +234,7 @@ class EgoDexFormat(_Hdf5Format):
     lacks = (
         "source",
         "upright",
+        "task",
         "object_pose",
         "no wrist",
         "wrist position",
@@ -265,8 +266,8 @@ class EgoDexFormat(_Hdf5Format):
                 is_seen &= shares[0] > 0.0
                 confidence = shares.mean(axis=0)
             # The second description is of the same motion the other way round.
-            is_back = str(file.attrs.get("which_llm_description")) == "2"
-            key = "llm_description2" if is_back else "llm_description"
+            which = file.attrs.get("which_llm_description", "")
+            key = f"llm_description{which}".removesuffix("1")
             task = str(file.attrs.get(key, ""))
             time = np.arange(count) / RATE
             if "time" in file:
@@ -308,7 +309,6 @@ class EgoDexFormat(_Hdf5Format):
         )
         with created(path) as file:
             file["time"] = recordings[0].time
-            file.attrs["llm_description"] = recordings[0].task
             for recording in recordings:
                 given = 1.0 if recording.confidence is None else recording.confidence
                 turns = np.tile(np.eye(3), (21, len(recording), 1, 1))

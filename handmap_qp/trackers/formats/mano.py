@@ -9,12 +9,10 @@ import abc
 import os
 import pickle
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import IO, Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.lib.format import MAGIC_PREFIX
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
@@ -36,28 +34,20 @@ _KNOWN = {"side", "time", "fps", "valid", "betas", "transl", "v_template", *OF_M
 _KNOWN |= {"global_orient", "flat_hand_mean", "object_pose", "object_shape"}
 
 
-@dataclass(frozen=True)
 class HandModelFormat(RecordingFormat):
     """Files whose hands are joints or parameters of MANO.
 
-    Attributes:
+    Args:
         model: File of the model, or its folder; that of `HANDMAP_MANO` if omitted.
-        fps: Samples a second, in place of what files say.
-        said: Which hand files are of that do not say it.
     """
 
-    model: Path | None = None
-    fps: float | None = None
-    said: Side | None = None
-
-    def given(self, **given: Any) -> Self:
-        """Return the format with what a user says, as of the class."""
-        return replace(self, **given)
+    def __init__(self, model: Path | None = None) -> None:
+        self._model = model
 
     def model_of(self, side: Side) -> Arrays:
         """Load the arrays of `_MODEL` of the user's file or folder, or that of `HANDMAP_MANO`."""
         name = f"MANO_{side.upper()}.pkl"
-        found = self.model or os.environ.get(ENVIRONMENT)
+        found = self._model or os.environ.get(ENVIRONMENT)
         if not found:
             raise RecordingError(
                 "MANO parameters need the licensed model (mano.is.tue.mpg.de): give the path of "
@@ -89,7 +79,7 @@ class HandModelFormat(RecordingFormat):
         entries = []
         for entry, arrays in self.hands(path).items():
             main = next(arrays[name] for name in OF_MANO if name in arrays)
-            side = side_of(arrays.get("side", self.said), "side")
+            side = side_of(arrays.get("side"), "side")
             entries.append(Entry(entry, side, len(np.atleast_1d(main))))
         return entries
 
@@ -103,12 +93,10 @@ class HandModelFormat(RecordingFormat):
             model = self.model_of(entry.side)
             joints = _joints_of_parameters(model, arrays, entry.samples)
         time = arrays.get("time")
-        if time is None or self.fps:
-            rate = self.fps or arrays.get("fps")
-            if rate is None:
-                advice = "give the frames per second by --fps"
-                raise InvalidInputError("has neither 'time' nor 'fps'", advice=advice)
-            fps = as_floats(rate, "fps", shape=(), is_finite=True)
+        if time is None:
+            if "fps" not in arrays:
+                raise InvalidInputError("has neither 'time' nor 'fps'")
+            fps = as_floats(arrays["fps"], "fps", shape=(), is_finite=True)
             expect(fps > 0.0, "fps", "a rate > 0", value=fps)
             time = np.arange(len(joints)) / fps
         return build_recording(
@@ -129,10 +117,9 @@ class ManoFormat(HandModelFormat):
     Needed: `side` (right or left), `time (T,)` [s] or `fps`, and either `joints (T, 21, 3)` [m] in
     MANO's order (16 joints, then the tips from thumb to little), or parameters: `pose (T, 48)`, or
     `global_orient (T, 3)` and `hand_pose (T, 45)` or fewer principal components, as rotation
-    vectors [rad], or as rotation matrices (T, n, 3, 3); `betas (10,)`, or of each sample, of which
-    the mean counts, or `v_template (778, 3)` [m], the mesh at rest; `transl (T, 3)` [m]; and
-    `flat_hand_mean`, whether 0 is the flat hand. Parameters need the user's copy of the model. An
-    object may have `object_pose (T, 4, 4)`, in the same world, and `object_shape`.
+    vectors [rad]; `betas (10,)`, or `v_template (778, 3)` [m], the mesh at rest; `transl (T, 3)`
+    [m]; and `flat_hand_mean`, whether 0 is the flat hand. Parameters need the user's copy of the
+    model. An object may have `object_pose (T, 4, 4)`, in the same world, and `object_shape`.
     """
 
     name = "mano"
@@ -176,20 +163,14 @@ def _joints_of_parameters(
         )
 
     def given(name: str, *shape: int | str) -> Array:
-        values: Any = arrays.get(name)
-        if np.ndim(values) == 4:
-            matrices = as_floats(values, name).reshape(-1, 3, 3)
-            values = np.reshape([*map(pin.log3, matrices)], (count, -1))
-        return as_floats(values, name, shape=shape, is_finite=True)
+        return as_floats(arrays.get(name), name, shape=shape, is_finite=True)
 
     if "pose" in arrays:
         root, fingers = np.split(given("pose", count, 48), [3], axis=1)
     else:
         root = given("global_orient", count, 3)
         fingers = given("hand_pose", count, "k")
-    arrays = {"betas": np.zeros(_SHAPES)} | arrays
-    arrays["betas"] = np.atleast_2d(arrays["betas"])
-    shape = given("betas", "T", _SHAPES).mean(axis=0)
+    shape = given("betas", _SHAPES) if "betas" in arrays else np.zeros(_SHAPES)
     components = fingers.shape[1]
     expect(
         components <= _TURNS,
@@ -255,8 +236,10 @@ def _posed_joints(
 
 def rotations_of(turns: Array) -> Array:
     """Return rotations, shape (..., 3, 3), of rotation vectors [rad], shape (..., 3)."""
-    vectors = as_floats(turns, "turns").reshape(-1, 3)
-    return np.reshape([*map(pin.exp3, vectors)], (*turns.shape, 3))
+    from scipy.spatial.transform import Rotation
+
+    rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()
+    return rotations.reshape(*turns.shape, 3)
 
 
 def _dense(values: Any) -> Any:

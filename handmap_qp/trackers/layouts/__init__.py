@@ -24,6 +24,6 @@ LAYOUTS: Mapping[str, Layout] = Plugins(
     "handmap_qp.layouts",
     lambda: resolve_name("handmap_qp.trackers.layouts.tables:read_tables")(),
     "handmap_qp.trackers.layouts.base:Layout",
-    {"quest": "webxr25"},
+    quest="webxr25",
 )
 """All layouts by name; that of the browser of a Quest by its own name, too."""
