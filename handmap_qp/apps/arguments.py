@@ -15,7 +15,7 @@ from tyro.conf import FlagConversionOff, Positional, arg
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import FINGERS, Hand, Names, Side, Values, load_hand, load_whole
-from handmap_qp.human import Person, Recording, at_rate, mirrored, read_person
+from handmap_qp.human import Person, Recording, mirrored, read_person
 from handmap_qp.mapping import (
     PRESETS,
     Choice,
@@ -89,9 +89,7 @@ class InputArguments:
     side: Annotated[
         Side | None, arg(help_behavior_hint="(default: what the file says)")
     ] = None
-    fps: Annotated[float | None, hinted("FLOAT", "(default: what the file says)")] = (
-        None
-    )
+    fps: float | None = None
 
     def read(
         self, path: Path, wanted: Side | None = None, person: Path | None = None
@@ -110,10 +108,10 @@ class InputArguments:
                 like (`handmap_qp.trackers.plausibility`).
         """
         if self.layout is not None:
-            expect(self.fps is None, "--fps", "none with --layout", value=self.fps)
             lengths = read_person(person).lengths if person else None
             layout = load_layout(self.layout)
-            return read_with_layout(path, layout, self.side, lengths)
+            recording = read_with_layout(path, layout, self.side, lengths)
+            return recording.at_rate(self.fps)
         try:
             recording = read_recording(path, self.side or wanted)
         except RecordingError as error:
@@ -126,7 +124,7 @@ class InputArguments:
                 argument="--side",
                 advice="leave --side out, or correct the file",
             )
-        recording = at_rate(recording, self.fps)
+        recording = recording.at_rate(self.fps)
         check_recording(recording, name=str(path))
         return recording
 
@@ -149,7 +147,7 @@ class InputArguments:
         if self.layout is None:
             hands = read_hands(paths)
             for side, recording in hands.items():
-                hands[side] = at_rate(recording, self.fps)
+                hands[side] = recording.at_rate(self.fps)
                 check_recording(hands[side])
             return hands
         expect(

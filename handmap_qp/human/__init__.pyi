@@ -15,7 +15,6 @@ from .person import write_person as write_person
 from .recording import HumanMotion as HumanMotion
 from .recording import Recording as Recording
 from .recording import as_flags as as_flags
-from .recording import at_rate as at_rate
 from .recording import axis_direction as axis_direction
 from .recording import finite_samples as finite_samples
 from .recording import mirrored as mirrored

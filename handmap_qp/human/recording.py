@@ -123,6 +123,17 @@ class Recording:
         }
         return replace(self, **columns)
 
+    def at_rate(self, fps: float | None) -> Recording:
+        """Return it with so many samples a second in place of its instants, unless None.
+
+        Raises:
+            InvalidInputError: If there is no such rate.
+        """
+        if fps is None:
+            return self
+        expect(fps > 0.0, "fps", "a rate > 0", value=fps)
+        return replace(self, time=np.arange(len(self)) / fps)
+
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield the samples, as of `sample`."""
         return map(self.sample, range(len(self)))
@@ -165,18 +176,6 @@ class HumanMotion:
     q: Array
     wrist: Array
     valid: Array
-
-
-def at_rate(recording: Recording, fps: float | None) -> Recording:
-    """Return a recording with so many samples a second in place of its instants, unless None.
-
-    Raises:
-        InvalidInputError: If there is no such rate.
-    """
-    if fps is None:
-        return recording
-    expect(0.0 < fps <= 1e6, "fps", "a rate > 0", value=fps)
-    return replace(recording, time=np.arange(len(recording)) / fps)
 
 
 def axis_direction(axis: str) -> Array:

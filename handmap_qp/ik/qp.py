@@ -23,6 +23,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp import ik
+from handmap_qp.errors import expect
 from handmap_qp.hands import Configuration, Hand, Names
 from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
 from .limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
@@ -236,6 +237,7 @@ class PointIk:
         core: The compiled core of this hand; None where it is not built, or not asked for.
 
     Raises:
+        InvalidInputError: If `options` are something else.
         InvalidOptionsError: If there is no such solver or task.
     """
 
@@ -247,6 +249,7 @@ class PointIk:
         contacts: ShapePairs | None = None,
         detours: list[Any] | None = None,
     ) -> None:
+        expect(isinstance(options, IkOptions), "ik", "an IkOptions", value=options)
         self.hand = hand
         self.options = options
         collisions = None

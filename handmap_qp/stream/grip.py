@@ -160,13 +160,14 @@ class GripFollower:
         grip: As given.
 
     Raises:
-        InvalidInputError: If it is for another preset, or the robot has no thumb that turns to a
-            finger.
+        InvalidInputError: If `grip` is something else, it is for another preset, or the robot has
+            no thumb that turns to a finger.
     """
 
     def __init__(self, follower: Follower, grip: GripOptions | None = None) -> None:
         self.follower = follower
-        self.grip = grip or GripOptions()
+        self.grip = own = grip or GripOptions()
+        expect(isinstance(own, GripOptions), "grip", "a GripOptions", value=own)
         self._mapper = mapper = follower.mapper
         self._hand = hand = mapper.robot
         fingers = robot_fingers(hand)

@@ -22,7 +22,7 @@ from ik_cases import (
 from strategies import generators
 
 from handmap_qp import HandError, HandMapper, IkOptions, load_hand
-from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.limits import BoxLimits, Gate, Motion
@@ -494,3 +494,13 @@ def test_the_largest_weight_is_solved_and_a_larger_one_named(
         assert step.status != "failed"
     with pytest.raises(InvalidOptionsError, match=f"{option.name}: expected"):
         IkOptions().replaced(**{option.name: 1e200})
+
+
+def test_weights_of_another_kind_are_named() -> None:
+    human, robot = load_hand("human"), load_hand("three_finger")
+    mapper = HandMapper(human, robot)
+    for wrong in ({"damping": 1.0}, 3.0):
+        with pytest.raises(InvalidInputError, match="ik: expected an IkOptions"):
+            HandMapper(human, robot, ik=wrong)  # ty: ignore[invalid-argument-type]
+        with pytest.raises(InvalidInputError, match="ik: expected an IkOptions"):
+            mapper.configure(ik=wrong)  # ty: ignore[invalid-argument-type]

@@ -364,6 +364,8 @@ def test_one_error_for_what_cannot_be_used(allegro: Hand) -> None:
             GripFollower(other)
     with pytest.raises(InvalidOptionsError, match="stiffness"):
         GripOptions(stiffness=0.0)
+    with pytest.raises(InvalidInputError, match="grip: expected a GripOptions"):
+        GripFollower(grip.follower, {"force": 5.0})  # ty: ignore[invalid-argument-type]
 
 
 def pads_middle(hand: Hand, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from viewer_cases import (
     press,
 )
 
-from handmap_qp import HandMapper, load_hand
+from handmap_qp import HandMapper, InvalidInputError, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.apps.viewer.controls import KEPT, NOTHING
 from handmap_qp.apps.viewer.gauges import SECOND
@@ -219,6 +219,9 @@ def test_a_page_of_a_robot_and_an_object_needs_no_human_hand(server: Any) -> Non
     page = make_page("A <cube>", None, [variant]).decode()
     assert "<title>A &lt;cube&gt; - handmap view</title>" in page
     assert "0.2 s, 3 samples" in page
+    # A human without what it does is one error.
+    with pytest.raises(InvalidInputError, match="variants: expected samples with"):
+        make_page("A cube", load_hand("human"), [variant])
 
 
 @pytest.mark.parametrize("window", [(1440, 900), (500, 600), (240, 900), (1000, 200)])

@@ -10,7 +10,6 @@ from tyro.conf import Positional
 
 from handmap_qp.apps.arguments import check_names, hinted
 from handmap_qp.errors import expect
-from handmap_qp.human import at_rate
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers import (
     FORMATS,
@@ -85,7 +84,7 @@ class Convert:
             for source in chain.from_iterable(map(list_sources, inputs))
         ]
         unread = {source.path: source.format.unread(source.path) for source in sources}
-        recordings = [at_rate(source.read(), self.fps) for source in sources]
+        recordings = [source.read().at_rate(self.fps) for source in sources]
         contents = {out: recordings}
         if has_files:
             names = [f"{source.name}{form.suffixes[0]}" for source in sources]

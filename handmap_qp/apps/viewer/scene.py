@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from handmap_qp.errors import expect
 from handmap_qp.hands import Hand, Values
 from handmap_qp.mapping import rotation_of
 from handmap_qp.se3 import Array, unit
@@ -97,10 +98,14 @@ class HandScene:
 
         Args:
             variants: The robots, all of the hand of the first.
+
+        Raises:
+            InvalidInputError: If their samples lack the human hand that is shown.
         """
         upright = None
         first = variants[0]
         people = first.samples[0].humans
+        expect(people or not self._people, "variants", "samples with their humans")
         if self._people and (wrist := people[0].wrist) is not None:
             upright = (wrist @ self._people[0][1].hand.wrist_to_palm)[:3, :3].T
             if first.robot.parts:
