@@ -15,8 +15,8 @@ import sys
 import textwrap
 from collections import defaultdict
 from collections.abc import Sequence
-from functools import reduce
-from importlib.metadata import EntryPoint
+from functools import cache, reduce
+from importlib.metadata import EntryPoint, entry_points
 from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, NoReturn, Protocol, TextIO
@@ -31,7 +31,6 @@ from handmap_qp.errors import (
     expect,
     warn,
 )
-from handmap_qp.plugins import Plugins
 
 
 class Command(Protocol):
@@ -114,19 +113,22 @@ _MODULES = {
     "doctor": "doctor",
 }
 """Module below `handmap_qp.apps` of each command, in the order of the list of `handmap --help`."""
-_OWN = {
+COMMANDS: dict[str, Any] = {
     name: _Place(f"handmap_qp.apps.{module}", name.title().replace(" ", ""))
     for name, module in _MODULES.items()
 }
+"""Commands of the package by name, in that order."""
 
 
-class _Commands(Plugins[Any]):
-    def _load(self, point: EntryPoint) -> Any:
-        return _Added(point)
+@cache
+def all_commands() -> dict[str, Any]:
+    """Return ours, then those of other packages, which takes 30 ms to look up."""
+    others = entry_points(group="handmap_qp.commands")
+    return COMMANDS | {
+        point.name: _Added(point) for point in others if point.name not in COMMANDS
+    }
 
 
-COMMANDS = _Commands("handmap_qp.commands", lambda: _OWN, "")
-"""All commands by name: ours in that order, then those of other packages, looked up when asked."""
 _GROUPS = {
     "hands": "List, describe, write and check descriptions of robot hands.",
     "robots": "List, describe and check robots with two hands; `hands init` describes one.",
@@ -241,12 +243,13 @@ def parse(arguments: Sequence[str]) -> Command:
             a mistake, which has the exit code 2.
     """
     firsts = (" ".join(arguments[:2]), *arguments[:1])
-    known = (_OWN, _OPTIONS, COMMANDS)
-    found = (word for words in known for word in firsts if word in words)
-    name = next(found, None)
-    if not name or name in _OPTIONS:
+    commands = COMMANDS
+    if {*firsts}.isdisjoint({*COMMANDS, *_OPTIONS}):
+        commands = all_commands()
+    name = next(filter(commands.__contains__, firsts), None)
+    if not name:
         _answer_without_command(arguments)
-    command = COMMANDS[name].load()
+    command = commands[name].load()
     # Options of a method had the name of one in front, before methods could be added.
     rest = [
         re.sub(r"^--teleoperation\.", "--", word)
@@ -296,7 +299,7 @@ def _refuse(prefix: str, word: str) -> NoReturn:
     """Say that no command or option of a group goes on by a word, and what may be meant."""
     kind = "option" if word.startswith("-") else "command"
     members = [
-        name.removeprefix(prefix) for name in COMMANDS if name.startswith(prefix)
+        name.removeprefix(prefix) for name in all_commands() if name.startswith(prefix)
     ]
     hint = did_you_mean(word, {*_OPTIONS, *(name.split()[0] for name in members)})
     if not hint and "show" in members:
@@ -308,10 +311,10 @@ def _refuse(prefix: str, word: str) -> NoReturn:
 def _print_overview(prefix: str, about: str) -> None:
     """Print usage, explanation and list of a group of commands, fitting the terminal."""
     width = min(100, max(40, shutil.get_terminal_size().columns))
-    column = max(map(len, COMMANDS)) + 2
+    column = max(map(len, all_commands())) + 2
     after = " " * (column + 2)
     print(f"usage: handmap {prefix or '[-h] '}COMMAND ...\n\n{about}\nCommands:")
-    for name, place in COMMANDS.items():
+    for name, place in all_commands().items():
         if name.startswith(prefix):
             line = f"  {name:<{column}}{place.about}"
             print(textwrap.fill(line, width, subsequent_indent=after))
@@ -350,7 +353,7 @@ def _any_command() -> Any:
 
     # By the first of two words, which commands of one word do not have.
     kinds = defaultdict(list)
-    for name, place in COMMANDS.items():
+    for name, place in all_commands().items():
         group, _, word = name.rpartition(" ")
         # One of another package that cannot be loaded is left out.
         with contextlib.suppress(HandmapError):

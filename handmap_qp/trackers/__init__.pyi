@@ -13,7 +13,6 @@ from .formats.archive import save_npz as save_npz
 from .formats.base import SIDES as SIDES
 from .formats.base import first_of as first_of
 from .formats.base import reading as reading
-from .formats.mano import HandModelFormat as HandModelFormat
 from .hand_geometry import BONES as BONES
 from .hand_geometry import NEIGHBOURS as NEIGHBOURS
 from .hand_geometry import change_rate as change_rate

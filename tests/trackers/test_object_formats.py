@@ -713,6 +713,8 @@ def test_convert_reads_data_sets(
     folder, _, _ = write_dexycb(tmp_path)
     write_mesh(tmp_path)
     out = tmp_path / "out.npz"
+    # What the command sets is undone with it.
+    monkeypatch.setenv("HANDMAP_MANO", "")
     model = tmp_path / "models_of_mano"
     assert main(["convert", str(path), str(out), "--mano", str(model)]) == 0
     assert "lost: the articulation of the object" in capsys.readouterr().out

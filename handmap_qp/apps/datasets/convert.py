@@ -1,6 +1,7 @@
 """The command `handmap convert`."""
 
 import json
+import os
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -11,13 +12,8 @@ from tyro.conf import Positional
 from handmap_qp.apps.arguments import check_names, hinted
 from handmap_qp.errors import expect
 from handmap_qp.output_files import check_output, make_folder
-from handmap_qp.trackers import (
-    FORMATS,
-    HandModelFormat,
-    Source,
-    format_to_write,
-    list_sources,
-)
+from handmap_qp.trackers import FORMATS, format_to_write, list_sources
+from handmap_qp.trackers.formats.mano import ENVIRONMENT
 
 
 @dataclass(frozen=True)
@@ -79,19 +75,17 @@ class Convert:
         has_files = bool(form.suffixes) and not out.suffix
         if form.suffixes and not has_files:
             check_output("OUT", out, form.suffixes)
-        sources = [
-            self._with_model(source)
-            for source in chain.from_iterable(map(list_sources, inputs))
-        ]
+        if self.mano:
+            os.environ[ENVIRONMENT] = str(self.mano)
+        sources = [*chain.from_iterable(map(list_sources, inputs))]
         unread = {source.path: source.format.unread(source.path) for source in sources}
         recordings = [source.read().at_rate(self.fps) for source in sources]
         contents = {out: recordings}
         if has_files:
             names = [f"{source.name}{form.suffixes[0]}" for source in sources]
             check_names("IN", names, "recordings of different names")
-            contents = {
-                out / name: [one] for name, one in zip(names, recordings, strict=True)
-            }
+            files = map(out.joinpath, names)
+            contents = dict(zip(files, zip(recordings), strict=True))
             make_folder(out, "OUT")
         for file, content in contents.items():
             form.write(content, file)
@@ -102,12 +96,6 @@ class Convert:
             not_read=list(dict.fromkeys(chain.from_iterable(unread.values()))),
             lost=form.losses(recordings),
         )
-
-    def _with_model(self, source: Source) -> Source:
-        """Return a source with the model that the user named, if it needs one."""
-        form = source.format
-        is_mano = isinstance(form, HandModelFormat)
-        return source._replace(format=type(form)(self.mano)) if is_mano else source
 
     def _report(self, **done: Any) -> None:
         """Print what was converted, and what was lost: not read, or not held by the format."""

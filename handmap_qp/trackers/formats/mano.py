@@ -35,19 +35,12 @@ _KNOWN |= {"global_orient", "flat_hand_mean", "object_pose", "object_shape"}
 
 
 class HandModelFormat(RecordingFormat):
-    """Files whose hands are joints or parameters of MANO.
-
-    Args:
-        model: File of the model, or its folder; that of `HANDMAP_MANO` if omitted.
-    """
-
-    def __init__(self, model: Path | None = None) -> None:
-        self._model = model
+    """Files whose hands are joints or parameters of MANO."""
 
     def model_of(self, side: Side) -> Arrays:
-        """Load the arrays of `_MODEL` of the user's file or folder, or that of `HANDMAP_MANO`."""
+        """Load the arrays of `_MODEL` of the user's file or folder, `HANDMAP_MANO`."""
         name = f"MANO_{side.upper()}.pkl"
-        found = self._model or os.environ.get(ENVIRONMENT)
+        found = os.environ.get(ENVIRONMENT)
         if not found:
             raise RecordingError(
                 "MANO parameters need the licensed model (mano.is.tue.mpg.de): give the path of "
