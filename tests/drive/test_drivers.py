@@ -349,14 +349,16 @@ def test_the_watchdog_of_the_motors_stops_them_and_is_armed_again(
     with two(tmp_path, kind) as (emulator, motors):
         follow(motors, np.array([0.3, 0.15]), 0.2, 0.1)
         emulator.order(wall={"0": [0.0, 0.5], "1": [0.0, 0.5]})
-        # On its way when messages end.
+        before = emulator.order()["goal"][0]
+        # On its way when messages end; told 1 rad, it meets the wall at 0.5.
         motors.write(np.array([1.0, 0.05]), 0.5)
-        goal = emulator.order()["goal"]
-        state = wait_until(
-            lambda: (now := emulator.order())["goal"][0] != goal[0] and now,
-            "the motors go on without their computer",
-        )
-        np.testing.assert_allclose(state["goal"], state["angle"], atol=0.2)
+
+        def is_stopped() -> bool:
+            now = emulator.order()
+            is_held = np.allclose(now["goal"], now["angle"], atol=0.2)
+            return bool(now["goal"][0] != before and is_held)
+
+        wait_until(is_stopped, "the motors go on without their computer")
         seen(motors)
         follow(motors, np.array([0.4, 0.1]), 0.2)
         np.testing.assert_allclose(seen(motors)[0], [0.4, 0.1], atol=2.0 * UNIT)
