@@ -84,8 +84,14 @@ class Fields {
   nb::object owner_;
 };
 
-inline Fields module_of(const char* name) { return Fields(nb::module_::import_(name)); }
-
+// The package that this core is part of: handmap_qp, or handmap_run (examples/run).
+inline std::string& package() {
+  static std::string name;
+  return name;
+}
+inline Fields module_of(const char* name) {
+  return Fields(nb::module_::import_((package() + '.' + name).c_str()));
+}
 
 // The element of a sequence of Python.
 inline nb::object item(const nb::object& sequence, size_t i) { return sequence[nb::int_(i)]; }
@@ -208,7 +214,7 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
 
 inline void set_detour_rules(Ik& ik, const Fields& hand, const Fields& options) {
   if (!options.get<bool>("takes_detours")) return;
-  const Fields rules = module_of("handmap_qp.ik.collision");
+  const Fields rules = module_of("ik.collision");
   const auto number = [&](const char* name) { return rules.get<double>(name); };
   std::vector<Vector> is_finger;
   for (const Indices& own :

@@ -68,7 +68,7 @@ inline Indices integers_of(const nb::object& array) {
 inline std::unique_ptr<InputRules> read_input_rules() {
   auto found = std::make_unique<InputRules>();
   InputRules& rules = *found;
-  const Fields check = module_of("handmap_qp.trackers.plausibility");
+  const Fields check = module_of("trackers.plausibility");
   rules.fresh = batch_size(check, "_NEW");
   rules.calm = batch_size(check, "_CALM");
   rules.alert = batch_size(check, "_ALERT");
@@ -90,7 +90,7 @@ inline std::unique_ptr<InputRules> read_input_rules() {
   rules.longest_hand = range[1];
   read_numbers(check, {{"_NO_HAND", &rules.no_hand}, {"_BETTER_BY", &rules.better_by},
                        {"_CONTRADICTION", &rules.contradiction}});
-  const Fields hand = module_of("handmap_qp.trackers.hand_geometry");
+  const Fields hand = module_of("trackers.hand_geometry");
   copy_numbers(hand, "_CENTRES", rules.centres, kPairs);
   copy_numbers(hand, "_WIDTHS", rules.widths, kPairs);
   const Vector sizes = hand.numbers("_FEATURE_SIZES");
@@ -109,7 +109,7 @@ inline std::unique_ptr<InputRules> read_input_rules() {
   rules.least_bent = range[1];
   const nb::object orders = item(check.object("_known_orders")(), 1);
   read_orders(rules, integers_of(hand.object("_PAIRS")), integers_of(orders));
-  const Fields wrist = module_of("handmap_qp.trackers.wrist_axes");
+  const Fields wrist = module_of("trackers.wrist_axes");
   const Array conventions = wrist.get<Array>("CONVENTIONS");
   for (size_t k = 0; k < conventions.shape(0); ++k) {
     Mat3 axes;
@@ -124,7 +124,7 @@ inline std::unique_ptr<InputRules> read_input_rules() {
 
 inline NoiseRules read_noise_rules() {
   NoiseRules rules;
-  read_numbers(module_of("handmap_qp.trackers.hand_geometry"),
+  read_numbers(module_of("trackers.hand_geometry"),
                {{"_NORMAL", &rules.normal}, {"_SHARE", &rules.share}, {"_MOST", &rules.most},
                 {"_LEAST", &rules.least}});
   return rules;
@@ -133,7 +133,7 @@ inline NoiseRules read_noise_rules() {
 inline std::unique_ptr<GuardRules> read_guard_rules() {
   auto found = std::make_unique<GuardRules>();
   GuardRules& rules = *found;
-  const Fields from = module_of("handmap_qp.stream.guard");
+  const Fields from = module_of("stream.guard");
   read_numbers(from, {{"LONGEST_STEP", &rules.longest_step}, {"GAP", &rules.gap},
                       {"_SET_BACK", &rules.set_back}, {"_SET_FORWARD", &rules.set_forward}});
   rules.late_samples = from.get<int>("_LATE_SAMPLES");
@@ -153,7 +153,7 @@ inline std::unique_ptr<GuardRules> read_guard_rules() {
   rules.noise = read_noise_rules();
   read_numbers(from, {{"FROZEN_AFTER", &rules.frozen_after}, {"SETTLING", &rules.settling},
                       {"_LONG_SETTLING", &rules.long_settling}, {"_BRIEF", &rules.brief}});
-  copy_numbers(module_of("handmap_qp.human.sample"), "_PALM_RATIOS", rules.palm_ratios, 2);
+  copy_numbers(module_of("human.sample"), "_PALM_RATIOS", rules.palm_ratios, 2);
   return found;
 }
 
@@ -212,13 +212,13 @@ class PythonExplainer : public Explainer {
 
   int explain_times(const double* times, int n) override {
     const nb::gil_scoped_acquire gil;
-    const Fields module = module_of("handmap_qp.trackers.plausibility");
+    const Fields module = module_of("trackers.plausibility");
     return add(module.object("_find_time_unit")(array_of({size_t(n)}, times)));
   }
 
   int explain_rate(double rate) override {
     const nb::gil_scoped_acquire gil;
-    return add(module_of("handmap_qp.stream.guard").object("_off_rate")(rate));
+    return add(module_of("stream.guard").object("_off_rate")(rate));
   }
 
   int explain_batch(const Landmarks* hands, const Pose* wrists, int n, Examined& seen) override {
@@ -308,7 +308,7 @@ void put_back(const nb::object& bytes, State& state) {
 }
 
 inline nb::object input_check_of(const std::string& side) {
-  return module_of("handmap_qp.trackers.plausibility").object("InputCheck")(side);
+  return module_of("trackers.plausibility").object("InputCheck")(side);
 }
 inline double sign_of(const std::string& side) { return side == "right" ? 1.0 : -1.0; }
 
@@ -437,7 +437,7 @@ class PythonGuard {
     const Array person = from.array("_lengths", kFixed);
     std::copy(person.data(), person.data() + kFixed, guard.person.begin());
     guard.state.noise = guard.rules.first_noise;
-    const Fields sample = module_of("handmap_qp.human.sample");
+    const Fields sample = module_of("human.sample");
     verdict_ = sample.object("Verdict");
     new_tuple_ = nb::module_::import_("builtins").attr("tuple").attr("__new__");
     for (const char* name : kRuleNames) rules_.push_back(nb::str(name));

@@ -48,7 +48,7 @@ class PythonSmoother {
   Smoother smoother;
 
   explicit PythonSmoother(const nb::object& owner) {
-    const Fields from(owner), module = module_of("handmap_qp.stream.follower");
+    const Fields from(owner), module = module_of("stream.follower");
     SmoothRules& rules = smoother.rules;
     rules.is_on = !from.object("options").is_none();
     if (!rules.is_on) return;

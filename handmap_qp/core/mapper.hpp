@@ -117,11 +117,11 @@ inline nb::list parts_of(const Asked& asked, const std::vector<ArrayShape>& shap
 
 // `IkResult` of a step of a hand, whose gate has the links of each pair.
 inline nb::object result_of(const Step& step, const nb::object& hand, const nb::object& links) {
-  static const nb::object& frozen = *new nb::object(module_of("handmap_qp.se3").object("frozen"));
+  static const nb::object& frozen = *new nb::object(module_of("se3").object("frozen"));
   static const nb::object& IkResult =
-      *new nb::object(module_of("handmap_qp.ik.qp").object("IkResult"));
+      *new nb::object(module_of("ik.qp").object("IkResult"));
   static const nb::object& statuses =
-      *new nb::object(module_of("handmap_qp.ik.compiled").object("STATUSES"));
+      *new nb::object(module_of("ik.compiled").object("STATUSES"));
   const Result& found = step.result;
   const Vector signs(found.active.begin(), found.active.end());
   return IkResult(item(statuses, static_cast<size_t>(found.status)), array_of(found.points),
@@ -137,9 +137,9 @@ struct StepReader {
   nb::object targets;         // makes `Targets` of arrays; None for points and wrist alone
   nb::object joint_names;
   std::vector<ArrayShape> shapes = {};  // see TargetMap
-  nb::object plain_targets = module_of("handmap_qp.mapping.method").object("Targets");
-  nb::object command = module_of("handmap_qp.mapping.method").object("RobotCommand");
-  nb::object statuses = module_of("handmap_qp.ik.compiled").object("STATUSES");
+  nb::object plain_targets = module_of("mapping.method").object("Targets");
+  nb::object command = module_of("mapping.method").object("RobotCommand");
+  nb::object statuses = module_of("ik.compiled").object("STATUSES");
 
   StepReader(const nb::object& robot, const nb::object& gate, nb::object make_targets)
       : hand(robot), links(nb::getattr(gate, "links")), targets(std::move(make_targets)),
@@ -201,7 +201,7 @@ inline nb::object read_ik(const nb::object& self) {
 // A copy, by copy or pickle, is one of Python: there may be no core, and this one moves on.
 inline nb::tuple reduced(const nb::object& self) {
   Stages& stages = nb::cast<Stages&>(self);
-  const nb::object kind = nb::module_::import_("handmap_qp.mapping.method").attr("Stages");
+  const nb::object kind = module_of("mapping.method").object("Stages");
   return nb::make_tuple(kind, nb::make_tuple(nb::getattr(self, "pose"), stages.read_asked(),
                                              read_ik(self), stages.read_command()));
 }
@@ -209,9 +209,9 @@ inline nb::tuple reduced(const nb::object& self) {
 // The `Motion` of a gate after a step; its arrays are read-only.
 inline nb::object motion_of(PythonStep& step) {
   if (step.motion_.is_valid()) return step.motion_;
-  static const nb::object& frozen = *new nb::object(module_of("handmap_qp.se3").object("frozen"));
+  static const nb::object& frozen = *new nb::object(module_of("se3").object("frozen"));
   static const nb::object& Motion =
-      *new nb::object(module_of("handmap_qp.ik.limits").object("Motion"));
+      *new nb::object(module_of("ik.limits").object("Motion"));
   return step.motion_ = Motion(frozen(array_of(step.motion.q)),
                                frozen(array_of(step.motion.displacement)), step.motion.dt,
                                frozen(array_of(step.motion.stop_times)));
@@ -223,7 +223,7 @@ class SampleReader {
   // `target_map` is one of Python, with a core.
   explicit SampleReader(const nb::object& target_map)
       : map_owner_(target_map), map_(Fields(target_map).get<const TargetMap&>("core")),
-        map_step_(nb::module_::import_("handmap_qp.mapping.method").attr("MapStep")) {}
+        map_step_(module_of("mapping.method").object("MapStep")) {}
   SampleReader(const SampleReader&) = delete;
   virtual ~SampleReader() = default;
 
@@ -278,7 +278,7 @@ class SampleReader {
   virtual nb::object moved(HumanPose&& pose, double dt, double speed) = 0;
   static double unproven_speed() {
     static const double speed =
-        module_of("handmap_qp.human.sample").get<double>("UNPROVEN_SPEED");
+        module_of("human.sample").get<double>("UNPROVEN_SPEED");
     return speed;
   }
 

@@ -24,7 +24,7 @@ nb::object wrist_of(const HumanPose& pose) {
 
 // A copy of a pose, by copy or pickle, is one of Python.
 nb::tuple reduced_pose(const HumanPose& pose) {
-  const nb::object kind = nb::module_::import_("handmap_qp.mapping.method").attr("HumanPose");
+  const nb::object kind = module_of("mapping.method").object("HumanPose");
   return nb::make_tuple(kind, nb::make_tuple(array_of(pose.points), wrist_of(pose)));
 }
 
@@ -103,6 +103,16 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
        margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
        step.result);
   finish(ik, step);
+  nb::object made = nb::cast(std::move(step));
+  leave_motion(ik, made);
+  return result_of(nb::cast<const PythonStep&>(made), ik.hand, nb::getattr(ik.gate, "links"));
+}
+
+// Take the stop that was admitted last, for one sample.
+nb::object hold_still(PythonIk& ik, double dt) {
+  take_motion(ik);
+  PythonStep step;
+  hold(ik, dt, step);
   nb::object made = nb::cast(std::move(step));
   leave_motion(ik, made);
   return result_of(nb::cast<const PythonStep&>(made), ik.hand, nb::getattr(ik.gate, "links"));
@@ -198,7 +208,7 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
 
 // See measure.measure_shape, whose constants and arguments these are.
 nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
-  const Fields constants(nb::module_::import_("handmap_qp.human.measure"));
+  const Fields constants = module_of("human.measure");
   const PersonMeter meter{constants.get<double>("_BENT"), constants.get<size_t>("_FEWEST_BENT"),
                           constants.get<double>("LARGEST_ROLL")};
   expect_size(palm, 15, "palm");
@@ -244,7 +254,7 @@ nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
 }
 
 double smallest_gap_of(const Array& time, const Array& landmarks) {
-  const Fields constants = module_of("handmap_qp.human.contact_gap");
+  const Fields constants = module_of("human.contact_gap");
   expect_size(landmarks, 3 * kLandmarks * time.size(), "landmarks");
   if (time.size() == 0) throw std::invalid_argument("no samples");
   return smallest_gap(time.data(), points_of(landmarks), constants.get<double>("_MEDIAN_TIME"),
@@ -254,7 +264,7 @@ double smallest_gap_of(const Array& time, const Array& landmarks) {
 // See ik.nearest_posture, whose constants and arguments these are.
 nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array& targets,
                            const Array& costs, double rest_cost, const Array& start) {
-  const Fields constants(nb::module_::import_("handmap_qp.ik.nearest_posture"));
+  const Fields constants = module_of("ik.nearest_posture");
   const Fields of(hand);
   NearestPosture problem(tree);
   problem.settings = {constants.get<int>("_MOST_STEPS"), constants.get<double>("_SMALLEST_STEP"),
@@ -289,6 +299,27 @@ nb::object points_in_palm(const Tree& tree, const Array& q, const nb::object& po
   return array_of(found);
 }
 
+// Poses of frames of Pinocchio in a configuration.
+nb::object poses_in(const Tree& tree, const Array& q, const nb::object& frames) {
+  expect_size(q, tree.nq, "q");
+  Placed placed(tree);
+  placed.place(q.data());
+  std::vector<Pose> found;
+  for (const nb::handle& each : frames) {
+    const Fields frame(nb::borrow(each));
+    found.push_back(placed.pose(frame.get<int>("parentJoint") - 1) *
+                    frame.pose("placement.homogeneous"));
+  }
+  return array_of(found);
+}
+
+Mat3 matrix_of(const Array& a) {
+  expect_size(a, 9, "rotation");
+  Mat3 found;
+  std::copy(a.data(), a.data() + 9, found.m);
+  return found;
+}
+
 // See surface_gaps: of joint positions (T, n), a column for the pairs from each of `starts` on.
 nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
                               const Array& q, const Indices& starts, double most) {
@@ -312,6 +343,7 @@ nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
 
 NB_MODULE(_core, m) {
   using namespace handmap;
+  package() = nb::cast<std::string>(m.attr("__name__").attr("rpartition")(".")[0]);
   m.attr("SOURCES") = HANDMAP_SOURCES;
   // Caches of Python modules may outlive this one when the interpreter ends.
   nb::set_leak_warnings(false);
@@ -323,6 +355,7 @@ NB_MODULE(_core, m) {
               const Array& stop_times) { set_motion(ik, q, displacement, dt, stop_times); })
       .def_prop_ro("detours", &detours_of)
       .def("go_on", &go_on, "detours"_a)
+      .def("hold", &hold_still, "dt"_a)
       .def("solve", &solve, "goal"_a)
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
@@ -387,10 +420,23 @@ NB_MODULE(_core, m) {
            })
       .def("moved", &moved_tree)
       .def("points", &points_in_palm)
+      .def("poses", &poses_in)
       .def("nearest_posture", &nearest_posture)
       .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
   m.def("measure_shape", &measure_shape);
+  m.def("log3", [](const Array& rotation) {
+    const Vec3 turn = log3(matrix_of(rotation));
+    return array_of({3}, &turn.x);
+  });
+  m.def("exp3", [](const Array& turn) {
+    expect_size(turn, 3, "turn");
+    return array_of({3, 3}, exp3(points_of(turn)[0]).m);
+  });
+  m.def("quat_xyzw", [](const Array& rotation) {
+    const Quat q = quat_of(matrix_of(rotation));
+    return array_of(Vector{q.x, q.y, q.z, q.w});
+  });
   m.def("smallest_gap", &smallest_gap_of);
   m.def("measure_episode", &measure_episode);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),

@@ -26,7 +26,7 @@ struct Ask {
 
 // A copy, by copy or pickle, is one of Python: there may be no core.
 inline nb::tuple reduced_ask(const nb::object& self) {
-  const nb::object kind = nb::module_::import_("handmap_qp.mapping.robot_mapper").attr("Asked");
+  const nb::object kind = module_of("mapping.robot_mapper").object("Asked");
   nb::list parts;
   for (const char* name : {"pose", "targets", "rest", "dt", "speed", "map"})
     parts.append(nb::getattr(self, name));
@@ -67,7 +67,7 @@ class RobotMover {
              double turns_in)
       : ik_owner_(std::move(ik)), ik_(nb::cast<PythonIk&>(ik_owner_)),
         rest_(Fields(robot).numbers("rest")), leaders_(std::move(leaders)), turns_in_(turns_in) {
-    const Fields constants = module_of("handmap_qp.mapping.robot_mapper");
+    const Fields constants = module_of("mapping.robot_mapper");
     reader_ = std::make_shared<StepReader>(robot, ik_.gate, nb::none());
     home_ = constants.object("_HOME");
     map_step_ = constants.object("MapStep");
@@ -87,7 +87,7 @@ class RobotMover {
       hands_[k].pinching = indices_of(nb::borrow(pinching[k])[nb::int_(0)]);
       hands_[k].among_own = indices_of(nb::borrow(pinching[k])[nb::int_(1)]);
     }
-    margin_ = module_of("handmap_qp.hands").get<double>("LINK_MARGIN");
+    margin_ = module_of("hands").get<double>("LINK_MARGIN");
     if (pinching.size() > 0) margins_.assign(ik_.pairs->size(), margin_);
   }
   RobotMover(const RobotMover&) = delete;
