@@ -1,0 +1,37 @@
+"""A loop on a robot's computer: samples of a tracker in, commands of a saved hand out.
+
+    handmap hands save three_finger --out my.hand      # on your own computer
+    python loop.py my.hand samples.npz                 # on the robot's, with handmap-run alone
+
+Samples are those of a file here, by `time` [s] and `landmarks` [m] of the right hand. Put your
+tracker in the place of `samples`, and your driver in the place of `print`.
+"""
+
+import sys
+
+import numpy as np
+from handmap_run import HumanSample, load
+
+
+def samples(file):
+    """Yield the samples of a file as they would come."""
+    with np.load(file) as archive:
+        yield from zip(archive["time"], archive["landmarks"], strict=True)
+
+
+def main(hand, file):
+    """Follow the samples, and print how every second begins."""
+    follower = load(hand)
+    last = -1
+    for time, landmarks in samples(file):
+        step = follower.map_sample(HumanSample(time, "right", landmarks))
+        command = step.command  # joint_names, q [rad] and the pose of the wrist
+        if int(time) > last:
+            last = int(time)
+            q = ", ".join(f"{angle:.2f}" for angle in command.q)
+            # `held`: the sample makes no sense, `rule` says why, and the robot brakes.
+            print(f"{time:5.2f} s  {step.status} {step.rule or '-'}  {q}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

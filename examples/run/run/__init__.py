@@ -1,0 +1,29 @@
+"""A robot's computer: the compiled core of `handmap_qp`, saved hands, the follower and the client.
+
+It needs numpy (1.26 or later), msgspec and pyzmq. What follows here follows in `handmap_qp` too:
+
+    from handmap_run import HumanSample, load
+
+    follower = load("leap_right.hand")              # handmap hands save leap_right
+    step = follower.map_sample(HumanSample(time, "right", landmarks))
+    step.command.q                                  # in the order of step.command.joint_names
+
+`handmap_run.client` is the client of the mapping service.
+"""
+
+__version__ = "0.2.0"
+
+from handmap_qp.errors import HandError, HandmapError, InvalidInputError
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.stream.follower import Follower, Smoothing
+from .saved import load
+
+__all__ = [
+    "Follower",
+    "HandError",
+    "HandmapError",
+    "HumanSample",
+    "InvalidInputError",
+    "Smoothing",
+    "load",
+]

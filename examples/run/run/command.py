@@ -1,0 +1,85 @@
+"""`handmap hands save`: a hand for a robot's computer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional
+
+from handmap_qp.apps.arguments import (
+    HandName,
+    MappingArguments,
+    MappingFlags,
+    PersonFile,
+    hinted,
+)
+from handmap_qp.apps.tables import print_rows
+from handmap_qp.errors import HandError, expect
+from handmap_qp.hands import Side, load_hand
+from handmap_qp.human import human_name, read_person
+from handmap_qp.mapping import HandMapper
+from handmap_qp.output_files import check_output, replaced_file
+from .saving import saved_hand
+
+
+@dataclass(frozen=True)
+class Save:
+    """Save a hand and how it follows, for a robot's computer that has `handmap-run` alone.
+
+    The file has all that the compiled core needs of both hands: no URDF, mesh or package is read
+    there. It is for the person and the options that are given here, and for this version.
+
+    Examples:
+        handmap hands save allegro_right --person anna.yaml
+        handmap hands save my_hand.yaml --preset object --out my.hand
+        handmap hands save my_hand.yaml --out my.hand --check
+
+    Attributes:
+        hand: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
+        out: File to write.
+        person: File of the person's hand, of `handmap calibrate`.
+        side: Side of the human hand.
+        check: Write nothing: tell whether the file is what would be written, or something has
+            changed since.
+        arguments: Reference points and options.
+    """
+
+    hand: Positional[HandName]
+    out: Annotated[Path | None, hinted("FILE.hand", "(default: HAND.hand)")] = None
+    person: Annotated[
+        PersonFile, hinted("PERSON.yaml", "(default: a typical hand)")
+    ] = None
+    side: Annotated[Side | None, hinted("SIDE", "(default: the robot hand's)")] = None
+    check: bool = False
+    arguments: MappingFlags = MappingArguments()
+
+    def run(self) -> None:
+        """Bind both hands, and write or compare the file."""
+        robot = self.arguments.load_robot(self.hand)
+        out = check_output("--out", self.out or Path(f"{robot.name}.hand"), (".hand",))
+        human = load_hand(
+            human_name(self.side or robot.side),
+            points=self.arguments.human_points,
+            lengths=read_person(self.person).lengths if self.person else None,
+        )
+        preset, method, ik = self.arguments.preset_for(human, robot)
+        content = saved_hand(HandMapper(human, robot, method, ik=ik))
+        if self.check:
+            expect(out.is_file(), "--out", "a file that was saved", value=str(out))
+            if out.read_bytes() != content:
+                problem = "it is not what would be saved now: hand, person, options or version"
+                raise HandError(f"{problem} have changed; save it again", file=out)
+            print(f"{out} is up to date")
+            return
+        with replaced_file(out, "--out") as stream:
+            stream.write(content)
+        rows = {
+            "preset": preset,
+            "human": human.name,
+            "joints": f"{len(robot.joint_names)}",
+            "size": f"{len(content) / 1e3:.0f} kB",
+        }
+        print_rows(robot.name, rows)
+        print(f"wrote {out}")

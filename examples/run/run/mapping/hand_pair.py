@@ -1,0 +1,16 @@
+"""The names of `mapping.hand_pair`: a saved pair of hands was measured before."""
+
+from typing import Any, NoReturn
+
+from handmap_qp.errors import InvalidOptionsError
+
+
+def _refuse(*_: Any, **__: Any) -> NoReturn:
+    raise InvalidOptionsError(
+        "a saved hand keeps its method",
+        option="method",
+        advice="save it again with another one: handmap hands save",
+    )
+
+
+hand_pair = finger_landmarks = touching_distances = require_partners = _refuse

@@ -1,0 +1,33 @@
+"""What the library takes of Pinocchio for rotations, by the compiled core; see `taken.py`."""
+
+from __future__ import annotations
+
+from handmap_qp.ik.core import core, description
+
+if core is None:
+    raise ImportError(f"the compiled core is missing: {description}")
+
+exp3 = core.exp3
+log3 = core.log3
+
+
+class SE3:
+    """Stands for the type of Pinocchio's poses, which nobody has here."""
+
+
+class Quaternion:
+    """A unit quaternion of a rotation (3, 3)."""
+
+    def __init__(self, rotation) -> None:
+        self._xyzw = core.quat_xyzw(rotation)
+
+    def normalized(self) -> Quaternion:
+        return self
+
+    def coeffs(self):
+        return self._xyzw
+
+
+def neutral(model):
+    """Return the configuration of a model at zero, shape (nq,)."""
+    return model.neutral

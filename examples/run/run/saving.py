@@ -1,0 +1,169 @@
+"""`saved_hand`: what the core is made of, for a computer without `handmap_qp`."""
+
+from __future__ import annotations
+
+import zlib
+from typing import Any
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+
+import handmap_qp
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.human import landmarks_at_rest
+from handmap_qp.mapping import HandMapper
+from handmap_qp.options import Options
+from handmap_qp.trackers import LAYOUTS
+from .form import KIND, File, encode
+
+_HAND = """
+name side mount is_floating joint_names all_joint_names limits lower_limits upper_limits
+velocity_limits rest spread active_columns joint_columns q_indices point_weights palm_frame
+wrist_frame wrist_to_palm point_frames reference_points spec model moves_wrist finger_joints
+has_moving_wrist rules _moving_q _motion _shift _wrist_to_root
+"""
+_ATTRIBUTES = {
+    "Hand": _HAND,
+    "HandSpec": "side wrist upright",
+    "WristSpec": "max_linear_speed max_angular_speed",
+    "PointSpec": "name",
+    "Frame": "parentJoint placement",
+    "CollisionLimit": "margin horizon columns bounds",
+    "PairBounds": "geometry levers turns signs links",
+    "GeometryModel": "geometryObjects collisionPairs",
+    "GeometryObject": "parentJoint placement geometry",
+    "CollisionPair": "first second",
+    "Box": "halfSide aabb_center aabb_radius",
+    "Sphere": "radius aabb_center aabb_radius",
+    "Capsule": "radius halfLength aabb_center aabb_radius",
+    "MotionEstimator": "ridge centroid shares centred gain prior_gain _singular_values",
+    "PointDistances": "points first second distances weights",
+    "AttachedPoints": "joints offsets",
+    "BoundHomogeneous": """
+        alignment options renews_reference needs_wrist reference_needs_wrist partners
+    """,
+    "BoundTeleoperation": """
+        alignment choices pair estimator pinch_from pinched distances aim_slopes aim_offsets
+        least_aims largest_aims extension_weights base_margins pinch_pairs pinch_of_pair
+        pinch_margins
+    """,
+    "HandPair": """
+        fingers partners finger_of tips knuckles finger_ratio matched human_rest robot_rest
+        human_knuckles robot_knuckles thumb_likeness robot_bases robot_centre shape_points
+        human_reach
+    """,
+}
+"""What the core, the guard and the maps read of each class; both sides have the same names."""
+
+
+def saved_hand(mapper: HandMapper) -> bytes:
+    """Return the file of a mapper's hands, and of how the one follows the other.
+
+    The reference, the posture and the person's samples are not in it.
+
+    Args:
+        mapper: The mapper; its human hand must be scaled to the person.
+
+    Raises:
+        InvalidOptionsError: If it moves the robot in Python: by another method than those of the
+            core, with tasks, or by another solver.
+        HandError: If the human hand has no landmarks.
+    """
+    ik = mapper.ik
+    kind = type(mapper.bound).__name__
+    if kind not in ("BoundHomogeneous", "BoundTeleoperation"):
+        _refuse("method", f"{kind.removeprefix('Bound')} is in Python alone")
+    if mapper.tasks or ik.tasks:
+        _refuse("tasks", "further tasks are in Python alone")
+    if not mapper.point_ik.core:
+        _refuse("formulation", "the compiled core does not move this hand as asked")
+    human = _packed(mapper.human)
+    human["landmarks"] = landmarks_at_rest(mapper.human)
+    robot = _packed(mapper.robot) | {"landmarks": None}
+    robot["collisions"] = _packed(mapper.point_ik.gate.collisions)
+    bound = _packed(mapper.bound)
+    bound["contacts"] = mapper.bound.contacts is not None
+    orders = {
+        name: np.array(layout.order("right"))
+        for name, layout in LAYOUTS.items()
+        if layout.shapes[0][0] == 21 and layout.order("right") is not None
+    }
+    tree = {
+        "": "Saved",
+        "human": human,
+        "robot": robot,
+        "bound": bound,
+        "ik": _packed(ik),
+        "dt": mapper.dt,
+        "joint_tolerance": mapper.joint_tolerance,
+        "quat_order": mapper.quat_order,
+        "orders": orders,
+    }
+    body = encode(tree)
+    version = handmap_qp.__version__
+    return msgspec.msgpack.encode(File(KIND, version, zlib.crc32(body), body))
+
+
+def _refuse(option: str, problem: str) -> None:
+    raise InvalidOptionsError(
+        problem,
+        option=option,
+        advice="a saved hand is moved by the compiled core alone",
+    )
+
+
+def _packed(value: Any) -> Any:
+    """Return an object as names and numbers; its class is under the name ""."""
+    kind = type(value).__name__
+    if isinstance(value, np.generic):
+        return value.item()
+    if value is None or isinstance(value, np.ndarray | bool | int | float | str):
+        return value
+    if isinstance(value, pin.SE3):
+        return {"": "Pose", "homogeneous": value.homogeneous}
+    if isinstance(value, Options):
+        return {"": kind} | {name: _packed(each) for name, each in value.values.items()}
+    if make := _MADE.get(kind):
+        return {"": kind} | make(value)
+    if kind in _ATTRIBUTES:
+        names = _ATTRIBUTES[kind].split()
+        return {"": kind} | {name: _packed(getattr(value, name)) for name in names}
+    return [_packed(each) for each in value]
+
+
+def _model(model: pin.Model) -> dict[str, Any]:
+    return {
+        "nq": model.nq,
+        "nv": model.nv,
+        "njoints": model.njoints,
+        "joints": _packed(model.joints),
+        "jointPlacements": _packed(model.jointPlacements),
+        "parents": [*model.parents],
+        "frames": [],
+        "neutral": pin.neutral(model),
+    }
+
+
+def _joint(joint: pin.JointModel) -> dict[str, Any]:
+    # The core asks for the axis of joints that have one.
+    axis = np.ravel(joint.createData().S) if joint.nv == 1 else None
+    return {
+        "nq": joint.nq,
+        "nv": joint.nv,
+        "idx_q": joint.idx_q,
+        "idx_v": joint.idx_v,
+        "S": axis,
+    }
+
+
+def _convex(shape: Any) -> dict[str, Any]:
+    return {
+        "corners": np.array(shape.points()),
+        "aabb_center": shape.aabb_center,
+        "aabb_radius": shape.aabb_radius,
+    }
+
+
+_MADE = {"Model": _model, "JointModel": _joint, "Convex": _convex}
+"""What the core reads of classes of Pinocchio and coal by their methods."""
