@@ -205,6 +205,12 @@ class Fresh:
             run([*words, *requirements], env=self._variables, cwd=self.work)
         self.show_size()
 
+    def uninstall(self, *names: str) -> None:
+        """Remove packages, and print what the environment takes then."""
+        words = [find_uv(), "pip", "uninstall", "--quiet", "--python"]
+        run([*words, str(self._bin / "python"), *names], env=self._variables)
+        self.show_size()
+
     def show_size(self) -> None:
         """Print the size of the environment and of its largest packages [MB]."""
         everything = self._bin.parent.rglob("*")

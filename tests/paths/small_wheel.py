@@ -1,0 +1,156 @@
+"""A robot's computer: `handmap-run` alone follows saved hands as the library does.
+
+Prints sizes, times and the largest difference of commands; with numpy 1.26 and the newest, on every
+supported Python that uv finds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from paths.fresh import ROOT, Fresh, find_uv, run, stop
+from run_cases import ALONE, SOURCES, difference
+
+NUMPY = ("numpy==1.26.4", "numpy")
+PYTHONS = ("3.11", "3.12", "3.13")
+_CASES = """
+import sys
+from pathlib import Path
+
+sys.path[:0] = sys.argv[2:]
+import run_cases
+
+run_cases.write_all(Path(sys.argv[1]))
+"""
+_IMPORT = """
+import time
+
+started = time.process_time()
+import numpy
+
+print(time.process_time() - started)
+import handmap_run
+
+print(time.process_time() - started)
+"""
+UNNEEDED = ("mink", "yourdfpy", "osqp", "proxsuite", "qpsolvers")
+"""What is installed for other formulations, solvers and formats."""
+
+
+def build(python: str, folder: Path) -> Path:
+    """Return the wheel of an interpreter."""
+    words = [find_uv(), "build", "--wheel", "--quiet", "--python", python]
+    run([*words, "--out-dir", str(folder), str(SOURCES)], cwd=ROOT)
+    return next(folder.glob("*.whl"))
+
+
+def find_pythons() -> list[str]:
+    """Return the interpreters that are here, of those that are supported."""
+    found = []
+    for version in PYTHONS:
+        words = [find_uv(), "python", "find", "--no-project", "--system", version]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        if done.returncode:
+            print(f"           LEFT OUT: Python {version}: not installed")
+        else:
+            found.append(done.stdout.strip())
+    return found
+
+
+def size_of(folder: Path) -> float:
+    """Return the size of the files in a folder [MB]."""
+    return (
+        sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
+    )
+
+
+def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> None:
+    """Follow all cases in a fresh environment, and compare."""
+    environment = wheel.parent / f"with {numpy}"
+    run([find_uv(), "venv", "--quiet", "--python", python, str(environment)])
+    own = str(environment / "bin" / "python")
+    words = [find_uv(), "pip", "install", "--quiet", "--python", own]
+    run([*words, str(wheel), numpy])
+    packages = next(environment.glob("lib/python3*/site-packages"))
+    sizes = {name: size_of(packages / name) for name in ("handmap_run", "numpy")}
+    sizes["numpy"] += size_of(packages / "numpy.libs")
+    # Before its bytecode is written.
+    size = size_of(packages)
+    variables = {"PATH": os.environ["PATH"], "OMP_NUM_THREADS": "1"}
+    found = json.loads(run([own, str(ALONE), str(cases)], env=variables))
+    tried = [run([own, "-c", _IMPORT], env=variables).split() for _ in range(9)]
+    own_numpy, everything = (
+        1e3 * min(map(float, each)) for each in zip(*tried, strict=True)
+    )
+    largest = 0.0
+    for file in sorted(cases.glob("*.hand")):
+        columns = []
+        for end in (".out.npz", ".expected.npz"):
+            with np.load(file.with_suffix(end)) as archive:
+                columns.append(dict(archive))
+        largest = max(largest, difference(*columns))
+    print(
+        f"           Python {found['python']}, numpy {found['numpy']}: "
+        f"{size:.1f} MB, of which numpy {sizes['numpy']:.1f}, handmap_run "
+        f"{sizes['handmap_run']:.1f}; wheel {wheel.stat().st_size / 1e6:.2f} MB\n"
+        f"           import {everything:.0f} ms of CPU (best of 9), of which numpy "
+        f"{own_numpy:.0f}; load {1e3 * statistics.median(found['load_s']):.0f} ms; a sample "
+        f"{statistics.median(found['sample_us']):.0f} us\n"
+        f"           {len(found['load_s'])} cases: commands differ by {largest:.1e} at most",
+        flush=True,
+    )
+    if largest > 1e-9:
+        stop("the small wheel commands something else")
+
+
+def leave_out(path: Fresh) -> None:
+    """Remove what mapping does without, print its sizes, and map."""
+    code = (ROOT / "tests" / "paths" / "needed.py").read_text(encoding="utf-8")
+    sizes, unneeded, everything = json.loads(path.python(code, "handmap-qp", *UNNEEDED))
+    for name, own in sizes.items():
+        parts = sorted(own.items(), key=lambda item: -item[1])[:5]
+        largest = ", ".join(f"{part} {size:.0f}" for part, size in parts)
+        path.note(f"{name} brings {sum(own.values()):.0f} MB: {largest}")
+    most = sum(everything.values())
+    path.note(f"not needed to map: {sum(unneeded.values()):.0f} MB of {most:.0f}")
+    path.uninstall(*unneeded)
+    path.handmap("map", "demo", "--robot", "three_finger")
+
+
+def main() -> None:
+    """Save hands by both wheels in one environment, and follow them by the small one alone."""
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        Fresh("A robot's computer", "robots") as path,
+    ):
+        folder = Path(scratch)
+        cases = folder / "cases"
+        cases.mkdir()
+        with path.step("build the small wheel"):
+            wheel = build(sys.executable, folder / "wheel")
+        path.install(str(wheel), title="the small wheel beside it")
+        path.handmap("hands", "save", "three_finger")
+        path.handmap("hands", "save", "three_finger", "--check")
+        with path.step(
+            "follow recordings with every hand by the library, and save them"
+        ):
+            shared = os.environ.get("HANDMAP_RECORDINGS", "")
+            code = f"import os\nos.environ['HANDMAP_RECORDINGS'] = {shared!r}\n{_CASES}"
+            path.python(code, str(cases), str(ROOT / "tests"), str(ROOT / "benchmarks"))
+        leave_out(path)
+        for k, python in enumerate(find_pythons()):
+            wheel = build(python, folder / f"{k}")
+            for numpy in NUMPY:
+                with path.step(f"follow them with {numpy} by the small wheel alone"):
+                    try_alone(wheel, python, numpy, cases)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,257 @@
+"""`handmap_run`: a saved hand follows as `handmap_qp` does, without what that needs."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import pkgutil
+import subprocess
+import sys
+import tomllib
+import zlib
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+import pytest
+from faulty_recordings import DEMO
+from run_cases import (
+    ALONE,
+    FAULTS,
+    SOURCES,
+    difference,
+    expected_columns,
+    mapper_of,
+    recording_with,
+    write_case,
+    write_package,
+)
+
+import handmap_qp
+from handmap_qp import Follower, HandMapper, IkOptions, load_hand
+from handmap_qp.apps.arguments import MappingArguments
+from handmap_qp.errors import HandError, InvalidOptionsError
+from handmap_qp.ik.core import core
+
+# The core is compiled once more, as that of another package.
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(core is None, reason="needs the compiled core"),
+]
+CASES = [
+    ("three_finger", "teleoperation"),
+    ("three_finger", "object"),
+    ("three_finger", "paper"),
+    ("panda_gripper", "teleoperation"),
+    ("dex3_right", "teleoperation"),
+]
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make the package importable, beside `handmap_qp`."""
+    folder = write_package(tmp_path_factory.mktemp("site"))
+    sys.path.insert(0, str(folder))
+    return folder
+
+
+def test_it_follows_alone_as_the_library_does(site: Path, tmp_path: Path) -> None:
+    # Every fault with one hand, and every hand and method with one fault.
+    cases = {f"fault{i}": (*CASES[0], fault) for i, fault in enumerate(FAULTS)}
+    cases |= {f"hand{i}": (*case, FAULTS[1]) for i, case in enumerate(CASES)}
+    for name, (robot, preset, fault) in cases.items():
+        write_case(tmp_path, name, mapper_of(robot, preset), recording_with(fault))
+    words = [sys.executable, str(ALONE), str(tmp_path)]
+    variables = {"PATH": os.environ["PATH"], "PYTHONPATH": str(site)}
+    done = subprocess.run(
+        words, env=variables, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    said = set()
+    for name, (robot, preset, fault) in cases.items():
+        expected = expected_columns(tmp_path, name, mapper_of(robot, preset))
+        with np.load(tmp_path / f"{name}.out.npz") as archive:
+            found = dict(archive)
+        assert difference(found, expected) <= 1e-12, (robot, preset, fault)
+        said |= {*found["said"][:, 2]}
+    assert len(said) > 4, said
+    assert {"numpy", "msgspec"} <= {*json.loads(done.stdout)["modules"]}
+
+
+@pytest.fixture
+def saved(site: Path, tmp_path: Path) -> Path:
+    """Save the first case, whose samples are the demo's."""
+    write_case(tmp_path, "case", mapper_of(*CASES[0]), recording_with(""))
+    return tmp_path / "case.hand"
+
+
+def test_both_packages_are_in_one_process(saved: Path) -> None:
+    import handmap_run
+    from handmap_run import _core as own
+
+    from handmap_qp import _core
+
+    assert own.Ik is not _core.Ik
+    follower = handmap_run.load(saved)
+    other = Follower(mapper_of(*CASES[0]))
+    q = follower.mapper.human.rest
+    # Copies go on by themselves, and joint angles are read as well.
+    for each in (copy.deepcopy(follower), follower):
+        given = each.mapper.map_step(q, np.eye(4), dt=0.02)
+        expected = copy.deepcopy(other).mapper.map_step(q, np.eye(4), dt=0.02)
+        assert type(given) is not type(expected)
+        np.testing.assert_allclose(given.command.q, expected.command.q, atol=1e-12)
+        assert given.status == expected.status
+        assert given.ik.iterations == expected.ik.iterations
+
+
+def test_a_recording_is_followed_in_one_go(saved: Path) -> None:
+    import handmap_run
+    from handmap_run.human import Recording as Columns
+
+    recording = recording_with(FAULTS[1])
+    table = Follower(mapper_of(*CASES[0])).map_samples(recording)
+    columns = Columns(**asdict(recording))
+    found = handmap_run.load(saved).map_samples(columns)
+    # The last column is CPU time.
+    np.testing.assert_allclose(found.rows[:, :-1], table.rows[:, :-1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda content: b"", "another or a damaged file"),
+        (lambda content: content[:-100], "another or a damaged file"),
+        (lambda content: b"PK" + content, "another or a damaged file"),
+        (
+            lambda content: content[:-900] + b"?" + content[-899:],
+            "damaged; copy it again",
+        ),
+        (
+            lambda content: content.replace(b"0.2.0", b"0.1.9", 1),
+            "of version 0.1.9, expected 0.2.0",
+        ),
+    ],
+    ids=["empty", "torn", "other", "damaged", "version"],
+)
+def test_another_file_is_refused(
+    saved: Path, change: Callable[[bytes], bytes], said: str
+) -> None:
+    import handmap_run
+
+    saved.write_bytes(change(saved.read_bytes()))
+    with pytest.raises(handmap_run.HandError, match=said) as error:
+        handmap_run.load(saved)
+    assert error.value.file == saved
+
+
+def test_other_names_are_of_another_version(saved: Path) -> None:
+    import handmap_run
+    from handmap_run.form import File, decode, encode
+
+    file = msgspec.msgpack.decode(saved.read_bytes(), type=File)
+    tree = decode(file.body)
+    del tree["robot"]["spread"]
+    body = encode(tree)
+    file = msgspec.structs.replace(file, body=body, checksum=zlib.crc32(body))
+    saved.write_bytes(msgspec.msgpack.encode(file))
+    with pytest.raises(
+        handmap_run.HandError, match=r"does not fit this version.*spread"
+    ):
+        handmap_run.load(saved)
+
+
+def test_wrong_samples_leave_the_hand_where_it_is(saved: Path) -> None:
+    import handmap_run
+
+    follower = handmap_run.load(saved)
+    landmarks = DEMO.landmarks[0]
+    first = follower.map_sample(handmap_run.HumanSample(0.0, "right", landmarks))
+    hole = landmarks.copy()
+    hole[3, 1] = np.nan
+    for wrong, argument in (
+        ((0.1, "right", hole), "landmarks"),
+        ((0.1, "right", landmarks[:20]), "landmarks"),
+        ((np.nan, "right", landmarks), "time"),
+        ((0.1, "left", landmarks), "side"),
+        ((0.1, "right", landmarks, 2.0 * np.eye(4)), "wrist"),
+    ):
+        with pytest.raises(handmap_run.InvalidInputError) as error:
+            follower.map_sample(handmap_run.HumanSample(*wrong))
+        assert error.value.argument == argument
+    motion = follower.mapper.motion
+    np.testing.assert_array_equal(
+        motion.q[follower.mapper.robot.q_indices], first.command.q
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "option"),
+    [
+        ({"method": "fingertip-vectors"}, "method"),
+        ({"ik": IkOptions(solver="proxqp")}, "formulation"),
+        ({"ik": IkOptions(formulation="direct")}, "formulation"),
+        ({"tasks": [object()]}, "tasks"),
+    ],
+)
+def test_what_python_alone_does_is_not_saved(
+    site: Path, options: dict[str, Any], option: str
+) -> None:
+    from handmap_run.saving import saved_hand
+
+    human = load_hand("human", points="landmarks")
+    mapper = HandMapper(human, load_hand("three_finger"), **options)
+    with pytest.raises(InvalidOptionsError) as error:
+        saved_hand(mapper)
+    assert error.value.option == option
+
+
+def test_the_command_tells_whether_a_hand_has_changed(
+    site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    project = tomllib.loads((SOURCES / "pyproject.toml").read_text())["project"]
+    import handmap_run
+
+    assert project["version"] == handmap_run.__version__ == handmap_qp.__version__
+    points = project["entry-points"]["handmap_qp.commands"]
+    command = pkgutil.resolve_name(points["hands save"])
+    out = tmp_path / "my.hand"
+    command("three_finger", out).run()
+    command("three_finger", out, check=True).run()
+    assert "is up to date" in capsys.readouterr().out
+    for changed in (
+        command("three_finger", out, side="left", check=True),
+        command("panda_gripper", out, check=True),
+        command("three_finger", out, check=True, arguments=MappingArguments("object")),
+    ):
+        with pytest.raises(HandError, match="have changed"):
+            changed.run()
+
+
+def test_the_loop_of_the_page_runs(saved: Path) -> None:
+    words = [str(SOURCES / "loop.py"), str(saved), str(saved.with_suffix(".npz"))]
+    variables = {"PATH": os.environ["PATH"], "PYTHONPATH": os.pathsep.join(sys.path)}
+    out = subprocess.check_output([sys.executable, *words], env=variables, text=True)
+    assert out.startswith(" 0.00 s")
+    assert len(out.splitlines()) == 5
+
+
+def test_a_wrist_need_not_be_the_root(site: Path, tmp_path: Path) -> None:
+    import handmap_run
+
+    robot = load_hand("three_finger")
+    robot._wrist_to_root = pin.SE3.Random()
+    human = load_hand("human", points="landmarks")
+    write_case(tmp_path, "case", HandMapper(human, robot), recording_with(""))
+    own = handmap_run.load(tmp_path / "case.hand").mapper.robot
+    wrist = pin.SE3.Random().homogeneous
+    expected = robot.configuration_vector(robot.rest, wrist)
+    found = own.configuration_vector(robot.rest, wrist)
+    # Both signs of a quaternion are one rotation.
+    expected[3:7] *= np.sign(expected[3:7].dot(found[3:7]))
+    np.testing.assert_allclose(found, expected, atol=1e-12)

@@ -1,0 +1,215 @@
+"""`handmap_run` of this tree, and cases that it and `handmap_qp` follow alike."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from faulty_recordings import DEMO
+from injection import inject, parse_faults
+
+from handmap_qp import Follower, HandMapper, HumanSample, load_hand
+from handmap_qp.errors import HandmapError, InvalidOptionsError
+from handmap_qp.hands import hand_files
+from handmap_qp.human import PALM, landmarks_at_rest, scaled_human
+from handmap_qp.human.recording import Recording, sample_columns
+from handmap_qp.ik.core import fingerprint
+from handmap_qp.se3 import (
+    affine,
+    quat_wxyz_from_rotation,
+    rigid_fit,
+    rotation_from_quat_wxyz,
+)
+from handmap_qp.trackers import LAYOUTS, read_recording
+
+ROOT = Path(__file__).parents[1]
+SOURCES = ROOT / "examples" / "run"
+ALONE = ROOT / "tests" / "run" / "alone.py"
+_BUILT = ROOT / "build" / "run"
+
+FAULTS = (
+    "",
+    "flip@0.6+0.2,dropout@1.5+0.1",
+    "zero@0.3+0.2,jump@1.2+0.3:0.2",
+    "outlier@0.5+0.1:0.1,silence@1.3+0.5",
+    "frozen@0.5+0.8",
+    "clock@1,noise@1.5",
+    # The core proves none of these to be right, and Python examines them.
+    "mirror@0.4+2",
+    "millimetres",
+    "order",
+    "quaternion",
+)
+
+
+def module_of(file: Path) -> ModuleType:
+    """Import a file that is in no package."""
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def build_core() -> Path:
+    """Return the core of `handmap_run`, compiled if there is none of these sources (25 s)."""
+    folder = _BUILT / f"{sys.implementation.cache_tag}-{fingerprint()}"
+    if not (found := [*folder.glob("_core*.so")]):
+        words = ["cmake", "-S", str(ROOT / "handmap_qp" / "core"), "-B", str(folder)]
+        choices = {
+            "CMAKE_BUILD_TYPE": "Release",
+            "HANDMAP_PACKAGE": "handmap_run",
+            "Python_EXECUTABLE": sys.executable,
+        }
+        words += [
+            "-G",
+            "Ninja",
+            *(f"-D{name}={value}" for name, value in choices.items()),
+        ]
+        for each in (words, ["cmake", "--build", str(folder)]):
+            subprocess.run(each, check=True, capture_output=True)
+        found = [*folder.glob("_core*.so")]
+    return found[0]
+
+
+def write_package(folder: Path) -> Path:
+    """Write the package as its wheel has it, and return the folder that it is in."""
+    package = module_of(SOURCES / "taken.py").write_package(folder)
+    shutil.copy2(build_core(), package)
+    return folder
+
+
+def write_case(
+    folder: Path, name: str, mapper: HandMapper, recording: Recording
+) -> None:
+    """Write a hand and samples, for `alone.py`."""
+    from handmap_run.saving import saved_hand
+
+    (folder / f"{name}.hand").write_bytes(saved_hand(mapper))
+    wrist = recording.wrist
+    shares = recording.confidence
+    np.savez(
+        folder / f"{name}.npz",
+        time=recording.time,
+        landmarks=recording.landmarks,
+        wrist=np.zeros((len(recording), 4, 4)) if wrist is None else wrist,
+        has=np.array([] if wrist is None else ["wrist"], dtype=str),
+        valid=recording.valid,
+        confidence=np.ones(len(recording)) if shares is None else shares,
+        side=recording.side,
+    )
+
+
+def expected_columns(
+    folder: Path, name: str, mapper: HandMapper
+) -> dict[str, np.ndarray]:
+    """Return what `handmap_qp` commands for a case."""
+    with np.load(folder / f"{name}.npz") as archive:
+        samples = dict(archive)
+    follow = module_of(ALONE).columns_of
+    return follow(Follower(mapper), samples, HumanSample)
+
+
+def difference(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> float:
+    """Return the largest difference of commands and targets; infinite if other things are said."""
+    if not np.array_equal(one["said"], other["said"]):
+        return np.inf
+    columns = ("q", "wrist", "targets")
+    return max(float(np.abs(one[name] - other[name]).max()) for name in columns)
+
+
+def recording_with(fault: str) -> Recording:
+    """Return 2.5 s of the demo with a fault."""
+    columns = sample_columns(DEMO.part(slice(0, 150)))
+    plain = [columns.sample(i) for i in range(150)]
+    is_wrong = "@" not in fault
+    samples = list(inject(plain, parse_faults(fault))) if not is_wrong else plain
+    time, landmarks, valid, confidence = (
+        np.array([getattr(sample, name) for sample in samples])
+        for name in ("time", "landmarks", "valid", "confidence")
+    )
+    wrist = None
+    if fault == "millimetres":
+        landmarks *= 1e3
+    elif fault == "order":
+        landmarks = landmarks[:, np.argsort(np.array(LAYOUTS["rhd21"].order("right")))]
+    elif fault == "quaternion":
+        poses = rigid_fit(
+            landmarks_at_rest(load_hand("human"))[PALM], landmarks[:, PALM]
+        )
+        quats = np.array([quat_wxyz_from_rotation(pose[:3, :3]) for pose in poses])
+        wrist = affine(
+            rotation_from_quat_wxyz(np.roll(quats, -1, axis=1)), poses[:, :3, 3]
+        )
+    return Recording(
+        name="demo",
+        time=time,
+        landmarks=landmarks,
+        valid=valid,
+        side="right",
+        wrist=wrist,
+        confidence=confidence,
+    )
+
+
+def mapper_of(robot: str, preset: str) -> HandMapper:
+    """Return the demo's person with a robot."""
+    human = scaled_human(DEMO, points="landmarks")
+    return HandMapper(human, load_hand(robot), preset)
+
+
+def recordings() -> Iterator[Recording]:
+    """Return the demo with every fault, and the beginning of each recording that is here."""
+    for fault in FAULTS:
+        yield replace(recording_with(fault), name=f"demo {fault}")
+    folder = os.environ.get("HANDMAP_RECORDINGS", "")
+    for file in sorted(Path(folder).glob("*.npz")) if folder else ():
+        whole = read_recording(str(file))
+        recording = whole.part(slice(0, min(200, len(whole))))
+        samples = [recording.sample(i) for i in range(len(recording))]
+        poses = None
+        if samples[0].wrist is not None:
+            poses = np.array([sample.wrist for sample in samples])
+        yield sample_columns(recording, poses)
+
+
+def write_all(folder: Path) -> None:
+    """Write every hand that loads with every recording of its side.
+
+    `CASE.expected.npz` is what `handmap_qp` commands.
+    """
+    known = [*recordings()]
+    demo = scaled_human(DEMO)
+    humans = [
+        demo if each.name.startswith("demo") else scaled_human(each) for each in known
+    ]
+    for robot in hand_files():
+        try:
+            hand = load_hand(robot)
+        except HandmapError:
+            continue
+        for k, (recording, human) in enumerate(zip(known, humans, strict=True)):
+            # Other methods with the first fault and the last recording alone: it takes long.
+            others = ("object", "paper") if k in (1, len(known) - 1) else ()
+            for preset in ("teleoperation", *others):
+                if hand.side != recording.side:
+                    continue
+                try:
+                    mapper = HandMapper(human, hand, preset)
+                except InvalidOptionsError:
+                    continue
+                name = f"{robot}-{preset}-{k}"
+                write_case(folder, name, mapper, recording)
+                expected = expected_columns(folder, name, mapper)
+                np.savez(
+                    folder / f"{name}.expected.npz", allow_pickle=False, **expected
+                )
