@@ -70,9 +70,9 @@ docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open build/site/index.html"
 
-wheel: $(INSTALLED) ## Build wheel and sdist in dist, with a bill of materials and all licences
+wheel: $(INSTALLED) ## Build both wheels and the sdist in dist, with a bill of materials and all licences
 	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/wheel --no-isolation
-	@echo "pip install \"$$(ls $(CURDIR)/dist/*.whl)[plot,view]\""
+	@echo "pip install \"$$(ls $(CURDIR)/dist/handmap_qp-*.whl)[plot,view]\""
 
 lowest: ## Run all tests with the lowest versions that pyproject.toml allows; needs uv
 	@$(FIND_PYTHON); \
@@ -82,8 +82,8 @@ lowest: ## Run all tests with the lowest versions that pyproject.toml allows; ne
 	$(LOWEST)/bin/python -m pytest $(PARALLEL) $(ARGS)
 
 paths: $(INSTALLED) ## Go the ways of new users in fresh environments (tests/paths), with times and sizes
-	@for name in leap_quest hours_of_landmarks svh_ur5_ros2 neighbours; do \
-	    PYTHONPATH=tests $(BIN)/python -m paths.$$name || exit 1; \
+	@for name in leap_quest hours_of_landmarks svh_ur5_ros2 neighbours small_wheel; do \
+	    PYTHONPATH=tests:benchmarks $(BIN)/python -m paths.$$name || exit 1; \
 	done
 
 bench: $(INSTALLED) ## Run every benchmark, one after the other
