@@ -104,6 +104,7 @@ def _type(kind: Any) -> str:
         "tuple[PointSpec, ...]": "list of points",
         "dict[str, LimitSpec]": "limits by joint",
         "dict[str, MimicSpec | None]": "rules by joint",
+        "dict[str, Any]": "values by name",
         "str": "text",
         "float": "number",
         "bool": "`true` or `false`",

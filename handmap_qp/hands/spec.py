@@ -229,6 +229,7 @@ class _HandFields(Document, frozen=True):
     arm: ArmSpec | None = None
     matched: Positions | None = None
     upright: Upright = "+z up, +x forward"
+    tuning: Values = {}
     directory: Path | None = None
     file: Path | None = None
 
@@ -270,6 +271,7 @@ class HandSpec(_HandFields, frozen=True):
             each pair of hands; `handmap hands match` prints it.
         upright: Which axes of the world of a hand on an arm are up and forward, of its root link
             without `arm`; those of REP 103 if omitted.
+        tuning: What `handmap tune` found of one hand and its motors, for `handmap drive`.
         directory: Folder at which relative paths start; that of `hand.yaml` if it was read from
             one.
         file: The file that the description was read from, for messages; None if built in code.

@@ -42,9 +42,9 @@ _MOST_DIFFERENCE = 1e-9
 _KEYS = (
     *("name", "urdf", "mirror", "upright", "root", "side", "palm", "wrist", "arm"),
     *("joints", "rest", "matched", "locked", "limits", "speeds", "mimic", "shapes"),
-    *("points", "sets", "reference", "collision"),
+    *("points", "sets", "reference", "collision", "tuning"),
 )
-_BLOCKS = {*_KEYS[6:-2], "collision", "collision.pairs"} - {"speeds"}
+_BLOCKS = {*_KEYS[6:], "collision.pairs", "tuning.joints"} - {"speeds", "reference"}
 _ROBOT = """# {0}: written by `handmap hands init`; look at it with `handmap robots check`.
 name: {0}
 hands:
@@ -62,6 +62,7 @@ _ABOVE = {
     "speeds": "Where the speed limits are from: urdf, maker or assumed.",
     "mimic": "Joints that mimic a joint outside this part of the robot: treated as independent.",
     "points": "Reference points on links [m]; `partner` names the corresponding human point.",
+    "tuning": "What `handmap tune` found of this hand and its motors [rad, s, m].",
     "collision": "Links that self-collision avoidance keeps apart: thumb and fingers, thumb and "
     "palm, and neighbouring fingers.",
 }
