@@ -13,6 +13,7 @@ from .ability import Ability
 from .driver import Driver
 from .inspire import Inspire
 from .servos import Servos
+from .simulated import Simulated
 
 DRIVERS: Mapping[str, Callable[[str, Names, Path | None], Driver]] = Plugins(
     "handmap_qp.drivers",
@@ -22,6 +23,7 @@ DRIVERS: Mapping[str, Callable[[str, Names, Path | None], Driver]] = Plugins(
         "inspire_right": partial(Inspire, "inspire_right"),
         "inspire_left": partial(Inspire, "inspire_left"),
         "ability": partial(Ability, "ability"),
+        "simulated": Simulated,
     },
     "collections.abc:Callable",
 )

@@ -23,7 +23,8 @@ from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import did_you_mean, expect, warn
 from . import DRIVERS
-from .drive import Loop
+from .drive import HOTTEST, Loop
+from .tuning import Compensated, read_tuning
 
 _HELD = 0.25
 """Time since the last key but one in which a key counts as held [s]: terminals repeat it sooner."""
@@ -69,6 +70,7 @@ class Drive:
         handmap drive lab --driver leap --port /dev/ttyUSB0
         handmap drive lab --driver leap --port /dev/ttyUSB0 --effort 0.1
         handmap drive lab --driver servos --motors mine.yaml --port /dev/ttyACM0
+        handmap drive lab --driver leap --port /dev/ttyUSB0 --tuning my_leap.yaml
 
     Attributes:
         session: Public name of the session.
@@ -76,6 +78,7 @@ class Drive:
         port: Port of the motors.
         source: Address of the service's requests.
         motors: Table of motors, in place of the driver's own.
+        tuning: A hand.yaml of `handmap tune`, whose joints are made to go where they are told.
         effort: Limit of the torque, a share of the motors' largest.
         temperature: Largest temperature of a motor [degrees Celsius].
         deadman: Whether motors move only while the space bar is held.
@@ -90,8 +93,9 @@ class Drive:
     motors: Annotated[Path | None, hinted("MOTORS.yaml", "(default: the driver's)")] = (
         None
     )
+    tuning: Annotated[Path | None, hinted("HAND.yaml")] = None
     effort: Annotated[float | None, hinted("SHARE", "(default: the table's)")] = None
-    temperature: float = 60.0
+    temperature: float = HOTTEST
     deadman: bool = True
     keys: KeyFiles = None
     json: bool = False
@@ -112,6 +116,8 @@ class Drive:
             while not (command := client.latest(1.0)):
                 warn("waiting for a command")
             driver = DRIVERS[self.driver](self.port, command.joint_names, self.motors)
+            if self.tuning:
+                driver = Compensated(driver, read_tuning(self.tuning))
             driver.connect()
             effort = driver.effort if self.effort is None else self.effort
             expect(0.0 < effort <= 1.0, "--effort", "a share, 0 to 1", value=effort)

@@ -26,6 +26,8 @@ APPROACH = 0.5
 """Speed of the way from where the motors are to the commands [rad/s]."""
 NEAR = 0.05
 """How far a motor is from the commands when its way ends [rad]."""
+HOTTEST = 60.0
+"""Largest temperature of a motor, unless the user gives another one [degrees Celsius]."""
 _POSSIBLE = 0.2
 """How far out of its range a joint may be, by play and an inexact zero [rad]."""
 
@@ -180,12 +182,7 @@ class Loop:
                 raise
             return
         self._answered = now
-        if health.faults:
-            raise DriverError(", ".join(health.faults))
-        i = health.temperature.argmax()
-        if health.temperature[i] > self._hottest:
-            hot = f"{health.temperature[i]} degrees, more than {self._hottest:g}"
-            raise DriverError(f"{self._driver.joint_names[i]}: {hot}")
+        health.check(self._driver.joint_names, self._hottest)
         if self._problem:
             self._written = self._q
             return

@@ -39,6 +39,19 @@ class Health(NamedTuple):
     temperature: np.ndarray
     faults: Names
 
+    def check(self, joint_names: Names, hottest: float) -> None:
+        """Reject motors that report a fault, or are hotter than a temperature [degrees Celsius].
+
+        Raises:
+            DriverError: If one does.
+        """
+        if self.faults:
+            raise DriverError(", ".join(self.faults))
+        i = self.temperature.argmax()
+        if self.temperature[i] > hottest:
+            hot = f"{self.temperature[i]} degrees, more than {hottest:g}"
+            raise DriverError(f"{joint_names[i]}: {hot}")
+
 
 class Driver(Protocol):
     """The motors of a hand.

@@ -1,0 +1,186 @@
+"""Measure `handmap tune` on simulated hands with hidden parameters: the table of docs/tune.md.
+
+Each hand is tuned in simulated time; then it follows recordings, mapped by the default
+teleoperation, as told and compensated. Gain .8 to 1.1, zero 1 degree, delay 20 to 120 ms, backlash
+2 to 4 degrees, stretch .1 to .4 rad by the largest torque, friction .03 to .08 of it, encoders
+1.4 degrees wrong, stops up to 5 % of the range inside or outside the limits.
+
+    python benchmarks/tune_hands.py
+    python benchmarks/tune_hands.py --hands leap_right --seeds 0 1 2
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import warnings
+from functools import lru_cache
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from handmap_drive.driver import Driver
+from handmap_drive.ritual import Ritual
+from handmap_drive.simulated import Simulated
+from handmap_drive.tuning import Compensated, Tuning, tuned
+
+from handmap_qp import Hand, load_hand, read_recording
+from handmap_qp.apps.offline.comparison import (
+    compare_methods,
+    own_method,
+    prepare_take,
+)
+from handmap_qp.apps.offline.fidelity import CLOSED
+from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.tables import markdown_table
+from handmap_qp.mapping import default_preset
+
+FLOORS = {
+    "gain": 0.0,
+    "zero": 0.005,
+    "delay": 0.005,
+    "backlash": 0.005,
+    "stretch": 0.005 / 0.3,
+    "friction": 0.005,
+}
+"""Errors that are small enough in any case: .3 degrees, at a torque of .3, 5 ms, .5 %."""
+LAG = 0.3
+"""Longest delay of a hand that is looked for [s]."""
+SETTLED = 1.0
+"""Time in which a hand comes to the recording [s]."""
+RECORDINGS = ("leap_pinch_move_right", "leap_hmd_right")
+
+
+class Recorded(Simulated):
+    """A simulated hand that knows how far it was told to leave its limits [rad]."""
+
+    told = -np.inf
+
+    def write(self, q: np.ndarray, effort: float) -> None:
+        """See `Driver`."""
+        self.told = max(self.told, beyond(self, q))
+        super().write(q, effort)
+
+
+@lru_cache(maxsize=6)
+def motion_of(hand: Hand, recording: str) -> np.ndarray:
+    """Return a recording as it is mapped to a hand, by the turns of a loop [rad], shape (T, n)."""
+    take = prepare_take(read_recording(recording, hand.side), hand.side)
+    method = own_method(default_preset(take.human, hand))
+    (run,) = compare_methods([take], hand, [method]).runs
+    assert run.motion is not None
+    time = take.recording.time
+    turns = np.arange(time[0], time[-1], 1.0 / Simulated.rate)
+    return np.array([np.interp(turns, time, q) for q in run.motion.q.T]).T
+
+
+def follow(driver: Driver, motors: Simulated, q: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Tell motors a motion; return where joints are in truth, and as encoders tell it."""
+    start = motors.q
+    approach = start + np.linspace(0.0, 1.0, round(SETTLED * motors.rate))[:, None] * (
+        q[0] - start
+    )
+    true, seen = [], []
+    for goal in (*approach, *q):
+        driver.write(goal, motors.effort)
+        true.append(motors.posture)
+        seen.append(motors.q)
+    return np.array(true)[len(approach) :], np.array(seen)
+
+
+def pinches(
+    meter: GapMeter, asked: np.ndarray, told: np.ndarray, true: np.ndarray
+) -> tuple[int, int]:
+    """Return how many samples have a pinch, and how many of them the hand closes.
+
+    Pinches are those of the hand as it is described, `asked`. The hand is compared at the one delay
+    at which it is nearest to what it was told.
+    """
+    T = len(asked)
+
+    def error(d: int) -> float:
+        return float(np.mean((true[d:] - told[: T - d]) ** 2))
+
+    delay = min(range(round(LAG * Simulated.rate)), key=error)
+    wanted = np.array([*meter.pinches(asked[: T - delay]).values()]) < CLOSED
+    got = np.array([*meter.pinches(true[delay:]).values()]) < CLOSED
+    return int(wanted.sum()), int((wanted & got).sum())
+
+
+def right(tuning: Tuning, motors: Simulated) -> dict[str, float]:
+    """Return the share of joints of which each parameter is right within 10 %."""
+    shares = {}
+    joints = [tuning.joints[name] for name in motors.joint_names]
+    for name, floor in FLOORS.items():
+        true = getattr(motors, name)
+        found = np.array([getattr(joint, name) for joint in joints])
+        allowed = np.maximum(0.1 * np.abs(true), floor)
+        shares[name] = float(np.mean(np.abs(found - true) <= allowed))
+    # The range in which it can be used: up to its stops, its limits, and what can be told.
+    reached = motors.gain * motors.range + motors.zero
+    low, high = np.clip(reached, motors.range[0], motors.range[1])
+    true = np.clip([low, high], *motors.stops)
+    found = np.array([joint.range for joint in joints]).T
+    width = np.ptp(motors.range, axis=0)
+    shares["range"] = float(np.mean(np.abs(found - true) <= 0.1 * width))
+    return shares
+
+
+def beyond(motors: Simulated, seen: np.ndarray) -> float:
+    """Return how far encoders were outside the limits of the hand at most [rad]."""
+    return float(np.maximum(seen - motors.range[1], motors.range[0] - seen).max())
+
+
+def measure(hand: Hand, seed: int, files: dict[str, str]) -> dict[str, Any]:
+    """Return a row about a hand with hidden parameters."""
+    port = f"{hand.name}:{seed}"
+    motors = Recorded(port, hand.joint_names)
+    ritual = Ritual(motors, hand, motors.effort, (k / motors.rate for k in count()))
+    tuning = ritual.run()
+    meter = GapMeter(hand)
+    told = [motors.told]
+    row: dict[str, Any] = {"hand": hand.name, "seed": seed}
+    row["ritual [s]"] = len(ritual.log.time) / motors.rate
+    row |= {f"{name} right": share for name, share in right(tuning, motors).items()}
+    row["fingers met"] = len(tuning.pinches)
+    over = [beyond(motors, ritual.log.q)]
+    found = Hand(tuned(hand.spec, tuning), mount="fixed")
+    for recording, file in files.items():
+        asked, shares = motion_of(hand, file), []
+        for mapped, is_tuned in ((hand, False), (found, True)):
+            motors = Recorded(port, hand.joint_names)
+            driver = Compensated(motors, tuning) if is_tuned else motors
+            q = motion_of(mapped, file)
+            true, seen = follow(driver, motors, q)
+            wanted, closed = pinches(meter, asked, q, true)
+            shares.append(closed / wanted)
+            over.append(beyond(motors, seen))
+            told.append(motors.told)
+        row[f"{recording} ({wanted})"] = " / ".join(f"{x:.2f}" for x in shares)
+    row["told beyond limits"] = max(told)
+    row["joints beyond: ritual"] = over[0]
+    row["as told"], row["compensated"] = max(over[1::2]), max(over[2::2])
+    return row
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Tuning of simulated hands.")
+    hands = ["leap_right", "allegro_right", "shadow_right", "orca_right"]
+    parser.add_argument("--hands", nargs="+", default=hands)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    folder = Path(os.environ["HANDMAP_RECORDINGS"])
+    rows = []
+    for name in given.hands:
+        hand = load_hand(name, mount="fixed")
+        files = {r: str(folder / f"{r}.npz") for r in RECORDINGS}
+        for seed in given.seeds:
+            rows.append(measure(hand, seed, files))
+            print(rows[-1], flush=True)
+    print(markdown_table(rows))
+
+
+if __name__ == "__main__":
+    main()

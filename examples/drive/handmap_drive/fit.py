@@ -1,0 +1,113 @@
+"""What a hand makes of its commands, by least squares on what happened."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.hands import Hand
+
+SLOWEST = 0.04
+"""A joint moves above this speed [rad/s]."""
+FULL = 0.9
+"""Share of the limit of torque from which on a motor gives way."""
+TORQUE = 0.01
+"""Torques below this are none, as shares of the largest."""
+_LONGEST = 0.25
+"""Longest delay that is looked for [s]."""
+_ITERATIONS = 5
+_STEP = 1e-4
+"""Change of a joint from which gaps' slopes are found [rad]."""
+_ERROR, _GAP = 0.03, 0.0003
+"""Errors of encoders [rad] and of gaps [m] that are expected."""
+
+
+class Log(NamedTuple):
+    """What a hand was told and did in each turn.
+
+    Attributes:
+        time: Of each turn [s], shape (T,).
+        told: What joints were told [rad], shape (T, n).
+        q: Where they were [rad], shape (T, n).
+        torque: Their torques, shares of the largest, shape (T, n).
+    """
+
+    time: np.ndarray
+    told: np.ndarray
+    q: np.ndarray
+    torque: np.ndarray
+
+
+def fit_joint(
+    log: Log, i: int, limit: float, span: slice
+) -> tuple[float, float, float, float, float, float]:
+    """Find the parameters of a joint by least squares.
+
+    Where the torque e pulls the joint, still or not, `q = gain u(t - delay) + zero - sign(e)
+    backlash / 2 - stretch e`. The delay is the one that leaves the least.
+
+    Args:
+        log: What happened.
+        i: The joint.
+        limit: The limit of torque.
+        span: Turns in which it was moved.
+
+    Returns:
+        Gain, zero, delay, backlash, stretch and friction.
+    """
+    time, q, torque = log.time[span], log.q[span, i], log.torque[span, i]
+    size = np.abs(torque)
+    pulls = np.sign(torque) * ((size > TORQUE) & (size < FULL * limit))
+    is_pulled = np.abs(_smooth(pulls)) > 0.99
+    torque, q = _smooth(torque), _smooth(q)
+    moves = is_pulled & (np.abs(np.gradient(q, time)) > SLOWEST)
+    friction = np.median(np.abs(torque[moves]))
+    # Noise of the many samples in motion would hide how torques change at rest.
+    torque = np.where(moves, pulls * friction, torque)
+
+    def solve(delay: float) -> tuple[float, np.ndarray]:
+        told = _smooth(np.interp(time - delay, log.time, log.told[:, i]))
+        rows = np.array([told, np.ones_like(q), -0.5 * pulls, -torque, q]).T[is_pulled]
+        found, *_ = np.linalg.lstsq(rows[:, :-1], rows[:, -1])
+        return np.sum((rows @ [*found, -1.0]) ** 2), found
+
+    delay = min(np.arange(0.0, _LONGEST, 0.01), key=lambda d: solve(d)[0])
+    near = np.clip(delay + np.arange(-0.01, 0.01, 0.001), 0.0, None)
+    delay = min(near, key=lambda d: solve(d)[0])
+    gain, zero, backlash, stretch = solve(delay)[1].tolist()
+    backlash, stretch = max(backlash, 0.0), max(stretch, 0.0)
+    return gain, zero, float(delay), backlash, stretch, float(friction)
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    """Return means over five turns."""
+    return np.convolve(np.pad(values, 2, "edge"), np.full(5, 0.2), "valid")
+
+
+def fit_encoders(
+    hand: Hand, met: list[tuple[str, np.ndarray]]
+) -> tuple[np.ndarray, ...]:
+    """Find the smallest errors of encoders with which tips meet where they met (Gauss-Newton).
+
+    Args:
+        hand: The hand.
+        met: Fingers that met the thumb, and all joints there as encoders tell them [rad].
+
+    Returns:
+        What encoders miss [rad], shape (n,), and the gaps that they tell without it [m], (k,).
+    """
+    meter, n = GapMeter(hand), len(hand.joint_names)
+    steps = np.vstack([np.zeros(n), _STEP * np.eye(n)])
+
+    def gaps(error: np.ndarray) -> np.ndarray:
+        rows = [meter.pinches(q + error + steps)[finger] for finger, q in met]
+        return np.reshape(rows, (-1, n + 1))
+
+    error = np.zeros(n)
+    for _ in range(_ITERATIONS):
+        values = gaps(error)
+        slopes = (values[:, 1:] - values[:, :1]) / _STEP
+        rows = np.vstack([slopes / _GAP, np.eye(n) / _ERROR])
+        misses = np.concatenate([values[:, 0] / _GAP, error / _ERROR])
+        error = error - np.linalg.lstsq(rows, misses)[0]
+    return error, gaps(np.zeros(n))[:, 0]

@@ -1,0 +1,139 @@
+"""A hand in this process that does not do what it is told: `--driver simulated`."""
+
+from pathlib import Path
+
+import numpy as np
+
+from handmap_qp.errors import expect
+from handmap_qp.hands import Hand, Names, ShapePairs, all_pairs, load_hand
+from handmap_qp.ik import solve_by_daqp
+from handmap_qp.ik.collision import CollisionLimit
+from .driver import Health
+
+_DELAY = 0.12
+"""The longest delay [s]."""
+_COUNT = 2.0 * np.pi / 4096
+"""Resolution of encoders [rad]."""
+_NOISE = 0.002
+"""Noise of torques, a share of the largest."""
+_NEAR = 0.02
+"""Tips that are farther apart do not meet in a turn [m]."""
+
+
+class Simulated:
+    """Joints with hidden parameters; attributes as of `Driver`, and arrays of each joint.
+
+    A turn of the drive, `goal = gain u(t - delay) + zero`, pulls its joint by a tendon with play:
+    `effort = dead(goal - q, backlash / 2) / stretch`. The joint moves where that is more than its
+    friction, as far as its stops and the contacts of thumb and fingers let it. Encoders are at the
+    joints, and err by `encoder`. Each `write` is a turn of `1 / rate` seconds.
+
+    Args:
+        port: Name of a hand or its hand.yaml, and a seed, as in `leap_right:3`.
+        joints: Joints of the session.
+        file: Not used.
+
+    Attributes:
+        gain: Angle by which a joint moves per angle that it is told.
+        zero: Where it is when it is told to be at 0 [rad].
+        delay: Time from a command to its turn [s].
+        backlash: Play of the tendon [rad].
+        stretch: Of the tendon, by the largest torque [rad].
+        friction: Torque below which the joint stands still.
+        encoder: What encoders miss of the joints [rad].
+        stops: Where joints stop, as encoders tell it [rad], shape (2, n).
+        motor: Which motor obeys each goal.
+        is_dead: Whether a joint's motor has no torque.
+        is_frozen: Whether an encoder always tells the same.
+        q: Where joints are, as encoders tell it [rad].
+    """
+
+    rate = 100.0
+    speed = 6.0
+    effort = 0.3
+
+    def __init__(self, port: str, joints: Names, file: Path | None = None) -> None:
+        name, _, seed = port.rpartition(":")
+        expect(seed.isdecimal(), "--port", "HAND:SEED of a simulated hand", value=port)
+        self._hand = hand = load_hand(name, mount="fixed")
+        self.joint_names = tuple(n for n in hand.joint_names if n in joints)
+        self._own = own = [*map(hand.joint_names.index, self.joint_names)]
+        self.range = hand.limits[:, own]
+        self._tips = CollisionLimit(hand, _pinching(hand))
+        self._placed = hand.configuration()
+        self._random = random = np.random.default_rng(int(seed))
+        n = len(own)
+        self.gain = random.uniform(0.8, 1.1, n)
+        self.zero = random.uniform(-0.02, 0.02, n)
+        self.delay = random.uniform(0.02, _DELAY, n)
+        self.backlash = np.radians(random.uniform(2.0, 4.0, n))
+        self.stretch = random.uniform(0.1, 0.4, n)
+        self.friction = random.uniform(0.03, 0.08, n)
+        self.encoder = random.uniform(-0.025, 0.025, n)
+        width = np.diff(self.range, axis=0)
+        self.stops = self.range + width * random.uniform(-0.05, 0.05, (2, n))
+        self.motor = np.arange(n)
+        self.is_dead, self.is_frozen = np.zeros((2, n), bool)
+        self.q = np.clip(hand.rest[own], *self.stops)
+        self._told = [self.q] * (round(_DELAY * self.rate) + 2)
+        self._torque = np.zeros(n)
+        self._frozen = self.q
+
+    @property
+    def posture(self) -> np.ndarray:
+        """Where all joints of the hand are in truth [rad]."""
+        posture = self._hand.rest.copy()
+        posture[self._own] = self.q + self.encoder
+        return posture
+
+    def connect(self) -> None:
+        """See `Driver`."""
+
+    def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
+        """See `Driver`."""
+        n = len(self.q)
+        seen = np.where(self.is_frozen, self._frozen, self.q)
+        noise = _NOISE * self._random.standard_normal(n)
+        q = np.round(seen / _COUNT) * _COUNT
+        return q, self._torque + noise, Health(np.full(n, 30.0), ())
+
+    def write(self, q: np.ndarray, effort: float) -> None:
+        """See `Driver`."""
+        self._told = [*self._told[1:], q[self.motor]]
+        times = np.arange(len(self._told)) / self.rate
+        told = zip(self.delay, np.array(self._told).T, strict=True)
+        late = np.array([np.interp(times[-1] - d, times, u) for d, u in told])
+        goal = self.gain * late + self.zero
+        limit = np.where(self.is_dead, 0.0, effort)
+        band = 0.5 * self.backlash + self.stretch * self.friction
+        free = np.clip(self.q, goal - band, goal + band)
+        free = np.where(limit > self.friction, free, self.q)
+        self.q = self.q + self._allowed(free - self.q)
+        pull = goal - self.q
+        slack = np.clip(pull, -0.5 * self.backlash, 0.5 * self.backlash)
+        self._torque = np.clip((pull - slack) / self.stretch, -limit, limit)
+
+    def _allowed(self, step: np.ndarray) -> np.ndarray:
+        """Return the step that stops and tips leave, each joint as its tendon gives way [rad]."""
+        self._placed.place(self._hand.configuration_vector(self.posture))
+        near = self._tips.within(self._placed.q, _NEAR)
+        nearing, apart = self._tips.rows(self._placed, near, 0.0)
+        rows = nearing[:, self._hand.joint_columns[self._own]], apart
+        ends = self.stops - np.clip(self.q, *self.stops)
+        stiffness = np.diag(1.0 / self.stretch)
+        found = solve_by_daqp(stiffness, -stiffness @ step, *ends, rows)
+        return np.zeros_like(step) if found is None else found
+
+    def stop(self) -> None:
+        """See `Driver`."""
+        self._torque = np.zeros(len(self.q))
+
+
+def _pinching(hand: Hand) -> ShapePairs:
+    """Return the pairs of shapes that pinch."""
+    pairs = all_pairs(hand)
+    geometry = pairs.geometry.copy()
+    for pair, finger in zip(pairs.geometry.collisionPairs, pairs.fingers, strict=True):
+        if not finger:
+            geometry.removeCollisionPair(pair)
+    return pairs._replace(geometry=geometry, fingers=tuple(filter(None, pairs.fingers)))
