@@ -263,6 +263,13 @@ def spoil(fault: str, motors: Simulated) -> None:
             motors.zero[1] += 0.6
         case "other":
             motors.gain[1] = 0.4
+        case "mute":
+            read = motors.read
+            motors.read = lambda: (
+                (seen := read())[0],
+                np.where(np.arange(16) == 1, 0.0, seen[1]),
+                seen[2],
+            )
         case "jam":
             motors.stops[1, 1] = 0.8
 
@@ -276,6 +283,7 @@ def spoil(fault: str, motors: Simulated) -> None:
         ("swapped", "joint_1.0: joint_5.0 moves in its place: ids are swapped"),
         ("reversed", "joint_1.0: it turns the other way"),
         ("other", r"joint_1.0: it moves 0.4 times as far as it is told"),
+        ("mute", "joint_1.0: its torque is not measured"),
         ("jam", r"joint_1.0: it stops at 0.80. rad on its way to 1.61"),
     ],
 )

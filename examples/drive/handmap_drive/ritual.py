@@ -49,7 +49,7 @@ _WAYS, _TRIES = 4, 40
 """Ways to close each pinch, and shifts of its joints that are tried for them."""
 _SHIFT = 0.12
 """Standard deviation of the shifts [rad]."""
-_DEEP = 0.002
+_DEEP = 0.008
 """How deep tips must be in each other at the end of a way by the model, to meet for sure [m]."""
 _NEAR = 0.008
 """Gap from which on fingers close slowly [m]."""
@@ -180,6 +180,8 @@ class Ritual:
             problem = f"{self._names[j]} moves in its place: ids are swapped"
         elif np.corrcoef(told[:, i], q[:, i])[0, 1] < 0.0:
             problem = "it turns the other way: see its ratio"
+        elif pulled < TORQUE:
+            problem = "its torque is not measured, and play cannot be found without"
         if problem:
             raise DriverError(f"{name}: {problem}")
 
