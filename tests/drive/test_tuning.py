@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 from handmap_drive import tune
+from handmap_drive.drive import Loop
 from handmap_drive.driver import DriverError, Health
 from handmap_drive.fit import Log, fit_encoders, fit_joint
 from handmap_drive.ritual import Ritual
@@ -22,6 +23,7 @@ from handmap_qp import load_hand
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.onboarding.edit import open_description
 from handmap_qp.apps.onboarding.write import write_hand
+from handmap_qp.client import Command
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands import Names
 
@@ -237,6 +239,21 @@ def test_joints_wait_for_the_slowest_one() -> None:
     driver.stop()
     driver.write(np.zeros(2), 0.1)
     np.testing.assert_array_equal(motors.written[-1], 0.0)
+
+
+def test_the_loop_brings_joints_where_the_session_wants_them() -> None:
+    motors = Played(JOINT, STIFF)
+    command = Command(  # Of a session whose joints are in another order.
+        **{"seq": 1, "name": "lab", "time": 0.0, "server_time": 0.0, "wrist": None},
+        **{"joint_names": ("a", "b"), "q": (0.5, -0.3), "status": "converged"},
+    )
+    with patch("handmap_drive.drive.monotonic", return_value=0.0):
+        loop = Loop(Compensated(motors, PAIR), command, 0.1, 60.0)
+    for k in range(1, 300):
+        loop.hear(command, k / RATE)
+        loop.turn(k / RATE)
+    np.testing.assert_allclose(loop.measured, [0.5, -0.3], atol=1e-9)
+    assert np.abs(motors.written[-1] - [-0.3, 0.5]).min() > 0.01
 
 
 def test_the_tuning_of_another_hand_is_refused() -> None:
