@@ -122,12 +122,12 @@ class Compare:
         """
         expect(self.recordings, "RECORDING", "at least one file", got="none")
         robot = load_hand(self.robot)
-        methods = _methods(self)
+        methods = methods_of(self)
         if self.out:
             require_matplotlib()
             make_folder(self.out, "--out")
         with progress("comparing") as say:
-            takes = _takes(self, robot, say)
+            takes = takes_of(self, robot, say)
             comparison = compare_methods(takes, robot, methods, say)
             written = _write(self.out, comparison, say) if self.out else []
         if self.json:
@@ -228,7 +228,7 @@ def results_of(comparison: Comparison) -> Values:
     return msgspec.to_builtins(found, enc_hook=np.generic.item)
 
 
-def _methods(request: Compare) -> list[ComparedMethod]:
+def methods_of(request: Compare) -> list[ComparedMethod]:
     """Return the methods by their names, peers last unless they are named."""
     outside = {}
     if request.peers:
@@ -242,7 +242,7 @@ def _methods(request: Compare) -> list[ComparedMethod]:
     return [outside.get(name) or own_method(name, tuple(outside)) for name in names]
 
 
-def _takes(request: Compare, robot: Hand, say: Progress) -> list[Take]:
+def takes_of(request: Compare, robot: Hand, say: Progress) -> list[Take]:
     """Read all recordings before any is prepared."""
     person = read_person(request.person) if request.person else None
     side = robot.side
