@@ -134,7 +134,7 @@ fi
 endef
 
 $(SMALL): WANTED := '.[plot,view]'
-$(INSTALLED): WANTED := '.[all]' --editable examples/drive --editable examples/sources --group dev
+$(INSTALLED): WANTED := '.[all]' $(addprefix --editable examples/,drive score sources) --group dev
 $(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/compile.py $(CORE)
 	@if [ "$$(cat $(FOLDER) 2> /dev/null)" != "$(CURDIR)" ]; then \
 	    $(FIND_PYTHON); \

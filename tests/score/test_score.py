@@ -1,0 +1,291 @@
+"""The score: the reader reads hands as people do, columns are compare's, pages hold everything."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import Browser, find_chromium
+from handmap_score import cli
+from handmap_score.gestures import (
+    SOURCES,
+    TRACKER_NOISE,
+    people,
+    perform,
+    read_gestures,
+)
+from handmap_score.reader import Reader
+from handmap_score.scoring import HALVES, HandScore, parts_of, score_hand, score_of
+
+from handmap_qp.apps.offline.comparison import (
+    ComparedMethod,
+    OutsideError,
+    Take,
+    compare_methods,
+    own_method,
+)
+from handmap_qp.apps.offline.trajectory import RobotMotion
+from handmap_qp.errors import InvalidInputError, MissingPackageError
+from handmap_qp.hands import FINGERS, Hand, load_hand
+from handmap_qp.human import finger_chains
+from handmap_qp.trackers import check_recording
+
+# Whole hands, pictures and a browser: not for the fast suite.
+pytestmark = pytest.mark.slow
+HANDY, XRBLOCKS = SOURCES
+RATE = 30.0
+
+
+def follow(take: Take, robot: Hand) -> RobotMotion:
+    """Give a human-like hand the person's own pose."""
+    count = len(take.recording)
+    robot = take.human
+    return RobotMotion(
+        robot, take.recording.time, take.q, take.wrist, np.full(count, 1e-3)
+    )
+
+
+def stand(take: Take, robot: Hand) -> RobotMotion:
+    """Stand still."""
+    count = len(take.recording)
+    q = np.tile(robot.rest, (count, 1))
+    return RobotMotion(robot, take.recording.time, q, take.wrist, np.full(count, 1e-3))
+
+
+def refuse(take: Take, robot: Hand) -> RobotMotion:
+    """Follow in the first seed alone."""
+    if take.name.endswith("4"):
+        raise OutsideError("not today")
+    return follow(take, robot)
+
+
+METHODS = [
+    ComparedMethod("follow", follow),
+    ComparedMethod("stand", stand),
+    ComparedMethod("refuse", refuse),
+]
+
+
+@pytest.fixture(scope="module")
+def human() -> Hand:
+    return load_hand("human")
+
+
+@pytest.fixture(scope="module")
+def scored(human: Hand) -> HandScore:
+    return score_hand(human, METHODS, [], (3, 4), RATE)
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.name)
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_performances_are_hands_that_the_input_check_accepts(source, side) -> None:
+    take, shown, samples = perform(source, 5, RATE, side)
+    assert take.recording.side == side
+    check_recording(take.recording, name=source.name)
+    gestures = read_gestures(source)
+    assert sorted(shown) == list(range(len(gestures.names)))
+    assert (np.diff(samples) > 0).all()
+    # Bones keep their lengths but for noise, and for poses of two hands with different ones.
+    bones = np.diff([finger_chains(each) for each in take.recording.landmarks], axis=2)
+    spread = np.linalg.norm(bones, axis=3).std(axis=0)
+    assert spread.max() < 0.003
+
+
+def test_landmarks_at_a_pose_are_the_sources_own() -> None:
+    gestures = read_gestures(HANDY)
+    with np.load(Path(cli.__file__).parent / "poses" / HANDY.file) as arrays:
+        own = arrays["landmarks"].astype(float)
+    seen = gestures.seen(gestures.q, gestures.rest, np.random.default_rng(0))
+
+    def distances(points: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
+
+    assert np.abs(distances(seen) - distances(own)).max() < 10.0 * TRACKER_NOISE
+
+
+def test_seed_decides_everything() -> None:
+    first = perform(XRBLOCKS, 1, RATE, "right")
+    again = perform.__wrapped__(XRBLOCKS, 1, RATE, "right")
+    other = perform(XRBLOCKS, 2, RATE, "right")
+    np.testing.assert_array_equal(
+        first.take.recording.landmarks, again.take.recording.landmarks
+    )
+    assert (first.shown != other.shown).any()
+
+
+def test_perfect_robot_is_read_and_a_still_one_is_not(scored: HandScore) -> None:
+    first, second, last = scored.rows
+    assert [row.method for row in scored.rows] == ["follow", "stand", "refuse"]
+    assert first.values["people"] == first.values["read"] == 1.0
+    assert first.confused == []
+    # Its score is not 100: the model's fingers are thick, and overlap in fists.
+    assert first.score > 70.0
+    assert second.values["read"] < 0.1
+    assert second.score < 15.0
+    assert last.problem == "not today"
+    assert np.isnan(last.score)
+    assert [row.method for row in scored.ran] == ["follow", "stand"]
+    assert scored.same_order == 2
+    assert scored.tau == 1.0
+
+
+def test_shuffled_labels_fall_to_chance() -> None:
+    rng = np.random.default_rng(0)
+    take, shown, samples = perform(HANDY, 3, RATE, "right")
+    reader = Reader(people(HANDY, "right").trace, read_gestures(HANDY).labels, FINGERS)
+    named = reader.read(take.trace, samples)
+    right = [reader.same[rng.permutation(shown), named].mean() for _ in range(100)]
+    assert np.mean(right) == pytest.approx(reader.same.mean(), abs=0.01)
+    assert reader.same.mean() < 0.03
+
+
+def test_fewer_fingers_tell_fewer_gestures_apart() -> None:
+    names = read_gestures(HANDY).names
+    seen = people(HANDY, "right").trace
+    reads = [Reader(seen, names, FINGERS[:count]).same for count in (5, 3)]
+    a, b = names.index("devil / bull"), names.index("asl 1 / point")
+    assert [same[a, b] for same in reads] == [False, True]
+    assert reads[0].sum() < reads[1].sum()
+
+
+def test_columns_are_those_of_compare(human: Hand) -> None:
+    methods = [own_method("teleoperation")]
+    robot = load_hand("three_finger")
+    (row,) = score_hand(robot, methods, [], (3,), RATE).rows
+    takes = [perform(source, 3, RATE, "right").take for source in SOURCES]
+    columns = compare_methods(takes, robot, methods).overall["teleoperation"]
+    del columns["step_time_ms"]
+    for key, value in columns.items():
+        np.testing.assert_equal(row.values[key], value, err_msg=key)
+    assert row.score == pytest.approx(score_of(row.values))
+
+
+def test_score_is_that_of_the_formula() -> None:
+    good = {
+        "finger_direction_deg": 0.0,
+        "pinch_closed": 1.0,
+        "pinch_false": 0.0,
+        "read": 0.9,
+        "people": 0.9,
+        "chance": 0.1,
+        "self_penetration": 0.0,
+        "jerk_ratio": 0.5,
+        "speed_ratio": 1.0,
+        "outside_limits": 0.0,
+        "latency_ms": 0.0,
+    }
+
+    def score(**changes: float) -> float:
+        return score_of(parts_of(good | changes))
+
+    assert score() == pytest.approx(100.0)
+    assert score(finger_direction_deg=22.5) == pytest.approx(100.0 * 2.5 / 3.0)
+    assert score(pinch_false=0.05) == pytest.approx(100.0 * 2.5 / 3.0)
+    assert score(read=0.1) == pytest.approx(score(read=0.0)) == pytest.approx(200 / 3)
+    assert score(self_penetration=0.5) == pytest.approx(100.0 * 2.5 / 3.0)
+    assert score(jerk_ratio=2.0) == score(speed_ratio=2.0) == pytest.approx(250 / 3)
+    assert score(latency_ms=-75.0) == pytest.approx(100.0 * 2.5 / 3.0)
+    # Without pinches, the two other parts count; without motion there is no lag to praise.
+    assert score(pinch_closed=np.nan, finger_direction_deg=45.0) == pytest.approx(50.0)
+    assert score(latency_ms=np.nan) == pytest.approx(200.0 / 3.0)
+    assert set("".join(HALVES)) == set(parts_of(good))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run the command on a small hand, with pictures of a few pixels."""
+    folder = tmp_path_factory.mktemp("score") / "new"
+
+    def small(columns, rows, *, side) -> np.ndarray:
+        return np.full((len(rows), 1 + len(columns), 2, 4, 4, 3), 0.5)
+
+    command = cli.Score(
+        out=folder, hands=("three_finger",), methods=("paper", "object"), seeds=(3,)
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("handmap_score.pages.pose_pictures", small)
+        command.run()
+    return folder
+
+
+def test_page_has_every_gesture_source_and_licence(written: Path) -> None:
+    results = json.loads((written / "score.json").read_text())
+    (hand,) = results["hands"].values()
+    page = (written / "score.html").read_text()
+    for source in SOURCES:
+        assert f'"poses: {source.name}":"{source.licence}, ' in page
+        for name in read_gestures(source).names:
+            assert (
+                f'"gesture":"{name}","source":"{source.name}, {source.licence}"' in page
+            )
+    assert "http" not in page.replace("https://github.com", "")
+    assert page.count("data:image/webp;base64,") == 71 * 2
+    assert results["about"]["seeds"] == "3"
+    methods = [row["method"] for row in hand["mappings"]]
+    assert {*methods} == {"paper", "object", "peers"}
+    # Peers that did not run say how to.
+    assert "make peers" in hand["mappings"][-1]["problem"]
+    assert [row["mapping"] for row in results["overview"]] == methods[:2]
+
+
+@pytest.mark.skipif(find_chromium() is None, reason="no Chromium")
+def test_pages_in_a_browser(written: Path) -> None:
+    program = find_chromium()
+    assert program
+    with Browser(program) as browser:
+        browser.open(f"file://{written}/score.html")
+        browser.wait_for("document.querySelectorAll('#gestures tr').length == 72")
+        text = browser.evaluate("document.body.innerText")
+        assert "asl z" in text
+        assert "Stewart Smith" in text
+        browser.open(f"file://{written}/votes.html")
+        browser.wait_for("document.getElementById('progress')?.textContent")
+        # Nothing says which mapping is which.
+        shown = browser.evaluate("document.body.innerText")
+        assert "paper" not in shown
+        better = [
+            0 if a > b else 1 for a, b in browser.evaluate("PAIRS.map(p => p.scores)")
+        ]
+        keys = {0: ("ArrowLeft", 37), 1: ("ArrowRight", 39)}
+        browser.evaluate(f"document.querySelectorAll('.picture')[{better[0]}].click()")
+        browser.press(*keys[better[1]])
+        browser.press(*keys[1 - better[2]])
+        browser.press("ArrowDown", 40)
+        assert "2 of 3 votes agree" in browser.evaluate("document.body.innerText")
+        # Votes outlive the page.
+        browser.open(f"file://{written}/votes.html")
+        browser.wait_for("document.getElementById('progress')?.textContent")
+        assert "4 of 6 pairs" in browser.evaluate("document.body.innerText")
+        rows = browser.evaluate("rows()")
+        assert [row["agrees"] for row in rows] == [True, True, False, ""]
+        assert browser.evaluate("csv(rows()).split('\\n').length") == 5
+        assert browser.errors == []
+
+
+def refused(command: cli.Score, argument: str) -> None:
+    with pytest.raises(InvalidInputError) as error:
+        command.run()
+    assert error.value.argument == argument
+
+
+def test_wrong_words_are_refused_before_any_work(tmp_path: Path) -> None:
+    one = cli.Score(out=tmp_path, hands=("three_finger",))
+    refused(replace(one, seeds=(1, 1)), "--seeds")
+    refused(replace(one, seeds=(-1,)), "--seeds")
+    refused(replace(one, methods=("nothing",)), "--methods")
+    refused(replace(one, hands=("three_finger", "three_finger")), "--hands")
+    (tmp_path / "file").touch()
+    refused(replace(one, out=tmp_path / "file" / "new"), "--out")
+
+
+def test_hands_that_are_not_installed_are_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def load(name: str) -> Hand:
+        raise MissingPackageError("a-hand")
+
+    monkeypatch.setattr(cli, "load_hand", load)
+    refused(cli.Score(), "--hands")
