@@ -111,12 +111,15 @@ def run_beside(send: Callable[[], object], *words: str) -> int:
                 os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=send_and_end)
+    # A shell that runs the tests in the background has Ctrl-C ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     thread.start()
     try:
         return run(*words)
     finally:
         is_over.set()
         thread.join()
+        signal.signal(signal.SIGINT, before)
 
 
 def run(*words: str) -> int:
