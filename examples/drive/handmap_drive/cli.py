@@ -74,7 +74,8 @@ class Drive:
 
     Attributes:
         session: Public name of the session.
-        driver: What motors they are: leap, servos of your own table, or of another package.
+        driver: What motors they are: leap, inspire_right, inspire_left, ability, servos of your own
+            table, or those of another package.
         port: Port of the motors.
         source: Address of the service's requests.
         motors: Table of motors, in place of the driver's own.
