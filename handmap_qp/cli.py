@@ -5,7 +5,6 @@ A user error is one line on stderr and exit code 2. Ctrl-C is exit code 130, but
 """
 
 import contextlib
-import importlib
 import inspect
 import io
 import os
@@ -42,45 +41,45 @@ class Command(Protocol):
 
 
 class _Place(NamedTuple):
-    """Module and class of a command of the package."""
-
-    module: str
-    kind: str
-
-    def load(self) -> Any:
-        """Import the class."""
-        return getattr(importlib.import_module(self.module), self.kind)
-
-    @property
-    def about(self) -> str:
-        """The first line of the class's own explanation, from the file: an import takes longer."""
-        place = self.module.removeprefix("handmap_qp.").replace(".", "/")
-        file = Path(__file__).parent / f"{place}.py"
-        _, _, text = file.read_text(encoding="utf-8").partition(f"\nclass {self.kind}")
-        return text.split('"""')[1].partition("\n")[0]
-
-
-class _Added(NamedTuple):
-    """A command of another package, by its entry point."""
+    """A command, by the module and class of its entry point."""
 
     point: EntryPoint
 
     def load(self) -> Any:
-        """Import the class; raise `HandmapError` if that is not possible."""
-        try:
-            return self.point.load()
-        except Exception as error:
-            problem = f"the command {self.point.name} of {self.point.value}"
-            raise HandmapError(f"{problem} cannot be loaded: {error}") from error
+        """Import the class."""
+        return self.point.load()
 
     @property
     def about(self) -> str:
         """The first line of the class's own explanation, or why there is none."""
+        place = self.point.module.replace(".", "/")
+        names = f"{place}.py", f"{place}/__init__.py"
+        files = (Path(folder, name) for folder in sys.path for name in names)
+        line = rf'^class {self.point.attr}\b[^:]*:\s+"""(.*?)(?:"""|$)'
+        # Read the file, because an import takes longer. A class may be defined elsewhere.
+        with contextlib.suppress(StopIteration, IndexError):
+            text = next(filter(Path.is_file, files)).read_text(encoding="utf-8")
+            return re.findall(line, text, re.MULTILINE)[0]
         try:
             return (inspect.getdoc(self.load()) or "").partition("\n")[0]
         except HandmapError as error:
             return str(error)
 
+
+class _Added(_Place):
+    """A command of another package."""
+
+    def load(self) -> Any:
+        """Import the class; raise `HandmapError` if that is not possible."""
+        try:
+            return super().load()
+        except Exception as error:
+            problem = f"the command {self.point.name} of {self.point.value}"
+            raise HandmapError(f"{problem} cannot be loaded: {error}") from error
+
+
+_GROUP = "handmap_qp.commands"
+"""Entry points of commands."""
 
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
 _MODULES = {
@@ -114,8 +113,9 @@ _MODULES = {
 }
 """Module below `handmap_qp.apps` of each command, in the order of the list of `handmap --help`."""
 COMMANDS: dict[str, Any] = {
-    name: _Place(f"handmap_qp.apps.{module}", name.title().replace(" ", ""))
+    name: _Place(EntryPoint(name, f"handmap_qp.apps.{module}:{kind}", _GROUP))
     for name, module in _MODULES.items()
+    for kind in [name.title().replace(" ", "")]
 }
 """Commands of the package by name, in that order."""
 
@@ -123,7 +123,7 @@ COMMANDS: dict[str, Any] = {
 @cache
 def all_commands() -> dict[str, Any]:
     """Return ours, then those of other packages, which takes 30 ms to look up."""
-    others = entry_points(group="handmap_qp.commands")
+    others = entry_points(group=_GROUP)
     return COMMANDS | {
         point.name: _Added(point) for point in others if point.name not in COMMANDS
     }

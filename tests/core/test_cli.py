@@ -343,6 +343,27 @@ def test_other_packages_are_looked_up_only_when_asked(
     cli.all_commands.cache_clear()
 
 
+@pytest.mark.parametrize("file", ["loud.py", "loud/__init__.py"])
+def test_commands_of_other_packages_are_listed_without_an_import(
+    file: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    other = 'class Louder:\n    """Another."""\n'
+    own = 'class Loud(\n    Louder\n):\n    """Be loud.\n\n    Very.\n    """\n'
+    (tmp_path / file).write_text(f"{other}\n\n{own}\nraise ValueError")
+    point = importlib.metadata.EntryPoint("loud", "loud:Loud", "handmap_qp.commands")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(cli, "entry_points", lambda *, group: [point])
+    cli.all_commands.cache_clear()
+    with pytest.raises(SystemExit):
+        cli.main(["--help"])
+    cli.all_commands.cache_clear()
+    assert re.search(r"^  loud +Be loud\.$", capsys.readouterr().out, re.MULTILINE)
+
+
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
@@ -470,18 +491,18 @@ def test_the_doctor_says_how_to_install_an_extra(
 def test_a_package_that_asks_for_another_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def asks(module: str) -> None:
+    def asks(_: object) -> None:
         raise ImportError("shtab is required: pip install shtab")
 
-    monkeypatch.setattr(importlib, "import_module", asks)
+    monkeypatch.setattr(cli.EntryPoint, "load", asks)
     assert cli.main(["doctor"]) == 2
     assert capsys.readouterr().err == "handmap: shtab is required: pip install shtab\n"
 
     # A module that is not there is a fault of the installation: all of it is shown.
-    def lacks(module: str) -> None:
+    def lacks(_: object) -> None:
         raise ModuleNotFoundError("No module named 'gone'", name="gone")
 
-    monkeypatch.setattr(importlib, "import_module", lacks)
+    monkeypatch.setattr(cli.EntryPoint, "load", lacks)
     with pytest.raises(ModuleNotFoundError):
         cli.main(["doctor"])
 
@@ -496,12 +517,12 @@ def test_a_missing_system_library_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def fails(module: str) -> None:
+    def fails(_: object) -> None:
         raise ImportError(
             f"{library}: cannot open shared object file: No such file or directory"
         )
 
-    monkeypatch.setattr(importlib, "import_module", fails)
+    monkeypatch.setattr(cli.EntryPoint, "load", fails)
     assert cli.main(["doctor"]) == 2
     assert (
         capsys.readouterr().err
