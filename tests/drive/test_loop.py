@@ -132,6 +132,14 @@ def test_motors_approach_slowly_from_where_they_are_and_follow_quickly_then() ->
     np.testing.assert_allclose(drive.motors.q, [0.0, -0.9])
 
 
+def test_slow_motors_approach_no_faster_than_they_can() -> None:
+    motors = Motors()
+    motors.speed = 0.2
+    drive = Drive(command(a=0.9), motors)
+    drive.go(1.0, command(a=0.9, b=0.1))
+    assert speeds(motors.written).max() == pytest.approx(0.2)
+
+
 def test_the_way_between_commands_is_even(drive: Drive) -> None:
     count = len(drive.motors.written)
     # Commands at 25 Hz, turns at 100 Hz.
@@ -223,12 +231,25 @@ def test_one_lost_answer_is_nothing_and_many_end_it(drive: Drive) -> None:
     [
         (Health(np.array([30, 61]), ()), "a: 61 degrees, more than 60"),
         (Health(np.array([30, 30]), ("b: overload",)), "b: overload"),
+        (Health(np.array([np.nan, 60.5]), ()), "a: 60.5 degrees, more than 60"),
     ],
 )
 def test_hot_and_faulty_motors_end_it(health: Health, text: str, drive: Drive) -> None:
     drive.motors.health = health
     with pytest.raises(DriverError, match=text):
         drive.go(0.02, command(a=0.2, b=0.5))
+    # Before they get any torque, too.
+    motors = Motors()
+    motors.health = health
+    with pytest.raises(DriverError, match=text):
+        Drive(command(), motors)
+    assert not motors.written
+
+
+def test_motors_that_tell_no_temperature_are_driven(drive: Drive) -> None:
+    drive.motors.health = Health(np.full(2, np.nan), ())
+    drive.go(0.1, command(a=0.2, b=0.5))
+    assert drive.motors.has_torque
 
 
 def test_goals_stay_in_the_range_of_the_motors(
@@ -258,6 +279,12 @@ def test_motors_that_are_where_the_hand_cannot_be_are_refused() -> None:
 def test_a_session_that_moves_another_robot_ends_it(drive: Drive) -> None:
     with pytest.raises(InvalidInputError, match=r"SESSION: expected the robot that"):
         drive.go(0.01, command(joint_names=("a", "c", "arm")))
+
+
+def test_a_command_that_is_not_a_number_ends_it(drive: Drive) -> None:
+    with pytest.raises(InvalidInputError, match=r"SESSION: expected joint angles"):
+        drive.go(0.01, command(a=np.nan))
+    assert np.isfinite(drive.motors.q).all()
 
 
 def test_the_summary_is_of_what_was_driven(drive: Drive) -> None:

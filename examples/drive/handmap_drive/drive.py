@@ -45,7 +45,7 @@ class Loop:
         hottest: Largest temperature of a motor [degrees Celsius].
 
     Raises:
-        DriverError: If the motors do not answer.
+        DriverError: If the motors do not answer, are too hot or report a fault.
         InvalidInputError: If a joint is where it cannot be.
     """
 
@@ -53,7 +53,8 @@ class Loop:
         self, driver: Driver, command: Command, effort: float, hottest: float
     ) -> None:
         self._driver, self._effort, self._hottest = driver, effort, hottest
-        self._q, *_ = insisting(driver.read)
+        self._q, _, health = insisting(driver.read)
+        health.check(driver.joint_names, hottest)
         self._from = self._goal = self._written = self._q
         beyond = np.abs(self._q - np.clip(self._q, *driver.range))
         i = beyond.argmax()
@@ -107,12 +108,15 @@ class Loop:
         """Take a command, at a time [s, monotonic].
 
         Raises:
-            InvalidInputError: If the session has another robot now.
+            InvalidInputError: If the session has another robot now, or a joint is not a number.
         """
         angles = dict(zip(command.joint_names, command.q, strict=True))
         names = self._driver.joint_names
         expect(angles.keys() >= {*names}, "SESSION", "the robot that it had at first")
         asked = np.array([angles[name] for name in names])
+        expect(
+            np.isfinite(asked).all(), "SESSION", "joint angles", value=asked.tolist()
+        )
         self._from = self._path(now)
         self._goal = np.clip(asked, *self._driver.range)
         beyond = np.abs(asked - self._goal)
@@ -164,7 +168,9 @@ class Loop:
         share = 1.0 if now - self._heard < patience else HOLDING
         away = self._path(now) - self._written
         self._is_near = self._is_near | (np.abs(away) < NEAR)
-        step = dt * np.where(self._is_near, self._driver.speed, APPROACH)
+        fastest = self._driver.speed
+        speed = np.where(self._is_near, fastest, min(APPROACH, fastest))
+        step = dt * speed
         self._written = self._written + np.clip(away, -step, step)
         self._driver.write(self._written, share * self._effort)
 

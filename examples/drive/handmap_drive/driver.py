@@ -47,10 +47,10 @@ class Health(NamedTuple):
         """
         if self.faults:
             raise DriverError(", ".join(self.faults))
-        i = self.temperature.argmax()
-        if self.temperature[i] > hottest:
-            hot = f"{self.temperature[i]} degrees, more than {hottest:g}"
-            raise DriverError(f"{joint_names[i]}: {hot}")
+        for name, degrees in zip(joint_names, self.temperature, strict=True):
+            # NaN is not more than anything.
+            if degrees > hottest:
+                raise DriverError(f"{name}: {degrees:g} degrees, more than {hottest:g}")
 
 
 class Driver(Protocol):
