@@ -168,6 +168,12 @@ def test_the_session_hears_where_the_joints_are(chain: Chain) -> None:
 
         # The motors follow: after the approach the error is that of their lag.
         wait_until(lambda: (now := error()) is not None and now < 0.3)
+    # Ctrl-Z does not freeze it with a goal on its way.
+    assert chain.process is not None
+    chain.process.send_signal(signal.SIGTSTP)
+    code, _, _ = chain.end()
+    assert code == 0
+    assert not chain.has_torque
 
 
 def test_motors_move_only_while_the_space_bar_is_held(chain: Chain) -> None:
@@ -231,6 +237,8 @@ def test_motors_of_a_command_that_is_killed_stop_themselves(chain: Chain) -> Non
         ),
         (["--from", "127.0.0.1:1"], "--from: no service answers"),
         (["--port", "/dev/none", "--no-deadman"], "--port: "),
+        (["--temperature", "nan"], "--temperature: expected more than 0, got nan"),
+        (["--effort", "nan", "--no-deadman"], "--effort: expected a share, 0 to 1"),
         ([], "--no-deadman: expected a terminal whose space bar"),
         (["--from", "HERE", "other"], "SESSION: "),
     ],

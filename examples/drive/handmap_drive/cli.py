@@ -24,10 +24,20 @@ from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import did_you_mean, expect, warn
 from . import DRIVERS
 from .drive import HOTTEST, Loop
+from .driver import DriverError
 from .tuning import Compensated, read_tuning
 
 _HELD = 0.25
 """Time since the last key but one in which a key counts as held [s]: terminals repeat it sooner."""
+
+_ENDING = (
+    signal.SIGINT,
+    signal.SIGTERM,
+    signal.SIGHUP,
+    signal.SIGQUIT,
+    signal.SIGTSTP,
+)
+"""Signals that end a drive. Ctrl-Z, too: it would leave motors alone with their last goal."""
 
 
 @contextmanager
@@ -75,7 +85,7 @@ class Drive:
     Attributes:
         session: Public name of the session.
         driver: What motors they are: leap, inspire_right, inspire_left, ability, servos of your own
-            table, or those of another package.
+            table, simulated, or a driver of another package.
         port: Port of the motors.
         source: Address of the service's requests.
         motors: Table of motors, in place of the driver's own.
@@ -110,6 +120,8 @@ class Drive:
             value=self.driver,
             advice=did_you_mean(self.driver, DRIVERS),
         )
+        is_limit = self.temperature > 0.0
+        expect(is_limit, "--temperature", "more than 0", value=self.temperature)
         with connected("--from", self.source, self.keys, refused="SESSION") as client:
             client.watch(self.session)
         key = held_key() if self.deadman else nullcontext(lambda: True)
@@ -119,20 +131,20 @@ class Drive:
             driver = DRIVERS[self.driver](self.port, command.joint_names, self.motors)
             if self.tuning:
                 driver = Compensated(driver, read_tuning(self.tuning))
-            driver.connect()
             effort = driver.effort if self.effort is None else self.effort
             expect(0.0 < effort <= 1.0, "--effort", "a share, 0 to 1", value=effort)
+            driver.connect()
             loop = Loop(driver, command, effort, self.temperature)
             over = Event()
             # Not in the middle of a message, as an exception would end it.
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            for number in _ENDING:
                 signal.signal(number, lambda *_: over.set())
             try:
                 loop.run(client, is_held, over)
             finally:
                 # A message may be lost, or the port be gone.
                 for _ in range(3):
-                    with suppress(OSError):
+                    with suppress(OSError, DriverError):
                         driver.stop()
                 rows = loop.summary()
                 print_result(rows, {self.driver: rows}, as_json=self.json)
