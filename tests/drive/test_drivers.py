@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
@@ -102,7 +103,8 @@ def table(folder: Path, kind: str, **changes: object) -> Path:
             )
         ],
     }
-    file.write_text(json.dumps(fields | changes))
+    # JSON is YAML but for this.
+    file.write_text(json.dumps(fields | changes).replace("NaN", ".nan"))
     return file
 
 
@@ -342,6 +344,31 @@ def test_motors_that_do_not_answer_and_a_missing_port_are_named(
             follow(motors, np.array([0.3, 0.15]), 0.2)
 
 
+def test_an_answer_to_another_message_is_none(tmp_path: Path) -> None:
+    with two(tmp_path, "inspire") as (_, motors):
+        late = Mock(registers=[], isError=lambda: False)
+        with (
+            patch.object(motors._client, "read_holding_registers", return_value=late),
+            pytest.raises(DriverError, match="answer to another message"),
+        ):
+            motors.read()
+        seen(motors)
+    with two(tmp_path, "dynamixel") as (_, motors):
+        seen(motors)
+        # Of a write: it has no data.
+        with (
+            patch.object(motors._packets, "readRx", return_value=([], 0, 0)),
+            pytest.raises(DriverError, match="motor 0: Incorrect status packet"),
+        ):
+            motors.read()
+        # Where nothing is sent, what was read before is not the present.
+        with (
+            patch.object(motors._packets, "syncReadTx", return_value=-1000),
+            pytest.raises(DriverError, match="motor 0: Port is in use"),
+        ):
+            motors.read()
+
+
 @pytest.mark.parametrize("kind", ["dynamixel", "ability"])
 def test_the_watchdog_of_the_motors_stops_them_and_is_armed_again(
     kind: str, tmp_path: Path
@@ -364,6 +391,20 @@ def test_the_watchdog_of_the_motors_stops_them_and_is_armed_again(
         np.testing.assert_allclose(seen(motors)[0], [0.4, 0.1], atol=2.0 * UNIT)
 
 
+WRONG_MOTORS: list[Any] = [
+    ("at one joint of the session, a, b, got c", {"joint": ["c"], "id": 0}),
+    # Two joints of the first motor are not those of two motors.
+    ("got a/b, c", {"joint": ["a", "b"], "id": 0}, {"joint": ["c"], "id": 1}),
+    ("got 0, 0", {"joint": ["a"], "id": 0}, {"joint": ["b"], "id": 0}),
+    ("length >= 1", {"joint": [], "id": 0}),
+    ("Expected `float` >= -", {"joint": ["a"], "id": 0, "range": [-1, np.nan]}),
+    ("range: expected the least", {"joint": ["a"], "id": 0, "range": [1, -1]}),
+    ("ratio: expected not 0", {"joint": ["a"], "id": 0, "ratio": 0}),
+    # Negative places of these servos have another form.
+    ("lead to 0 to 4095, got -652 to 652", {"joint": ["a"], "id": 0, "zero": 0}),
+]
+
+
 @pytest.mark.parametrize(
     ("kind", "changes", "text"),
     [
@@ -375,12 +416,24 @@ def test_the_watchdog_of_the_motors_stops_them_and_is_armed_again(
         (
             "inspire",
             {"motors": [{"joint": ["a"], "id": 6, "zero": 0, "range": [-1, 1]}]},
-            "expected each id in 0 to 5, got 6",
+            "expected each id once, in 0 to 5, got 6",
         ),
+        *[
+            (
+                "feetech",
+                {"motors": [{"zero": np.pi, "range": [-1, 1]} | m for m in motors]},
+                text,
+            )
+            for text, *motors in WRONG_MOTORS
+        ],
+        ("dynamixel", {"rate": 0}, r"Expected `float` > 0.0 - at `\$\.rate`"),
+        ("dynamixel", {"speed": -8.0}, r"Expected `float` > 0.0 - at `\$\.speed`"),
+        ("dynamixel", {"effort": 1.5}, r"Expected `float` <= 1.0 - at `\$\.effort`"),
+        ("dynamixel", {"full": 0}, r"Expected `int` >= 1 - at `\$\.full`"),
         (
             "dynamixel",
-            {"motors": [{"joint": ["c"], "id": 0, "zero": 0, "range": [-1, 1]}]},
-            "expected joints of the session, a, b, got c",
+            {"setup": [[84, 2, 65536]]},
+            "setup: expected a value of 2 bytes",
         ),
     ],
 )
@@ -411,6 +464,25 @@ def test_a_wrong_port_of_a_hand_is_refused(
     motors = Inspire("", port, ("a", "b"), table(tmp_path, "inspire"))
     with pytest.raises((InvalidInputError, OSError), match=text):
         motors.connect()
+
+
+@pytest.mark.parametrize("kind", MOTORS)
+def test_a_port_has_one_driver(kind: str, tmp_path: Path) -> None:
+    with two(tmp_path, kind) as (emulator, motors):
+        second = KINDS[kind].driver(
+            "", emulator.port, ("a", "b"), table(tmp_path, kind)
+        )
+        with pytest.raises(OSError, match=r"lock|cannot be opened"):
+            second.connect()
+        seen(motors)
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "feetech"])
+def test_a_baud_that_servos_do_not_have_is_refused(kind: str, tmp_path: Path) -> None:
+    file = table(tmp_path, kind, baud=123)
+    servos = Servos("", "/dev/null", ("a", "b"), file)
+    with pytest.raises(InvalidInputError, match=r"--motors: expected a baud of .*-sdk"):
+        servos.connect()
 
 
 @pytest.mark.parametrize("prefix", ["", "name"])

@@ -10,7 +10,7 @@ import termios
 from contextlib import suppress
 from functools import partial
 from time import monotonic
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -37,6 +37,8 @@ NONE = (0,) * 6
 FLAG, ESCAPE = b"\x7e", b"\x7d"
 _WRITING, _READING = 1.0, 0.05
 """Longest waits of one call of the port [s]."""
+FAULTS = {0: "too hot, or a collision"}
+"""Bits of what a motor reports."""
 _YIELDING = 0.1
 """Time in which a motor comes back to its share of the current [s]."""
 _PIECES = 8
@@ -65,7 +67,7 @@ class Ability(TableDriver):
     more than its share gets goals that are nearer and nearer to where it is, within some 0.1 s.
     """
 
-    buses = ("ability",)
+    buses: ClassVar = {"ability": SCALE}
     numbers = range(6)
 
     def connect(self) -> None:
@@ -76,8 +78,10 @@ class Ability(TableDriver):
             self._table.baud,
             timeout=_READING,
             write_timeout=_WRITING,
+            exclusive=True,
         )
-        self._share, self._written = np.ones(len(self._ids)), monotonic()
+        self._share = np.ones(len(self._ids))
+        self._written = monotonic()
         self._effort = np.zeros(len(self._ids))
         state = insisting(partial(self._ask, TORQUE, NONE))
         self._places = state["motor"]["position"]
@@ -86,20 +90,16 @@ class Ability(TableDriver):
         """See `Driver`; the hand does not tell temperatures."""
         state = self._ask(READ)
         self._places = state["motor"]["position"]
-        current = state["motor"]["current"][self._ids]
-        self._effort = np.sign(self._ratio) * current / self._table.full
-        faults = tuple(
-            f"{name}: too hot, or a collision"
-            for name, i in zip(self.joint_names, self._ids, strict=True)
-            if state["hot"] >> i & 1
-        )
+        current = state["motor"]["current"]
+        self._effort = self._torques(current[self._ids])
+        faults = self._faults(state["hot"] >> np.array(self._ids), FAULTS)
         unknown = np.full(len(self._ids), np.nan)
         return self._q, self._effort, Health(unknown, faults)
 
     @property
     def _q(self) -> np.ndarray:
         """Where the joints were [rad]."""
-        return (SCALE * self._places[self._ids] - self._zero) / self._ratio
+        return self._angles(self._places[self._ids])
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
@@ -107,12 +107,13 @@ class Ability(TableDriver):
         dt = min(now - self._written, _YIELDING)
         self._written = now
         # Slower than the hand tells its currents; at most twice as much in this time.
-        change = np.minimum(effort / np.maximum(np.abs(self._effort), 1e-6), 2.0)
-        self._share = np.minimum(self._share * change ** (dt / _YIELDING), 1.0)
-        goal = self._q + self._share * (q - self._q)
+        pressed = np.maximum(np.abs(self._effort), 1e-6)
+        change = np.minimum(effort / pressed, 2.0) ** (dt / _YIELDING)
+        self._share = np.minimum(self._share * change, 1.0)
+        here = self._q
+        goal = self._goals(here + self._share * (q - here))
         values = self._places.copy()
-        places = np.rint((self._zero + self._ratio * goal) / SCALE)
-        values[self._ids] = np.clip(places, -_FARTHEST, _FARTHEST)
+        values[self._ids] = np.clip(goal, -_FARTHEST, _FARTHEST)
         # What the motors do, `read` tells.
         with suppress(DriverError):
             self._ask(POSITION, values)

@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from functools import partial
 from itertools import cycle
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -26,7 +26,9 @@ OPEN = 1000
 """Angle of an open finger, and the largest force and speed; a closed finger is at 0."""
 HOLD = 0xFFFF
 """In place of an angle: the motor stays where it is."""
-FAULTS = ("locked rotor", "overheating", "overcurrent", "motor", "communication")
+FAULTS = dict(
+    enumerate(("locked rotor", "overheating", "overcurrent", "motor", "communication"))
+)
 """Bits of `ERROR`."""
 _PATIENCE = 0.05
 """Longest wait for an answer [s]."""
@@ -44,7 +46,7 @@ class Inspire(TableDriver):
     The port is that of a serial adapter, or HOST:PORT for Modbus TCP.
     """
 
-    buses = ("inspire",)
+    buses: ClassVar = {"inspire": 1.0}
     numbers = range(6)
 
     def connect(self) -> None:
@@ -57,7 +59,8 @@ class Inspire(TableDriver):
         more: dict[str, Any] = {"timeout": _PATIENCE, "retries": 0}
         # Names of serial ports may have colons, too.
         if host and "/" not in host:
-            expect(number.isdigit(), "--port", "HOST:PORT", value=self._port_name)
+            is_right = number.isdecimal() and int(number) < 65536
+            expect(is_right, "--port", "HOST:PORT", value=self._port_name)
             self._client = modbus.ModbusTcpClient(host, port=int(number), **more)
         else:
             baud = self._table.baud
@@ -79,23 +82,14 @@ class Inspire(TableDriver):
         at = next(self._next)
         self._seen[at] = self._get(at, _OTHERS[at])
         force, error, temperature = self._seen.values()
-        faults = tuple(
-            f"{name}: {text}"
-            for name, bits in zip(self.joint_names, error, strict=True)
-            for bit, text in enumerate(FAULTS)
-            if bits >> bit & 1
-        )
+        health = Health(temperature, self._faults(error, FAULTS))
         # A force is positive where a finger closes, and its angle becomes less.
-        return (
-            (angle - self._zero) / self._ratio,
-            -np.sign(self._ratio) * force / self._table.full,
-            Health(temperature, faults),
-        )
+        return self._angles(angle), -self._torques(force), health
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
         force = round(effort * self._table.full)
-        goal = np.clip(np.rint(self._zero + self._ratio * q), 0, OPEN)
+        goal = np.clip(self._goals(q), 0, OPEN)
         # Without an answer, the hand does not get the angles. What it refuses is an error.
         with suppress(_NoAnswerError):
             if force != self._force:
@@ -114,6 +108,9 @@ class Inspire(TableDriver):
         """Read a field of the table's motors."""
         count = len(self.numbers) * np.dtype(kind).itemsize // 2
         words = self._ask("read_holding_registers", at, count=count).registers
+        if len(words) != count:
+            self._is_late = True
+            raise _NoAnswerError(f"register {at}: the answer to another message")
         # Of two bytes in a word, the first is the lower one.
         return np.array(words, "<u2").view(kind)[self._ids]
 

@@ -1,5 +1,6 @@
 """Tables of motors: YAML files that say which motor belongs to which joint."""
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -10,6 +11,10 @@ from msgspec import Meta, Struct
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import InvalidInputError, expect, reason_of
 from handmap_qp.hands import Names
+from handmap_qp.options import LARGEST, Positive, number
+
+_Finite = Annotated[float, number(-LARGEST)]
+_Count = Annotated[int, Meta(ge=1)]
 
 
 class Motor(Struct, frozen=True, forbid_unknown_fields=True):
@@ -23,11 +28,16 @@ class Motor(Struct, frozen=True, forbid_unknown_fields=True):
         ratio: How far it moves per rad of the joint; negative if it turns the other way.
     """
 
-    joint: Names
+    joint: Annotated[Names, Meta(min_length=1)]
     id: int
-    range: tuple[float, float]
-    zero: float
-    ratio: float = 1.0
+    range: tuple[_Finite, _Finite]
+    zero: _Finite
+    ratio: _Finite = 1.0
+
+    def __post_init__(self) -> None:
+        low, high = self.range
+        expect(low <= high, "range", "the least angle first", value=self.range)
+        expect(self.ratio, "ratio", "not 0", value=self.ratio)
 
 
 class Motors(Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,15 +55,20 @@ class Motors(Struct, frozen=True, forbid_unknown_fields=True):
         setup: Further registers of servos to write at the start: address, bytes, value.
     """
 
-    baud: int
-    rate: float
-    speed: float
-    effort: float
-    full: int
+    baud: _Count
+    rate: Positive
+    speed: Positive
+    effort: Annotated[float, number(high=1.0, above=True)]
+    full: _Count
     motors: Annotated[tuple[Motor, ...], Meta(min_length=1)]
     bus: Literal["dynamixel", "feetech", "inspire", "ability"] = "dynamixel"
-    address: int = 1
-    setup: tuple[tuple[int, int, int], ...] = ()
+    address: Annotated[int, Meta(ge=0, le=255)] = 1
+    setup: tuple[tuple[int, Literal[1, 2, 4], int], ...] = ()
+
+    def __post_init__(self) -> None:
+        for _, size, value in self.setup:
+            is_right = 0 <= value < 256**size
+            expect(is_right, "setup", f"a value of {size} bytes", value=value)
 
 
 def read_motors(file: Path) -> Motors:
@@ -83,9 +98,10 @@ class TableDriver:
         InvalidInputError: If the table cannot be used, or has joints that the session does not.
     """
 
-    buses: ClassVar[Names]
+    buses: ClassVar[Mapping[str, float]]
+    """What `bus` may be in the table, and what one step of its motors is in units of `zero`."""
     numbers: ClassVar[range]
-    """What `bus` and the `id` of a motor may be in the table."""
+    """What the `id` of a motor may be in the table."""
 
     def __init__(
         self, own: str, port: str, joints: Names, file: Path | None = None
@@ -99,20 +115,42 @@ class TableDriver:
         expect(table.bus in self.buses, "--motors", f"bus: {kinds}", value=table.bus)
         self._ids = [motor.id for motor in motors]
         expect(
-            {*self._ids} <= {*self.numbers},
+            {*self._ids} <= {*self.numbers} and len({*self._ids}) == len(motors),
             "--motors",
-            f"each id in {self.numbers[0]} to {self.numbers[-1]}",
+            f"each id once, in {self.numbers[0]} to {self.numbers[-1]}",
             got=", ".join(map(str, self._ids)),
         )
         self.rate, self.speed, self.effort = table.rate, table.speed, table.effort
-        self.joint_names = tuple(n for m in motors for n in m.joint if n in joints)
+        names = [[n for n in motor.joint if n in joints] for motor in motors]
         expect(
-            len(self.joint_names) == len(motors),
+            all(len(own) == 1 for own in names),
             "--motors",
-            f"joints of the session, {', '.join(joints)}",
-            got=", ".join(motor.joint[0] for motor in motors),
+            f"each motor at one joint of the session, {', '.join(joints)}",
+            got=", ".join("/".join(motor.joint) for motor in motors),
         )
+        self.joint_names = tuple(name for (name,) in names)
         self.range = np.array([motor.range for motor in motors]).T
         places = np.array([(motor.zero, motor.ratio) for motor in motors])
-        self._zero, self._ratio = places.T
+        self._zero, self._ratio = places.T / self.buses[table.bus]
         self._port_name = port
+
+    def _angles(self, places: np.ndarray) -> np.ndarray:
+        """Return the angles of joints [rad] whose motors are at places [steps]."""
+        return (places - self._zero) / self._ratio
+
+    def _goals(self, q: np.ndarray) -> np.ndarray:
+        """Return the places of motors [whole steps] whose joints are at angles [rad]."""
+        return np.rint(self._zero + self._ratio * q)
+
+    def _torques(self, values: np.ndarray) -> np.ndarray:
+        """Return the torques of joints, shares of the largest, by what motors tell."""
+        return np.sign(self._ratio) * values / self._table.full
+
+    def _faults(self, states: Iterable[int], texts: Mapping[int, str]) -> Names:
+        """Return what motors report: each bit that is set in their states, as its text."""
+        return tuple(
+            f"{name}: {text}"
+            for name, state in zip(self.joint_names, states, strict=True)
+            for bit, text in texts.items()
+            if state >> bit & 1
+        )

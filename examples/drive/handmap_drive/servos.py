@@ -6,20 +6,21 @@ Both packages have the same classes. The registers are in `servos.yaml`.
 import importlib
 import termios
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
 
+from handmap_qp.errors import expect
 from handmap_qp.hands import Names
-from .driver import DriverError, Health
+from .driver import DriverError, Health, insisting
 from .motors import TableDriver
 
 _WRITING, _READING = 1.0, 0.01
 """Longest waits of one call of the port [s]; a missing answer counts after some 40 ms."""
-_ATTEMPTS = 3
 _ALERT = 128
 """Bit in an answer of a motor with a fault, which `read` tells."""
 
@@ -27,7 +28,7 @@ _ALERT = 128
 class Servos(TableDriver):
     """The servos of a table; arguments and attributes as of `TableDriver`."""
 
-    buses = ("dynamixel", "feetech")
+    buses: ClassVar = dict.fromkeys(("dynamixel", "feetech"), 2.0 * np.pi / 4096)
     numbers = range(253)
 
     def __init__(
@@ -35,96 +36,112 @@ class Servos(TableDriver):
     ) -> None:
         super().__init__(own, port, joints, file)
         families = msgspec.yaml.decode(Path(__file__).with_suffix(".yaml").read_bytes())
-        self._own = family = SimpleNamespace(**families[self._table.bus])
+        self._family = family = SimpleNamespace(**families[self._table.bus])
         self._fields = np.dtype(family.fields)
-        self._zero, self._ratio = (
-            value * family.turn / (2.0 * np.pi) for value in (self._zero, self._ratio)
+        low, high = family.places
+        ends = self._goals(self.range)
+        expect(
+            ((ends >= low) & (ends <= high)).all(),
+            "--motors",
+            f"zero, ratio and range that lead to {low} to {high}",
+            got=f"{ends.min():.0f} to {ends.max():.0f}",
         )
         self._has_torque, self._limit = False, np.array(-1)
 
     def connect(self) -> None:
         """See `Driver`."""
-        own = self._own
-        self._sdk = sdk = importlib.import_module(own.module)
+        self._open()
+        family = self._family
+        size = self._fields.itemsize
+        self._state = self._sdk.GroupSyncRead(
+            self._port, self._packets, family.state, size
+        )
+        registers = [(*family.torque, 0), *family.setup, *self._table.setup]
+        for motor in self._ids:
+            self._state.addParam(motor)
+            for register in registers:
+                insisting(partial(self._set, motor, *register))
+
+    def _open(self) -> None:
+        """Open the port, for this process alone."""
+        family, baud = self._family, self._table.baud
+        self._sdk = sdk = importlib.import_module(family.module)
+        self._packets = sdk.PacketHandler(family.protocol)
         self._port = port = sdk.PortHandler(self._port_name)
-        self._packets = packets = sdk.PacketHandler(own.protocol)
-        port.setBaudRate(self._table.baud)
-        port.ser.write_timeout, port.ser.timeout = _WRITING, _READING
+        is_known = port.setBaudRate(baud)
+        expect(is_known, "--motors", f"a baud of {family.package}", value=baud)
+        serial = port.ser
+        serial.exclusive = True
+        serial.write_timeout, serial.timeout = _WRITING, _READING
 
         def clear() -> None:
             # Of a port that is gone, this is no OSError; the next call raises one.
             with suppress(termios.error):
-                port.ser.reset_input_buffer()
+                serial.reset_input_buffer()
 
         port.clearPort = clear
-        size = self._fields.itemsize
-        self._state = sdk.GroupSyncRead(port, packets, own.state, size)
-        for motor in self._ids:
-            self._state.addParam(motor)
-            for at, size, value in ((*own.torque, 0), *own.setup, *self._table.setup):
-                data = value.to_bytes(size, "little")
-                for _ in range(_ATTEMPTS):
-                    result, error = packets.writeTxRx(port, motor, at, size, data)
-                    if not result:
-                        break
-                self._check(motor, result, error)
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`."""
-        own = self._own
-        result = self._state.txRxPacket()
+        family = self._family
         blocks = self._state.data_dict
+        # After a motor that does not answer, the others are not read: no block of before may stay.
+        blocks.update(dict.fromkeys(blocks, b""))
+        result = self._state.txRxPacket()
         for motor, block in blocks.items():
-            # After a motor that does not answer, the others are not read.
-            self._check(motor, 0 if len(block) == self._fields.itemsize else result)
+            is_whole = len(block) == self._fields.itemsize
+            # An answer to another message is shorter, and no error of the package.
+            self._check(motor, 0 if is_whole else result or self._sdk.COMM_RX_CORRUPT)
         state = np.rec.array(b"".join(map(bytes, blocks.values())), self._fields)
-        self._has_torque = (state.torque & (state.watchdog >= own.alive)).all()
+        self._has_torque = (state.torque & (state.watchdog >= family.alive)).all()
         self._limit = state.limit
-        faults = tuple(
-            f"{name}: {text}"
-            for name, bits in zip(self.joint_names, state.fault, strict=True)
-            for bit, text in own.faults.items()
-            if bits >> bit & 1
-        )
         effort = state.effort.astype(int)
-        effort = np.where(effort & own.sign, own.sign - effort, effort)
+        effort = np.where(effort & family.sign, family.sign - effort, effort)
+        faults = self._faults(state.fault, family.faults)
         return (
-            (state.position - self._zero) / self._ratio,
-            np.sign(self._ratio) * effort / self._table.full,
+            self._angles(state.position),
+            self._torques(effort),
             Health(state.temperature, faults),
         )
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
-        own = self._own
+        family = self._family
         limit = round(effort * self._table.full)
-        goal = self._zero + self._ratio * q
-        orders = [(own.limit, limit), (own.goal, goal)]
+        orders = [(family.limit, limit), (family.goal, self._goals(q))]
         if not self._has_torque:
             # Not before the limit is known to have arrived.
             torque = (self._limit == limit).all()
-            orders = [*own.arm, *orders, (own.torque, torque)]
+            orders = [*family.arm, *orders, (family.torque, torque)]
         for register, values in orders:
             self._put(register, values)
 
     def stop(self) -> None:
         """See `Driver`."""
         self._has_torque = False
-        self._put(self._own.torque, 0)
+        self._put(self._family.torque, 0)
 
     def _put(self, register: tuple[int, int], values: Any) -> None:
         """Write a register of all motors in one message, which they do not answer."""
         # After an error of the port, it would stay in use for ever.
         self._port.is_using = False
         group = self._sdk.GroupSyncWrite(self._port, self._packets, *register)
-        for motor, value in np.broadcast(self._ids, np.rint(values)):
+        for motor, value in np.broadcast(self._ids, values):
             data = int(value).to_bytes(register[1], "little", signed=value < 0)
             group.addParam(motor, data)
         group.txPacket()
+
+    def _set(self, motor: int, at: int, size: int, value: int) -> None:
+        """Write a register of one motor, which answers."""
+        data = value.to_bytes(size, "little")
+        result, error = self._packets.writeTxRx(self._port, motor, at, size, data)
+        self._check(motor, result, error)
 
     def _check(self, motor: int, result: int, error: int = 0) -> None:
         """Raise `DriverError` for a result of the package, or an error in an answer."""
         if result or error & ~_ALERT:
             said = self._packets
             why = said.getTxRxResult(result) if result else said.getRxPacketError(error)
-            raise DriverError(f"motor {motor}: {why}")
+            # It begins with its kind, in brackets.
+            _, _, reason = why.rpartition("] ")
+            raise DriverError(f"motor {motor}: {reason}")
