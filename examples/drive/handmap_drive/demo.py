@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -185,15 +186,22 @@ class Chain:
         self._random = np.random.default_rng(0)
 
     def __enter__(self) -> Chain:
-        self.folder = tempfile.TemporaryDirectory()
-        self.log = Path(self.folder.name) / "log.npz"
+        with ExitStack() as closing:
+            self._start(closing)
+            self._closing = closing.pop_all()
+        return self
+
+    def _start(self, closing: ExitStack) -> None:
+        """Start everything; what has started is closed if the rest cannot."""
+        start = closing.enter_context
+        self.log = Path(start(tempfile.TemporaryDirectory())) / "log.npz"
+        self.motors = start(Emulator(self._kind, "--log", str(self.log)))
+        self.motors.order(**self._orders)
         ports = ("--port", "0", "--stream-port", "0", "--health-port", "-1")
         extra = ("--hand", *self._file) if self._file else ()
-        self.service = Process("serve", *ports, "--log-level", "error", *extra)
+        self.service = start(Process("serve", *ports, "--log-level", "error", *extra))
         server = f"127.0.0.1:{self.service.line()['ports']['requests']}"
-        self.motors = Emulator(self._kind, "--log", str(self.log))
-        self.motors.order(**self._orders)
-        self.client = Client(f"tcp://{server}", timeout=10.0)
+        self.client = start(Client(f"tcp://{server}", timeout=10.0))
         self.client.open(
             self.robot.name,
             name="demo",
@@ -203,19 +211,17 @@ class Chain:
             **measure_person(self.recording).session_fields(),
         )
         table = ("--motors", str(self._table)) if self._table else ()
-        self.drive = Process(
-            *("drive", "demo", "--driver", self._driver, "--port", self.motors.port),
-            *table,
-            *("--from", server, "--no-deadman", "--json"),
+        self.drive = start(
+            Process(
+                *("drive", "demo", "--driver", self._driver),
+                *("--port", self.motors.port),
+                *table,
+                *("--from", server, "--no-deadman", "--json"),
+            )
         )
-        return self
 
     def __exit__(self, *_: object) -> None:
-        self.client.close()
-        for process in (self.drive, self.service):
-            process.__exit__()
-        self.motors.__exit__()
-        self.folder.cleanup()
+        self._closing.close()
 
     def approach(self) -> None:
         """Send a hand that holds still, until the motors have torque and are there."""
