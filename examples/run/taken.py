@@ -12,7 +12,11 @@ from __future__ import annotations
 import ast
 import shutil
 import sys
+from collections.abc import Iterator
+from importlib.util import resolve_name
 from pathlib import Path
+from symtable import symtable
+from typing import NoReturn
 
 NAME = "handmap_run"
 ROOT = Path(__file__).parents[2] / "handmap_qp"
@@ -51,6 +55,21 @@ CONSTANTS = {
 BESIDE = ("command.py", "saving.py")
 # Names of a package that are in a file of `run`.
 ELSEWHERE = {"ik": {"PointIk": "saved"}}
+PACKAGES = ("human", "ik", "mapping", "stream", "trackers")
+# All that may be imported besides.
+PRESENT = {*sys.stdlib_module_names, "msgspec", "numpy", "zmq"}
+
+
+def stop(problem: str) -> NoReturn:
+    """End the build with one line."""
+    raise SystemExit(f"taken.py: {problem}")
+
+
+def read(file: Path) -> str:
+    """Return the text of a file of the tree."""
+    if not file.is_file():
+        stop(f"the tree has no {file} any more; change the names in taken.py")
+    return file.read_text(encoding="utf-8")
 
 
 def changed(text: str) -> str:
@@ -60,52 +79,99 @@ def changed(text: str) -> str:
     return text
 
 
-def package_text(folder: Path) -> str:
-    """Return the `__init__.py` of a package whose names are those of its `__init__.pyi`."""
-    stub = ast.parse((folder / "__init__.pyi").read_text(encoding="utf-8"))
+def homes_in(package: str) -> dict[str, str]:
+    """Return the module of each name of a package, by its `__init__.pyi`."""
+    stub = ast.parse(read(ROOT / package / "__init__.pyi"))
     homes = {
         alias.name: node.module or alias.name
         for node in stub.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    homes |= ELSEWHERE.get(folder.name, {})
-    return f"from {NAME}.lazy import named\n\n__getattr__ = named(__name__, {homes})\n"
+    return homes | ELSEWHERE.get(package, {})
 
 
 def constants_text() -> str:
     """Return the lines of the tree that give `CONSTANTS` their values."""
     lines = []
     for name, wanted in CONSTANTS.items():
-        text = (ROOT / f"{name}.py").read_text(encoding="utf-8")
-        for node in ast.parse(text).body:
+        missing = {*wanted}
+        for node in ast.parse(read(ROOT / f"{name}.py")).body:
             if isinstance(node, ast.Assign):
                 given = {ast.unparse(target) for target in node.targets}
             elif isinstance(node, ast.AnnAssign):
                 given = {ast.unparse(node.target)}
-                node.annotation = ast.Name("dict")
             else:
                 continue
-            if given & {*wanted}:
+            if given & missing:
+                missing -= given
                 lines.append(f"{ast.unparse(node)}\n")
+        if missing:
+            stop(f"{name}.py has no {', '.join(sorted(missing))}; change CONSTANTS")
     return "".join(lines)
+
+
+def imports_of(tree: ast.AST, package: str) -> Iterator[tuple[str, str]]:
+    """Yield each import that runs, not only for checks of types: module and name, or ""."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            module = resolve_name("." * node.level + (node.module or ""), package)
+            yield from ((module, alias.name) for alias in node.names)
+        elif not isinstance(node, ast.If) or ast.unparse(node.test) != "TYPE_CHECKING":
+            yield from imports_of(node, package)
+
+
+def check_imports(written: dict[str, str], homes: dict[str, dict[str, str]]) -> None:
+    """Stop if a file imports what a robot's computer does not have.
+
+    Args:
+        written: Text of each file.
+        homes: Modules of the names of each package.
+    """
+    names = {f"{NAME}.{package}": {""} for package in homes}
+    for file, text in written.items():
+        module = f"{NAME}/{file}".removesuffix(".py").removesuffix("/__init__")
+        symbols = symtable(text, file, "exec").get_symbols()
+        names[module.replace("/", ".")] = {""} | {
+            each.get_name()
+            for each in symbols
+            if each.is_assigned() or each.is_imported()
+        }
+
+    def has(module: str, name: str) -> bool:
+        home = homes.get(module.removeprefix(f"{NAME}."), {}).get(name)
+        is_there = name in names.get(module, ()) or f"{module}.{name}" in names
+        return is_there or (home is not None and has(f"{module}.{home}", name))
+
+    for file, text in written.items():
+        package = ".".join((NAME, *Path(file).parent.parts))
+        for module, name in imports_of(ast.parse(text), package):
+            if module.partition(".")[0] not in PRESENT and not has(module, name):
+                stop(f"{file} imports {module} {name}, which {NAME} does not have")
 
 
 def write_package(folder: Path) -> Path:
     """Write the package into a folder, all but the compiled core; return it."""
     package = folder / NAME
     shutil.rmtree(package, ignore_errors=True)
-    texts = {f"{name}.py": ROOT / f"{name}.py" for name in TAKEN.split()}
-    texts |= {str(file.relative_to(OWN)): file for file in OWN.rglob("*.py")}
-    written = {name: file.read_text(encoding="utf-8") for name, file in texts.items()}
-    written = {
-        name: text if name in BESIDE else changed(text)
-        for name, text in written.items()
-    }
+    files = {f"{name}.py": ROOT / f"{name}.py" for name in TAKEN.split()}
+    files |= {str(file.relative_to(OWN)): file for file in OWN.rglob("*.py")}
+    texts = {name: read(file) for name, file in files.items()}
+    beside = {name: texts.pop(name) for name in BESIDE}
+    for before, _ in CHANGES:
+        if not any(before in text for text in texts.values()):
+            stop(f"no file has {before!r} any more; change CHANGES")
+    written = {name: changed(text) for name, text in texts.items()}
     written["hands/__init__.py"] += constants_text()
-    for name in ("human", "ik", "mapping", "stream", "trackers"):
-        written[f"{name}/__init__.py"] = package_text(ROOT / name)
-    written |= {name: (ROOT / name).read_text(encoding="utf-8") for name in DATA}
+    homes = {name: homes_in(name) for name in PACKAGES}
+    check_imports(written, homes)
+    for name, each in homes.items():
+        written[f"{name}/__init__.py"] = (
+            f"from {NAME}.lazy import named\n\n__getattr__ = named(__name__, {each})\n"
+        )
+    written |= beside | {name: read(ROOT / name) for name in DATA}
     for name, text in written.items():
         target = package / name
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
-"""A robot's computer: the compiled core of `handmap_qp`, saved hands, the follower and the client.
+"""A robot's computer: the compiled core of handmap-qp, saved hands, the follower and the client.
 
-It needs numpy (1.26 or later), msgspec and pyzmq. What follows here follows in `handmap_qp` too:
+It needs numpy (1.26 or later), msgspec and pyzmq. What follows here follows in handmap-qp too:
 
     from handmap_run import HumanSample, load
 

@@ -33,7 +33,7 @@ _KINDS: dict[str, type] = {
     "PointDistances": PointDistances,
     **KINDS,
 }
-_AGAIN = "save it again, by the version of handmap_qp that belongs to this handmap_run"
+_AGAIN = f"save it again, by handmap-qp {__version__}"
 
 
 class _Method:

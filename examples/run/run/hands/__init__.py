@@ -76,7 +76,7 @@ class Configuration:
 
 
 class Hand(Record):
-    """A hand that was saved; attributes and methods are those of `handmap_qp`'s."""
+    """A hand that was saved; attributes and methods are those of the library's."""
 
     name: str
     is_floating: bool

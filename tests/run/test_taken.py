@@ -1,0 +1,37 @@
+"""The Python of `handmap_run` is that of the tree: where the two part, the build ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from run_cases import SOURCES, module_of
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        (
+            "CHANGES",
+            lambda old: (*old, ("np.vecdoc(", "")),
+            r"no file has 'np\.vecdoc\('",
+        ),
+        ("CHANGES", lambda old: old[:2] + old[3:], "ik/qp.py imports daqp"),
+        ("CHANGES", lambda old: old[:1] + old[2:], "imports pinocchio"),
+        ("CHANGES", lambda old: old[:3] + old[4:], "imports scipy.spatial.transform"),
+        ("CONSTANTS", lambda old: old | {"se3": ("HOME",)}, "se3.py has no HOME"),
+        ("TAKEN", lambda old: f"{old} ik/gone", "ik/gone.py any more"),
+        ("TAKEN", lambda old: old.replace("stream/guard ", ""), "StreamGuard"),
+        ("TAKEN", lambda old: old.replace("human/sample", ""), "human.* LANDMARK"),
+        ("DATA", lambda old: (*old, "human/gone.json"), "human/gone.json any more"),
+    ],
+)
+def test_the_build_ends_where_the_tree_is_another(
+    tmp_path: Path, name: str, change: Callable[[Any], Any], said: str
+) -> None:
+    taken = module_of(SOURCES / "taken.py")
+    setattr(taken, name, change(getattr(taken, name)))
+    with pytest.raises(SystemExit, match=rf"^taken\.py: .*{said}"):
+        taken.write_package(tmp_path)
