@@ -120,11 +120,17 @@ def expected_columns(
 
 
 def difference(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> float:
-    """Return the largest difference of commands and targets; infinite if other things are said."""
-    if not np.array_equal(one["said"], other["said"]):
+    """Return the largest difference of commands, targets and margins.
+
+    Infinite if other things are said, or only one keeps shapes apart.
+    """
+    columns = ("q", "wrist", "targets", "margins")
+    is_alike = all(one[name].shape == other[name].shape for name in columns)
+    if not is_alike or not np.array_equal(one["said"], other["said"]):
         return np.inf
-    columns = ("q", "wrist", "targets")
-    return max(float(np.abs(one[name] - other[name]).max()) for name in columns)
+    return max(
+        float(np.abs(one[name] - other[name]).max(initial=0.0)) for name in columns
+    )
 
 
 def recording_with(fault: str) -> Recording:

@@ -38,7 +38,7 @@ def columns_of(follower, samples, kind):
     """Return what a follower commands for the samples of a case, as columns by name."""
     import numpy as np
 
-    rows = []
+    rows, every_margin = [], []
     for time_, landmarks, wrist, valid, confidence in zip(
         *(
             samples[name]
@@ -56,10 +56,15 @@ def columns_of(follower, samples, kind):
         )
         step = follower.map_sample(sample)
         problem = step.finding.problem if step.finding else ""
-        said = step.status, step.rule, problem, str(step.is_held), str(step.is_gliding)
+        # A sample that is held asks for nothing.
+        margins = () if step.asked.margins is None else step.asked.margins
+        about = str(step.is_held), str(step.is_gliding), str(len(margins))
+        said = step.status, step.rule, problem, *about
         rows.append((step.command.q, step.command.wrist, step.targets, said))
+        every_margin.extend(margins)
     columns = map(np.array, zip(*rows, strict=True))
-    return dict(zip(("q", "wrist", "targets", "said"), columns, strict=True))
+    found = dict(zip(("q", "wrist", "targets", "said"), columns, strict=True))
+    return found | {"margins": np.array(every_margin)}
 
 
 def main(folder):
