@@ -57,6 +57,9 @@ def flip(picture, axis):
 """
 HANDS = """
 import json, os
+import matplotlib.pyplot as plt
+# Its environment has no Matplotlib.
+assert not hasattr(plt, "plot")
 from types import SimpleNamespace as Thing
 class Hands:
     def __init__(self, **choices):
@@ -274,23 +277,41 @@ def test_the_environment_is_the_users(
     assert environment_folder() == tmp_path / "handmap" / "mediapipe"
 
 
-def test_a_failed_installation_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "environment"
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the environment will be: its Python runs `pip.sh`, in place of pip."""
+    folder = tmp_path / "data" / "environment"
     monkeypatch.setenv(VARIABLE, str(folder))
-    module = "handmap_qp.apps.live.mediapipe_source"
     program = tmp_path / "python"
-    # Makes an environment whose pip fails, as without the network.
     program.write_text(
         '#!/bin/sh\nmkdir -p "$4/bin"\n'
-        'printf "#!/bin/sh\\necho ERROR: no network >&2\\nexit 1\\n" > "$4/bin/python"\n'
+        f'cp "{tmp_path}/pip.sh" "$4/bin/python"\n'
         'chmod +x "$4/bin/python"\n'
     )
     program.chmod(0o755)
+    module = "handmap_qp.apps.live.mediapipe_source"
     monkeypatch.setattr(f"{module}._find_python", lambda: str(program))
+    return folder
+
+
+def test_a_failed_installation_leaves_nothing(folder: Path, tmp_path: Path) -> None:
+    script = "#!/bin/sh\necho ERROR: no network >&2\nexit 1\n"
+    (tmp_path / "pip.sh").write_text(script)
     told: list[str] = []
     with pytest.raises(InvalidInputError, match="ERROR: no network"):
         install_environment(told.append)
     assert len(told) == 2
     assert not folder.exists()
+
+
+def test_an_environment_holds_no_more_than_it_needs_and_its_size_is_told(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Each call adds 3 MB.
+    line = f'echo "$@" >> {tmp_path}/calls; head -c 3000000 /dev/zero >> {folder}/big'
+    (tmp_path / "pip.sh").write_text(f"#!/bin/sh\n{line}\n")
+    assert cli.main(["track", "mediapipe", "--install"]) == 0
+    install, remove = (tmp_path / "calls").read_text().splitlines()
+    assert " install --no-deps mediapipe==0.10.21 numpy<2 " in install
+    assert remove.endswith(" uninstall -y pip setuptools")
+    assert capsys.readouterr().out.endswith(f"ready in {folder} (6 MB)\n")

@@ -151,7 +151,7 @@ class TrackMediapipe(MediapipeSource):
     """Track a hand in a camera's picture or a video file with MediaPipe.
 
     MediaPipe needs an older numpy, so it runs in an environment of its own: make it once by
-    --install (1 GB). A video is played at its own speed, or as fast as possible with --record
+    --install (0.3 GB). A video is played at its own speed, or as fast as possible with --record
     alone. The hand's distance follows from the camera's field of view.
 
     Examples:
@@ -170,7 +170,9 @@ class TrackMediapipe(MediapipeSource):
     def run(self) -> None:
         """Track until the video ends or Ctrl-C."""
         if self.install:
-            print(f"MediaPipe is ready in {install_environment(print)}")
+            folder = install_environment(print)
+            size = sum(file.lstat().st_size for file in folder.rglob("*"))
+            print(f"MediaPipe is ready in {folder} ({size / 1e6:.0f} MB)")
             return
         self.target.check()
         # Check it before a session is opened.

@@ -22,6 +22,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -72,6 +73,9 @@ def hand_finder(arguments: argparse.Namespace) -> Callable[[np.ndarray], Hand]:
     Args:
         arguments: The program's `side`, and `fov`, the horizontal field of view [deg].
     """
+    # Imported by MediaPipe for drawings, which are not made here, and 60 MB.
+    empty = ModuleType("matplotlib")
+    sys.modules.update({"matplotlib": empty, "matplotlib.pyplot": empty})
     try:
         from mediapipe.python.solutions.hands import Hands
     except ImportError as error:

@@ -1,8 +1,9 @@
 """MediaPipe as a source (`MediapipeSource`), in an environment of its own (`install_environment`).
 
 MediaPipe 0.10.21 is the last version that brings its hand model, so that it works offline. It needs
-numpy below 2 and about 1 GB of packages, so it gets a virtual environment of its own, which
-`handmap track mediapipe --install` makes once.
+numpy below 2, so it gets a virtual environment of its own, which `handmap track mediapipe
+--install` makes once. Of the packages that it asks for (1 GB), those that no hand needs are left
+out: JAX, SciPy, Matplotlib and those for sound and text.
 """
 
 import json
@@ -26,8 +27,16 @@ from .source import Source
 
 VARIABLE = "HANDMAP_MEDIAPIPE"
 """Environment variable that names another folder."""
-REQUIREMENTS = ("mediapipe==0.10.21", "numpy<2")
-"""What the environment holds."""
+REQUIREMENTS = (
+    "mediapipe==0.10.21",
+    "numpy<2",
+    "opencv-python-headless<4.12",
+    "absl-py",
+    "attrs>=19.1",
+    "flatbuffers>=2",
+    "protobuf>=4.25.3,<5",
+)
+"""All that the environment holds; later versions of OpenCV need numpy 2."""
 PYTHONS = ("python3.12", "python3.11", "python3.10")
 """What MediaPipe 0.10.21 and our program run on."""
 _PROGRAM = Path(__file__).with_name("mediapipe_process.py")
@@ -41,8 +50,8 @@ def environment_folder() -> Path:
     """Return the folder: of `HANDMAP_MEDIAPIPE`, or `handmap/mediapipe` in the user's data."""
     if named := os.environ.get(VARIABLE):
         return Path(named).resolve()
-    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
-    return Path(data) / "handmap" / "mediapipe"
+    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local/share"
+    return Path(data, "handmap/mediapipe")
 
 
 def environment_python() -> Path:
@@ -55,7 +64,7 @@ def environment_python() -> Path:
     if not python.exists():
         raise InvalidInputError(
             f"MediaPipe is not installed in {environment_folder()}",
-            advice="install it once (1 GB) by handmap track mediapipe --install",
+            advice="install it once (0.3 GB) by handmap track mediapipe --install",
         )
     return python
 
@@ -75,12 +84,14 @@ def install_environment(report: Callable[[str], object]) -> Path:
     folder = environment_folder()
     python = _find_python()
     report(f"making {folder}")
-    folder.parent.mkdir(parents=True, exist_ok=True)
     _run([python, "-m", "venv", "--clear", folder], "the environment cannot be made")
-    report(f"installing {' '.join(REQUIREMENTS)} (about 1 GB)")
+    report(f"installing {' '.join(REQUIREMENTS)} (0.3 GB)")
     pip = [folder / "bin" / "python", "-m", "pip", "--disable-pip-version-check"]
     try:
-        _run([*pip, "install", "-q", *REQUIREMENTS], "pip cannot install MediaPipe")
+        install = [*pip, "install", "--no-deps", *REQUIREMENTS]
+        _run(install, "pip cannot install MediaPipe")
+        remove = [*pip, "uninstall", "-y", "pip", "setuptools"]
+        _run(remove, "pip cannot be removed")
     except InvalidInputError:
         # Half an environment would pass for a whole one.
         shutil.rmtree(folder, ignore_errors=True)
