@@ -15,6 +15,7 @@ from mano_model import write_mano_model
 
 from handmap_qp import InvalidInputError, RecordingError, read_recording
 from handmap_qp.cli import main
+from handmap_qp.human.recording import finite_samples
 from handmap_qp.trackers import FORMATS, SIDES, read_hands
 
 DEMO = {side: read_recording("demo", side).part(slice(60, 150)) for side in SIDES}
@@ -110,13 +111,43 @@ def test_one_array_becomes_a_hand_by_its_side_and_rate(
     assert main([*words[: -1 if is_right else None], *robot]) == 0
 
 
-def test_flags_of_another_number_are_refused(tmp_path: Path) -> None:
+def test_without_the_package_its_files_name_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FORMATS, "_others", {})
+    for suffix in (".npz", ".npy", ".pkl"):
+        file = write(tmp_path / f"video{suffix}", predicted(is_raw=True))
+        with pytest.raises(RecordingError, match="install examples/hamer"):
+            read_recording(file)
+    with pytest.raises(RecordingError, match=r"'time'.* give --fps"):
+        read_recording(tmp_path / "video.npz")
+
+
+def test_a_hand_that_is_found_again_as_another_track_goes_on(tmp_path: Path) -> None:
+    points = DEMO["right"].landmarks[:60].copy()
+    points[~DEMO["right"].valid[:60]] = np.nan
+    tracks = np.stack([points, points], axis=1)
+    tracks[20:, 0] = tracks[:30, 1] = np.nan
+    arrays = {"pred_keypoints_3d": tracks, "right": 1, "fps": FPS, "side": "right"}
+    for name in ("tracks.npz", "tracks.h5"):
+        found = read_recording(write(tmp_path / name, arrays))
+        lost = ~finite_samples(points)
+        lost[20:30] = True
+        np.testing.assert_array_equal(found.valid, ~lost)
+        np.testing.assert_array_equal(found.landmarks[~lost], points[~lost])
+
+
+def test_flags_and_places_of_another_shape_are_refused(tmp_path: Path) -> None:
     arrays = predicted(is_raw=True) | {"right": np.ones(3)}
     with pytest.raises(RecordingError, match="right: expected a value for each of 2"):
         read_hands([write(tmp_path / "a.npz", arrays)])
     arrays["right"] = np.full((90, 2), 0.5)
     with pytest.raises(RecordingError, match="right: expected 1 for each right hand"):
         read_hands([write(tmp_path / "b.npz", arrays)])
+    arrays = predicted(is_raw=True)
+    arrays["pred_cam_t_full"] = np.moveaxis(arrays["pred_cam_t_full"], 2, 0)
+    with pytest.raises(RecordingError, match=r"pred_cam_t_full: .* shape \(3, 90, 2\)"):
+        read_hands([write(tmp_path / "c.npz", arrays)])
 
 
 def test_a_pickle_runs_no_code(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import expect
 from handmap_qp.hands import Names, Side, Values
 from handmap_qp.human import LANDMARK_COUNT, Recording, finite_samples
 from handmap_qp.se3 import Array, as_floats
@@ -39,20 +39,21 @@ SHIFTS = ("pred_cam_t_full", "cam_t")
 """Names of the array that says where the hands are, in the axes of the camera."""
 _MAIN = {KEYPOINTS, *OF_MANO}
 """Arrays of which a file has one for each frame."""
-_OWN = {*_MAIN, *FLAGS, *SHIFTS, "global_orient", "betas", "transl"}
 _TIMES = {"time", "fps"}
-_OWN |= {"flat_hand_mean", "side", *_TIMES}
+_PARAMETERS = {"global_orient", "betas", "transl", "flat_hand_mean"}
+_OWN = {*_MAIN, *FLAGS, *SHIFTS, *_TIMES, *_PARAMETERS, "side"}
 
 
 class HamerFormat(ManoFormat):
     """Arrays by name in an `.npz`, an HDF5 file or a pickled table, or one array as `.npy`.
 
     `pred_keypoints_3d` is (T, 21, 3), or (T, n, 21, 3) of n hands in a frame [m]; NaN where a hand
-    was not found. Of several hands of a side in a frame the first one counts. An `.npy` file is
-    this array. `right` or `is_right` says by 1 or 0 which hands are right ones, shape (), (n,),
-    (T,) or (T, n); `side` says it of all. A file that does not say it is taken for the hand that is
-    asked for. `pred_cam_t_full` or `cam_t` is where the hands are in the camera's axes [m], shape
-    (T, 3) or (T, n, 3). Without `time (T,)` and `fps`, samples are numbered, for `--fps`.
+    was not found. Of several hands of a side in a frame, the first one that was found counts. An
+    `.npy` file is this array. `right` or `is_right` says by 1 or 0 which hands are right ones,
+    shape (), (n,), (T,) or (T, n); `side` says it of all. A file that does not say it is taken for
+    the hand that is asked for. `pred_cam_t_full` or `cam_t` is where the hands are in the camera's
+    axes [m], shape (T, 3) or (T, n, 3). Without `time (T,)` and `fps`, samples are numbered, for
+    `--fps`.
 
     Without keypoints, `global_orient`, `hand_pose` and `betas` are MANO's, as of the form `mano`;
     turns may be rotation matrices (T, n, 3, 3), of which the identity is the flat hand, and of
@@ -73,7 +74,8 @@ class HamerFormat(ManoFormat):
         if suffix == ".npy":
             # ARCTIC has tables of the same suffix.
             with suppress(ValueError):
-                return np.load(path, mmap_mode="r").shape[-2:] == (LANDMARK_COUNT, 3)
+                array = np.load(path, mmap_mode="r")
+                return array.shape[-2:] == (LANDMARK_COUNT, 3)
             return False
         if suffix == ".npz":
             return not member_names(path).isdisjoint((KEYPOINTS, "hand_pose"))
@@ -87,10 +89,13 @@ class HamerFormat(ManoFormat):
         if KEYPOINTS in arrays:
             return _hands_of(arrays)
         if "betas" in arrays:
-            arrays["betas"] = np.atleast_2d(arrays["betas"]).mean(axis=0)
+            betas = np.atleast_2d(arrays["betas"])
+            arrays["betas"] = betas.mean(axis=0)
         for name in ("global_orient", "hand_pose"):
-            if np.ndim(arrays.get(name, 0.0)) == 4:
-                arrays[name] = _vectors_of(as_floats(arrays[name], name))
+            given = arrays.get(name, 0.0)
+            if np.ndim(given) == 4:
+                rotations = as_floats(given, name)
+                arrays[name] = _vectors_of(rotations)
                 arrays["flat_hand_mean"] = True
         return {side: arrays | {"side": side} for side in _sides_of(arrays)}
 
@@ -120,52 +125,62 @@ def _read(path: Path) -> Values:
     if suffix == ".pkl":
         return read_table(path)
     with opened(path) as file:
-        arrays = {name: numbers(file, name, ()) for name in _OWN if name in file}
-        return {**file.attrs, **arrays}
+        arrays = dict(file.attrs)
+        for name in _OWN.intersection(file):
+            if name == "side":
+                arrays[name] = file[name].asstr()[()]
+            else:
+                arrays[name] = numbers(file, name, ())
+        return arrays
 
 
 def _sides_of(arrays: Values) -> Sequence[Side]:
     """Return the side that a file names, or both."""
-    return [side_of(arrays["side"], "side")] if "side" in arrays else SIDES
+    if "side" in arrays:
+        return [side_of(arrays["side"], "side")]
+    return SIDES
 
 
 def _vectors_of(rotations: Array) -> Array:
     """Return rotation vectors [rad], shape (T, 3 n), of rotations, shape (T, n, 3, 3)."""
-    vectors = [*map(pin.log3, rotations.reshape(-1, 3, 3))]
-    return np.reshape(vectors, (len(rotations), -1))
+    turns = rotations.reshape(-1, 3, 3)
+    vectors = np.array([pin.log3(turn) for turn in turns])
+    return vectors.reshape(len(rotations), -1)
 
 
 def _hands_of(arrays: Values) -> HandArrays:
     """Return the hands of predicted keypoints, as arrays of `ManoFormat`."""
     points = as_floats(arrays[KEYPOINTS], KEYPOINTS)
-    shape = (
-        ("T", LANDMARK_COUNT, 3) if points.ndim == 3 else ("T", "n", LANDMARK_COUNT, 3)
-    )
-    as_floats(points, KEYPOINTS, shape=shape)
-    frames = points.reshape(len(points), -1, LANDMARK_COUNT, 3)
-    places = frames.shape[:2]
-    shifts = _each(arrays, SHIFTS, places, 3)
-    flags = _each(arrays, FLAGS, places)
+    several = ("n",) if points.ndim == 4 else ()
+    as_floats(points, KEYPOINTS, shape=("T", *several, LANDMARK_COUNT, 3))
+    frames = points if several else points[:, None]
+    is_seen: Any = np.isfinite(frames).all(axis=(2, 3))
+    flags = _each(arrays, FLAGS, is_seen.shape)
+    shifts = _each(arrays, SHIFTS, is_seen.shape, 3)
+    times = {name: arrays[name] for name in _TIMES if name in arrays}
+    sides = _sides_of(arrays)
     if flags is not None:
-        is_flag = np.isin(flags, (0.0, 1.0)) | ~np.isfinite(frames).all(axis=(2, 3))
+        sides = SIDES
+        is_flag = np.isin(flags, (0.0, 1.0)) | ~is_seen
         expect(is_flag.all(), "right", "1 for each right hand and 0 for each left one")
+    every = np.arange(len(frames))
     hands: HandArrays = {}
-    for side in SIDES if flags is not None else _sides_of(arrays):
-        own: Array = np.ones(places, dtype=bool)
+    for side in sides:
+        is_own = is_seen
         if flags is not None:
-            own = np.equal(flags, float(side == "right"))
-        chosen = np.arange(len(frames)), own.argmax(axis=1)
-        is_there: Any = own.any(axis=1)
-        joints = _unmirrored(frames[chosen], is_there, side)
-        if joints is None:
+            is_own = is_seen & (flags == float(side == "right"))
+        valid = is_own.any(axis=1)
+        if not valid.any():
             continue
+        first = every, is_own.argmax(axis=1)
+        joints = _unmirrored(frames[first], valid, side)
         if shifts is not None:
-            joints = joints + shifts[chosen][:, None]
+            joints = joints + shifts[first][:, None]
         hands[side] = {
-            **{name: arrays[name] for name in ("time", "fps") if name in arrays},
+            **times,
             "side": side,
             "joints": joints[:, np.argsort(FROM_MANO)],
-            "valid": is_there & finite_samples(joints),
+            "valid": valid & finite_samples(joints),
         }
     return hands
 
@@ -179,28 +194,22 @@ def _each(
         return None
     values = as_floats(arrays[name], name)
     frames, count = places
-    wanted = (*places, *last)
-    if values.size == np.prod(wanted):
-        return values.reshape(wanted)
-    if values.size == np.prod((count, *last)):
-        return np.broadcast_to(values.reshape(count, *last), wanted)
-    if values.size == 1 and not last:
-        return np.broadcast_to(values.reshape(()), wanted)
+    of_all = (*places, *last)
+    of_one = (frames, *last)
+    if count == 1 and values.shape == of_one:
+        values = values[:, None]
+    is_right = values.shape in (of_all, of_all[1:], last)
     expected = f"a value for each of {count} hands in {frames} frames"
-    raise InvalidInputError(
-        argument=name, expected=expected, value=values, got=f"shape {values.shape}"
-    )
+    expect(is_right, name, expected, got=f"shape {values.shape}")
+    return np.broadcast_to(values, of_all)
 
 
-def _unmirrored(joints: Array, is_there: Array, side: str) -> Array | None:
-    """Mirror a hand that the file has as the other one; None where the hand is never seen.
+def _unmirrored(joints: Array, valid: Array, side: str) -> Array:
+    """Mirror a hand that the file has as the other one.
 
     The network's own left hands are right ones. A script may have mirrored them already: the bend
     of the fingers and the place of the thumb say which it is.
     """
-    seen = is_there & finite_samples(joints)
-    if not seen.any():
-        return None
-    evidence: Any = np.median(palmar_evidence(joints[seen]).total)
-    is_right = evidence > 0.0
-    return joints * [-1.0, 1.0, 1.0] if side == "left" and is_right else joints
+    evidence = np.median(palmar_evidence(joints[valid]).total)
+    is_mirrored = side == "left" and evidence > 0.0
+    return joints * [-1.0, 1.0, 1.0] if is_mirrored else joints

@@ -36,6 +36,8 @@ LARGEST_ARCHIVE = 1 << 30
 OF_MANO = ("joints", "pose", "hand_pose")
 """Arrays of which an archive of the MANO hand model has one for each sample."""
 _KNOWN = (*COLUMNS, *WORDS, "wrist_pose")
+_OF_VIDEO = "install examples/hamer, which reads it, and give --fps (docs/files.md)"
+"""What to do with keypoints that HaMeR or WiLoR has predicted."""
 
 
 class NpzFormat(RecordingFormat):
@@ -108,7 +110,9 @@ def _read(
     for name in needed:
         if prefix + name not in found:
             known = ", ".join(sorted(member_names(path))) or "none"
-            raise InvalidInputError(f"has no array {prefix + name!r}; it has {known}")
+            problem = f"has no array {prefix + name!r}; it has {known}"
+            advice = _OF_VIDEO * ("pred_keypoints_3d" in known)
+            raise InvalidInputError(problem, advice=advice)
     return {name.removeprefix(prefix): array for name, array in found.items()}
 
 
