@@ -115,3 +115,11 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(
     write_video(video, 20)
     Videos(mapped).run()
     assert "a data set without videos" in refused()
+    # As after a run that was cut off before its end.
+    whole = {file: file.read_bytes() for file in root.rglob("*") if file.is_file()}
+    for name in ("info", "stats"):
+        file = root / f"meta/{name}.json"
+        file.write_bytes(before[file])
+    Videos(mapped).run()
+    for file, content in whole.items():
+        assert file.read_bytes() == content

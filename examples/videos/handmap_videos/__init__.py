@@ -27,12 +27,17 @@ from handmap_qp.hands import Values
 from handmap_qp.output_files import make_folder, replaced_file, replaced_path
 from handmap_qp.se3 import Array
 from handmap_qp.trackers.formats.base import reading
-from handmap_qp.trackers.formats.lerobot import Stats, episode_stats, joined_stats
+from handmap_qp.trackers.formats.lerobot import (
+    CHUNK_FILES,
+    EPISODES_PATH,
+    Stats,
+    episode_stats,
+    joined_stats,
+)
 
 KEY = "observation.images.camera"
 """Name of the video among the features."""
 PLACE = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-_CHUNK = 1000
 _FRAMES, _PIXELS = 16, 8
 """Statistics are of that many frames, and of each eighth pixel in a row and a column."""
 
@@ -97,7 +102,7 @@ def add_videos(root: Path, videos: Mapping[str, Path]) -> int:
         MissingExtraError: If pyarrow is not installed.
     """
     parquet = require("pyarrow.parquet", "files")
-    place = root / "meta/episodes/chunk-000/file-000.parquet"
+    place = root / EPISODES_PATH
     with reading(root, "is not a LeRobot data set"):
         info = json.loads((root / "meta/info.json").read_bytes())
         stats = json.loads((root / "meta/stats.json").read_bytes())
@@ -106,21 +111,28 @@ def add_videos(root: Path, videos: Mapping[str, Path]) -> int:
     expect(KEY not in info["features"], "DIR", "a data set without videos", got=KEY)
     rows: list[Values] = []
     found: dict[Path, Video] = {}
+    numbers: dict[Path, int] = {}
     total: Stats | None = None
     for episode in episodes:
         source = episode["source"].partition(", ")[0]
         file = videos.get(source, Path(f"{source}.mp4"))
         expect(file.is_file(), "DIR", "a video beside each recording", got=f"no {file}")
         if file not in found:
+            numbers[file] = len(found)
             found[file] = read_video(file)
         video = found[file]
-        _check(file, video, info["fps"], episode["length"])
+        length = episode["length"]
+        _check(file, video, info["fps"], length)
         total = joined_stats(total, video.stats)
-        rows.append(_row([*found].index(file), episode["length"] / info["fps"], video))
-    for number, file in enumerate(found):
+        duration = length / info["fps"]
+        rows.append(_row(numbers[file], duration, video))
+    for file, number in numbers.items():
         _copy(file, root / _place(number))
+    # Columns that are there are of a run that was cut off.
+    table = table.drop_columns([*rows[0].keys() & {*table.column_names}])
     for name in rows[0]:
-        table = table.append_column(name, [[row[name] for row in rows]])
+        values = [row[name] for row in rows]
+        table = table.append_column(name, [values])
     with replaced_path(place, "DIR") as temporary:
         parquet.write_table(table, temporary)
     stats[KEY] = _per_colour(total or {})
@@ -146,10 +158,11 @@ def read_video(file: Path) -> Video:
         fps = stream.average_rate or Fraction(0)
         # Frames that need no others: to decode all takes as long as to watch them.
         stream.codec_context.skip_frame = "NONKEY"
-        colours = [
-            frame.to_ndarray(format="rgb24")[::_PIXELS, ::_PIXELS].reshape(-1, 3)
-            for frame in islice(opened.decode(stream), _FRAMES)
-        ]
+        colours = []
+        for frame in islice(opened.decode(stream), _FRAMES):
+            image = frame.to_ndarray(format="rgb24")
+            some = image[::_PIXELS, ::_PIXELS]
+            colours.append(some.reshape(-1, 3))
         about = {
             "dtype": "video",
             "shape": [stream.height, stream.width, 3],
@@ -176,40 +189,42 @@ def _files_of(folder: Path) -> dict[str, Path]:
 
 
 def _check(file: Path, video: Video, fps: float, length: int) -> None:
-    is_same = abs(float(video.fps) - fps) < 1e-3 * fps
-    advice = f"write it by --fps {float(video.fps):g} of `handmap batch`"
-    wanted = f"a data set of {float(video.fps):g} frames per second, as {file} has"
+    own = float(video.fps)
+    is_same = abs(own - fps) < 1e-3 * fps
+    advice = f"write it by --fps {own:g} of `handmap batch`"
+    wanted = f"a data set of {own:g} frames per second, as {file} has"
     expect(is_same, "DIR", wanted, got=f"{fps:g}", advice=advice)
     wanted = f"{length} frames in {file}"
     expect(video.frames >= length, "DIR", wanted, got=f"{video.frames}")
 
 
 def _place(number: int) -> str:
-    chunk, file = divmod(number, _CHUNK)
+    chunk, file = divmod(number, CHUNK_FILES)
     return PLACE.format(video_key=KEY, chunk_index=chunk, file_index=file)
 
 
 def _row(number: int, duration: float, video: Video) -> Values:
     """Return what `meta/episodes` says of a video."""
-    chunk, file = divmod(number, _CHUNK)
-    return {
+    chunk, file = divmod(number, CHUNK_FILES)
+    row: Values = {
         f"videos/{KEY}/chunk_index": chunk,
         f"videos/{KEY}/file_index": file,
         f"videos/{KEY}/from_timestamp": 0.0,
         f"videos/{KEY}/to_timestamp": duration,
-        **{
-            f"stats/{KEY}/{name}": values
-            for name, values in _per_colour(video.stats).items()
-        },
     }
+    for name, values in _per_colour(video.stats).items():
+        row[f"stats/{KEY}/{name}"] = values
+    return row
 
 
 def _per_colour(stats: Mapping[str, Array]) -> dict[str, Any]:
     """Return statistics as LeRobot has those of images, shape (3, 1, 1) each."""
-    return {
-        name: values.tolist() if name == "count" else values[:, None, None].tolist()
-        for name, values in stats.items()
-    }
+    own = {}
+    for name, values in stats.items():
+        is_count = name == "count"
+        shaped = values if is_count else values[:, None, None]
+        own[name] = shaped.tolist()
+    return own
 
 
 def _copy(file: Path, out: Path) -> None:

@@ -31,7 +31,7 @@ DATA_FILE_SIZE = 100 * 2**20
 CHUNK_FILES = 1000
 """Files of a chunk, which is a folder."""
 _DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-_EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
+EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 _ROW_GROUP = 1000
 _TASKS = Path(__file__).with_name("lerobot_tasks.json")
 """The columns of the tasks, as pandas describes them in its own files."""
@@ -247,7 +247,7 @@ class LeRobotWriter:
 
     def _write_episodes(self) -> None:
         if self._episodes:
-            self._write(_EPISODES_PATH, self._pa.Table.from_pylist(self._episodes))
+            self._write(EPISODES_PATH, self._pa.Table.from_pylist(self._episodes))
             self._episodes.clear()
 
     def _write(self, place: str, table: Any) -> None:
