@@ -136,6 +136,13 @@ def wait_for_datagrams(port: int) -> None:
     wait_until(lambda: place in Path("/proc/net/udp").read_text(), "nobody listens")
 
 
+def wait_until_read(port: int) -> None:
+    """Wait until no datagram is left at a UDP port of this machine."""
+    # State, then what is to be sent and what has arrived.
+    idle = f":{port:04X} 00000000:0000 07 00000000:00000000 "
+    wait_until(lambda: idle in Path("/proc/net/udp").read_text(), "nobody reads")
+
+
 def assert_same(recording: Recording, samples: list[HumanSample]) -> None:
     """Check that landmarks came through, to 1e-6 m; those of hands that were not seen are none."""
     truth = [sample.landmarks for sample in samples]

@@ -27,7 +27,7 @@ def send_datagrams(address: str, lines: list[str]) -> None:
     for line in lines:
         match line.split():
             case ["wait"]:
-                time.sleep(1.6)
+                time.sleep(0.5)
             case ["from", own]:
                 sender = socket.socket(type=socket.SOCK_DGRAM)
                 sender.bind((own, 0))

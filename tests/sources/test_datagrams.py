@@ -24,6 +24,7 @@ from source_cases import (
     start,
     track,
     wait_for_datagrams,
+    wait_until_read,
 )
 
 from handmap_qp import HumanLengths, load_hand, load_layout
@@ -68,6 +69,8 @@ def tracked(
             wait_for_datagrams(port)
         with start(SENDER, kind, f"{HOST}:{port}", file) as process:
             assert process.wait(PATIENCE) == 0
+        if is_udp:
+            wait_until_read(port)
 
     return track(["datagrams", address, "--layout", layout], send, capsys, tmp_path)
 
@@ -139,33 +142,61 @@ def test_what_is_wrong_is_counted_told_once_and_not_mapped(
 
 
 @pytest.mark.slow
-def test_a_sender_that_starts_again_goes_on_but_no_other_takes_its_place(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+def test_a_silence_is_told_once_and_ends_nothing(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    lines = [
-        # The same clock after a silence.
-        *(packet(0), packet(1), "wait", packet(2, time=102.5)),
-        *("wait", "from 127.0.0.2", packet(3)),
-        # The same machine with another port, whose clock begins anew.
-        *("from 127.0.0.1", packet(3, time=0.0), packet(4, time=0.01)),
-        # A clock that is set.
-        *(packet(5, time=1e6), "wait", packet(5, time=2e6), packet(6, time=2e6 + STEP)),
-        # The hand is lost.
-        packet(7, time=2e6 + 2.0 * STEP, valid=False),
-    ]
-    result = tracked(lines, capsys, tmp_path)
-    recording = result.recording
-    assert recording.valid.tolist() == [True] * 7 + [False]
-    assert_same(recording, demo()[:7])
-    # Ours counts where another one begins.
-    steps = np.diff(recording.time)
-    own = np.array([STEP, 2.5 - STEP, math.nan, STEP, math.nan, STEP, STEP])
-    np.testing.assert_allclose(np.where(np.isnan(own), own, steps), own)
-    assert steps[2] + steps[1] > 3.2
-    assert steps[4] > 1.6
-    assert result.troubles == {"another sender": 1, "not in order": 1}
+    monkeypatch.setattr(datagrams, "SILENCE", 0.1)
+    result = tracked([packet(0), "wait", packet(1)], capsys, tmp_path)
+    assert_same(result.recording, demo()[:2])
+    np.testing.assert_allclose(result.recording.time, [0.0, STEP], atol=1e-9)
+    assert not result.troubles
     assert result.summary["troubles"]["silent"] >= 2
     assert sum("nothing has arrived" in line for line in result.messages) == 1
+
+
+def test_a_sender_that_starts_again_goes_on_but_no_other_takes_its_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 50.0
+    monkeypatch.setattr(datagrams, "monotonic", lambda: now)
+    source = datagrams.TrackDatagrams(address="udp://:1", layout="manus25")
+
+    def sent(
+        i: int, host: str = HOST, port: int = 1, *, wait: float = STEP, **changes: Any
+    ) -> HumanSample | None:
+        nonlocal now
+        now += wait
+        return source._sample(bytes.fromhex(packet(i, **changes)), (host, port))
+
+    def time(*words: Any, **more: Any) -> float:
+        sample = sent(*words, **more)
+        assert sample is not None, source.troubles
+        return sample.time
+
+    silence = 1.01 * datagrams.SILENCE
+    # Ours counts where a sender begins, and then its own.
+    first = time(0)
+    assert first == now
+    assert time(1, wait=0.5) == pytest.approx(first + STEP)
+    # The same clock after a silence.
+    assert time(2, wait=silence, time=102.5) == pytest.approx(first + 2.5)
+    assert sent(3, "127.0.0.2", wait=silence) is None
+    assert source.troubles == {"another sender": 1}
+    # The same machine with another port, whose clock begins anew: only after a silence.
+    assert time(3, port=2, wait=1.0, time=0.0) == now
+    assert sent(4, port=3, time=0.0) is None
+    assert time(4, port=2, time=0.5) == pytest.approx(now + 0.5 - STEP * 2)
+    # A clock that is set.
+    assert sent(5, port=2, time=1e6) is None
+    assert source.troubles == {"another sender": 2, "not in order": 1}
+    assert time(5, port=2, wait=silence, time=2e6) == pytest.approx(now)
+    assert time(6, port=2, time=2e6 + STEP) == pytest.approx(now)
+    # The hand is lost.
+    lost = sent(7, port=2, time=2e6 + 2.0 * STEP, valid=False)
+    assert lost is not None
+    assert not lost.valid
 
 
 def read_as(layout: str, person: Path | None = None, **fields: Any) -> HumanSample:
@@ -232,8 +263,13 @@ def test_no_message_ends_it(wire: bytes, layout: str) -> None:
     else:
         assert math.isfinite(sample.time)
         assert not sample.valid or np.isfinite(sample.landmarks).all()
+
+
+def test_a_deep_message_ends_nothing() -> None:
+    source = datagrams.TrackDatagrams(address="udp://:1", layout="manus25")
     deep = b'{"joints": ' + 100000 * b"["
     assert source._sample(deep[: datagrams.LARGEST], (HOST, 1)) is None
+    assert source.troubles == {"damaged": 1}
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from source_cases import (
     free_port,
     track,
     wait_for_datagrams,
+    wait_until_read,
 )
 
 from handmap_qp.human.sample import HumanSample
@@ -70,6 +71,7 @@ def test_what_the_runtime_shows_arrives(
         with program(RUNTIME, folder, *targets) as process:
             calls, complaint = process.communicate(timeout=PATIENCE)
         assert process.returncode == 0, complaint
+        wait_until_read(ports[side])
         # The session is left as it was entered.
         assert calls.rstrip().endswith('"xrDestroySession", "xrDestroyInstance"]')
 
@@ -98,6 +100,19 @@ def test_a_missing_extension_or_runtime_is_one_line(tmp_path: Path) -> None:
     assert complaint.splitlines()[-1].startswith("openxr: ")
     assert "Traceback" not in complaint
     assert process.returncode == 1
+
+
+@pytest.mark.parametrize("word", ["127.0.0.1", "127.0.0.1:", "127.0.0.1:65536"])
+def test_an_address_without_a_port_is_refused_at_the_start(
+    word: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from handmap_sources import openxr
+
+    monkeypatch.setattr(sys, "argv", ["openxr.py", f"--right={word}"])
+    with pytest.raises(SystemExit):
+        openxr.main()
+    complaint = f"--right: invalid address value: '{word}'"
+    assert complaint in capsys.readouterr().err
 
 
 def test_it_ends_by_ctrl_c_and_closes_its_session(tmp_path: Path) -> None:

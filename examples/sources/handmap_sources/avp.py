@@ -33,6 +33,8 @@ _VERSION = 25000.0
 """Version of the protocol, 2.50.0; the app sends nothing to older ones."""
 _LOST = 0.2
 """Time after which a wrist that repeats exactly is one that the headset does not see [s]."""
+_PAUSE = 0.2
+"""Time before a lost connection is made again [s]."""
 _OPTIONS = [
     # The headset is in the same network.
     ("grpc.enable_http_proxy", 0),
@@ -74,23 +76,30 @@ class TrackAvp(DeviceSource):
             InvalidInputError: If the headset cannot be reached, or is another server.
         """
         moved = 0.0
+        before = None
         for update in self._updates():
+            if update is None:
+                before = None
+                continue
             now = monotonic()
             hand = getattr(update, f"{self.side}_hand")
             joints = _poses(hand.skeleton.jointMatrices)[:JOINTS]
             (wrist,) = _poses([hand.wristMatrix])
             if not len(joints):
                 self.note("empty", "no joints: does the app ask for an update?")
-            elif self._before is None or (wrist == self._before).all():
+            elif before is None or (wrist == before).all():
                 if now - moved > _LOST:
                     yield self.unseen(now)
             elif sample := self.read(joints, now, wrist=_SIGNS * wrist[_ROWS]):
                 moved = now
                 yield sample
-            self._before = wrist
+            before = wrist
 
     def _updates(self) -> Iterator[Any]:
-        """Yield the app's messages, again after a lost connection."""
+        """Yield the app's messages, again after a lost connection; None before those of each.
+
+        The first pose of a connection may be an old one, or none.
+        """
         host, _, port = self.host.partition(":")
         with naming("HOST"), socket.socket(type=socket.SOCK_DGRAM) as probe:
             probe.connect((host, PORT))
@@ -102,8 +111,7 @@ class TrackAvp(DeviceSource):
         with grpc.insecure_channel(f"{host}:{port or PORT}", _OPTIONS) as channel:
             ask = services.HandTrackingServiceStub(channel).StreamHandUpdates
             while True:
-                # The first pose may be an old one, or none.
-                self._before = None
+                yield None
                 try:
                     for update in ask(request, wait_for_ready=has_begun):
                         has_begun = True
@@ -116,7 +124,7 @@ class TrackAvp(DeviceSource):
                             advice="start it on the headset, in the same network",
                         ) from error
                 self.note("disconnected", "the connection is lost, and made again")
-                sleep(_LOST)
+                sleep(_PAUSE)
 
 
 def _poses(matrices: Iterable[Any]) -> Array:

@@ -22,7 +22,7 @@ LARGEST = 32768
 SILENCE = 1.0
 """Time without samples after which a sender counts as silent, and may have started anew [s]."""
 LEAP = 5.0
-"""Least time by which a sender's clock is not believed to be ahead of the first sample's [s]."""
+"""Longest time by which a sender's clock may be ahead of ours, since it was first heard [s]."""
 _ADDRESS = re.compile(r"(udp|tcp)://[^:/]*:[1-9]\d{0,4}")
 Sender = tuple[str, int]
 
@@ -123,15 +123,21 @@ class TrackDatagrams(DeviceSource):
                 except zmq.Again:
                     yield None
 
-    def _sample(self, packet: bytes, sender: Sender) -> HumanSample | None:
-        """Return the sample of a message; None, after a note, if it must not be mapped."""
+    def _message(self, packet: bytes) -> Message | None:
+        """Return the message of a packet; None, after a note, if it is damaged."""
         if len(packet) > LARGEST:
             return self.note("too large", f"a message has more than {LARGEST} bytes")
         form = msgspec.json if packet.lstrip()[:1] == b"{" else msgspec.msgpack
         try:
-            message = form.decode(packet, type=Message)
+            return form.decode(packet, type=Message)
         except (msgspec.MsgspecError, ValueError, RecursionError) as error:
             return self.note("damaged", f"a message cannot be read: {error}")
+
+    def _sample(self, packet: bytes, sender: Sender) -> HumanSample | None:
+        """Return the sample of a message; None, after a note, if it must not be mapped."""
+        message = self._message(packet)
+        if message is None:
+            return None
         if message.side not in (None, self.side):
             return self.note(
                 "other hand", f"there are samples of a {message.side} hand"

@@ -102,7 +102,8 @@ def _joints(tracker: Any, info: Any) -> _Joints:
     found = xr.HandJointLocationsEXT(joint_locations=places)
     function = xr.get_instance_proc_addr(tracker.instance, "xrLocateHandJointsEXT")
     locate = ctypes.cast(function, xr.PFN_xrLocateHandJointsEXT)
-    result = xr.check_result(xr.Result(locate(tracker, info, ctypes.byref(found))))
+    code = locate(tracker, info, ctypes.byref(found))
+    result = xr.check_result(xr.Result(code))
     if result.is_exception():
         raise result
     if not found.is_active or any(_VALID & ~each.location_flags for each in places):
@@ -110,13 +111,22 @@ def _joints(tracker: Any, info: Any) -> _Joints:
     return [(*each.pose.position, *each.pose.orientation) for each in places]
 
 
+def address(text: str) -> tuple[str, int]:
+    """Return host and port of HOST:PORT; ValueError for other words."""
+    host, port = text.split(":")
+    if not 0 < int(port) < 1 << 16:
+        raise ValueError(port)
+    return host, int(port)
+
+
 def main() -> None:
     """Send until Ctrl-C, or until the runtime ends the session."""
     parser = argparse.ArgumentParser(description="Send OpenXR hands by UDP.")
     for side in ("right", "left"):
         about = f"where to send the {side} hand"
-        parser.add_argument(f"--{side}", metavar="HOST:PORT", help=about)
-    given = {side: to for side, to in vars(parser.parse_args()).items() if to}
+        parser.add_argument(f"--{side}", type=address, metavar="HOST:PORT", help=about)
+    arguments = vars(parser.parse_args())
+    given = {side: to for side, to in arguments.items() if to}
     if not given:
         parser.error("give --right HOST:PORT, --left HOST:PORT or both")
     try:
@@ -125,11 +135,11 @@ def main() -> None:
                 for (side, to), joints in zip(given.items(), seen, strict=True):
                     about = {"time": time.monotonic(), "side": side}
                     sample = about | {"valid": bool(joints), "joints": joints}
-                    host, _, port = to.partition(":")
-                    sender.sendto(json.dumps(sample).encode(), (host, int(port)))
+                    packet = json.dumps(sample)
+                    sender.sendto(packet.encode(), to)
     except KeyboardInterrupt:
         pass
-    except (xr.XrException, OSError, ValueError) as error:
+    except (xr.XrException, OSError) as error:
         sys.exit(f"openxr: {error}")
 
 
