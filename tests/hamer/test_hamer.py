@@ -128,11 +128,12 @@ def test_a_hand_that_is_found_again_as_another_track_goes_on(tmp_path: Path) -> 
     points[~DEMO["right"].valid[:60]] = np.nan
     tracks = np.stack([points, points], axis=1)
     tracks[20:, 0] = tracks[:30, 1] = np.nan
-    arrays = {"pred_keypoints_3d": tracks, "right": 1, "fps": FPS, "side": "right"}
-    for name in ("tracks.npz", "tracks.h5"):
-        found = read_recording(write(tmp_path / name, arrays))
-        lost = ~finite_samples(points)
-        lost[20:30] = True
+    lost = ~finite_samples(points)
+    lost[20:30] = True
+    arrays = {"pred_keypoints_3d": tracks, "fps": FPS}
+    says: dict[str, dict[str, Any]] = {"a.npz": {"right": 1}, "b.h5": {"side": "right"}}
+    for name, side in says.items():
+        found = read_recording(write(tmp_path / name, arrays | side))
         np.testing.assert_array_equal(found.valid, ~lost)
         np.testing.assert_array_equal(found.landmarks[~lost], points[~lost])
 

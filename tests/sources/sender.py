@@ -1,7 +1,7 @@
 """Senders of the tests, as programs of their own: `python sender.py KIND ADDRESS FILE`.
 
     udp, zmq: every line of the file is a packet in hexadecimal digits, `wait` or `from HOST`.
-    avp: arrays `wrists` (n, 4, 4) and `joints` (n, 25, 4, 4) of an .npz, as the app's server.
+    avp: arrays `wrists` (n, 4, 4) and `joints` (n, 29, 4, 4) of an .npz, as the app's server.
 
 It imports nothing of handmap_qp, and what the app sends it writes by field numbers.
 """

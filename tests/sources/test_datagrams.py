@@ -76,8 +76,9 @@ def tracked(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["udp", "zmq"])
-@pytest.mark.parametrize("form", [msgspec.json, msgspec.msgpack])
+@pytest.mark.parametrize(
+    ("kind", "form"), [("udp", msgspec.json), ("zmq", msgspec.msgpack)]
+)
 def test_what_arrives_is_what_was_sent(
     kind: str, form: Any, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -187,7 +188,7 @@ def test_a_sender_that_starts_again_goes_on_but_no_other_takes_its_place(
     # The same machine with another port, whose clock begins anew: only after a silence.
     assert time(3, port=2, wait=1.0, time=0.0) == now
     assert sent(4, port=3, time=0.0) is None
-    assert time(4, port=2, time=0.5) == pytest.approx(now + 0.5 - STEP * 2)
+    assert time(4, port=2, time=STEP) == pytest.approx(now - STEP)
     # A clock that is set.
     assert sent(5, port=2, time=1e6) is None
     assert source.troubles == {"another sender": 2, "not in order": 1}

@@ -16,6 +16,14 @@ from handmap_qp.trackers import read_recording
 
 PAGE = Path(__file__).parents[2] / "docs" / "sources.md"
 pytestmark = pytest.mark.slow
+COMMANDS = """
+from contextlib import suppress
+from handmap_qp.cli import main
+
+with suppress(SystemExit):
+    main(["track", "--help"])
+raise SystemExit(main("track mine --side left --record mine.npz --json".split()))
+"""
 
 
 def test_the_source_of_the_page_is_found_by_its_entry_point(tmp_path: Path) -> None:
@@ -34,19 +42,17 @@ def test_the_source_of_the_page_is_found_by_its_entry_point(tmp_path: Path) -> N
     ]
     (about / "entry_points.txt").write_text("\n".join(lines))
     path = os.pathsep.join([str(tmp_path), *sys.path])
-
-    def printed(*words: str) -> str:
-        command = [sys.executable, "-m", "handmap_qp.cli", "track", *words]
-        environment = os.environ | {"PYTHONPATH": path}
-        done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True
-        )
-        assert not done.returncode, done.stderr
-        return done.stdout
-
-    assert re.search(r"track mine +Track a hand with my glove\.", printed("--help"))
-    out = printed("mine", "--side", "left", "--record", "mine.npz", "--json")
-    summary = json.loads(out)
+    done = subprocess.run(
+        [sys.executable, "-c", COMMANDS],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+    )
+    assert not done.returncode, done.stderr
+    page, _, out = done.stdout.rpartition("\n{")
+    assert re.search(r"track mine +Track a hand with my glove\.", page)
+    summary = json.loads("{" + out)
     recording = read_recording(tmp_path / "mine.npz")
     assert len(recording) == summary["recorded"] > 100
     assert recording.side == "left"
