@@ -235,6 +235,10 @@ def test_motors_of_a_command_that_is_killed_stop_themselves(chain: Chain) -> Non
             ["--driver", "leep"],
             f"--driver: expected one of {', '.join(DRIVERS)}, got 'leep': did you mean",
         ),
+        (
+            ["--driver", "leap", "--motors", "none", "--no-deadman"],
+            "--motors: none: No such file",
+        ),
         (["--from", "127.0.0.1:1"], "--from: no service answers"),
         (["--port", "/dev/none", "--no-deadman"], "--port: "),
         (["--temperature", "nan"], "--temperature: expected more than 0, got nan"),

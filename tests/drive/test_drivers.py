@@ -444,6 +444,9 @@ def test_a_wrong_table_is_refused(
     with pytest.raises(InvalidInputError, match=text) as raised:
         make("leap", "/dev/null", ("a", "b"), table(tmp_path, kind, **changes))
     assert raised.value.argument == "--motors"
+    # The driver's own table is of another hand.
+    with pytest.raises(InvalidInputError, match=r"^--driver: .*, a, b, got if_rot/0"):
+        DRIVERS["leap"]("/dev/null", ("a", "b"), None)
     with pytest.raises(InvalidInputError, match=r"expected a table of the servos"):
         DRIVERS["servos"]("/dev/null", ("a", "b"), None)
     with pytest.raises(InvalidInputError, match=r"no\.yaml: No such file"):

@@ -124,7 +124,7 @@ class TableDriver:
         names = [[n for n in motor.joint if n in joints] for motor in motors]
         expect(
             all(len(own) == 1 for own in names),
-            "--motors",
+            "--motors" if file else "--driver",
             f"each motor at one joint of the session, {', '.join(joints)}",
             got=", ".join("/".join(motor.joint) for motor in motors),
         )
