@@ -39,10 +39,10 @@ _COMMANDS = """
 import json
 import sys
 import time
+from importlib import import_module
 
-from handmap_qp.client import Client
-
-address, name = sys.argv[1:]
+package, address, name = sys.argv[1:]
+Client = import_module(f"{package}.client").Client
 until = time.monotonic() + 60.0
 with Client(address) as client:
     while True:
@@ -283,14 +283,24 @@ class Fresh:
             print(f"{took:7.1f} s  handmap serve {' '.join(words)}", flush=True)
             yield json.loads(line)["ports"]
 
-    def watch(self, ports: dict[str, int], session: str) -> list[str]:
+    def watch(self, ports: dict[str, int], session: str, alone: str = "") -> list[str]:
         """Follow a session as a driver does; return its joints.
 
         Ends the path if no commands arrive, or the robot does not move.
+
+        Args:
+            ports: Ports of the service by name.
+            session: Name of the session.
+            alone: Python of an environment that has the small wheel, for its client.
         """
-        address = f"tcp://127.0.0.1:{ports['requests']}"
+        words = f"tcp://127.0.0.1:{ports['requests']}", session
         with self.step(f"a driver takes commands of the session {session}"):
-            found = json.loads(self.python(_COMMANDS, address, session))
+            if alone:
+                command = [alone, "-c", _COMMANDS, "handmap_run", *words]
+                printed = run(command, env=self._variables, cwd=self.work)
+            else:
+                printed = self.python(_COMMANDS, "handmap_qp", *words)
+            found = json.loads(printed)
         statuses = ", ".join(found["status"])
         self.note(
             f"{found['count']} commands of {len(found['joints'])} joints, the fastest moved "

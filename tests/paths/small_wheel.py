@@ -1,7 +1,7 @@
 """A robot's computer: `handmap-run` alone follows saved hands as the library does.
 
-Prints sizes, times and the largest difference of commands; with numpy 1.26 and the newest, on every
-supported Python that uv finds.
+Prints sizes, times and the largest difference of commands, and takes commands of a service; with
+numpy 1.26 and the newest, on every supported Python that uv finds.
 """
 
 from __future__ import annotations
@@ -40,6 +40,22 @@ import handmap_run
 
 print(time.process_time() - started)
 """
+_NAMES = """
+import ast
+import re
+from operator import attrgetter
+from pathlib import Path
+
+import handmap_run
+import numpy
+
+for file in Path(handmap_run.__file__).parent.rglob("*.py"):
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute):
+            if found := re.fullmatch(r"np\\.([\\w.]+)", ast.unparse(node)):
+                attrgetter(found[1])(numpy)
+"""
+"""Ends with an error at a name that this numpy does not have, in whatever function it is."""
 UNNEEDED = ("mink", "yourdfpy", "osqp", "proxsuite", "qpsolvers")
 """What is installed for other formulations, solvers and formats."""
 
@@ -71,8 +87,8 @@ def size_of(folder: Path) -> float:
     )
 
 
-def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> None:
-    """Follow all cases in a fresh environment, and compare."""
+def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> str:
+    """Follow all cases in a fresh environment, compare, and return its Python."""
     environment = wheel.parent / f"with {numpy}"
     run([find_uv(), "venv", "--quiet", "--python", python, str(environment)])
     own = str(environment / "bin" / "python")
@@ -85,6 +101,7 @@ def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> None:
     size = size_of(packages)
     variables = {"PATH": os.environ["PATH"], "OMP_NUM_THREADS": "1"}
     found = json.loads(run([own, str(ALONE), str(cases)], env=variables))
+    run([own, "-c", _NAMES], env=variables)
     tried = [run([own, "-c", _IMPORT], env=variables).split() for _ in range(9)]
     own_numpy, everything = (
         1e3 * min(map(float, each)) for each in zip(*tried, strict=True)
@@ -108,6 +125,16 @@ def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> None:
     )
     if largest > 1e-9:
         stop("the small wheel commands something else")
+    return own
+
+
+def follow_service(path: Fresh, own: str) -> None:
+    """Take commands of a service by the client of the small wheel."""
+    with path.serving() as ports:
+        to = f"127.0.0.1:{ports['requests']}"
+        replay = ("track", "replay", "demo", "--loop", "--to", to)
+        with path.running(*replay, "--robot", "three_finger", "--session", "lab"):
+            path.watch(ports, "lab", own)
 
 
 def leave_out(path: Fresh) -> None:
@@ -128,7 +155,7 @@ def main() -> None:
     """Save hands by both wheels in one environment, and follow them by the small one alone."""
     with (
         tempfile.TemporaryDirectory() as scratch,
-        Fresh("A robot's computer", "robots") as path,
+        Fresh("A robot's computer", "robots", "service") as path,
     ):
         folder = Path(scratch)
         cases = folder / "cases"
@@ -149,7 +176,8 @@ def main() -> None:
             wheel = build(python, folder / f"{k}")
             for numpy in NUMPY:
                 with path.step(f"follow them with {numpy} by the small wheel alone"):
-                    try_alone(wheel, python, numpy, cases)
+                    own = try_alone(wheel, python, numpy, cases)
+                follow_service(path, own)
 
 
 if __name__ == "__main__":
