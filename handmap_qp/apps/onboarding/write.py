@@ -45,6 +45,7 @@ _KEYS = (
     *("points", "sets", "reference", "collision", "tuning"),
 )
 _BLOCKS = {*_KEYS[6:], "collision.pairs", "tuning.joints"} - {"speeds", "reference"}
+_EDITORS = "`handmap hands init` or `edit`"
 _ROBOT = """# {0}: written by `handmap hands init`; look at it with `handmap robots check`.
 name: {0}
 hands:
@@ -118,13 +119,13 @@ def open_source(
     return urdf, str(urdf), converted.notes
 
 
-def write_hand(detection: Detection, path: Path) -> None:
-    """Write a `hand.yaml`; a file that is there is replaced.
+def write_hand(detection: Detection, path: Path, by: str = _EDITORS) -> None:
+    """Write a `hand.yaml`, which says by which command; a file that is there is replaced.
 
     Raises:
         InvalidInputError: If it cannot be written.
     """
-    _write(path, hand_text(detection, path.parent))
+    _write(path, hand_text(detection, path.parent, by))
 
 
 def write_robot(name: str, path: Path) -> None:
@@ -157,7 +158,7 @@ def check_free(path: Path, *, overwrite: bool) -> None:
     check_new("--out", path, overwrite=overwrite)
 
 
-def hand_text(detection: Detection, folder: Path) -> str:
+def hand_text(detection: Detection, folder: Path, by: str = _EDITORS) -> str:
     """Return the text of a `hand.yaml`; the URDF's path is relative to `folder`."""
     spec = _beside(detection.spec, folder)
     given = _given(spec)
@@ -166,7 +167,7 @@ def hand_text(detection: Detection, folder: Path) -> str:
     if spec.arm:
         document["arm"] = _beside(spec.arm, folder)
     intro = (
-        f"{spec.name}: written by `handmap hands init` or `edit`. Comments say how each value was "
+        f"{spec.name}: written by {by}. Comments say how each value was "
         "found and how certain it is. Correct what is wrong, then run `handmap hands check`.",
         *(f"Note: {note}" for note in detection.notes),
     )
