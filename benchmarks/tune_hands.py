@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 from handmap_drive.driver import Driver
-from handmap_drive.ritual import Ritual
+from handmap_drive.motion import Motion
+from handmap_drive.ritual import find_tuning
 from handmap_drive.simulated import Simulated
 from handmap_drive.tuning import Compensated, Tuning, tuned
 
@@ -111,19 +112,18 @@ def pinches(
 def right(tuning: Tuning, motors: Simulated) -> dict[str, float]:
     """Return the share of joints of which each parameter is right within 10 %."""
     shares = {}
-    joints = [tuning.joints[name] for name in motors.joint_names]
+    joints = tuning.arrays(motors.joint_names)
     for name, floor in FLOORS.items():
         true = getattr(motors, name)
-        found = np.array([getattr(joint, name) for joint in joints])
+        found = getattr(joints, name)
         allowed = np.maximum(0.1 * np.abs(true), floor)
         shares[name] = float(np.mean(np.abs(found - true) <= allowed))
     # The range in which it can be used: up to its stops, its limits, and what can be told.
     reached = motors.gain * motors.range + motors.zero
     low, high = np.clip(reached, motors.range[0], motors.range[1])
     true = np.clip([low, high], *motors.stops)
-    found = np.array([joint.range for joint in joints]).T
     width = np.ptp(motors.range, axis=0)
-    shares["range"] = float(np.mean(np.abs(found - true) <= 0.1 * width))
+    shares["range"] = float(np.mean(np.abs(joints.range - true) <= 0.1 * width))
     return shares
 
 
@@ -136,15 +136,15 @@ def measure(hand: Hand, seed: int, files: dict[str, str]) -> dict[str, Any]:
     """Return a row about a hand with hidden parameters."""
     port = f"{hand.name}:{seed}"
     motors = Recorded(port, hand.joint_names)
-    ritual = Ritual(motors, hand, motors.effort, (k / motors.rate for k in count()))
-    tuning = ritual.run()
+    motion = Motion(motors, motors.effort, (k / motors.rate for k in count()))
+    tuning = find_tuning(motion, hand)
     meter = GapMeter(hand)
     told = [motors.told]
     row: dict[str, Any] = {"hand": hand.name, "seed": seed}
-    row["ritual [s]"] = len(ritual.log.time) / motors.rate
+    row["ritual [s]"] = motion.count / motors.rate
     row |= {f"{name} right": share for name, share in right(tuning, motors).items()}
     row["fingers met"] = len(tuning.pinches)
-    over = [beyond(motors, ritual.log.q)]
+    over = [beyond(motors, motion.log().q)]
     found = Hand(tuned(hand.spec, tuning), mount="fixed")
     for recording, file in files.items():
         asked, shares = motion_of(hand, file), []

@@ -2,16 +2,14 @@
 
 import os
 import select
-import signal
 import sys
 import termios
 import tty
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Event
 from time import monotonic
 from typing import Annotated
 
@@ -21,23 +19,13 @@ from handmap_qp.apps.arguments import KeyFiles, hinted
 from handmap_qp.apps.connection import connected
 from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.tables import print_result
-from handmap_qp.errors import did_you_mean, expect, warn
-from . import DRIVERS
+from handmap_qp.errors import expect, warn
 from .drive import HOTTEST, Loop
-from .driver import DriverError
+from .running import effort_of, find_driver, stopping
 from .tuning import Compensated, read_tuning
 
 _HELD = 0.25
 """Time since the last key but one in which a key counts as held [s]: terminals repeat it sooner."""
-
-_ENDING = (
-    signal.SIGINT,
-    signal.SIGTERM,
-    signal.SIGHUP,
-    signal.SIGQUIT,
-    signal.SIGTSTP,
-)
-"""Signals that end a drive. Ctrl-Z, too: it would leave motors alone with their last goal."""
 
 
 @contextmanager
@@ -113,13 +101,7 @@ class Drive:
 
     def run(self) -> None:
         """Drive until Ctrl-C or an error."""
-        expect(
-            self.driver in DRIVERS,
-            "--driver",
-            f"one of {', '.join(DRIVERS)}",
-            value=self.driver,
-            advice=did_you_mean(self.driver, DRIVERS),
-        )
+        maker = find_driver(self.driver)
         is_limit = self.temperature > 0.0
         expect(is_limit, "--temperature", "more than 0", value=self.temperature)
         with connected("--from", self.source, self.keys, refused="SESSION") as client:
@@ -128,23 +110,15 @@ class Drive:
         with client, key as is_held, naming("--port"):
             while not (command := client.latest(1.0)):
                 warn("waiting for a command")
-            driver = DRIVERS[self.driver](self.port, command.joint_names, self.motors)
+            driver = maker(self.port, command.joint_names, self.motors)
             if self.tuning:
                 driver = Compensated(driver, read_tuning(self.tuning))
-            effort = driver.effort if self.effort is None else self.effort
-            expect(0.0 < effort <= 1.0, "--effort", "a share, 0 to 1", value=effort)
+            effort = effort_of(driver, self.effort)
             driver.connect()
             loop = Loop(driver, command, effort, self.temperature)
-            over = Event()
-            # Not in the middle of a message, as an exception would end it.
-            for number in _ENDING:
-                signal.signal(number, lambda *_: over.set())
             try:
-                loop.run(client, is_held, over)
+                with stopping(driver) as over:
+                    loop.run(client, is_held, over)
             finally:
-                # A message may be lost, or the port be gone.
-                for _ in range(3):
-                    with suppress(OSError, DriverError):
-                        driver.stop()
                 rows = loop.summary()
                 print_result(rows, {self.driver: rows}, as_json=self.json)

@@ -1,11 +1,10 @@
 """What a hand makes of its commands, by least squares on what happened."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands import Hand
+from .motion import Log
 
 SLOWEST = 0.04
 """A joint moves above this speed [rad/s]."""
@@ -13,6 +12,8 @@ FULL = 0.9
 """Share of the limit of torque from which on a motor gives way."""
 TORQUE = 0.01
 """Torques below this are none, as shares of the largest."""
+MEETS = 0.02
+"""Torque beyond friction that says that something is in the way."""
 _LONGEST = 0.25
 """Longest delay that is looked for [s]."""
 _ITERATIONS = 5
@@ -22,25 +23,7 @@ _ERROR, _GAP = 0.03, 0.0003
 """Errors of encoders [rad] and of gaps [m] that are expected."""
 
 
-class Log(NamedTuple):
-    """What a hand was told and did in each turn.
-
-    Attributes:
-        time: Of each turn [s], shape (T,).
-        told: What joints were told [rad], shape (T, n).
-        q: Where they were [rad], shape (T, n).
-        torque: Their torques, shares of the largest, shape (T, n).
-    """
-
-    time: np.ndarray
-    told: np.ndarray
-    q: np.ndarray
-    torque: np.ndarray
-
-
-def fit_joint(
-    log: Log, i: int, limit: float, span: slice
-) -> tuple[float, float, float, float, float, float]:
+def fit_joint(log: Log, i: int, limit: float) -> tuple[float, ...]:
     """Find the parameters of a joint by least squares.
 
     Where the torque e pulls the joint, still or not, `q = gain u(t - delay) + zero - sign(e)
@@ -50,33 +33,37 @@ def fit_joint(
         log: What happened.
         i: The joint.
         limit: The limit of torque.
-        span: Turns in which it was moved.
 
     Returns:
         Gain, zero, delay, backlash, stretch and friction.
     """
-    time, q, torque = log.time[span], log.q[span, i], log.torque[span, i]
-    size = np.abs(torque)
-    pulls = np.sign(torque) * ((size > TORQUE) & (size < FULL * limit))
+    time, told = log.time, log.told[:, i]
+    size = np.abs(log.torque[:, i])
+    counts = (size > TORQUE) & (size < FULL * limit)
+    pulls = np.sign(log.torque[:, i]) * counts
     is_pulled = np.abs(_smooth(pulls)) > 0.99
-    torque, q = _smooth(torque), _smooth(q)
-    moves = is_pulled & (np.abs(np.gradient(q, time)) > SLOWEST)
+    q, torque = _smooth(log.q[:, i]), _smooth(log.torque[:, i])
+    speed = np.abs(np.gradient(q, time))
+    moves = is_pulled & (speed > SLOWEST)
     friction = np.median(np.abs(torque[moves]))
     # Noise of the many samples in motion would hide how torques change at rest.
     torque = np.where(moves, pulls * friction, torque)
 
     def solve(delay: float) -> tuple[float, np.ndarray]:
-        told = _smooth(np.interp(time - delay, log.time, log.told[:, i]))
-        rows = np.array([told, np.ones_like(q), -0.5 * pulls, -torque, q]).T[is_pulled]
-        found, *_ = np.linalg.lstsq(rows[:, :-1], rows[:, -1])
-        return np.sum((rows @ [*found, -1.0]) ** 2), found
+        late = _smooth(np.interp(time - delay, time, told))
+        columns = np.array([late, np.ones_like(q), -0.5 * pulls, -torque])
+        rows, wanted = columns.T[is_pulled], q[is_pulled]
+        found, *_ = np.linalg.lstsq(rows, wanted)
+        return np.sum((rows @ found - wanted) ** 2), found
 
-    delay = min(np.arange(0.0, _LONGEST, 0.01), key=lambda d: solve(d)[0])
-    near = np.clip(delay + np.arange(-0.01, 0.01, 0.001), 0.0, None)
-    delay = min(near, key=lambda d: solve(d)[0])
-    gain, zero, backlash, stretch = solve(delay)[1].tolist()
-    backlash, stretch = max(backlash, 0.0), max(stretch, 0.0)
-    return gain, zero, float(delay), backlash, stretch, float(friction)
+    def best(delays: np.ndarray) -> float:
+        return min(delays.tolist(), key=lambda delay: solve(delay)[0])
+
+    delay = best(np.arange(0.0, _LONGEST, 0.01))
+    delay = best(np.clip(delay + np.arange(-0.01, 0.01, 0.001), 0.0, None))
+    gain, zero, *lag = solve(delay)[1]
+    backlash, stretch = np.maximum(lag, 0.0)
+    return gain, zero, delay, backlash, stretch, friction
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
@@ -86,7 +73,7 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 
 def fit_encoders(
     hand: Hand, met: list[tuple[str, np.ndarray]]
-) -> tuple[np.ndarray, ...]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Find the smallest errors of encoders with which tips meet where they met (Gauss-Newton).
 
     Args:
@@ -106,8 +93,9 @@ def fit_encoders(
     error = np.zeros(n)
     for _ in range(_ITERATIONS):
         values = gaps(error)
+        gap = values[:, 0]
         slopes = (values[:, 1:] - values[:, :1]) / _STEP
         rows = np.vstack([slopes / _GAP, np.eye(n) / _ERROR])
-        misses = np.concatenate([values[:, 0] / _GAP, error / _ERROR])
+        misses = np.concatenate([gap / _GAP, error / _ERROR])
         error = error - np.linalg.lstsq(rows, misses)[0]
     return error, gaps(np.zeros(n))[:, 0]

@@ -1,14 +1,24 @@
 """A hand in this process that does not do what it is told: `--driver simulated`."""
 
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand, Names, ShapePairs, all_pairs, load_hand
+from handmap_qp.hands import (
+    Hand,
+    Names,
+    ShapePairs,
+    all_pairs,
+    load_hand,
+    pair_ends,
+    paired,
+)
 from handmap_qp.ik import solve_by_daqp
 from handmap_qp.ik.collision import CollisionLimit
 from .driver import Health
+from .tuning import Delayed
 
 _DELAY = 0.12
 """The longest delay [s]."""
@@ -42,9 +52,6 @@ class Simulated:
         friction: Torque below which the joint stands still.
         encoder: What encoders miss of the joints [rad].
         stops: Where joints stop, as encoders tell it [rad], shape (2, n).
-        motor: Which motor obeys each goal.
-        is_dead: Whether a joint's motor has no torque.
-        is_frozen: Whether an encoder always tells the same.
         q: Where joints are, as encoders tell it [rad].
     """
 
@@ -72,12 +79,9 @@ class Simulated:
         self.encoder = random.uniform(-0.025, 0.025, n)
         width = np.diff(self.range, axis=0)
         self.stops = self.range + width * random.uniform(-0.05, 0.05, (2, n))
-        self.motor = np.arange(n)
-        self.is_dead, self.is_frozen = np.zeros((2, n), bool)
         self.q = np.clip(hand.rest[own], *self.stops)
-        self._told = [self.q] * (round(_DELAY * self.rate) + 2)
+        self._delayed = Delayed(self.delay * self.rate, self.q)
         self._torque = np.zeros(n)
-        self._frozen = self.q
 
     @property
     def posture(self) -> np.ndarray:
@@ -92,26 +96,21 @@ class Simulated:
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`."""
         n = len(self.q)
-        seen = np.where(self.is_frozen, self._frozen, self.q)
         noise = _NOISE * self._random.standard_normal(n)
-        q = np.round(seen / _COUNT) * _COUNT
+        q = np.round(self.q / _COUNT) * _COUNT
         return q, self._torque + noise, Health(np.full(n, 30.0), ())
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
-        self._told = [*self._told[1:], q[self.motor]]
-        times = np.arange(len(self._told)) / self.rate
-        told = zip(self.delay, np.array(self._told).T, strict=True)
-        late = np.array([np.interp(times[-1] - d, times, u) for d, u in told])
-        goal = self.gain * late + self.zero
-        limit = np.where(self.is_dead, 0.0, effort)
-        band = 0.5 * self.backlash + self.stretch * self.friction
+        goal = self.gain * self._delayed(q) + self.zero
+        half = 0.5 * self.backlash
+        band = half + self.stretch * self.friction
         free = np.clip(self.q, goal - band, goal + band)
-        free = np.where(limit > self.friction, free, self.q)
+        free = np.where(effort > self.friction, free, self.q)
         self.q = self.q + self._allowed(free - self.q)
         pull = goal - self.q
-        slack = np.clip(pull, -0.5 * self.backlash, 0.5 * self.backlash)
-        self._torque = np.clip((pull - slack) / self.stretch, -limit, limit)
+        tight = pull - np.clip(pull, -half, half)
+        self._torque = np.clip(tight / self.stretch, -effort, effort)
 
     def _allowed(self, step: np.ndarray) -> np.ndarray:
         """Return the step that stops and tips leave, each joint as its tendon gives way [rad]."""
@@ -131,9 +130,6 @@ class Simulated:
 
 def _pinching(hand: Hand) -> ShapePairs:
     """Return the pairs of shapes that pinch."""
-    pairs = all_pairs(hand)
-    geometry = pairs.geometry.copy()
-    for pair, finger in zip(pairs.geometry.collisionPairs, pairs.fingers, strict=True):
-        if not finger:
-            geometry.removeCollisionPair(pair)
-    return pairs._replace(geometry=geometry, fingers=tuple(filter(None, pairs.fingers)))
+    shapes, fingers, _ = all_pairs(hand)
+    ends = [*compress(pair_ends(shapes), fingers)]
+    return ShapePairs(paired(shapes, ends), tuple(filter(None, fingers)))

@@ -1,17 +1,14 @@
 """`handmap tune`: what a hand makes of its commands, found by its encoders and written down."""
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from signal import SIGINT, signal
 from threading import Event
 from time import monotonic, sleep
 from typing import Annotated, Any
 
 import msgspec
-import numpy as np
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 from tyro.conf import Positional
 
 from handmap_qp.apps.arguments import HandName, hinted
@@ -20,12 +17,12 @@ from handmap_qp.apps.onboarding.detect import Detection
 from handmap_qp.apps.onboarding.write import check_free, write_hand
 from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.tables import print_result, progress
-from handmap_qp.errors import did_you_mean, expect, require
+from handmap_qp.errors import require
 from handmap_qp.hands import load_hand
 from handmap_qp.output_files import check_output
-from . import DRIVERS
-from .fit import Log
-from .ritual import Ritual
+from .motion import Log, Motion
+from .ritual import find_tuning
+from .running import effort_of, find_driver, stopping
 from .tuning import Tuning, tuned
 
 
@@ -71,40 +68,25 @@ class Tune:
 
     def run(self) -> None:
         """Move the hand, and write its file."""
-        expect(
-            self.driver in DRIVERS,
-            "--driver",
-            f"one of {', '.join(DRIVERS)}",
-            value=self.driver,
-            advice=did_you_mean(self.driver, DRIVERS),
-        )
+        maker = find_driver(self.driver)
         check_free(self.out, overwrite=self.overwrite)
         if self.picture:
             check_output("--picture", self.picture, (".png", ".svg", ".pdf"))
             require("matplotlib", "plot")
         hand = load_hand(self.hand, mount="fixed")
         with naming("--port"):
-            driver = DRIVERS[self.driver](self.port, hand.joint_names, self.motors)
+            driver = maker(self.port, hand.joint_names, self.motors)
             driver.connect()
-            effort = driver.effort if self.effort is None else self.effort
-            expect(0.0 < effort <= 1.0, "--effort", "a share, 0 to 1", value=effort)
-            over = Event()
-            # Not in the middle of a message, as an exception would end it.
-            signal(SIGINT, lambda *_: over.set())
-            try:
-                with progress("tuning", 100) as tell:
-                    times = turns(driver.rate, over)
-                    ritual = Ritual(driver, hand, effort, times, tell)
-                    tuning = ritual.run()
-            finally:
-                for _ in range(3):
-                    with suppress(OSError):
-                        driver.stop()
+            effort = effort_of(driver, self.effort)
+            with stopping(driver) as over, progress("tuning", 100) as tell:
+                motion = Motion(driver, effort, turns(driver.rate, over))
+                tuning = find_tuning(motion, hand, tell)
         spec = replace(tuned(load_hand(self.hand).spec, tuning), name=self.out.stem)
-        write_hand(Detection(spec, (), (f"tuned from {hand.name}",), {}), self.out)
+        origin = Detection(spec, (), (f"tuned from {hand.name}",), {})
+        write_hand(origin, self.out, by="`handmap tune`")
         files = [self.out]
         if self.picture:
-            draw(self.picture, tuning, ritual.log)
+            draw(self.picture, tuning, motion.log())
             files.append(self.picture)
         print_result(
             msgspec.to_builtins(tuning), tables(tuning), files, as_json=self.json
@@ -127,25 +109,12 @@ def turns(rate: float, over: Event) -> Iterator[float]:
 
 def tables(tuning: Tuning) -> dict[str, Any]:
     """Return what was found as tables."""
-    joints = [
-        {
-            "joint": name,
-            "gain": round(joint.gain, 3),
-            "zero [deg]": round(np.degrees(joint.zero), 1),
-            "delay [ms]": round(1e3 * joint.delay),
-            "backlash [deg]": round(np.degrees(joint.backlash), 1),
-            "stretch [deg]": round(np.degrees(joint.stretch), 1),
-            "friction": round(joint.friction, 3),
-            "encoder [deg]": round(np.degrees(joint.encoder), 1),
-            "range [deg]": " to ".join(f"{np.degrees(end):.0f}" for end in joint.range),
-        }
-        for name, joint in tuning.joints.items()
-    ]
+    joints = [{"joint": name} | asdict(each) for name, each in tuning.joints.items()]
     pinches = [
-        {"thumb and": finger, "off [mm]": round(1e3 * gap, 1)}
+        {"thumb and": finger, "off [mm]": 1e3 * gap}
         for finger, gap in tuning.pinches.items()
     ]
-    return {"Joints": joints, "Pinches": pinches}
+    return {"Joints [rad, s, shares of the largest torque]": joints, "Pinches": pinches}
 
 
 def draw(path: Path, tuning: Tuning, log: Log) -> None:

@@ -1,12 +1,12 @@
 """What a hand makes of its commands, as its file says, and commands that make up for it."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
 from msgspec import Meta
-from msgspec.structs import replace
+from msgspec.structs import astuple, replace
 
 from handmap_qp.errors import HandError, expect, reason_of
 from handmap_qp.hands import (
@@ -24,9 +24,7 @@ _Least = Annotated[float, Meta(ge=0.0)]
 
 
 class Joint(Document, frozen=True):
-    """What a joint makes of its commands u: `q = gain u(t - delay) + zero - s band`.
-
-    It moves to the side s, 1 or -1, and lags by `band = backlash / 2 + stretch friction`.
+    """What a joint makes of its commands, as of `Joints`.
 
     Attributes:
         gain: Angle by which it moves per angle that it is told.
@@ -35,7 +33,8 @@ class Joint(Document, frozen=True):
         backlash: Play between motor and joint [rad].
         stretch: How far it gives way to the largest torque [rad].
         friction: Torque that moves it, a share of the largest.
-        range: Where it can go, inside the limits of the hand's description [rad].
+        lower: How far it can go, inside the limits of the hand's description [rad].
+        upper: The same, to the other side.
         encoder: What its encoder misses of its angle, as meeting fingertips tell [rad].
     """
 
@@ -45,13 +44,41 @@ class Joint(Document, frozen=True):
     backlash: _Least
     stretch: _Least
     friction: _Least
-    range: tuple[float, float]
+    lower: float
+    upper: float
     encoder: float = 0.0
 
+
+class Joints(NamedTuple):
+    """What joints make of their commands u: `q = gain u(t - delay) + zero - s band`.
+
+    They move to the side s, 1 or -1, and lag by `band = backlash / 2 + stretch friction`.
+    Attributes are arrays of those of each `Joint`, shape (n,).
+    """
+
+    gain: np.ndarray
+    zero: np.ndarray
+    delay: np.ndarray
+    backlash: np.ndarray
+    stretch: np.ndarray
+    friction: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    encoder: np.ndarray
+
     @property
-    def band(self) -> float:
-        """How far it lags behind what it is told [rad]."""
+    def band(self) -> np.ndarray:
+        """How far they lag behind what they are told [rad]."""
         return 0.5 * self.backlash + self.stretch * self.friction
+
+    @property
+    def range(self) -> np.ndarray:
+        """Lower and upper ends [rad], shape (2, n)."""
+        return np.array([self.lower, self.upper])
+
+    def command(self, q: np.ndarray, side: np.ndarray) -> np.ndarray:
+        """Return the commands that bring them to angles [rad] from a side of their play."""
+        return (q - self.encoder - self.zero + side * self.band) / self.gain
 
 
 class Tuning(Document, frozen=True):
@@ -64,6 +91,18 @@ class Tuning(Document, frozen=True):
 
     joints: Annotated[dict[str, Joint], Meta(min_length=1)]
     pinches: dict[str, float] = msgspec.field(default_factory=dict)
+
+    @classmethod
+    def of(cls, names: Names, joints: Joints, pinches: dict[str, float]) -> "Tuning":
+        """Return the tuning of joints with these names, to four decimals [rad, s]."""
+        rows = np.transpose(joints).round(4).tolist()
+        found = zip(names, (Joint(*row) for row in rows), strict=True)
+        return cls(dict(found), pinches)
+
+    def arrays(self, names: Names) -> Joints:
+        """Return what was found of joints in the order of names."""
+        rows = [astuple(self.joints[name]) for name in names]
+        return Joints(*np.transpose(rows))
 
 
 def read_tuning(file: Path) -> Tuning:
@@ -89,16 +128,15 @@ def tuned(spec: HandSpec, tuning: Tuning, kept: float = 0.0) -> HandSpec:
         kept: How often the band that joints lag by is kept from both ends.
     """
     limits, rest, matched = dict(spec.limits), dict(spec.rest), dict(spec.matched or {})
-    for name, joint in tuning.joints.items():
-        low, high = joint.range
-        slack = min(kept * joint.band, 0.45 * (high - low))
-        ends = low + slack, high - slack
-        limits[name] = replace(
-            limits.get(name, LimitSpec()), lower=ends[0], upper=ends[1]
-        )
+    joints = tuning.arrays(names := tuple(tuning.joints))
+    slack = np.minimum(kept * joints.band, 0.45 * (joints.upper - joints.lower))
+    ends = np.transpose([joints.lower + slack, joints.upper - slack]).tolist()
+    for name, (lower, upper) in zip(names, ends, strict=True):
+        limit = limits.get(name, LimitSpec())
+        limits[name] = replace(limit, lower=lower, upper=upper)
         for posture in (rest, matched):
             if name in posture:
-                posture[name] = float(np.clip(posture[name], *ends))
+                posture[name] = float(np.clip(posture[name], lower, upper))
     found = msgspec.to_builtins(tuning)
     return replace(
         spec, limits=limits, rest=rest, matched=matched or None, tuning=found
@@ -129,16 +167,10 @@ class Compensated:
             got=", ".join(tuning.joints),
             advice="`handmap tune` writes the file of each hand",
         )
-        joints = [tuning.joints[name] for name in driver.joint_names]
         self.rate, self.speed, self.effort = driver.rate, driver.speed, driver.effort
-        self._encoder = np.array([joint.encoder for joint in joints])
-        ranges = np.array([joint.range for joint in joints]).T
-        self.range = np.clip(ranges, *driver.range)
-        self._gain = np.array([joint.gain for joint in joints])
-        self._zero = np.array([joint.zero for joint in joints])
-        self._band = np.array([joint.band for joint in joints])
-        delays = np.array([joint.delay for joint in joints])
-        self._late = (delays.max() - delays) * self.rate
+        self._joints = joints = tuning.arrays(driver.joint_names)
+        self.range = np.clip(joints.range, *driver.range)
+        self._late = (np.max(joints.delay) - joints.delay) * driver.rate
         self._told: np.ndarray | None = None
 
     def connect(self) -> None:
@@ -148,38 +180,51 @@ class Compensated:
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`."""
         q, torque, health = self._driver.read()
-        return q + self._encoder, torque, health
+        return q + self._joints.encoder, torque, health
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
+        self._driver.write(self.command(q), effort)
+
+    def command(self, q: np.ndarray) -> np.ndarray:
+        """Return what motors are told in a turn so that joints go where they should [rad]."""
         goal = np.clip(q, *self.range)
+        step = self.speed / self.rate
         if self._told is None:
+            self._delayed = Delayed(self._late, goal)
             self._turn, self._side = goal, np.zeros_like(goal)
-            self._goals = [goal] * (2 + int(self._late.max()))
-        goal = self._together(goal)
+            self._told, step = goal, np.inf
+        goal = self._delayed(goal)
         away = goal - self._turn
         turns = np.abs(away) > STILL
         self._side = np.where(turns, np.sign(away), self._side)
         # It goes along, so that the way back begins where the way ended.
         self._turn = np.where(turns | (away * self._side > 0.0), goal, self._turn)
-        pulled = goal - self._encoder - self._zero + self._side * self._band
-        told = np.clip(pulled / self._gain, *self._driver.range)
-        if self._told is not None:
-            step = self.speed / self.rate
-            told = self._told + np.clip(told - self._told, -step, step)
-        self._told = told
-        self._driver.write(told, effort)
-
-    def _together(self, goal: np.ndarray) -> np.ndarray:
-        """Return the goals that joints reach together with the slowest one's goal now."""
-        self._goals = [*self._goals[1:], goal]
-        ago = np.floor(self._late).astype(int)
-        newer, older = (
-            np.choose(ago + k, self._goals[::-1], mode="clip") for k in (0, 1)
-        )
-        return newer + (self._late - ago) * (older - newer)
+        pulled = self._joints.command(goal, self._side)
+        told = np.clip(pulled, *self._driver.range)
+        self._told = self._told + np.clip(told - self._told, -step, step)
+        return self._told
 
     def stop(self) -> None:
         """See `Driver`."""
         self._told = None
         self._driver.stop()
+
+
+class Delayed:
+    """Returns values as they were some turns ago, on straight lines between turns.
+
+    Args:
+        turns: How many turns ago, of each value, shape (n,).
+        start: Values before the first turn, shape (n,).
+    """
+
+    def __init__(self, turns: np.ndarray, start: np.ndarray) -> None:
+        ages = np.arange(np.ceil(turns.max()) + 1.0)[:, None]
+        self._weights = np.clip(1.0 - np.abs(ages - turns), 0.0, None)
+        self._past = np.tile(start, (len(ages), 1))
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Take the values of a turn; return the late ones."""
+        self._past = np.vstack([values, self._past[:-1]])
+        return np.sum(self._weights * self._past, axis=0)

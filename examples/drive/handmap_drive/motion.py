@@ -1,0 +1,130 @@
+"""Moves motors along straight lines, and logs what they were told and did."""
+
+from collections.abc import Callable, Iterator
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+
+from .drive import HOTTEST, UNANSWERED
+from .driver import Driver, DriverError, insisting
+
+_REST = 0.25
+"""Time to come to rest [s]."""
+_AT_REST = 9
+"""Turns at the end of a rest whose mean counts."""
+
+
+class Log(NamedTuple):
+    """What a hand was told and did in each turn.
+
+    Attributes:
+        time: Of each turn [s], shape (T,).
+        told: What motors were told [rad], shape (T, n).
+        q: Where joints were [rad], shape (T, n).
+        torque: Their torques, shares of the largest, shape (T, n).
+    """
+
+    time: np.ndarray
+    told: np.ndarray
+    q: np.ndarray
+    torque: np.ndarray
+
+
+class Motion:
+    """Moves motors, and logs each turn.
+
+    Args:
+        driver: The motors, connected.
+        effort: Limit of the torque, a share of the largest.
+        times: Yields the time of each turn [s].
+
+    Attributes:
+        driver: As given.
+        effort: As given.
+        goal: Where the joints were to go last [rad], shape (n,).
+    """
+
+    def __init__(self, driver: Driver, effort: float, times: Iterator[float]) -> None:
+        self.driver, self.effort, self._times = driver, effort, times
+        self._rows: list[tuple[float, np.ndarray, np.ndarray, np.ndarray]] = []
+        self.start(lambda goal: goal)
+
+    def start(self, command: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Begin where the joints are.
+
+        Args:
+            command: Returns what motors are told, by goals of the joints.
+
+        Raises:
+            DriverError: If motors do not answer.
+        """
+        self._command = command
+        self.goal, *_ = insisting(self.driver.read)
+        self._lost = 0
+
+    @property
+    def count(self) -> int:
+        """Number of turns up to now."""
+        return len(self._rows)
+
+    def log(self, start: int = 0) -> Log:
+        """Return what happened since a turn."""
+        columns = zip(*self._rows[start:], strict=True)
+        return Log(*map(np.array, columns))
+
+    def turn(self, goal: np.ndarray) -> None:
+        """Tell motors where joints are to go [rad], and log what they do.
+
+        Raises:
+            DriverError: If they do not answer for some time, are too hot or report a fault.
+        """
+        now = next(self._times)
+        self.goal = goal
+        told = np.clip(self._command(goal), *self.driver.range)
+        self.driver.write(told, self.effort)
+        try:
+            q, torque, health = self.driver.read()
+        except DriverError:
+            self._lost += 1
+            if self._lost > UNANSWERED * self.driver.rate:
+                raise
+            return
+        self._lost = 0
+        health.check(self.driver.joint_names, HOTTEST)
+        self._rows.append((now, told, q, torque))
+
+    def go(
+        self,
+        goal: np.ndarray,
+        speed: float,
+        until: Callable[[], bool] = lambda: False,
+    ) -> bool:
+        """Go straight to a goal.
+
+        Args:
+            goal: The goal [rad].
+            speed: Speed of the joint that goes farthest [rad/s].
+            until: Is asked in each turn whether to stay there.
+
+        Returns:
+            Whether it stayed.
+        """
+        farthest = np.abs(goal - self.goal).max()
+        count = ceil(farthest / speed * self.driver.rate)
+        for place in np.linspace(self.goal, goal, count + 1)[1:]:
+            self.turn(place)
+            if until():
+                return True
+        return False
+
+    def rest(self) -> tuple[np.ndarray, np.ndarray]:
+        """Wait until joints are at rest; return where they are [rad], and their torques."""
+        for _ in range(round(_REST * self.driver.rate)):
+            self.turn(self.goal)
+        return self.mean(_AT_REST)
+
+    def mean(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean of joints [rad] and torques over the last turns."""
+        *_, q, torque = self.log(-count)
+        return q.mean(axis=0), torque.mean(axis=0)

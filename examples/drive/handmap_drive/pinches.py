@@ -1,0 +1,139 @@
+"""Where fingertips meet the thumb's: the second part of the ritual of `handmap tune`."""
+
+from collections.abc import Iterator
+from itertools import islice
+from typing import NamedTuple
+
+import numpy as np
+
+from handmap_qp.apps.offline.comparison import own_method, prepare_take
+from handmap_qp.apps.offline.fidelity import CLOSED, OPEN
+from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.hands import THUMB, Hand
+from handmap_qp.mapping import default_preset
+from handmap_qp.trackers import DEMO, read_recording
+from .fit import MEETS, fit_encoders
+from .joints import WIDE, Tell
+from .motion import Motion
+from .space import EXACT, TUNED, Space
+from .tuning import Joints, Tuning, tuned
+
+_KEPT = 2.2
+"""Bands that pinches keep from the ends of ranges."""
+_WAYS, _TRIES = 4, 40
+"""Ways to close each pinch, and shifts of its joints that are tried for them."""
+_SHIFT = 0.12
+"""Standard deviation of the shifts [rad]."""
+_DEEP = 0.008
+"""How deep tips must be in each other at the end of a way by the model, to meet for sure [m]."""
+_NEAR = 0.008
+"""Gap from which on fingers close slowly [m]."""
+_BEYOND = 0.8
+"""How much farther than to the closed pinch fingers go until they meet, a share of the way."""
+_CLOSING = 0.2
+"""Speed of fingers that are going to meet [rad/s]."""
+_TURNS = 5
+"""Turns over which torques count."""
+
+
+class Pinch(NamedTuple):
+    """A finger that can meet the thumb.
+
+    Attributes:
+        finger: The finger.
+        path: Lines from home to where it is open [rad].
+        ways: Ways to close it: where each begins, where tips are near, and beyond where they meet
+            [rad], shape (3, n).
+    """
+
+    finger: str
+    path: list[np.ndarray]
+    ways: list[np.ndarray]
+
+
+def plan_pinches(space: Space, tuning: Tuning) -> list[Pinch]:
+    """Return pinches of the package's recording, as they are mapped to the hand as it was found."""
+    # A finger that is pushed goes through its play, which must not lead out of its range.
+    spec = tuned(space.hand.spec, tuning, kept=_KEPT)
+    hand = Hand(spec, mount="fixed")
+    meter, random = GapMeter(hand), np.random.default_rng(0)
+    limits = hand.limits[:, space.own]
+    take = prepare_take(read_recording(DEMO, hand.side), hand.side)
+    method = own_method(default_preset(take.human, hand))
+    q = method.map_take(take, hand).q
+
+    def ways(
+        finger: str, opened: np.ndarray, shut: np.ndarray, moves: np.ndarray
+    ) -> Iterator[np.ndarray]:
+        shares = np.linspace(0.0, 1.0 + _BEYOND, 200)[:, None]
+        for shift in random.normal(0.0, _SHIFT, (_TRIES, len(moves))):
+            line = opened + shares * (shut - opened)
+            way = np.clip(line + moves * shift, *limits)
+            gaps = meter.pinches(space.posture(way))[finger]
+            near = np.argmax(gaps < _NEAR)
+            if (
+                gaps.min() < -_DEEP
+                and space.is_free(opened, way[0], TUNED)
+                and space.is_free(way[0], way[near], EXACT)
+            ):
+                yield way[[0, near, -1]]
+
+    pinches = []
+    for finger, gaps in meter.pinches(q).items():
+        closed = np.flatnonzero(gaps < CLOSED)
+        if not closed.size:
+            continue
+        end = closed[closed.size // 2]
+        start = np.append(0, np.flatnonzero(gaps[:end] > OPEN))[-1]
+        # Other fingers stay out of the way.
+        moves = space.chain(THUMB) | space.chain(finger)
+        opened, shut = np.where(moves, q[[start, end]][:, space.own], space.home)
+        if path := space.path(opened):
+            found = islice(ways(finger, opened, shut, moves), _WAYS)
+            pinches.append(Pinch(finger, path, [*found]))
+    return pinches
+
+
+def meet(
+    motion: Motion, space: Space, joints: Joints, pinches: list[Pinch], tell: Tell
+) -> list[tuple[str, np.ndarray]]:
+    """Close pinches until both tips feel it; return which met, and all joints there [rad]."""
+    met = []
+    for k, pinch in enumerate(pinches):
+        tell(70.0 + 30.0 * k / len(pinches), f"thumb and {pinch.finger}")
+        chains = space.chain(THUMB), space.chain(pinch.finger)
+
+        def is_pressed(chains: tuple[np.ndarray, ...] = chains) -> bool:
+            _, torque = motion.mean(_TURNS)
+            is_more = np.abs(torque) > joints.friction + MEETS
+            # The thumb may meet another finger.
+            return all(is_more[chain].any() for chain in chains)
+
+        for goal in pinch.path:
+            motion.go(goal, WIDE)
+        for first, near, beyond in pinch.ways:
+            motion.go(first, WIDE)
+            motion.go(near, WIDE)
+            motion.rest()
+            if motion.go(beyond, _CLOSING, until=is_pressed):
+                q, _ = motion.rest()
+                met.append((pinch.finger, space.posture(q)))
+            motion.go(first, WIDE)
+            motion.go(pinch.path[-1], WIDE)
+        for goal in pinch.path[::-1]:
+            motion.go(goal, WIDE)
+    return met
+
+
+def with_encoders(
+    space: Space, joints: Joints, met: list[tuple[str, np.ndarray]]
+) -> tuple[Joints, dict[str, float]]:
+    """Return the joints with their encoders' errors, and by finger the gap that they tell [m]."""
+    errors, gaps = fit_encoders(space.hand, met)
+    error = errors[space.own]
+    # In the limits by the encoder, and by its error too.
+    lower = joints.lower + np.maximum(error, 0.0)
+    upper = joints.upper + np.minimum(error, 0.0)
+    fingers = np.array([finger for finger, _ in met])
+    off = {name: round(gaps[fingers == name].mean().item(), 4) for name, _ in met}
+    return joints._replace(encoder=error, lower=lower, upper=upper), off
