@@ -354,6 +354,30 @@ def test_each_fault_is_named(fault: str, text: str) -> None:
         find_tuning(motion_of(motors), load_hand(HAND, mount="fixed"))
 
 
+def test_a_hand_that_is_where_it_cannot_be_is_not_moved() -> None:
+    motors = simulated()
+    motors.q = motors.q + 2.0 * (np.arange(16) == 5)
+    motion = motion_of(motors)
+    with pytest.raises(InvalidInputError, match=r"joint_5.0: expected .* rad, got"):
+        find_tuning(motion, load_hand(HAND, mount="fixed"))
+    assert not motion.count
+
+
+def test_lost_answers_are_met_and_silence_is_not() -> None:
+    motion = Motion(Played(JOINT, STIFF), 0.1, (k / RATE for k in count()))
+    motion.start()
+    for _ in range(2):
+        with patch.object(Played, "read", side_effect=DriverError("no answer")):
+            motion.go(motion.goal + 0.4, 1.0)
+        motion.go(motion.goal + 0.1, 1.0)
+    assert motion.count == 20
+    with (
+        patch.object(Played, "read", side_effect=DriverError("no answer")),
+        pytest.raises(DriverError, match="no answer"),
+    ):
+        motion.go(motion.goal + 0.6, 1.0)
+
+
 def at_once(rate: float, _: object) -> Iterator[float]:
     return (k / rate for k in count())
 

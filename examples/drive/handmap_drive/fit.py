@@ -1,12 +1,16 @@
 """What a hand makes of its commands, by least squares on what happened."""
 
+from functools import partial
+
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands import Hand
+from handmap_qp.se3 import Array
 from .motion import Log
 
-SLOWEST = 0.04
+_SLOWEST = 0.04
 """A joint moves above this speed [rad/s]."""
 FULL = 0.9
 """Share of the limit of torque from which on a motor gives way."""
@@ -16,6 +20,8 @@ MEETS = 0.02
 """Torque beyond friction that says that something is in the way."""
 _LONGEST = 0.25
 """Longest delay that is looked for [s]."""
+_smooth = partial(uniform_filter1d, size=5, mode="nearest")
+"""Returns means over five turns."""
 _ITERATIONS = 5
 _STEP = 1e-4
 """Change of a joint from which gaps' slopes are found [rad]."""
@@ -37,43 +43,43 @@ def fit_joint(log: Log, i: int, limit: float) -> tuple[float, ...]:
     Returns:
         Gain, zero, delay, backlash, stretch and friction.
     """
-    time, told = log.time, log.told[:, i]
-    size = np.abs(log.torque[:, i])
-    counts = (size > TORQUE) & (size < FULL * limit)
-    pulls = np.sign(log.torque[:, i]) * counts
+    time = log.time
+    told = log.told[:, i]
+    raw = log.torque[:, i]
+    size = np.abs(raw)
+    is_known = (size > TORQUE) & (size < FULL * limit)
+    pulls = np.where(is_known, np.sign(raw), 0.0)
     is_pulled = np.abs(_smooth(pulls)) > 0.99
-    q, torque = _smooth(log.q[:, i]), _smooth(log.torque[:, i])
+    q = _smooth(log.q[:, i])
+    torque = _smooth(raw)
     speed = np.abs(np.gradient(q, time))
-    moves = is_pulled & (speed > SLOWEST)
+    moves = is_pulled & (speed > _SLOWEST)
     friction = np.median(np.abs(torque[moves]))
     # Noise of the many samples in motion would hide how torques change at rest.
     torque = np.where(moves, pulls * friction, torque)
+    ones = np.ones_like(q)
+    wanted = q[is_pulled]
 
-    def solve(delay: float) -> tuple[float, np.ndarray]:
+    def solve(delay: float) -> tuple[float, Array]:
         late = _smooth(np.interp(time - delay, time, told))
-        columns = np.array([late, np.ones_like(q), -0.5 * pulls, -torque])
-        rows, wanted = columns.T[is_pulled], q[is_pulled]
+        columns = np.array([late, ones, -0.5 * pulls, -torque])
+        rows = columns.T[is_pulled]
         found, *_ = np.linalg.lstsq(rows, wanted)
-        return np.sum((rows @ found - wanted) ** 2), found
+        left = rows @ found - wanted
+        return left @ left, found
 
-    def best(delays: np.ndarray) -> float:
+    def best(delays: Array) -> float:
         return min(delays.tolist(), key=lambda delay: solve(delay)[0])
 
     delay = best(np.arange(0.0, _LONGEST, 0.01))
-    delay = best(np.clip(delay + np.arange(-0.01, 0.01, 0.001), 0.0, None))
-    gain, zero, *lag = solve(delay)[1]
+    near = delay + np.arange(-0.01, 0.01, 0.001)
+    delay = best(np.maximum(near, 0.0))
+    _, (gain, zero, *lag) = solve(delay)
     backlash, stretch = np.maximum(lag, 0.0)
     return gain, zero, delay, backlash, stretch, friction
 
 
-def _smooth(values: np.ndarray) -> np.ndarray:
-    """Return means over five turns."""
-    return np.convolve(np.pad(values, 2, "edge"), np.full(5, 0.2), "valid")
-
-
-def fit_encoders(
-    hand: Hand, met: list[tuple[str, np.ndarray]]
-) -> tuple[np.ndarray, np.ndarray]:
+def fit_encoders(hand: Hand, met: list[tuple[str, Array]]) -> tuple[Array, Array]:
     """Find the smallest errors of encoders with which tips meet where they met (Gauss-Newton).
 
     Args:
@@ -83,19 +89,23 @@ def fit_encoders(
     Returns:
         What encoders miss [rad], shape (n,), and the gaps that they tell without it [m], (k,).
     """
-    meter, n = GapMeter(hand), len(hand.joint_names)
-    steps = np.vstack([np.zeros(n), _STEP * np.eye(n)])
+    meter = GapMeter(hand)
+    n = len(hand.joint_names)
+    nothing = np.zeros(n)
+    steps = np.vstack([nothing, _STEP * np.eye(n)])
+    expected = np.eye(n) / _ERROR
 
-    def gaps(error: np.ndarray) -> np.ndarray:
+    def gaps(error: Array) -> Array:
         rows = [meter.pinches(q + error + steps)[finger] for finger, q in met]
         return np.reshape(rows, (-1, n + 1))
 
-    error = np.zeros(n)
+    error = nothing
     for _ in range(_ITERATIONS):
         values = gaps(error)
         gap = values[:, 0]
-        slopes = (values[:, 1:] - values[:, :1]) / _STEP
-        rows = np.vstack([slopes / _GAP, np.eye(n) / _ERROR])
-        misses = np.concatenate([gap / _GAP, error / _ERROR])
-        error = error - np.linalg.lstsq(rows, misses)[0]
-    return error, gaps(np.zeros(n))[:, 0]
+        slopes = (values[:, 1:].T - gap) / _STEP
+        rows = np.vstack([slopes.T / _GAP, expected])
+        misses = np.append(gap / _GAP, error / _ERROR)
+        change, *_ = np.linalg.lstsq(rows, misses)
+        error = error - change
+    return error, gaps(nothing)[:, 0]

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from handmap_qp.se3 import Array
 from .drive import APPROACH
 from .driver import DriverError
 from .fit import FULL, MEETS, TORQUE, fit_joint
@@ -35,17 +36,22 @@ Tell = Callable[[float, str], object]
 """Is told how much is done [%], and what is."""
 
 
-def measure_joints(motion: Motion, space: Space, tell: Tell) -> Joints:
+def measure_joints(
+    motion: Motion, space: Space, spans: Array, groups: list[Array], tell: Tell
+) -> Joints:
     """Move each joint a little, then groups of them over their ranges; return what they do.
 
+    Args:
+        motion: The motors.
+        space: Where the hand can go.
+        spans: As of `free_spans`.
+        groups: As of `free_groups`.
+        tell: Is told how much is done.
+
     Raises:
-        InvalidInputError: If fingers are in the way of each other.
         DriverError: If a joint does not do what joints do.
     """
     names = motion.driver.joint_names
-    # Before the first motion: motors that hear nothing for a moment lose their torque.
-    spans = _spans(space)
-    groups = _groups(space, spans)
     motion.go(space.home, APPROACH)
     for i, name in enumerate(names):
         tell(10.0 * i / len(names), name)
@@ -53,12 +59,13 @@ def measure_joints(motion: Motion, space: Space, tell: Tell) -> Joints:
     found = np.zeros((9, len(names)))
     for k, group in enumerate(groups):
         joints = np.flatnonzero(group)
-        tell(10.0 + 60.0 * k / len(groups), ", ".join(names[i] for i in joints))
+        moved = ", ".join(names[i] for i in joints)
+        tell(10.0 + 60.0 * k / len(groups), moved)
         found[:8, joints] = _measure(motion, space, joints, spans)
     return Joints(*found)
 
 
-def _spans(space: Space) -> np.ndarray:
+def free_spans(space: Space) -> Array:
     """Return how far each joint alone can go from home to both sides [rad], shape (2, n)."""
     home = space.home
     lines = space.limits - home
@@ -66,10 +73,10 @@ def _spans(space: Space) -> np.ndarray:
     return lines * [[space.is_free(home, end) for end in side] for side in ends]
 
 
-def _groups(space: Space, spans: np.ndarray) -> list[np.ndarray]:
+def free_groups(space: Space, spans: Array) -> list[Array]:
     """Return joints that can move at the same time, as masks of shape (n,)."""
     home = space.home
-    groups: list[np.ndarray] = []
+    groups: list[Array] = []
     for joint in np.eye(len(home), dtype=bool):
         for group in groups:
             ends = home + (group | joint) * spans
@@ -83,7 +90,8 @@ def _groups(space: Space, spans: np.ndarray) -> list[np.ndarray]:
 
 def _check(motion: Motion, space: Space, i: int) -> None:
     """Move one joint a little, and reject a hand in which something else happens."""
-    names, start = motion.driver.joint_names, motion.count
+    names = motion.driver.joint_names
+    start = motion.count
     small = _SMALL * np.eye(len(names))[i]
     for side in (1.0, -1.0, 0.0):
         motion.go(space.home + side * small, _FAST)
@@ -91,10 +99,12 @@ def _check(motion: Motion, space: Space, i: int) -> None:
     log = motion.log(start)
     moved = np.ptp(log.q, axis=0)
     pulled = np.abs(log.torque[:, i]).max()
-    follows = np.cov(log.told[:, i], log.q[:, i])[0, 1]
+    told, q = log.told[:, i], log.q[:, i]
+    follows = np.cov(told, q)[0, 1]
     most = moved.argmax()
     is_still = moved[most] < _MOVES
-    is_weak, is_full = pulled < TORQUE, pulled > FULL * motion.effort
+    is_weak = pulled < TORQUE
+    is_full = pulled > FULL * motion.effort
     problems = {
         "its motor has no torque: see its cable and its id": is_still and is_weak,
         "it does not move with the torque of --effort: it is blocked": is_still
@@ -109,9 +119,7 @@ def _check(motion: Motion, space: Space, i: int) -> None:
             raise DriverError(f"{names[i]}: {problem}")
 
 
-def _measure(
-    motion: Motion, space: Space, joints: np.ndarray, spans: np.ndarray
-) -> np.ndarray:
+def _measure(motion: Motion, space: Space, joints: Array, spans: Array) -> Array:
     """Move joints together; return what `fit_joint` finds, and ranges [rad], shape (8, m)."""
     home = space.home
     small = _SMALL * np.isin(np.arange(len(home)), joints)
@@ -126,11 +134,13 @@ def _measure(
         motion.go(home + side * small, _FAST)
     motion.go(home, APPROACH)
     motion.rest()
-    limits, no_error = space.limits[:, joints], np.zeros(len(joints))
+    limits = space.limits[:, joints]
+    no_error = np.zeros(len(joints))
     rough = Joints(*_fit(motion, start, joints), *limits, no_error)
     ends = []
     for span in spans[:, joints]:
-        pulled = rough.command(home[joints] + _NEARLY * span, np.sign(span))
+        end = home[joints] + _NEARLY * span
+        pulled = rough.command(end, np.sign(span))
         goal = home.copy()
         goal[joints] = np.clip(pulled, *limits)
         motion.go(goal, WIDE)
@@ -138,17 +148,19 @@ def _measure(
         motion.go(home, WIDE)
     q, torque = np.array(ends)[..., joints].swapaxes(0, 1)
     found = _fit(motion, start, joints)
+    final = Joints(*found, *limits, no_error)
     names = [motion.driver.joint_names[i] for i in joints]
-    ranges = _ranges(names, Joints(*found, *limits, no_error), q, torque)
+    ranges = _ranges(names, final, q, torque)
     return np.vstack([found, ranges])
 
 
-def _fit(motion: Motion, start: int, joints: np.ndarray) -> np.ndarray:
+def _fit(motion: Motion, start: int, joints: Array) -> Array:
     """Return what `fit_joint` finds of joints that were moved since a turn, shape (6, m)."""
     log = motion.log(start)
     found = np.array([fit_joint(log, i, motion.effort) for i in joints])
     least, most = _GAINS
-    for i, gain in zip(joints, found[:, 0], strict=True):
+    gains = found[:, 0]
+    for i, gain in zip(joints, gains, strict=True):
         if not least < gain < most:
             name = motion.driver.joint_names[i]
             problem = f"{name}: it moves {gain:.2g} times as far as it is told"
@@ -157,9 +169,7 @@ def _fit(motion: Motion, start: int, joints: np.ndarray) -> np.ndarray:
     return found.T
 
 
-def _ranges(
-    names: list[str], found: Joints, q: np.ndarray, torque: np.ndarray
-) -> np.ndarray:
+def _ranges(names: list[str], found: Joints, q: Array, torque: Array) -> Array:
     """Return how far joints can go: to stops, limits, or where commands bring them [rad].
 
     Args:
@@ -170,7 +180,8 @@ def _ranges(
     """
     limits = found.range
     at_stop = _SIDES * torque > found.friction + MEETS
-    missing = np.abs(limits - q) / np.ptp(limits, axis=0)
+    width = np.ptp(limits, axis=0)
+    missing = np.abs(limits - q) / width
     for side, i in np.argwhere(at_stop & (missing > _JAM)):
         stop, limit = q[side, i], limits[side, i]
         problem = f"{names[i]}: it stops at {stop:.3g} rad on its way to {limit:.3g}"

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_qp.se3 import Array
 from .drive import HOTTEST, UNANSWERED
 from .driver import Driver, DriverError, insisting
 
@@ -25,14 +26,14 @@ class Log(NamedTuple):
         torque: Their torques, shares of the largest, shape (T, n).
     """
 
-    time: np.ndarray
-    told: np.ndarray
-    q: np.ndarray
-    torque: np.ndarray
+    time: Array
+    told: Array
+    q: Array
+    torque: Array
 
 
 class Motion:
-    """Moves motors, and logs each turn.
+    """Moves motors, and logs each turn; `start` is first.
 
     Args:
         driver: The motors, connected.
@@ -47,14 +48,13 @@ class Motion:
 
     def __init__(self, driver: Driver, effort: float, times: Iterator[float]) -> None:
         self.driver, self.effort, self._times = driver, effort, times
-        self._rows: list[tuple[float, np.ndarray, np.ndarray, np.ndarray]] = []
-        self.start(lambda goal: goal)
+        self._rows: list[tuple[float, Array, Array, Array]] = []
 
-    def start(self, command: Callable[[np.ndarray], np.ndarray]) -> None:
+    def start(self, command: Callable[[Array], Array] = lambda goal: goal) -> None:
         """Begin where the joints are.
 
         Args:
-            command: Returns what motors are told, by goals of the joints.
+            command: Returns what motors are told, by goals of the joints; the goals if omitted.
 
         Raises:
             DriverError: If motors do not answer.
@@ -73,7 +73,7 @@ class Motion:
         columns = zip(*self._rows[start:], strict=True)
         return Log(*map(np.array, columns))
 
-    def turn(self, goal: np.ndarray) -> None:
+    def turn(self, goal: Array) -> None:
         """Tell motors where joints are to go [rad], and log what they do.
 
         Raises:
@@ -96,7 +96,7 @@ class Motion:
 
     def go(
         self,
-        goal: np.ndarray,
+        goal: Array,
         speed: float,
         until: Callable[[], bool] = lambda: False,
     ) -> bool:
@@ -118,13 +118,13 @@ class Motion:
                 return True
         return False
 
-    def rest(self) -> tuple[np.ndarray, np.ndarray]:
+    def rest(self) -> tuple[Array, Array]:
         """Wait until joints are at rest; return where they are [rad], and their torques."""
         for _ in range(round(_REST * self.driver.rate)):
             self.turn(self.goal)
         return self.mean(_AT_REST)
 
-    def mean(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+    def mean(self, count: int) -> tuple[Array, Array]:
         """Return the mean of joints [rad] and torques over the last turns."""
         *_, q, torque = self.log(-count)
         return q.mean(axis=0), torque.mean(axis=0)

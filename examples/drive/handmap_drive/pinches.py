@@ -11,7 +11,9 @@ from handmap_qp.apps.offline.fidelity import CLOSED, OPEN
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands import THUMB, Hand
 from handmap_qp.mapping import default_preset
+from handmap_qp.se3 import Array
 from handmap_qp.trackers import DEMO, read_recording
+from .drive import APPROACH
 from .fit import MEETS, fit_encoders
 from .joints import WIDE, Tell
 from .motion import Motion
@@ -41,14 +43,14 @@ class Pinch(NamedTuple):
 
     Attributes:
         finger: The finger.
-        path: Lines from home to where it is open [rad].
+        opened: Where it is open [rad], shape (n,); the line from home is free.
         ways: Ways to close it: where each begins, where tips are near, and beyond where they meet
             [rad], shape (3, n).
     """
 
     finger: str
-    path: list[np.ndarray]
-    ways: list[np.ndarray]
+    opened: Array
+    ways: list[Array]
 
 
 def plan_pinches(space: Space, tuning: Tuning) -> list[Pinch]:
@@ -56,20 +58,21 @@ def plan_pinches(space: Space, tuning: Tuning) -> list[Pinch]:
     # A finger that is pushed goes through its play, which must not lead out of its range.
     spec = tuned(space.hand.spec, tuning, kept=_KEPT)
     hand = Hand(spec, mount="fixed")
-    meter, random = GapMeter(hand), np.random.default_rng(0)
+    meter = GapMeter(hand)
+    random = np.random.default_rng(0)
     limits = hand.limits[:, space.own]
-    take = prepare_take(read_recording(DEMO, hand.side), hand.side)
+    recording = read_recording(DEMO, hand.side)
+    take = prepare_take(recording, hand.side)
     method = own_method(default_preset(take.human, hand))
     q = method.map_take(take, hand).q
 
-    def ways(
-        finger: str, opened: np.ndarray, shut: np.ndarray, moves: np.ndarray
-    ) -> Iterator[np.ndarray]:
+    def ways(finger: str, opened: Array, shut: Array, moves: Array) -> Iterator[Array]:
         shares = np.linspace(0.0, 1.0 + _BEYOND, 200)[:, None]
         for shift in random.normal(0.0, _SHIFT, (_TRIES, len(moves))):
-            line = opened + shares * (shut - opened)
-            way = np.clip(line + moves * shift, *limits)
-            gaps = meter.pinches(space.posture(way))[finger]
+            line = opened + shares * (shut - opened) + moves * shift
+            way = np.clip(line, *limits)
+            postures = space.posture(way)
+            gaps = meter.pinches(postures)[finger]
             near = np.argmax(gaps < _NEAR)
             if (
                 gaps.min() < -_DEEP
@@ -84,33 +87,35 @@ def plan_pinches(space: Space, tuning: Tuning) -> list[Pinch]:
         if not closed.size:
             continue
         end = closed[closed.size // 2]
-        start = np.append(0, np.flatnonzero(gaps[:end] > OPEN))[-1]
+        before = np.flatnonzero(gaps[:end] > OPEN)
+        start = before[-1] if before.size else 0
         # Other fingers stay out of the way.
         moves = space.chain(THUMB) | space.chain(finger)
-        opened, shut = np.where(moves, q[[start, end]][:, space.own], space.home)
-        if path := space.path(opened):
+        mapped = q[[start, end]][:, space.own]
+        opened, shut = np.where(moves, mapped, space.home)
+        if space.is_free(space.home, opened, TUNED):
             found = islice(ways(finger, opened, shut, moves), _WAYS)
-            pinches.append(Pinch(finger, path, [*found]))
+            pinches.append(Pinch(finger, opened, [*found]))
     return pinches
 
 
 def meet(
     motion: Motion, space: Space, joints: Joints, pinches: list[Pinch], tell: Tell
-) -> list[tuple[str, np.ndarray]]:
+) -> list[tuple[str, Array]]:
     """Close pinches until both tips feel it; return which met, and all joints there [rad]."""
     met = []
+    motion.go(space.home, APPROACH)
     for k, pinch in enumerate(pinches):
         tell(70.0 + 30.0 * k / len(pinches), f"thumb and {pinch.finger}")
         chains = space.chain(THUMB), space.chain(pinch.finger)
 
-        def is_pressed(chains: tuple[np.ndarray, ...] = chains) -> bool:
+        def is_pressed(chains: tuple[Array, ...] = chains) -> bool:
             _, torque = motion.mean(_TURNS)
             is_more = np.abs(torque) > joints.friction + MEETS
             # The thumb may meet another finger.
             return all(is_more[chain].any() for chain in chains)
 
-        for goal in pinch.path:
-            motion.go(goal, WIDE)
+        motion.go(pinch.opened, WIDE)
         for first, near, beyond in pinch.ways:
             motion.go(first, WIDE)
             motion.go(near, WIDE)
@@ -119,14 +124,13 @@ def meet(
                 q, _ = motion.rest()
                 met.append((pinch.finger, space.posture(q)))
             motion.go(first, WIDE)
-            motion.go(pinch.path[-1], WIDE)
-        for goal in pinch.path[::-1]:
-            motion.go(goal, WIDE)
+            motion.go(pinch.opened, WIDE)
+        motion.go(space.home, WIDE)
     return met
 
 
 def with_encoders(
-    space: Space, joints: Joints, met: list[tuple[str, np.ndarray]]
+    space: Space, joints: Joints, met: list[tuple[str, Array]]
 ) -> tuple[Joints, dict[str, float]]:
     """Return the joints with their encoders' errors, and by finger the gap that they tell [m]."""
     errors, gaps = fit_encoders(space.hand, met)
@@ -135,5 +139,8 @@ def with_encoders(
     lower = joints.lower + np.maximum(error, 0.0)
     upper = joints.upper + np.minimum(error, 0.0)
     fingers = np.array([finger for finger, _ in met])
-    off = {name: round(gaps[fingers == name].mean().item(), 4) for name, _ in met}
+    off = {}
+    for name, _ in met:
+        mean = gaps[fingers == name].mean()
+        off[name] = round(float(mean), 4)
     return joints._replace(encoder=error, lower=lower, upper=upper), off

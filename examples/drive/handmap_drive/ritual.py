@@ -4,7 +4,7 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand
-from .joints import Tell, measure_joints
+from .joints import Tell, free_groups, free_spans, measure_joints
 from .motion import Motion
 from .pinches import meet, plan_pinches, with_encoders
 from .space import EXACT, Space
@@ -18,7 +18,7 @@ def find_tuning(motion: Motion, hand: Hand, tell: Tell = lambda *_: None) -> Tun
     """Move a hand for two minutes, and return what it makes of its commands.
 
     Args:
-        motion: Its motors, at the start.
+        motion: Its motors.
         hand: The hand, with a fixed wrist.
         tell: Is told how much is done [%], and what is.
 
@@ -30,6 +30,10 @@ def find_tuning(motion: Motion, hand: Hand, tell: Tell = lambda *_: None) -> Tun
     """
     driver = motion.driver
     space = Space(hand, driver)
+    spans = free_spans(space)
+    groups = free_groups(space, spans)
+    # Not before: while this was planned, the hand may have been moved.
+    motion.start()
     start = np.clip(motion.goal, *space.limits)
     beyond = np.abs(motion.goal - start)
     i = beyond.argmax()
@@ -46,7 +50,7 @@ def find_tuning(motion: Motion, hand: Hand, tell: Tell = lambda *_: None) -> Tun
         "fingers whose way to the open hand is free",
         advice="open the hand while it has no torque",
     )
-    joints = measure_joints(motion, space, tell)
+    joints = measure_joints(motion, space, spans, groups, tell)
     rough = Tuning.of(driver.joint_names, joints, {})
     # Motors that hear nothing for a moment may lose their torque, and begin where they are then.
     driver.stop()

@@ -17,6 +17,7 @@ from handmap_qp.hands import (
 )
 from handmap_qp.ik import solve_by_daqp
 from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.se3 import Array
 from .driver import Health
 from .tuning import Delayed
 
@@ -78,13 +79,14 @@ class Simulated:
         self.friction = random.uniform(0.03, 0.08, n)
         self.encoder = random.uniform(-0.025, 0.025, n)
         width = np.diff(self.range, axis=0)
-        self.stops = self.range + width * random.uniform(-0.05, 0.05, (2, n))
+        shares = random.uniform(-0.05, 0.05, (2, n))
+        self.stops = self.range + shares * width
         self.q = np.clip(hand.rest[own], *self.stops)
         self._delayed = Delayed(self.delay * self.rate, self.q)
         self._torque = np.zeros(n)
 
     @property
-    def posture(self) -> np.ndarray:
+    def posture(self) -> Array:
         """Where all joints of the hand are in truth [rad]."""
         posture = self._hand.rest.copy()
         posture[self._own] = self.q + self.encoder
@@ -93,14 +95,15 @@ class Simulated:
     def connect(self) -> None:
         """See `Driver`."""
 
-    def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
+    def read(self) -> tuple[Array, Array, Health]:
         """See `Driver`."""
         n = len(self.q)
-        noise = _NOISE * self._random.standard_normal(n)
         q = np.round(self.q / _COUNT) * _COUNT
-        return q, self._torque + noise, Health(np.full(n, 30.0), ())
+        noise = _NOISE * self._random.standard_normal(n)
+        health = Health(np.full(n, 30.0), ())
+        return q, self._torque + noise, health
 
-    def write(self, q: np.ndarray, effort: float) -> None:
+    def write(self, q: Array, effort: float) -> None:
         """See `Driver`."""
         goal = self.gain * self._delayed(q) + self.zero
         half = 0.5 * self.backlash
@@ -112,15 +115,17 @@ class Simulated:
         tight = pull - np.clip(pull, -half, half)
         self._torque = np.clip(tight / self.stretch, -effort, effort)
 
-    def _allowed(self, step: np.ndarray) -> np.ndarray:
+    def _allowed(self, step: Array) -> Array:
         """Return the step that stops and tips leave, each joint as its tendon gives way [rad]."""
         self._placed.place(self._hand.configuration_vector(self.posture))
         near = self._tips.within(self._placed.q, _NEAR)
         nearing, apart = self._tips.rows(self._placed, near, 0.0)
-        rows = nearing[:, self._hand.joint_columns[self._own]], apart
-        ends = self.stops - np.clip(self.q, *self.stops)
+        columns = self._hand.joint_columns[self._own]
+        rows = nearing[:, columns], apart
+        lower, upper = self.stops - np.clip(self.q, *self.stops)
         stiffness = np.diag(1.0 / self.stretch)
-        found = solve_by_daqp(stiffness, -stiffness @ step, *ends, rows)
+        pull = stiffness @ step
+        found = solve_by_daqp(stiffness, -pull, lower, upper, rows)
         return np.zeros_like(step) if found is None else found
 
     def stop(self) -> None:
@@ -132,4 +137,5 @@ def _pinching(hand: Hand) -> ShapePairs:
     """Return the pairs of shapes that pinch."""
     shapes, fingers, _ = all_pairs(hand)
     ends = [*compress(pair_ends(shapes), fingers)]
-    return ShapePairs(paired(shapes, ends), tuple(filter(None, fingers)))
+    pinching = tuple(filter(None, fingers))
+    return ShapePairs(paired(shapes, ends), pinching)

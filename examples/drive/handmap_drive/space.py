@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from handmap_qp.hands import THUMB, Hand, all_pairs, find_fingers
+from handmap_qp.hands import Hand, all_pairs, find_fingers
 from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.se3 import Array
 from .driver import Driver
 
 APART, TUNED, EXACT = 0.1, 0.03, 0.0
@@ -29,45 +30,38 @@ class Space:
     def __init__(self, hand: Hand, driver: Driver) -> None:
         self.hand = hand
         self.own = own = [*map(hand.joint_names.index, driver.joint_names)]
-        self.limits = np.clip(hand.limits[:, own], *driver.range)
+        limits = hand.limits[:, own]
+        self.limits = np.clip(limits, *driver.range)
         low, high = self.limits
         width = high - low
         kept = np.clip(_HOME * width, _LEAST, 0.5 * width)
         self.home = np.clip(hand.zero[own], low + kept, high - kept)
         self._touch = CollisionLimit(hand, all_pairs(hand))
         # One line that is exact, and three on which some joints are ahead and some behind.
-        sides = np.random.default_rng(0).choice([-1.0, 0.0, 1.0], (4, len(own)))
-        sides[0] = 0.0
-        self._sides = sides
+        random = np.random.default_rng(0)
+        self._sides = random.choice([-1.0, 0.0, 1.0], (4, len(own)))
+        self._sides[0] = 0.0
 
-    def posture(self, q: np.ndarray) -> np.ndarray:
+    def posture(self, q: Array) -> Array:
         """Return all joints of the hand, those without a motor at rest [rad], shape (..., n)."""
-        full = np.tile(self.hand.rest, (*q.shape[:-1], 1))
+        leading = q.shape[:-1]
+        full = np.tile(self.hand.rest, (*leading, 1))
         full[..., self.own] = q
         return full
 
-    def chain(self, finger: str) -> np.ndarray:
+    def chain(self, finger: str) -> Array:
         """Return which joints are those of a finger, shape (n,)."""
-        return np.isin(self.own, find_fingers(self.hand)[finger].columns)
+        fingers = find_fingers(self.hand)
+        return np.isin(self.own, fingers[finger].columns)
 
-    def is_free(
-        self, start: np.ndarray, goal: np.ndarray, apart: float = APART
-    ) -> bool:
+    def is_free(self, start: Array, goal: Array, apart: float = APART) -> bool:
         """Return whether nothing touches on a line, even if joints are ahead by a share of it."""
         hand = self.hand
         shares = 1.0 + apart * self._sides
-        ends = np.clip(start + shares * (goal - start), *self.limits)
+        ends = start + shares * (goal - start)
+        ends = np.clip(ends, *self.limits)
+        columns = hand.joint_columns[self.own]
         moves = np.zeros((len(ends), len(self._touch.columns)))
-        moves[:, hand.joint_columns[self.own]] = ends - start
+        moves[:, columns] = ends - start
         at = hand.configuration_vector(self.posture(start))
         return not any(self._touch.met_on(at, move) for move in moves)
-
-    def path(self, goal: np.ndarray) -> list[np.ndarray]:
-        """Return free lines from home, straight or with the thumb first or last; or nothing."""
-        home, is_thumb = self.home, self.chain(THUMB)
-        thumb_last = np.where(is_thumb, home, goal)
-        thumb_first = np.where(is_thumb, goal, home)
-        for via in (goal, thumb_last, thumb_first):
-            if self.is_free(home, via, TUNED) and self.is_free(via, goal, TUNED):
-                return [home, via, goal]
-        return []

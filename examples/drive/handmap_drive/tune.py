@@ -81,7 +81,8 @@ class Tune:
             with stopping(driver) as over, progress("tuning", 100) as tell:
                 motion = Motion(driver, effort, turns(driver.rate, over))
                 tuning = find_tuning(motion, hand, tell)
-        spec = replace(tuned(load_hand(self.hand).spec, tuning), name=self.out.stem)
+        described = load_hand(self.hand).spec
+        spec = replace(tuned(described, tuning), name=self.out.stem)
         origin = Detection(spec, (), (f"tuned from {hand.name}",), {})
         write_hand(origin, self.out, by="`handmap tune`")
         files = [self.out]

@@ -16,6 +16,7 @@ from handmap_qp.hands import (
     Names,
     read_hand_spec,
 )
+from handmap_qp.se3 import Array
 from .driver import Driver, Health
 
 STILL = 0.01
@@ -56,27 +57,27 @@ class Joints(NamedTuple):
     Attributes are arrays of those of each `Joint`, shape (n,).
     """
 
-    gain: np.ndarray
-    zero: np.ndarray
-    delay: np.ndarray
-    backlash: np.ndarray
-    stretch: np.ndarray
-    friction: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    encoder: np.ndarray
+    gain: Array
+    zero: Array
+    delay: Array
+    backlash: Array
+    stretch: Array
+    friction: Array
+    lower: Array
+    upper: Array
+    encoder: Array
 
     @property
-    def band(self) -> np.ndarray:
+    def band(self) -> Array:
         """How far they lag behind what they are told [rad]."""
         return 0.5 * self.backlash + self.stretch * self.friction
 
     @property
-    def range(self) -> np.ndarray:
+    def range(self) -> Array:
         """Lower and upper ends [rad], shape (2, n)."""
         return np.array([self.lower, self.upper])
 
-    def command(self, q: np.ndarray, side: np.ndarray) -> np.ndarray:
+    def command(self, q: Array, side: Array) -> Array:
         """Return the commands that bring them to angles [rad] from a side of their play."""
         return (q - self.encoder - self.zero + side * self.band) / self.gain
 
@@ -96,8 +97,8 @@ class Tuning(Document, frozen=True):
     def of(cls, names: Names, joints: Joints, pinches: dict[str, float]) -> "Tuning":
         """Return the tuning of joints with these names, to four decimals [rad, s]."""
         rows = np.transpose(joints).round(4).tolist()
-        found = zip(names, (Joint(*row) for row in rows), strict=True)
-        return cls(dict(found), pinches)
+        found = {name: Joint(*row) for name, row in zip(names, rows, strict=True)}
+        return cls(found, pinches)
 
     def arrays(self, names: Names) -> Joints:
         """Return what was found of joints in the order of names."""
@@ -127,16 +128,22 @@ def tuned(spec: HandSpec, tuning: Tuning, kept: float = 0.0) -> HandSpec:
         tuning: What was found.
         kept: How often the band that joints lag by is kept from both ends.
     """
-    limits, rest, matched = dict(spec.limits), dict(spec.rest), dict(spec.matched or {})
-    joints = tuning.arrays(names := tuple(tuning.joints))
-    slack = np.minimum(kept * joints.band, 0.45 * (joints.upper - joints.lower))
-    ends = np.transpose([joints.lower + slack, joints.upper - slack]).tolist()
-    for name, (lower, upper) in zip(names, ends, strict=True):
+    limits = dict(spec.limits)
+    rest = dict(spec.rest)
+    matched = dict(spec.matched or {})
+    names = tuple(tuning.joints)
+    joints = tuning.arrays(names)
+    width = joints.upper - joints.lower
+    slack = np.minimum(kept * joints.band, 0.45 * width)
+    lowest = (joints.lower + slack).tolist()
+    highest = (joints.upper - slack).tolist()
+    for name, lower, upper in zip(names, lowest, highest, strict=True):
         limit = limits.get(name, LimitSpec())
         limits[name] = replace(limit, lower=lower, upper=upper)
         for posture in (rest, matched):
             if name in posture:
-                posture[name] = float(np.clip(posture[name], lower, upper))
+                kept_in = np.clip(posture[name], lower, upper)
+                posture[name] = float(kept_in)
     found = msgspec.to_builtins(tuning)
     return replace(
         spec, limits=limits, rest=rest, matched=matched or None, tuning=found
@@ -167,42 +174,48 @@ class Compensated:
             got=", ".join(tuning.joints),
             advice="`handmap tune` writes the file of each hand",
         )
-        self.rate, self.speed, self.effort = driver.rate, driver.speed, driver.effort
+        self.rate = driver.rate
+        self.speed = driver.speed
+        self.effort = driver.effort
         self._joints = joints = tuning.arrays(driver.joint_names)
         self.range = np.clip(joints.range, *driver.range)
-        self._late = (np.max(joints.delay) - joints.delay) * driver.rate
-        self._told: np.ndarray | None = None
+        longest = joints.delay.max()
+        self._late = (longest - joints.delay) * driver.rate
+        self._told: Array | None = None
 
     def connect(self) -> None:
         """See `Driver`."""
         self._driver.connect()
 
-    def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
+    def read(self) -> tuple[Array, Array, Health]:
         """See `Driver`."""
         q, torque, health = self._driver.read()
         return q + self._joints.encoder, torque, health
 
-    def write(self, q: np.ndarray, effort: float) -> None:
+    def write(self, q: Array, effort: float) -> None:
         """See `Driver`."""
         self._driver.write(self.command(q), effort)
 
-    def command(self, q: np.ndarray) -> np.ndarray:
+    def command(self, q: Array) -> Array:
         """Return what motors are told in a turn so that joints go where they should [rad]."""
         goal = np.clip(q, *self.range)
         step = self.speed / self.rate
         if self._told is None:
             self._delayed = Delayed(self._late, goal)
-            self._turn, self._side = goal, np.zeros_like(goal)
-            self._told, step = goal, np.inf
+            self._side = np.zeros_like(goal)
+            self._told = self._turn = goal
+            step = np.inf
         goal = self._delayed(goal)
         away = goal - self._turn
         turns = np.abs(away) > STILL
         self._side = np.where(turns, np.sign(away), self._side)
         # It goes along, so that the way back begins where the way ended.
-        self._turn = np.where(turns | (away * self._side > 0.0), goal, self._turn)
+        goes_along = away * self._side > 0.0
+        self._turn = np.where(turns | goes_along, goal, self._turn)
         pulled = self._joints.command(goal, self._side)
         told = np.clip(pulled, *self._driver.range)
-        self._told = self._told + np.clip(told - self._told, -step, step)
+        change = np.clip(told - self._told, -step, step)
+        self._told = self._told + change
         return self._told
 
     def stop(self) -> None:
@@ -219,12 +232,15 @@ class Delayed:
         start: Values before the first turn, shape (n,).
     """
 
-    def __init__(self, turns: np.ndarray, start: np.ndarray) -> None:
-        ages = np.arange(np.ceil(turns.max()) + 1.0)[:, None]
-        self._weights = np.clip(1.0 - np.abs(ages - turns), 0.0, None)
+    def __init__(self, turns: Array, start: Array) -> None:
+        longest = np.ceil(turns.max())
+        ages = np.arange(longest + 1.0)[:, None]
+        distances = np.abs(ages - turns)
+        self._weights = np.maximum(1.0 - distances, 0.0)
         self._past = np.tile(start, (len(ages), 1))
 
-    def __call__(self, values: np.ndarray) -> np.ndarray:
+    def __call__(self, values: Array) -> Array:
         """Take the values of a turn; return the late ones."""
         self._past = np.vstack([values, self._past[:-1]])
-        return np.sum(self._weights * self._past, axis=0)
+        weighted = self._weights * self._past
+        return weighted.sum(axis=0)
