@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +14,13 @@ from handmap_score import cli
 from handmap_score.gestures import (
     SOURCES,
     TRACKER_NOISE,
-    people,
     perform,
     read_gestures,
 )
 from handmap_score.reader import Reader
-from handmap_score.scoring import HALVES, HandScore, parts_of, score_hand, score_of
+from handmap_score.scoring import HandScore, parts_of, score_hand, score_of
 
+from handmap_qp.apps.offline.compare import Compare, methods_of
 from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     OutsideError,
@@ -82,12 +83,10 @@ def scored(human: Hand) -> HandScore:
 @pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.name)
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_performances_are_hands_that_the_input_check_accepts(source, side) -> None:
-    take, shown, samples = perform(source, 5, RATE, side)
+    gestures, take, samples = perform(source, 5, RATE, side)
     assert take.recording.side == side
     check_recording(take.recording, name=source.name)
-    gestures = read_gestures(source)
-    assert sorted(shown) == list(range(len(gestures.names)))
-    assert (np.diff(samples) > 0).all()
+    assert len({*samples.tolist()}) == len({*gestures.names}) == len(samples)
     # Bones keep their lengths but for noise, and for poses of two hands with different ones.
     bones = np.diff([finger_chains(each) for each in take.recording.landmarks], axis=2)
     spread = np.linalg.norm(bones, axis=3).std(axis=0)
@@ -96,9 +95,9 @@ def test_performances_are_hands_that_the_input_check_accepts(source, side) -> No
 
 def test_landmarks_at_a_pose_are_the_sources_own() -> None:
     gestures = read_gestures(HANDY)
-    with np.load(Path(cli.__file__).parent / "poses" / HANDY.file) as arrays:
+    with np.load(Path(cli.__file__).parent / "poses" / "handy.npz") as arrays:
         own = arrays["landmarks"].astype(float)
-    seen = gestures.seen(gestures.q, gestures.rest, np.random.default_rng(0))
+    seen = gestures.seen(gestures.poses, np.random.default_rng(0))
 
     def distances(points: np.ndarray) -> np.ndarray:
         return np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
@@ -113,54 +112,70 @@ def test_seed_decides_everything() -> None:
     np.testing.assert_array_equal(
         first.take.recording.landmarks, again.take.recording.landmarks
     )
-    assert (first.shown != other.shown).any()
+    assert (first.samples != other.samples).any()
 
 
-def test_perfect_robot_is_read_and_a_still_one_is_not(scored: HandScore) -> None:
-    first, second, last = scored.rows
-    assert [row.method for row in scored.rows] == ["follow", "stand", "refuse"]
+def test_perfect_robot_is_read_and_a_still_one_is_not(
+    human: Hand, scored: HandScore
+) -> None:
+    first, second = scored.mappings
+    assert [first.method, second.method] == ["follow", "stand"]
     assert first.values["people"] == first.values["read"] == 1.0
-    assert first.confused == []
+    assert first.confused == {}
     # Its score is not 100: the model's fingers are thick, and overlap in fists.
     assert first.score > 70.0
     assert second.values["read"] < 0.1
     assert second.score < 15.0
-    assert last.problem == "not today"
-    assert np.isnan(last.score)
-    assert [row.method for row in scored.ran] == ["follow", "stand"]
+    shown, often = next(iter(second.confused.items()))
+    assert shown.split(" for ")[0] in read_gestures(HANDY).names
+    assert often <= 2
+    assert scored.notes == [
+        f"refuse on {source.name}, seed 4: not today" for source in SOURCES
+    ]
     assert scored.same_order == 2
-    assert scored.tau == 1.0
+    assert scored.kendall_tau == 1.0
+    # The pictures' joints are those of the mappings in their order.
+    for row in scored.sheet:
+        np.testing.assert_array_equal(row.q[1], human.rest)
 
 
 def test_shuffled_labels_fall_to_chance() -> None:
     rng = np.random.default_rng(0)
-    take, shown, samples = perform(HANDY, 3, RATE, "right")
-    reader = Reader(people(HANDY, "right").trace, read_gestures(HANDY).labels, FINGERS)
-    named = reader.read(take.trace, samples)
-    right = [reader.same[rng.permutation(shown), named].mean() for _ in range(100)]
+    _, take, samples = perform(HANDY, 3, RATE, "right")
+    reader = Reader(HANDY, "right", FINGERS)
+    shuffled = [rng.permutation(samples) for _ in range(100)]
+    read = [reader.read(take.trace.part(shown, FINGERS)) for shown in shuffled]
+    right = [is_right.mean() for is_right, _ in read]
     assert np.mean(right) == pytest.approx(reader.same.mean(), abs=0.01)
     assert reader.same.mean() < 0.03
 
 
 def test_fewer_fingers_tell_fewer_gestures_apart() -> None:
     names = read_gestures(HANDY).names
-    seen = people(HANDY, "right").trace
-    reads = [Reader(seen, names, FINGERS[:count]).same for count in (5, 3)]
+    reads = [Reader(HANDY, "right", FINGERS[:count]).same for count in (5, 3)]
     a, b = names.index("devil / bull"), names.index("asl 1 / point")
     assert [same[a, b] for same in reads] == [False, True]
     assert reads[0].sum() < reads[1].sum()
 
 
+def test_hand_without_a_thumb_is_read_too() -> None:
+    _, take, samples = perform(HANDY, 3, RATE, "right")
+    shown = take.trace.part(samples, FINGERS[1:])
+    is_right, wrong = Reader(HANDY, "right", shown.names).read(shown)
+    assert is_right.all()
+    assert wrong == []
+
+
 def test_columns_are_those_of_compare(human: Hand) -> None:
     methods = [own_method("teleoperation")]
     robot = load_hand("three_finger")
-    (row,) = score_hand(robot, methods, [], (3,), RATE).rows
+    (row,) = score_hand(robot, methods, [], (3,), RATE).mappings
     takes = [perform(source, 3, RATE, "right").take for source in SOURCES]
     columns = compare_methods(takes, robot, methods).overall["teleoperation"]
     del columns["step_time_ms"]
     for key, value in columns.items():
         np.testing.assert_equal(row.values[key], value, err_msg=key)
-    assert row.score == pytest.approx(score_of(row.values))
+    assert row.score == pytest.approx(score_of(parts_of(row.values)))
 
 
 def test_score_is_that_of_the_formula() -> None:
@@ -191,7 +206,6 @@ def test_score_is_that_of_the_formula() -> None:
     # Without pinches, the two other parts count; without motion there is no lag to praise.
     assert score(pinch_closed=np.nan, finger_direction_deg=45.0) == pytest.approx(50.0)
     assert score(latency_ms=np.nan) == pytest.approx(200.0 / 3.0)
-    assert set("".join(HALVES)) == set(parts_of(good))
 
 
 @pytest.fixture(scope="module")
@@ -223,12 +237,12 @@ def test_page_has_every_gesture_source_and_licence(written: Path) -> None:
             )
     assert "http" not in page.replace("https://github.com", "")
     assert page.count("data:image/webp;base64,") == 71 * 2
-    assert results["about"]["seeds"] == "3"
+    assert results["about"]["seeds"] == [3]
     methods = [row["method"] for row in hand["mappings"]]
-    assert {*methods} == {"paper", "object", "peers"}
+    assert {*methods} == {"paper", "object"}
     # Peers that did not run say how to.
-    assert "make peers" in hand["mappings"][-1]["problem"]
-    assert [row["mapping"] for row in results["overview"]] == methods[:2]
+    assert "make peers" in results["about"]["peers"]
+    assert [row["mapping"] for row in results["overview"]] == methods
 
 
 @pytest.mark.skipif(find_chromium() is None, reason="no Chromium")
@@ -279,6 +293,33 @@ def test_wrong_words_are_refused_before_any_work(tmp_path: Path) -> None:
     refused(replace(one, hands=("three_finger", "three_finger")), "--hands")
     (tmp_path / "file").touch()
     refused(replace(one, out=tmp_path / "file" / "new"), "--out")
+
+
+def test_hands_whose_fingers_have_no_names_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cli, "find_fingers", lambda robot: {})
+    refused(cli.Score(hands=("three_finger",)), "--hands")
+
+
+def test_mappings_go_on_without_peers_that_cannot_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def without_peers(request: Compare) -> list[ComparedMethod]:
+        if request.peers:
+            raise OutsideError("not built")
+        return methods_of(request)
+
+    monkeypatch.setattr(cli, "methods_of", without_peers)
+    about: dict[str, Any] = {}
+    named = Compare((), "three_finger", ("paper", "dex-vector"), peers=True)
+    (method,) = cli.mappings_of(named, about)
+    assert method.name == "paper"
+    assert about == {"peers on three_finger": "left out: not built"}
+    with pytest.raises(OutsideError):
+        cli.mappings_of(replace(named, methods=("dex-vector",)), about)
+    with pytest.raises(InvalidInputError):
+        cli.mappings_of(replace(named, peers=False), about)
 
 
 def test_hands_that_are_not_installed_are_left_out(

@@ -4,7 +4,6 @@ import json
 import shlex
 import sys
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -15,14 +14,15 @@ from handmap_qp.apps.offline.compare import Compare, methods_of, takes_of
 from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     OutsideError,
-    Take,
+    base_name,
+    own_methods,
 )
-from handmap_qp.apps.offline.trajectory import RobotMotion, package_versions
+from handmap_qp.apps.offline.trajectory import package_versions
 from handmap_qp.apps.tables import print_result, progress
-from handmap_qp.errors import expect, require, warn
-from handmap_qp.hands import Hand, Names, load_hand
+from handmap_qp.errors import expect, warn
+from handmap_qp.hands import Hand, Names, Values, find_fingers, load_hand
 from handmap_qp.output_files import make_folder, replaced_file
-from .gestures import READERS_SEED, SOURCES
+from .gestures import SOURCES
 from .pages import results_of, score_page, votes_page
 from .scoring import FORMULA, score_hand
 
@@ -47,13 +47,12 @@ class Amount(NamedTuple):
         pairs: Pairs of pictures to vote on, of each hand.
     """
 
-    hands: int
-    seeds: tuple[int, ...]
-    rate: float
-    pairs: int
+    hands: int = 4
+    seeds: tuple[int, ...] = (0, 1)
+    rate: float = 30.0
+    pairs: int = 6
 
 
-QUICK = Amount(4, (0, 1), 30.0, 6)
 FULL = Amount(6, (0, 1, 2, 3, 4), 60.0, 24)
 
 
@@ -93,92 +92,90 @@ class Score:
     full: bool = False
     json: bool = False
 
-    @property
-    def amount(self) -> Amount:
-        """How much is measured by default."""
-        return FULL if self.full else QUICK
-
     def run(self) -> None:
         """Check everything, measure, print and write.
 
         Raises:
             HandmapError: If a hand, mapping, seed, recording or folder cannot be used.
         """
-        require("PIL.Image", "plot", "pillow")
-        amount = self.amount
+        amount = FULL if self.full else Amount()
         seeds = self.seeds or amount.seeds
-        is_right = min(seeds) >= 0 and max(seeds) < READERS_SEED
-        wanted = f"different numbers from 0 to {READERS_SEED - 1}"
-        expect(is_right and len({*seeds}) == len(seeds), "--seeds", wanted, value=seeds)
-        robots, missing = self._robots()
-        # Of the package: the hand of the robot's side.
-        files = Path("demo"), *self.recordings
-        requests = [Compare(files, name, self.methods, self.peers) for name in robots]
-        methods = [_methods(request) for request in requests]
+        is_right = min(seeds) >= 0 and len({*seeds}) == len(seeds)
+        expect(is_right, "--seeds", "different numbers from 0", value=seeds)
+        about = {
+            "command": shlex.join(["handmap", *sys.argv[1:]]),
+            "seeds": seeds,
+            "samples a second": amount.rate,
+            "score": FORMULA,
+            "versions": package_versions(),
+        }
+        for source in SOURCES:
+            about[f"poses: {source.name}"] = f"{source.licence}, {source.credit}"
+        wanted = self._wanted(HANDS[: amount.hands], about)
         make_folder(self.out, "--out")
-        scores, takes = [], []
-        with progress("scoring", len(robots)) as say:
-            every = zip(requests, robots.values(), methods, strict=True)
-            for done, (request, robot, own) in enumerate(every):
+        scores = []
+        for request, robot, methods in wanted:
+            with progress(f"{robot.name}:") as say:
                 takes = takes_of(request, robot, say)
-                told = partial(say, done)
-                scores.append(score_hand(robot, own, takes, seeds, amount.rate, told))
-            about = {
-                "command": shlex.join(["handmap", *sys.argv[1:]]),
-                "seeds": ", ".join(map(str, seeds)),
-                "samples a second": amount.rate,
-                "score": FORMULA,
-                "versions": ", ".join(package_versions()),
-            }
-            about |= {
-                f"poses: {one.name}": f"{one.licence}, {one.credit}" for one in SOURCES
-            }
-            about |= {
-                f"recording: {take.name}": take.recording.source for take in takes
-            }
-            about |= {
-                f"hand: {name}": f"left out: {why}" for name, why in missing.items()
-            }
-            results = results_of(scores, about)
-            say(len(scores), "drawing, which takes a minute")
+                score = score_hand(robot, methods, takes, seeds, amount.rate, say)
+            scores.append(score)
+            about |= {f"recording: {t.name}": t.recording.source for t in takes}
+        results = results_of(scores, about)
+        with progress("drawing, which takes a minute"):
             pages = {
                 "score.json": json.dumps(results, indent=1),
                 "score.html": score_page(scores, results),
                 "votes.html": votes_page(scores, amount.pairs),
             }
-            for name, page in pages.items():
-                with replaced_file(self.out / name, "--out") as file:
-                    file.write(page.encode())
-        written = [self.out / name for name in pages]
+        for name, page in pages.items():
+            with replaced_file(self.out / name, "--out") as file:
+                file.write(page.encode())
         tables = {"Score, mean over the seeds": results["overview"]}
+        written = map(self.out.joinpath, pages)
         print_result(results, tables, written, as_json=self.json)
 
-    def _robots(self) -> tuple[dict[str, Hand], dict[str, str]]:
-        """Return the hands by name, and why hands of the default list are not there."""
-        if self.hands:
-            check_names("--hands", self.hands)
-            return {name: load_hand(name) for name in self.hands}, {}
-        robots, missing = {}, {}
-        for name in HANDS[: self.amount.hands]:
+    def _wanted(
+        self,
+        usual: Names,
+        about: Values,
+    ) -> list[tuple[Compare, Hand, list[ComparedMethod]]]:
+        """Return what to ask of each hand, the hand, and its mappings.
+
+        Args:
+            usual: Hands without --hands; those that are not installed are left out.
+            about: Gets a line for all that is left out.
+        """
+        # Of the package: the hand of the robot's side.
+        files = Path("demo"), *self.recordings
+        wanted = []
+        for name in self.hands or usual:
             try:
-                robots[name] = load_hand(name)
+                robot = load_hand(name)
             except ImportError as error:
-                missing[name] = str(error)
+                if self.hands:
+                    raise
+                about[f"hand: {name}"] = f"left out: {error}"
                 warn(f"without {name}: {error}")
-        expect(robots, "--hands", "a hand that is installed", got="none")
-        return robots, missing
+                continue
+            expected = "a hand with fingers of people's names"
+            expect(find_fingers(robot), "--hands", expected, got=name)
+            request = Compare(files, name, self.methods, self.peers)
+            wanted.append((request, robot, mappings_of(request, about)))
+        check_names("--hands", [robot.name for _, robot, _ in wanted])
+        return wanted
 
 
-def _methods(request: Compare) -> list[ComparedMethod]:
-    """Return the mappings of a hand; peers that cannot run have a row that says why."""
-    problem = OutsideError("not run; `make peers` in a checkout, then --peers")
-    if request.peers:
-        try:
-            return methods_of(request)
-        except OutsideError as error:
-            problem = error
-
-    def fail(take: Take, robot: Hand) -> RobotMotion:
-        raise problem
-
-    return [*methods_of(replace(request, peers=False)), ComparedMethod("peers", fail)]
+def mappings_of(request: Compare, about: Values) -> list[ComparedMethod]:
+    """Return the mappings of a hand, and write down why peers are left out."""
+    if not request.peers:
+        about["peers"] = "not run; `make peers` in a checkout, then --peers"
+        return methods_of(request)
+    try:
+        return methods_of(request)
+    except OutsideError as error:
+        about[f"peers on {request.robot}"] = f"left out: {error}"
+        known = own_methods()
+        own = [name for name in request.methods if base_name(name) in known]
+        if request.methods and not own:
+            raise
+        return methods_of(replace(request, methods=tuple(own), peers=False))

@@ -1,25 +1,26 @@
 """Columns, the score, and the order of mappings on a hand: `score_hand`."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from statistics import fmean
-from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import kendalltau
 
+from handmap_qp.apps.drawing.contact_sheet import SheetRow
 from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
+    Progress,
     Run,
     Take,
     compare_methods,
 )
-from handmap_qp.apps.offline.hand_trace import HandTrace, trace_robot
+from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.offline.metrics import mean_values
-from handmap_qp.apps.offline.trajectory import RobotMotion
-from handmap_qp.hands import Hand, Names, Values, find_fingers
-from .gestures import SOURCES, Performance, Source, people, perform, read_gestures
+from handmap_qp.hands import FINGERS, Hand, Names, Values, find_fingers
+from handmap_qp.se3 import Array
+from .gestures import SOURCES, Performance, perform
 from .reader import Reader
 
 FORMULA = (
@@ -30,93 +31,88 @@ FORMULA = (
     "each at least 0. What does not arise is left out of its mean."
 )
 """How the columns are combined: what the hand meant, times how the robot moves."""
-HALVES = "DCR", "PML"
-"""Letters of the parts of both factors."""
+PARTS = "DCRPML"
+"""Letters of the parts: three of what the hand meant, and three of how the robot moves."""
 READ = ("read", "people", "chance")
 """Columns beside those of `handmap compare`: share of gestures that the reader names right of the
 robot's, of the person's in the same samples, and without looking."""
 
 
-class Scored(NamedTuple):
+@dataclass(frozen=True)
+class Scored:
     """A mapping on one hand.
 
     Attributes:
         method: Name of the mapping.
-        scores: Its score, by seed; NaN where it failed.
+        score: Mean of the scores.
+        scores: Its score, by seed.
         values: Means over the seeds: the columns of `handmap compare`, `READ`, the parts of the
             score by their letters (`FORMULA`), and errors of direction by finger [deg].
-        confused: Gestures shown, what they were taken for, and how often in all seeds.
-        problem: Why it failed in a seed; empty if it did not.
+        confused: How often in all seeds one gesture was taken for another, most often first.
     """
 
     method: str
-    scores: tuple[float, ...]
+    score: float
+    scores: list[float]
     values: Values
-    confused: list[tuple[tuple[str, str], int]]
-    problem: str
-
-    @property
-    def score(self) -> float:
-        """Mean of the scores."""
-        return fmean(self.scores)
+    confused: dict[str, int]
 
 
-class HandScore(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class HandScore:
     """All mappings on one hand.
 
     Attributes:
         robot: The hand.
-        rows: The mappings, best first; those that failed come last.
-        same_order: In how many of the seeds they come in this order.
-        tau: Kendall's rank correlation between two seeds, mean over all pairs of them.
+        mappings: Those that did not fail, best first.
+        notes: What the others did not do.
+        same_order: In how many of the seeds the mappings come in this order.
+        kendall_tau: Rank correlation between two seeds, mean over all pairs of them.
         alike: Gestures that count as one, because the hand's fingers would not tell them apart.
-        shows: The first seed's performances, one of each source.
-        runs: What every mapping made of them, by its name.
+        sheet: The end of every gesture in the first seed, with the joints of every mapping.
     """
 
     robot: Hand
-    rows: list[Scored]
+    mappings: list[Scored]
+    notes: list[str]
     same_order: int
-    tau: float
+    kendall_tau: float
     alike: list[Names]
-    shows: list[Performance]
-    runs: dict[str, list[Run]]
-
-    @property
-    def ran(self) -> list[Scored]:
-        """The mappings that did not fail."""
-        return [row for row in self.rows if not row.problem]
+    sheet: list[SheetRow]
 
 
-def parts_of(values: Values) -> Values:
-    """Return the parts of a score by their letters; see `FORMULA`."""
-    read, best, chance = (values[key] for key in READ)
+def parts_of(values: Values) -> Array:
+    """Return the parts of a score in the order of `PARTS`, shape (2, 3); see `FORMULA`."""
+    read, people, chance = (values[key] for key in READ)
+    no_false = max(0.0, 1.0 - 10.0 * values["pinch_false"])
     # A hand that stands still has no lag: it never comes.
     lag = np.nan_to_num(values["latency_ms"], nan=np.inf)
-    parts = {
-        "D": 1.0 - values["finger_direction_deg"] / 45.0,
-        "C": values["pinch_closed"] * max(0.0, 1.0 - 10.0 * values["pinch_false"]),
-        "R": (read - chance) / (best - chance),
-        "P": 1.0 - values["self_penetration"],
-        "M": 1.0 / np.nanmax([1.0, values["jerk_ratio"], values["speed_ratio"]]),
-        "L": (1.0 - values["outside_limits"]) * max(0.0, 1.0 - abs(lag) / 150.0),
-    }
-    return {letter: np.maximum(0.0, part) for letter, part in parts.items()}
+    no_lag = max(0.0, 1.0 - abs(lag) / 150.0)
+    meant = [
+        1.0 - values["finger_direction_deg"] / 45.0,
+        values["pinch_closed"] * no_false,
+        (read - chance) / (people - chance),
+    ]
+    moves = [
+        1.0 - values["self_penetration"],
+        1.0 / np.nanmax([1.0, values["jerk_ratio"], values["speed_ratio"]]),
+        (1.0 - values["outside_limits"]) * no_lag,
+    ]
+    return np.maximum(0.0, [meant, moves])
 
 
-def score_of(values: Values) -> float:
+def score_of(parts: Array) -> float:
     """Return the score of its parts."""
-    meant, moves = (np.nanmean([values[key] for key in half]) for half in HALVES)
-    return 100.0 * meant * moves
+    return 100.0 * np.nanmean(parts, axis=1).prod()
 
 
 def score_hand(
     robot: Hand,
-    methods: Sequence[ComparedMethod],
-    takes: Sequence[Take],
-    seeds: Sequence[int],
+    methods: list[ComparedMethod],
+    takes: list[Take],
+    seeds: tuple[int, ...],
     rate: float,
-    say: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda *_: None,
 ) -> HandScore:
     """Run mappings on a hand over all gestures, once a seed, and over further recordings.
 
@@ -126,103 +122,78 @@ def score_hand(
         takes: Further recordings: they count in all columns but `READ`.
         seeds: Seeds of the performances.
         rate: Samples per second of the performances.
-        say: Called before each seed with what comes next.
+        progress: As of `compare_methods`.
     """
     fingers = tuple(find_fingers(robot))
-    readers = {
-        source: Reader(
-            people(source, robot.side).trace, read_gestures(source).labels, fingers
-        )
-        for source in SOURCES
-    }
-    others = compare_methods(takes, robot, methods) if takes else None
-    found: dict[str, list[_Seed]] = {method.name: [] for method in methods}
-    first: Values = {}
-    for seed in seeds:
-        say(f"{robot.name}, seed {seed}")
-        shows = [perform(source, seed, rate, robot.side) for source in SOURCES]
-        compared = compare_methods([show.take for show in shows], robot, methods)
-        runs = {name: compared.of_method(name) for name in found}
-        first = first or {"shows": shows, "runs": runs}
-        for name, own in runs.items():
-            more = others.of_method(name) if others else []
-            found[name].append(_measure(own, more, shows, readers))
-    rows = [_scored(name, measured) for name, measured in found.items()]
-    rows.sort(key=lambda row: np.nan_to_num(row.score, nan=-1.0), reverse=True)
-    by_seed = np.array([row.scores for row in rows if not row.problem]).T
-    taus = [kendalltau(*pair).statistic for pair in combinations(by_seed, 2)]
+    readers = [Reader(source, robot.side, fingers) for source in SOURCES]
+    shows = [
+        [perform(source, seed, rate, robot.side) for source in SOURCES]
+        for seed in seeds
+    ]
+    shown = [show.take for each in shows for show in each]
+    compared = compare_methods([*shown, *takes], robot, methods, progress)
+    runs = {name: compared.of_method(name) for name in compared.methods}
+    mappings = [
+        _scored(name, own, shows, readers)
+        for name, own in runs.items()
+        if all(run.motion for run in own)
+    ]
+    mappings.sort(key=lambda mapping: mapping.score, reverse=True)
+    by_seed = np.array([mapping.scores for mapping in mappings]).T
+    # One mapping has no order.
+    pairs = combinations(by_seed, 2) if len(mappings) > 1 else ()
+    taus = [kendalltau(*pair).statistic for pair in pairs]
+    sheet = []
+    for i, show in enumerate(shows[0]):
+        motions = [runs[mapping.method][i].motion for mapping in mappings]
+        sheet += show.sheet([motion.q for motion in motions if motion])
     return HandScore(
-        robot=robot,
-        rows=rows,
-        same_order=sum(bool((np.diff(each) <= 0.0).all()) for each in by_seed),
-        tau=fmean(taus) if taus else np.nan,
-        alike=[group for item in readers.items() for group in _alike(*item)],
-        **first,
+        robot,
+        mappings,
+        compared.notes(),
+        same_order=sum(all(np.diff(scores) <= 0.0) for scores in by_seed),
+        kendall_tau=fmean(taus) if taus else np.nan,
+        alike=[group for reader in readers for group in reader.alike],
+        sheet=sheet,
     )
 
 
-class _Seed(NamedTuple):
-    """A mapping on one hand in one seed; as of `Scored`."""
+def _scored(
+    method: str,
+    runs: list[Run],
+    shows: list[list[Performance]],
+    readers: list[Reader],
+) -> Scored:
+    """Score a mapping by its runs: on the performances of each seed, then on other recordings."""
+    count = len(readers)
+    others = runs[count * len(shows) :]
+    seeds, scores, mistakes = [], [], []
+    for i, each in enumerate(shows):
+        own = runs[count * i :][:count]
+        motions = [run.motion for run in own if run.motion]
+        reads = []
+        for motion, show, reader in zip(motions, each, readers, strict=True):
+            robot = trace_robot(motion.robot, motion.q[show.samples])
+            person = show.take.trace.part(show.samples, FINGERS)
+            is_right, wrong = reader.read(robot)
+            is_own, _ = reader.read(person)
+            reads.append([is_right, is_own, reader.same.mean(axis=0)])
+            mistakes += wrong
+        values = _columns([*own, *others])
+        values |= zip(READ, np.hstack(reads).mean(axis=1), strict=True)
+        parts = parts_of(values)
+        values |= zip(PARTS, parts.flat, strict=True)
+        seeds.append(values)
+        scores.append(score_of(parts))
+    means = {key: fmean(values[key] for values in seeds) for key in seeds[0]}
+    confused = dict(Counter(mistakes).most_common())
+    return Scored(method, fmean(scores), scores, means, confused)
 
-    values: Values
-    confused: Counter[tuple[str, str]]
-    score: float = np.nan
-    problem: str = ""
 
-
-def _measure(
-    runs: Sequence[Run],
-    others: Sequence[Run],
-    shows: Sequence[Performance],
-    readers: dict[Source, Reader],
-) -> _Seed:
-    """Measure one seed: its runs, one of each source, and those of further recordings."""
-    every = [*runs, *others]
-    values = mean_values([run.values for run in every])
-    confused: Counter[tuple[str, str]] = Counter()
-    read = []
-    for run, show, (source, reader) in zip(runs, shows, readers.items(), strict=True):
-        if not run.motion:
-            values |= dict.fromkeys((*READ, *"".join(HALVES)), np.nan)
-            return _Seed(values, confused, problem=run.problem)
-        traces = _trace(run.motion), show.take.trace
-        named, own = (reader.read(trace, show.samples) for trace in traces)
-        same = reader.same[show.shown]
-        is_right, is_own = same[np.arange(len(same)), [named, own]]
-        read.append([is_right, is_own, same.mean(axis=1)])
-        names = read_gestures(source).names
-        wrong = zip(show.shown[~is_right], named[~is_right], strict=True)
-        confused.update((names[a], names[b]) for a, b in wrong)
-    values |= zip(READ, np.hstack(read).mean(axis=1), strict=True)
-    fingers = [run.fingers for run in every if run.fingers]
+def _columns(runs: list[Run]) -> Values:
+    """Return means over runs: the columns of `handmap compare`, and directions by finger."""
+    values = mean_values([run.values for run in runs])
+    fingers = [run.fingers for run in runs if run.fingers]
     for name in fingers[0]:
-        values[name] = np.mean([each[name]["direction_deg"] for each in fingers])
-    values |= parts_of(values)
-    return _Seed(values, confused, score_of(values))
-
-
-def _trace(motion: RobotMotion) -> HandTrace:
-    """Return what a robot's hand did."""
-    wrist = motion.wrist if motion.robot.is_floating else None
-    return trace_robot(motion.robot, motion.q, wrist)
-
-
-def _scored(name: str, seeds: Sequence[_Seed]) -> Scored:
-    """Return the means over the seeds."""
-    return Scored(
-        name,
-        tuple(seed.score for seed in seeds),
-        {
-            key: fmean(seed.values.get(key, np.nan) for seed in seeds)
-            for key in seeds[0].values
-        },
-        sum((seed.confused for seed in seeds), Counter()).most_common(),
-        max((seed.problem for seed in seeds), key=len),
-    )
-
-
-def _alike(source: Source, reader: Reader) -> list[Names]:
-    """Return the groups of gestures that count as one."""
-    names = np.array(read_gestures(source).names)
-    groups = {tuple(names[same].tolist()) for same in reader.same}
-    return sorted(group for group in groups if len(group) > 1)
+        values[name] = fmean(each[name]["direction_deg"] for each in fingers)
+    return values
