@@ -19,6 +19,7 @@ from handmap_score.gestures import (
 )
 from handmap_score.reader import Reader
 from handmap_score.scoring import HandScore, parts_of, score_hand, score_of
+from patience import wait_until
 
 from handmap_qp.apps.offline.compare import Compare, methods_of
 from handmap_qp.apps.offline.comparison import (
@@ -270,9 +271,14 @@ def test_pages_in_a_browser(written: Path) -> None:
         browser.press("ArrowDown", 40)
         assert "2 of 3 votes agree" in browser.evaluate("document.body.innerText")
         # Votes outlive the page.
-        browser.open(f"file://{written}/votes.html")
-        browser.wait_for("document.getElementById('progress')?.textContent")
-        assert "4 of 6 pairs" in browser.evaluate("document.body.innerText")
+
+        def has_votes() -> bool:
+            browser.open(f"file://{written}/votes.html")
+            browser.wait_for("document.getElementById('progress')?.textContent")
+            return "4 of 6 pairs" in browser.evaluate("document.body.innerText")
+
+        # The browser takes its time to write.
+        wait_until(has_votes, "votes are lost")
         rows = browser.evaluate("rows()")
         assert [row["agrees"] for row in rows] == [True, True, False, ""]
         assert browser.evaluate("csv(rows()).split('\\n').length") == 5
