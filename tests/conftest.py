@@ -41,6 +41,8 @@ SAME_ON_BOTH = {
     "core": {"test_cli.py", "test_demo.py", "test_motion_quality.py"},
     "datasets": {"test_core.py"},
     "drawing": set(),
+    "drive": set(),
+    "hamer": set(),
     "live": {"test_faulty_replay.py", "test_service.py"},
     "offline": {
         "test_faults.py",
@@ -51,6 +53,8 @@ SAME_ON_BOTH = {
     },
     "onboarding": set(),
     "paper": {"test_paper.py"},
+    "run": set(),
+    "score": set(),
     "service": {
         "test_landmarks.py",
         "test_layouts.py",
@@ -64,7 +68,9 @@ SAME_ON_BOTH = {
         "test_stop.py",
     },
     "simulation": set(),
+    "sources": set(),
     "trackers": {"test_plausibility.py"},
+    "videos": set(),
     "viewer": set(),
 }
 
