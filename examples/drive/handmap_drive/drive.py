@@ -10,7 +10,7 @@ import numpy as np
 from handmap_qp.client import Client, Command
 from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Values
-from .driver import Driver, DriverError, insisting
+from .driver import Driver, DriverError, check_places, insisting
 
 SILENCE = 0.08
 """Time without a command after which motors only hold [s]."""
@@ -28,8 +28,6 @@ NEAR = 0.05
 """How far a motor is from the commands when its way ends [rad]."""
 HOTTEST = 60.0
 """Largest temperature of a motor, unless the user gives another one [degrees Celsius]."""
-_POSSIBLE = 0.2
-"""How far out of its range a joint may be, by play and an inexact zero [rad]."""
 
 
 class Loop:
@@ -56,15 +54,7 @@ class Loop:
         self._q, _, health = insisting(driver.read)
         health.check(driver.joint_names, hottest)
         self._from = self._goal = self._written = self._q
-        beyond = np.abs(self._q - np.clip(self._q, *driver.range))
-        i = beyond.argmax()
-        expect(
-            beyond[i] < _POSSIBLE,
-            driver.joint_names[i],
-            f"{driver.range[:, i]} rad",
-            got=f"{self._q[i]:.3g}",
-            advice="compare id, zero and ratio in --motors with the hand",
-        )
+        check_places(self._q, driver.joint_names, driver.range)
         self._turned = self._heard = self._answered = monotonic()
         self._span, self._epoch = SILENCE, command.epoch
         self._problem, self._age = "", np.nan

@@ -6,10 +6,13 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from handmap_qp.errors import HandmapError
+from handmap_qp.errors import HandmapError, expect
 from handmap_qp.hands import Names
 
 T = TypeVar("T")
+
+_POSSIBLE = 0.2
+"""How far out of its range a joint may be, by play and an inexact zero [rad]."""
 
 
 class DriverError(HandmapError):
@@ -26,6 +29,28 @@ def insisting(ask: Callable[[], T]) -> T:
         with suppress(DriverError):
             return ask()
     return ask()
+
+
+def check_places(q: np.ndarray, names: Names, limits: np.ndarray) -> None:
+    """Check that joints are where they can be, before motors get torque.
+
+    Args:
+        q: Where they are [rad], shape (n,).
+        names: Their names.
+        limits: Their least and largest angles [rad], shape (2, n).
+
+    Raises:
+        InvalidInputError: If one is not; the number, zero or ratio of its motor is wrong.
+    """
+    beyond = np.abs(q - np.clip(q, *limits))
+    i = beyond.argmax()
+    expect(
+        beyond[i] < _POSSIBLE,
+        names[i],
+        f"{limits[:, i]} rad",
+        got=f"{q[i]:.3g}",
+        advice="compare id, zero and ratio in --motors with the hand",
+    )
 
 
 class Health(NamedTuple):

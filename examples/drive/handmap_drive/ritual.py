@@ -4,14 +4,12 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand
+from .driver import check_places
 from .joints import Tell, free_groups, free_spans, measure_joints
 from .motion import Motion
 from .pinches import meet, plan_pinches, with_encoders
 from .space import EXACT, Space
 from .tuning import Compensated, Tuning
-
-_OUTSIDE = 0.2
-"""How far out of its range a joint may be, by play and an inexact zero [rad]."""
 
 
 def find_tuning(motion: Motion, hand: Hand, tell: Tell = lambda *_: None) -> Tuning:
@@ -35,15 +33,7 @@ def find_tuning(motion: Motion, hand: Hand, tell: Tell = lambda *_: None) -> Tun
     # Not before: while this was planned, the hand may have been moved.
     motion.start()
     start = np.clip(motion.goal, *space.limits)
-    beyond = np.abs(motion.goal - start)
-    i = beyond.argmax()
-    expect(
-        beyond[i] < _OUTSIDE,
-        driver.joint_names[i],
-        f"{space.limits[:, i]} rad",
-        got=f"{motion.goal[i]:.3g}",
-        advice="compare id, zero and ratio in --motors with the hand",
-    )
+    check_places(motion.goal, driver.joint_names, space.limits)
     expect(
         space.is_free(start, space.home, EXACT),
         "HAND",
