@@ -76,8 +76,8 @@ class Tune:
         hand = load_hand(self.hand, mount="fixed")
         with naming("--port"):
             driver = maker(self.port, hand.joint_names, self.motors)
-            driver.connect()
             effort = effort_of(driver, self.effort)
+            driver.connect()
             with stopping(driver) as over, progress("tuning", 100) as tell:
                 motion = Motion(driver, effort, turns(driver.rate, over))
                 tuning = find_tuning(motion, hand, tell)
