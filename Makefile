@@ -41,7 +41,7 @@ help: ## Show this help
 	@echo "make TARGET, with TARGET one of"
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
-	@echo "The first run installs what it needs into $(VENV): about 1 GB for the demo, 2.3 GB for the others."
+	@echo "The first run installs what it needs into $(VENV): about 1 GB for the demo, 2.6 GB for the others."
 	@echo "More words for the command: make test ARGS='-k transform -x', make demo ARGS='--out pictures'"
 
 demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a human hand's motion on a robot hand, with pictures, in demo/
