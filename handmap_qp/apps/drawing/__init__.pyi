@@ -16,6 +16,8 @@ from .raster import Camera as Camera
 from .raster import Colour as Colour
 from .raster import Triangles as Triangles
 from .raster import merged as merged
+from .scene import PANEL as PANEL
+from .scene import Scene as Scene
 from .shapes import LinkShape as LinkShape
 from .shapes import read_shapes as read_shapes
 from .shapes import shape_meshes as shape_meshes

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import HUMAN_JOINTS, Hand, Side, Values
+from handmap_qp.hands import HUMAN_JOINTS, Hand, Side
 from handmap_qp.se3 import Array, lengths, transform_points, unit
 from handmap_qp.trackers import (
     SIDES,
@@ -18,22 +17,13 @@ from handmap_qp.trackers import (
     PointLayout,
     sized_human,
 )
-from .hands import (
-    AXIS_COLOURS,
-    HUMAN_COLOUR,
-    UPRIGHT,
-    draw_hands,
-    load_shape,
-    save_panels,
-)
-from .raster import Camera
+from .hands import AXIS_COLOURS, HUMAN_COLOUR, UPRIGHT, load_shape, save_panels
+from .scene import PANEL, Scene
 
-_PANEL = (430, 500)
 _SKIN = (0.93, 0.80, 0.72)
 _OTHER = (0.55, 0.57, 0.60)
 _AXIS_LENGTH = 0.045  # m
-_ARROW = {"arrowstyle": "-|>", "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
-_OUT = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
+_OUT = {1.0: ", out of the back", -1.0: ", out of the palm"}
 # Abduction of the fingers in the picture [rad].
 _SPREADS = (0.75, 0.16, 0.02, -0.12, -0.28)
 # Joints of the forearm that lie farther from the wrist are left out [m].
@@ -45,7 +35,7 @@ _Entries = tuple[Array, Sequence[object] | Array, Array]
 def save_layout_picture(layout: Layout, path: Path) -> None:
     """Draw a left and a right hand from the back, fingers up, with the layout's indices.
 
-    Blue dots are landmarks, grey ones are not used. Arrows are the wrist's own axes, where the
+    Blue points are landmarks, grey ones are not used. Arrows are the wrist's own axes, where the
     layout says which they are.
 
     Args:
@@ -56,67 +46,35 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
         InvalidInputError: If the file cannot be written.
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
+    scenes = {side: _scene(layout, side) for side in SIDES}
     panels = {
-        f"{side} hand, from its back": partial(_draw_side, layout, side)
-        for side in SIDES
+        f"{side} hand, from its back": partial(scene.draw, azimuth=90.0)
+        for side, scene in scenes.items()
     }
     title = f"{layout.name}: {layout.title} ({layout.unit})"
-    save_panels(path, title, _PANEL, panels)
+    save_panels(path, title, PANEL, panels)
 
 
-def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
+def _scene(layout: Layout, side: Side) -> Scene:
     human = sized_human(side)
-    # Spread fingers, so that indices do not cover one another.
+    # Spread fingers, so that joints do not cover one another.
     q = 0.25 * human.rest
     # Abduction is the first of a finger's four joints.
     q[::4] = _SPREADS
     q = np.clip(q, *human.limits)
-    solid = load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT)
-    points, labels, is_used = _entries(layout, human, q)
+    points, indices, is_used = _entries(layout, human, q)
+    colours = [HUMAN_COLOUR if used else _OTHER for used in is_used]
     directions = _wrist_axes(layout, side)
-    # The wrist, the ends of its axes, and the entries.
-    marks = np.vstack([np.zeros(3), _AXIS_LENGTH * directions, points])
-    places = transform_points(UPRIGHT, marks)
-    around = np.vstack([solid.vertices.reshape(-1, 3), places])
-    camera = Camera.framing(around, _PANEL, azimuth=90.0, elevation=14.0, margin=0.07)
-    draw_hands(axes, solid, camera)
-    pixels = camera.project(places)[:, :2]
-    _draw_axes(axes, pixels[:4], directions)
-    shown = pixels[4:]
-    colours = np.where(is_used[:, None], HUMAN_COLOUR, _OTHER)
-    sizes = np.where(is_used, 34.0, 16.0)
-    axes.scatter(
-        *shown.T, s=sizes, c=colours, edgecolors="white", linewidths=0.8, zorder=3
+    ends = _AXIS_LENGTH * directions @ UPRIGHT[:3, :3].T
+    words = [_OUT.get(height, "") for height in directions[:, 2].round(6)]
+    names = map("".join, zip("xyz", words, strict=True))
+    arrows = zip(np.zeros((3, 3)), ends, names, AXIS_COLOURS, strict=True)
+    return Scene(
+        load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT),
+        [arrow for arrow in arrows if arrow[1].any()],
+        transform_points(UPRIGHT, points),
+        [*zip(map(str, indices), colours, strict=True)],
     )
-    # Landmarks have room at their right. Joints between wrist and knuckles stand close together,
-    # so their labels are turned and go below.
-    for (x, y), label, is_own in zip(shown, labels, is_used, strict=True):
-        text = axes.text(x + 6, y - 6, label, zorder=5, **_halo())
-        text.set(fontsize=8, color="0.1")
-        if not is_own:
-            text.set(x=x + 1, y=y + 6, fontsize=7, color="0.35")
-            text.set(rotation=90, ha="center", va="top")
-
-
-def _draw_axes(axes: Any, pixels: Array, directions: Array) -> None:
-    """Draw the wrist's axes as arrows, by the pixels of the wrist and of their ends, (4, 2)."""
-    origin, *ends = pixels
-    for (x, y), direction, name, colour in zip(
-        ends, directions, "xyz", AXIS_COLOURS, strict=True
-    ):
-        if direction.any():
-            arrow = _ARROW | {"color": colour}
-            axes.annotate("", xy=(x, y), xytext=origin, arrowprops=arrow, zorder=4)
-            text = name + _OUT.get(direction[2].round(6), "")
-            axes.text(
-                x + 5, y + 11, text, color=colour, fontsize=9, zorder=6, **_halo()
-            )
-
-
-def _halo() -> Values:
-    from matplotlib import patheffects
-
-    return {"path_effects": [patheffects.withStroke(linewidth=2.5, foreground="white")]}
 
 
 def _entries(layout: Layout, human: Hand, q: Array) -> _Entries:
