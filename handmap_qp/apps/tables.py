@@ -82,14 +82,14 @@ def print_rows(title: str, rows: list[Row] | Row) -> None:
     if not rows:
         return
     table = Table(show_header=list(rows[0]) != list(_PAIR))
+    # Text, because a plain string is markup, in which [mm] or [robots] is a style.
     for name, value in rows[0].items():
         table.add_column(
-            name,
+            Text(name),
             justify="right" if isinstance(value, int | float) else "left",
             overflow="fold",
         )
     for row in rows:
-        # Text, because a plain string is markup, in which [robots] is a style.
         table.add_row(*(Text(_as_text(value)) for value in row.values()))
     console = Console()
     if not console.is_terminal and "COLUMNS" not in os.environ:

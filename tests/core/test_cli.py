@@ -459,8 +459,10 @@ def test_rows_are_whole_in_a_pipe_and_brackets_are_text(
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     long = "pip install 'handmap-qp[robots]' " * 5
-    tables.print_rows("Hands", [{"name": "allegro_right", "available": long}])
-    assert long in capsys.readouterr().out
+    tables.print_rows("Hands", [{"name": "allegro_right", "available [mm]": long}])
+    shown = capsys.readouterr().out
+    assert long in shown
+    assert "available [mm]" in shown
 
 
 def test_the_doctor_reports_the_installation(
