@@ -16,6 +16,7 @@ from .hand_pair import points_in_palm as points_in_palm
 from .hand_pair import require_partners as require_partners
 from .hand_pair import resting_posture as resting_posture
 from .hand_pair import robot_fingers as robot_fingers
+from .hand_pair import touching_distances as touching_distances
 from .mapper import HandMapper as HandMapper
 from .mapper import LandmarkReader as LandmarkReader
 from .mapper import check_dt as check_dt

@@ -291,18 +291,25 @@ class RobotFingers:
         return PointDistances(points, pairs, np.zeros(len(pairs)))
 
     @cached_property
-    def pinching_thumb(self) -> Array:
-        """Mean tip of the thumb where it pinches with each finger, in palm axes [m], shape (3,)."""
+    def pinches(self) -> list[Array]:
+        """Postures in which thumb and each other finger in turn come nearest, shape (n,) each."""
         # The thumb is the first finger.
         pads = [*self.pads.values()]
         ik = PointIk(self.hand, _PINCHING)
         task = gap_task(self.hand, pads)
-        tips = []
-        for is_used in np.eye(len(pads) - 1):
-            own = task.aimed_at(task.distances, is_used * task.weights)
-            q = approach(ik, own, _PINCH_STEPS)
-            tips += [*points_in_palm(self.hand, q, [self.chains[THUMB].tip])]
-        return frozen(np.mean(tips, axis=0))
+        return [
+            approach(
+                ik, task.aimed_at(task.distances, used * task.weights), _PINCH_STEPS
+            )
+            for used in np.eye(len(pads) - 1)
+        ]
+
+    @cached_property
+    def pinching_thumb(self) -> Array:
+        """Mean tip of the thumb where it pinches with each finger, in palm axes [m], shape (3,)."""
+        tip = [self.chains[THUMB].tip]
+        tips = points_in_palm(self.hand, np.array(self.pinches), tip)
+        return frozen(tips.mean(axis=0)[0])
 
     @cached_property
     def contacts(self) -> ShapePairs:

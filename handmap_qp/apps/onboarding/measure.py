@@ -13,19 +13,22 @@ from handmap_qp.apps.tables import rows_of, table_rows
 from handmap_qp.hands import (
     FINGERS,
     THUMB,
-    Finger,
     Hand,
     HumanLengths,
-    Pad,
-    PalmKinematics,
     all_pairs,
     find_fingers,
-    find_pads,
     load_hand,
     random_postures,
 )
 from handmap_qp.human import human_name, upright_axes
-from handmap_qp.mapping import HandMapper, MapStep, rotation_onto
+from handmap_qp.mapping import (
+    HandMapper,
+    MapStep,
+    points_in_palm,
+    robot_fingers,
+    rotation_onto,
+    touching_distances,
+)
 from handmap_qp.se3 import Array, Arrays, affine, lengths, unit
 from handmap_qp.trackers import first_of
 from .anatomy import angle_between
@@ -71,8 +74,6 @@ _COMMON = 0.8
 # Largest angles of the axis of flexion and of the straight fingers to the palm's axes [deg].
 _ACROSS = 25.0
 _DISTAL = 35.0
-# Random postures in which the search for a pinch starts.
-_STARTS = 6
 # Surfaces that come this near touch [m].
 _TOUCHING = 0.002
 # A thumb whose pad stays farther than this from every other opposes none of them [m].
@@ -407,8 +408,8 @@ def check_fist(hand: Hand) -> Found:
 
 def check_pinches(hand: Hand) -> Found:
     """Find how near the thumb's pad can come to every other finger's; an arm stays at rest."""
-    fingers = find_fingers(hand).copy()
-    pads = find_pads(hand)
+    measured = robot_fingers(hand)
+    pads = measured.pads
     rows: Rows = [
         {
             "finger": finger,
@@ -420,14 +421,19 @@ def check_pinches(hand: Hand) -> Found:
     ]
     yield "Pads", rows
     for finger, pad in pads.items():
-        if pad.radius > _LARGEST_PAD * lengths(fingers[finger].tip[1]):
+        if pad.radius > _LARGEST_PAD * lengths(measured.chains[finger].tip[1]):
             what = f"the pad has a radius of {1e3 * pad.radius:.0f} mm, too much for its phalanx"
             yield warning(f"points.{finger}", what, "check the shapes of its last link")
-    if THUMB not in fingers:
+    if THUMB not in pads:
         yield advice("points", "no point is on a thumb: pinches are not mapped")
         return
-    thumb = fingers.pop(THUMB)
-    gaps = np.array([_gap(hand, each, thumb, pads) for each in fingers.values()])
+    _, *fingers = pads
+    if not fingers:
+        return
+    places = [pad.place for pad in pads.values()]
+    points = points_in_palm(hand, np.array(measured.pinches), places)
+    apart = lengths(points[:, 1:] - points[:, :1]).diagonal()
+    gaps = apart - touching_distances([*pads.values()])
     touches = gaps < _TOUCHING
     columns = {
         "thumb and": fingers,
@@ -438,38 +444,11 @@ def check_pinches(hand: Hand) -> Found:
     if touches.any():
         touched = compress(fingers, touches)
         yield fine("points", f"the thumb can touch {', '.join(touched)}")
-    elif fingers:
+    else:
         gap, nearest = min(zip(gaps, fingers, strict=True))
         what = f"the thumb touches no finger; nearest is the {nearest}, {1e3 * gap:.0f} mm away"
         finding = warning if gap > _OPPOSING else advice
         yield finding("points", what, "check the thumb, the tips, and the limits")
-
-
-def _gap(hand: Hand, finger: Finger, thumb: Finger, pads: dict[str, Pad]) -> float:
-    """Return the least distance between two pads [m]; some negative one if they can overlap."""
-    from scipy.optimize import least_squares
-
-    view = PalmKinematics(hand)
-    both = [pads[each.name] for each in (finger, thumb)]
-    places = [pad.place for pad in both]
-    radii = sum(pad.radius for pad in both)
-    columns = np.union1d(finger.columns, thumb.columns)
-    q = hand.rest.copy()
-
-    def between(positions: Array) -> Array:
-        q[columns] = positions
-        return np.subtract(*view.points(q, places))
-
-    limits = hand.limits
-    first = [hand.rest, limits.mean(axis=0), hand.zero]
-    best = np.inf
-    for start in np.vstack([first, random_postures(hand, _STARTS)])[:, columns]:
-        if best >= radii:
-            found = least_squares(
-                between, start, bounds=limits[:, columns], ftol=1e-4, xtol=1e-4
-            )
-            best = min(best, float(lengths(found.fun)))
-    return best - radii
 
 
 def palm_rows(robot: Hand) -> Rows:
