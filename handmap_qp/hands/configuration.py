@@ -197,6 +197,6 @@ class Configuration:
             jacobian: Shape (..., model.nv).
 
         Returns:
-            Jacobian, shape (..., k); the same array if all coordinates are active.
+            Jacobian, shape (..., k).
         """
-        return jacobian if self.nv == self.model.nv else jacobian.dot(self.spread)
+        return jacobian.dot(self.spread)
