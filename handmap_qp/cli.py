@@ -18,7 +18,7 @@ from functools import cache, reduce
 from importlib.metadata import EntryPoint, entry_points
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, NoReturn, Protocol, TextIO
+from typing import Annotated, Any, NamedTuple, NoReturn, Protocol
 
 import handmap_qp
 from handmap_qp.errors import (
@@ -168,6 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         one raises `SystemExit`.
     """
     words = sys.argv[1:] if arguments is None else arguments
+    _replace_unknown_characters()
     try:
         parse(words).run()
     except SystemExit as end:
@@ -191,6 +192,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warn("interrupted, nothing was written")
         return 130
     return 0
+
+
+def _replace_unknown_characters() -> None:
+    """Print a question mark for what a terminal's character set lacks, as lines of tables."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def in_words_of_the_command_line(
@@ -257,21 +265,22 @@ def parse(arguments: Sequence[str]) -> Command:
     ]
     about = inspect.cleandoc(command.__doc__).partition("\nAttributes:")[0]
     page = _Page()
-    message = io.StringIO()
     try:
-        with contextlib.redirect_stdout(page), contextlib.redirect_stderr(message):
+        with contextlib.redirect_stdout(page):
             # It takes longer to import than all commands without one.
             import tyro
 
             # The help says in words that an argument may be omitted.
             settings = [tyro.conf.DisallowNone]
-            prog = f"handmap {name}"
             return tyro.cli(
-                command, prog=prog, description=about, args=rest, config=settings
+                command,
+                prog=f"handmap {name}",
+                description=about,
+                args=rest,
+                config=settings,
             )
     except SystemExit:
-        _print_page(message.getvalue(), sys.stderr)
-        _print_page(_wrapped(page.getvalue().replace("None)", "none)")), sys.stdout)
+        print(_wrapped(page.getvalue().replace("None)", "none)")), end="")
         raise
 
 
@@ -334,7 +343,7 @@ def _print_completion(shell: str) -> None:
     script = re.sub(
         r"^COMPLETION_SPEC = .*", _on_one_line, page.getvalue(), flags=re.MULTILINE
     )
-    _print_page(script, sys.stdout)
+    print(script, end="")
 
 
 def _on_one_line(spec: re.Match[str]) -> str:
@@ -370,11 +379,6 @@ class _Page(io.StringIO):
     def isatty(self) -> bool:
         """Return whether stdout is a terminal."""
         return os.isatty(1)
-
-
-def _print_page(page: str, stream: TextIO) -> None:
-    encoding = stream.encoding or "utf-8"
-    print(page.encode(encoding, "replace").decode(encoding), end="", file=stream)
 
 
 def _wrapped(page: str) -> str:

@@ -2,6 +2,7 @@
 
 import ast
 import importlib.metadata
+import io
 import json
 import re
 from pathlib import Path
@@ -463,6 +464,17 @@ def test_rows_are_whole_in_a_pipe_and_brackets_are_text(
     shown = capsys.readouterr().out
     assert long in shown
     assert "available [mm]" in shown
+
+
+def test_what_a_terminal_cannot_show_is_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    terminal = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr("sys.stdout", terminal)
+    assert cli.main(["doctor", "--json"]) == 0
+    tables.print_rows("grün", [{"name": "µs"}])
+    terminal.seek(0)
+    assert "gr?n" in terminal.read()
 
 
 def test_the_doctor_reports_the_installation(
