@@ -150,13 +150,13 @@ class Scene:
         # As if beside each other.
         level = places - np.outer(heights, along)
         across = unit(level[1] - level[0])
-        middle = pads.middle(level)
+        middle = pads.pair.middle(level)
         tips = {
             name: (transform_points(simulator.body_pose(body), place) - middle) @ across
             for name, (body, place) in self.tips[side].items()
         }
         axes = np.column_stack([across, np.cross(along, across), along])
-        return Grip(pads.gap(level), middle, axes, palm, tips)
+        return Grip(pads.pair.gap(level), middle, axes, palm, tips)
 
     def _met(self, side: Side, width: float) -> int:
         """Return the sample at which empty pads are first as near as a bar is wide."""

@@ -123,7 +123,7 @@ class StandIn:
         if self._goal is None or command.epoch != self._epoch:
             # The hand must be there before its pads are.
             self.simulator.reset(goal, _FAR)
-            middle = self._pads.middle(self._pads.places(self.simulator))
+            middle = self._pads.pair.middle(self._pads.places(self.simulator))
             self.simulator.reset(goal, affine(np.eye(3), middle))
             self.simulator.set_stand(holds=True)
             self._is_standing = True

@@ -3,6 +3,7 @@
 A description names them, or they are found in the collision shapes.
 """
 
+import math
 from collections import defaultdict
 from functools import lru_cache
 from typing import NamedTuple
@@ -53,6 +54,27 @@ class Pad(NamedTuple):
     def place(self) -> Place:
         """Its middle."""
         return self.joint, self.offset
+
+
+class PadPair(NamedTuple):
+    """The pads of a thumb and a finger."""
+
+    thumb: Pad
+    finger: Pad
+
+    def gap(self, places: Array) -> float:
+        """Return the distance between their surfaces, < 0 for pads in each other [m].
+
+        Args:
+            places: Their middles [m], shape (2, 3).
+        """
+        return math.dist(*places) - self.thumb.radius - self.finger.radius
+
+    def middle(self, places: Array) -> Array:
+        """Return the point midway between their surfaces [m], shape (3,); see `gap`."""
+        thumb, finger = places
+        farther = self.thumb.radius - self.finger.radius
+        return (thumb + finger + farther * unit(finger - thumb)) / 2.0
 
 
 def find_pads(hand: Hand) -> dict[str, Pad]:

@@ -19,7 +19,7 @@ from msgspec import structs
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
-from handmap_qp.hands import THUMB, Configuration
+from handmap_qp.hands import THUMB, Configuration, PadPair
 from handmap_qp.human import HumanSample
 from handmap_qp.ik import AttachedPoints, JointPositions, Task, TaskRows
 from handmap_qp.mapping import MapStep, Stages, robot_fingers
@@ -77,23 +77,20 @@ class GripOptions(Options, frozen=True):
     opens_by: Positive = 0.008
 
 
-class _PadPair(NamedTuple):
-    """The pads of the thumb and a finger."""
+class _Closers(NamedTuple):
+    """The thumb and a finger of a hand, by their pads."""
 
     points: AttachedPoints  # the middles of both
-    radii: Array  # their radii [m], shape (2,)
+    pads: PadPair
     columns: Array  # columns of q that move both fingers, shape (c,)
 
     def gap(self, hand: Configuration) -> float:
         """Return the distance between their surfaces, < 0 for pads in each other [m]."""
-        thumb, finger = self.points.positions(hand)
-        return float(lengths(finger - thumb) - self.radii.sum())
+        return self.pads.gap(self.points.positions(hand))
 
     def middle(self, hand: Configuration) -> Array:
         """Return the point midway between their surfaces [m], shape (3,)."""
-        thumb, finger = self.points.positions(hand)
-        farther = self.radii[0] - self.radii[1]
-        return (thumb + finger + farther * unit(finger - thumb)) / 2.0
+        return self.pads.middle(self.points.positions(hand))
 
     def slopes(self, hand: Configuration) -> tuple[Array, Array]:
         """Return the derivatives of the gap, shape (nv,), and of the middle, shape (3, nv)."""
@@ -106,7 +103,7 @@ class _PadPair(NamedTuple):
 class _ClosingPads(NamedTuple):
     """Keeps two pads apart, and by their own joints the middle between them at a place."""
 
-    pads: _PadPair  # the pads
+    pads: _Closers  # the pads
     own: Array  # whether each column of the velocity moves one of both fingers, shape (nv,)
     centre: Array  # the place [m], shape (3,)
     least: float  # the least gap [m]
@@ -183,9 +180,9 @@ class GripFollower:
         pads = [fingers.pads[name] for name in names]
         used = [fingers.used[name].columns for name in names]
         self._pairs = [
-            _PadPair(
+            _Closers(
                 AttachedPoints(hand, [pads[0].place, pad.place]),
-                np.array([pads[0].radius, pad.radius]),
+                PadPair(pads[0], pad),
                 np.union1d(used[0], columns),
             )
             for pad, columns in zip(pads[1:], used[1:], strict=True)
@@ -321,7 +318,7 @@ class GripFollower:
             self._grip = _Grip(finger, pads.columns, q, levers, force, gaps[finger])
 
     def _around(
-        self, pads: _PadPair, centre: Array, least: float, share: float
+        self, pads: _Closers, centre: Array, least: float, share: float
     ) -> tuple[Task, ...]:
         """Return the term by which pads close around a place, if the command is near it."""
         hand = self._placed

@@ -76,7 +76,7 @@ def test_a_closing_gripper_lifts_the_object(lifted: PinchOutcome) -> None:
 def test_the_object_stands_where_the_robots_own_pads_meet(pinching: PinchScene) -> None:
     """The pads lag behind their commands, so these have gone further by then."""
     met = pinching.meeting(0.03)
-    assert pinching.pads.gap(met.places) == pytest.approx(0.03, abs=1e-4)
+    assert pinching.pads.pair.gap(met.places) == pytest.approx(0.03, abs=1e-4)
     soft = pinching.physics.replaced(joint_stiffness=200.0)
     later = PinchScene(pinching.commands, WINDOW, soft).meeting(0.03)
     assert later.time > met.time + 0.01
@@ -84,7 +84,7 @@ def test_the_object_stands_where_the_robots_own_pads_meet(pinching: PinchScene) 
     assert pinching.meeting(0.05).time < met.time
     # What is nearer than the pads can come is met at their nearest.
     never = pinching.meeting(-1.0)
-    assert pinching.pads.gap(never.places) < 0.005
+    assert pinching.pads.pair.gap(never.places) < 0.005
 
 
 def test_the_middle_is_as_far_from_the_surfaces_of_both_pads() -> None:
@@ -106,9 +106,9 @@ def test_the_middle_is_as_far_from_the_surfaces_of_both_pads() -> None:
         simulator.hand.configuration_vector(hand.rest, np.eye(4)), np.eye(4)
     )
     places = pads.places(simulator)
-    middle = pads.middle(places)
+    middle = pads.pair.middle(places)
     to_thumb, to_finger = np.linalg.norm(places - middle, axis=1)
-    half = pads.gap(places) / 2.0
+    half = pads.pair.gap(places) / 2.0
     assert to_thumb - thumb.radius == pytest.approx(half)
     assert to_finger - finger.radius == pytest.approx(half)
 

@@ -19,7 +19,7 @@ from scipy.stats import binomtest
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.apps.tables import Row
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import THUMB, Hand, Vector
+from handmap_qp.hands import THUMB, Hand, PadPair, Vector
 from handmap_qp.mapping import (
     KINDS,
     Box,
@@ -36,7 +36,6 @@ from handmap_qp.se3 import (
     lengths,
     rotation_from_rpy,
     transform_points,
-    unit,
 )
 from .commands import PinchWindow
 from .physics import Physics, turn_up
@@ -77,6 +76,7 @@ class Pads:
         hand: The hand.
 
     Attributes:
+        pair: The pads.
         bodies: Names of the joints that carry them.
 
     Raises:
@@ -92,31 +92,20 @@ class Pads:
             f"a hand with {THUMB} and {_INDEX}",
             got=f"{hand.name} with {', '.join(chains)}",
         )
-        self._pads = [fingers.pads[name] for name in (THUMB, _INDEX)]
+        self.pair = PadPair(fingers.pads[THUMB], fingers.pads[_INDEX])
         bodies = ["world", *hand.model.names[1:]]
-        self.bodies = [bodies[pad.joint] for pad in self._pads]
-        self._radii = np.array([pad.radius for pad in self._pads])
+        self.bodies = [bodies[pad.joint] for pad in self.pair]
         self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
 
     def places(self, simulator: Simulator) -> Array:
         """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
-        pads = zip(self.bodies, self._pads, strict=True)
+        pads = zip(self.bodies, self.pair, strict=True)
         return np.array(
             [
                 transform_points(simulator.body_pose(body), pad.offset)
                 for body, pad in pads
             ]
         )
-
-    def gap(self, places: Array) -> float:
-        """Return the distance between the pads' surfaces at such places [m]."""
-        return float(lengths(places[1] - places[0]) - self._radii.sum())
-
-    def middle(self, places: Array) -> Array:
-        """Return the point midway between the pads' surfaces at such places [m], shape (3,)."""
-        thumb, finger = places
-        farther = self._radii[0] - self._radii[1]
-        return (thumb + finger + farther * unit(finger - thumb)) / 2.0
 
     def is_pinched(self, simulator: Simulator) -> bool:
         """Return whether the thumb and another link press on the object."""
@@ -217,7 +206,7 @@ class PinchScene:
         pads = self.pads
         width = surface(trial.shape).extents[0]
         met = self.meeting(width)
-        place = pads.middle(met.places) + trial.offset
+        place = pads.pair.middle(met.places) + trial.offset
         # The object's z is up and its x along the pinch, turned about the vertical.
         turn = rotation_from_rpy((0.0, 0.0, trial.yaw))
         axes = turn_up(self.physics.up, met.places[1] - met.places[0]).T @ turn
@@ -230,7 +219,9 @@ class PinchScene:
         freed, loose = -1, self.commands.time[start]
         for i, time in enumerate(self._play(simulator, start)):
             instants.append(simulator.instant())
-            off = simulator.object_pose[:3, 3] - pads.middle(pads.places(simulator))
+            off = simulator.object_pose[:3, 3] - pads.pair.middle(
+                pads.places(simulator)
+            )
             away.append(lengths(off))
             if not pads.is_pinched(simulator):
                 loose = time
@@ -255,7 +246,7 @@ class PinchScene:
             The instant, or that of the smallest gap if the pads do not come near enough.
         """
         closing = self._closing
-        gaps = np.array([self.pads.gap(places) for places in closing.places])
+        gaps = np.array([self.pads.pair.gap(places) for places in closing.places])
         # Never nearer, or never farther: where they are nearest.
         after = max(1, np.argmax(gaps <= width) or np.argmin(gaps))
         share = np.interp(width, (gaps[after], gaps[after - 1]), [1.0, 0.0])
