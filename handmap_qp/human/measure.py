@@ -11,13 +11,19 @@ from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
     as_floats,
-    frozen,
     lengths,
     rigid_fit,
     transform_points,
 )
 from .recording import Recording
-from .sample import LANDMARK_COUNT, PALM, expect_hand_length, finger_chains, human_name
+from .sample import (
+    LANDMARK_COUNT,
+    PALM,
+    expect_hand_length,
+    finger_chains,
+    human_name,
+    landmarks_at_rest,
+)
 
 _BENT = math.sin(math.radians(15.0))
 """Sine of the angle between proximal bone and the line from PIP to tip, above which a finger spans
@@ -130,7 +136,5 @@ def scaled_human(
 
 @cache
 def _standard_palm() -> Array:
-    """Return the palm's landmarks of the standard right hand [m], shape (5, 3), read-only."""
-    right = load_hand("human", points="landmarks")
-    flat = np.clip(0.0, *right.limits)
-    return frozen(right.points(flat)[PALM])
+    """Return the palm's landmarks of the standard right hand [m], shape (5, 3)."""
+    return landmarks_at_rest(load_hand("human"))[PALM]
