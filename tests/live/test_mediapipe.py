@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ from handmap_qp import InvalidInputError, cli
 from handmap_qp.apps.live import mediapipe_process
 from handmap_qp.apps.live.mediapipe_process import position_in_camera
 from handmap_qp.apps.live.mediapipe_source import (
+    REQUIREMENTS,
     VARIABLE,
     MediapipeSource,
     environment_folder,
@@ -313,5 +315,12 @@ def test_an_environment_holds_no_more_than_it_needs_and_its_size_is_told(
     assert cli.main(["track", "mediapipe", "--install"]) == 0
     install, remove = (tmp_path / "calls").read_text().splitlines()
     assert " install --no-deps mediapipe==0.10.21 numpy<2 " in install
+    # A machine without handmap gets the same by hand, and what the client needs.
+    page = Path(__file__, "../../../docs/live.md").resolve().read_text()
+    by_hand = page.partition("    pip install --no-deps mediapipe")[2].partition(
+        "    python "
+    )
+    words = shlex.split(f"mediapipe{by_hand[0]}".replace("\\\n", ""))
+    assert words == [*REQUIREMENTS, "msgspec", "pyzmq"]
     assert remove.endswith(" uninstall -y pip setuptools")
     assert capsys.readouterr().out.endswith(f"ready in {folder} (6 MB)\n")

@@ -3,9 +3,8 @@
 MediaPipe 0.10.21, the last version that brings its hand model, needs numpy below 2. So this file
 imports nothing of handmap_qp but, for --to, its client. `handmap track mediapipe` runs
 it and reads its samples, one JSON object a line. On a machine with a camera and without handmap_qp,
-copy this file and the folder client there:
+copy this file and the folder client there, install what docs/live.md lists (0.3 GB), and run:
 
-    pip install mediapipe==0.10.21 msgspec pyzmq
     python mediapipe_process.py --camera 0 --to tcp://192.168.1.5:5570 --robot allegro_right
 
 Landmarks are in metres, in the axes of the camera turned upright: x right in the picture, y up, z
