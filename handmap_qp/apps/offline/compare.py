@@ -351,15 +351,17 @@ def draw_metrics(file: Path, comparison: Comparison) -> None:
     with require_matplotlib().rc_context(fname=_STYLE):
         from matplotlib.figure import Figure
 
-        rows = ceil(len(METRICS) / _COLUMNS)
+        groups = dict(arising(comparison.overall.values()))
+        metrics = sum(groups.values(), ())
+        rows = ceil(len(metrics) / _COLUMNS)
         height = 0.75 + 0.165 * len(comparison.methods)
         figure = Figure(figsize=(18.5, rows * height + 0.8))
-        for i, metric in enumerate(METRICS):
+        for i, metric in enumerate(metrics):
             panel = figure.add_subplot(rows, _COLUMNS, i + 1)
             _draw_panel(panel, metric, comparison, has_names=i % _COLUMNS == 0)
         figure.suptitle(
-            f"{comparison.robot.name}: mean over {len(comparison.takes)} recordings (large dots) "
-            "and each recording (small dots); filled: best. Arrows: beyond the panel.",
+            f"{comparison.robot.name}: large dots for the mean over recordings "
+            f"({len(comparison.takes)}), small for each; filled: best. Arrows: beyond the panel.",
         )
         figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.985))
         figure.savefig(file)
