@@ -79,7 +79,11 @@ def parse_urdf(text: str | bytes) -> Element:
     except (expat.ExpatError, LookupError, ValueError) as error:
         raise HandError(f"the URDF is not valid XML: {error}") from error
     robot = builder.close()
-    for element in robot.iter():
+    for element in [*robot.iter()]:
+        # Of a link with half of one, Pinocchio's parser would drop the shapes too.
+        for inertial in element.findall("inertial"):
+            if inertial.find("inertia") is None:
+                element.remove(inertial)
         if element.tag.startswith("xacro:"):
             message = "the file is xacro, not URDF: convert it with `xacro FILE.xacro > FILE.urdf`"
             raise HandError(message)

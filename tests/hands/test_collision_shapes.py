@@ -180,6 +180,20 @@ def test_a_lost_mesh_has_the_visual_shape_of_its_link(tmp_path: Path) -> None:
     assert palm.geometry.radius == pytest.approx(0.03)
 
 
+def test_a_link_without_an_inertia_keeps_its_shapes(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    half = '<link name="palm"><inertial><mass value="1"/></inertial>'
+    box = '<box size="0.1 0.1 0.1"/>'
+    text = FINGER.replace('<link name="palm">', half)
+    text = text.replace('<mesh filename="{mesh}"/>', box)
+    (tmp_path / "hand.urdf").write_text(text, encoding="utf-8")
+    hand = load_hand(msgspec.structs.replace(SPEC, directory=tmp_path))
+    shapes = read_collision_shapes(hand).geometryObjects
+    assert {shape.name for shape in shapes} == {"palm_0", "tip_0"}
+    assert capfd.readouterr().err == ""
+
+
 def test_a_link_keeps_the_shapes_that_it_has_beside_a_lost_one(tmp_path: Path) -> None:
     more = (
         "<collision><geometry><sphere radius='0.02'/></geometry></collision><collision>"
