@@ -115,8 +115,8 @@ class HandPair:
             one that opposes from another side, and for none.
         robot_bases: Base of each robot finger there, in palm axes [m], shape (f, 3).
         robot_centre: Centre of the robot's tips and middle joints in the matched posture [m], (3,).
-        robot_extension: Knuckle-to-tip distance of each robot finger in the matched posture, as a
-            share of its reach, shape (f,).
+        robot_distances: Knuckle-to-tip distance of each robot finger in the matched posture [m],
+            shape (f,).
 
     Raises:
         InvalidOptionsError: If the hands have no finger in common, or the human's reference points
@@ -188,7 +188,7 @@ class HandPair:
             cosine = unit(resting).dot(unit(vectors[0]))
             self.thumb_likeness = float(np.interp(cosine, _LIKE, (0.0, 1.0)))
         self.robot_centre = frozen(0.5 * (tips + middles).mean(axis=0))
-        self.robot_extension = frozen(lengths(vectors) / self.robot_reach)
+        self.robot_distances = frozen(lengths(vectors))
 
     def solve_matched(self) -> Array:
         """Solve the robot posture whose finger vectors are the resting human's, scaled.

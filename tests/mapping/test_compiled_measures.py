@@ -72,7 +72,7 @@ def test_the_robot_is_matched_to_people_as_in_python(
     in_python()
     for human, one in zip(humans, fast, strict=True):
         other = HandPair(human, robot)
-        for key in ("human_rest", "human_reach", "robot_rest", "robot_extension"):
+        for key in ("human_rest", "human_reach", "robot_rest", "robot_distances"):
             np.testing.assert_allclose(
                 getattr(one, key), getattr(other, key), atol=1e-8
             )

@@ -136,7 +136,7 @@ def test_a_robot_far_from_its_matched_posture_has_the_extension_of_that_posture(
     None
 ):
     pair = hand_pair(load_hand("human"), load_hand("allegro_right"))
-    assert pair.robot_extension.shape == (len(pair.fingers),)
+    assert pair.robot_distances.shape == (len(pair.fingers),)
     names = [point.name for point in pair.robot.reference_points]
     tips = [names.index(f"{finger}_tip") for finger in pair.fingers]
     points = pair.robot.points(pair.matched)[tips]
@@ -146,6 +146,4 @@ def test_a_robot_far_from_its_matched_posture_has_the_extension_of_that_posture(
     placed = pair.robot.configuration()
     placed.place(pair.robot.configuration_vector(pair.matched))
     distances = np.linalg.norm(points - knuckles.positions(placed), axis=1)
-    np.testing.assert_allclose(
-        pair.robot_extension * pair.robot_reach, distances, atol=1e-12
-    )
+    np.testing.assert_allclose(pair.robot_distances, distances, atol=1e-12)

@@ -17,6 +17,7 @@ from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.errors import HandError
 from handmap_qp.hands import load_hand
 from handmap_qp.hands.mjcf import ConvertedMjcf
+from handmap_qp.ik.tasks import PointDistances
 
 RADIANS = '<compiler angle="radian"/>'
 # A joint within the coupler gives each loop a second degree of freedom.
@@ -156,6 +157,31 @@ def test_jaws_have_no_exact_direction(has_ends: bool) -> None:
     assert "certain" not in {
         clue.certainty for clue in found.clues if clue.what in ("distal", "dorsal")
     }
+
+
+def test_jaws_without_a_length_close(tmp_path: Path) -> None:
+    """Their tips are where their knuckles are, so that their reach is 0."""
+    jaws = "".join(
+        f'<link name="{name}"/><joint name="{name}" type="prismatic"><parent link="base"/>'
+        f'<child link="{name}"/><origin xyz="{x} .06 0"/><axis xyz="{-x} 0 0"/>'
+        '<limit lower="0" upper=".04" effort="1" velocity="1"/></joint>'
+        for name, x in (("one", 0.04), ("other", -0.04))
+    )
+    file = tmp_path / "gripper.urdf"
+    file.write_text(f'<robot name="x"><link name="base"/>{jaws}</robot>')
+    write_hand(detect(file), tmp_path / "hand.yaml")
+    mapper = HandMapper(
+        load_hand("human"), load_hand(tmp_path / "hand.yaml"), dt=1 / 30
+    )
+    postures = standard_postures(mapper.human)
+    wide, shut = (
+        [mapper.map_step(postures[name], np.eye(4)) for _ in range(60)][-1]
+        for name in ("flat hand", "pinch")
+    )
+    (task,) = shut.asked.tasks
+    assert isinstance(task, PointDistances)
+    np.testing.assert_allclose(task.distances[:2], 0.0)
+    assert (shut.command.q > wide.command.q + 0.01).all()
 
 
 def test_a_loop_with_two_degrees_of_freedom_is_left_out(tmp_path: Path) -> None:

@@ -223,16 +223,14 @@ class BoundTeleoperation(PalmMethod):
         choices = self.choices
         human = pair.human_rest
         at_rest = lengths(human[pair.tips] - human[pair.knuckles])
-        posture = pair.robot_extension - at_rest / pair.human_reach
+        extension = pair.robot_distances - pair.reach_ratios * at_rest
         # The robot's pads press on each other here.
         touching = touching_distances(self.pads) - _SQUEEZE
         # Between jaws, an object is as large as between the human's fingers.
         ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
         count = len(touching)
         self.aim_slopes = np.append(pair.reach_ratios, np.full(count, ratio))
-        self.aim_offsets = np.append(
-            pair.robot_reach * posture, touching - ratio * choices.contact_gap
-        )
+        self.aim_offsets = np.append(extension, touching - ratio * choices.contact_gap)
         self.least_aims = np.append(np.zeros(len(pair.fingers)), touching)
         self.largest_aims = np.append(pair.robot_reach, np.full(count, np.inf))
         weights = choices.thumb_extension_weight, choices.extension_weight
