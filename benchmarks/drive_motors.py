@@ -16,6 +16,7 @@ import os
 import signal
 import threading
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,7 +24,7 @@ from typing import Any
 import handmap_drive
 import msgspec
 import numpy as np
-from handmap_drive.demo import Chain, Driven
+from handmap_drive.demo import Chain, Driven, started
 from handmap_drive.drive import HOLDING
 
 from handmap_qp import read_recording
@@ -46,8 +47,8 @@ PAUSE = 1.5
 """Time between two stops, in which motors drive again [s]."""
 
 
-def chain_of(kind: str, folder: Path, **orders: float) -> Chain:
-    """Return the chain of a kind of motors."""
+def chain_of(kind: str, folder: Path, **orders: float) -> AbstractContextManager[Chain]:
+    """Return the chain of a kind of motors, to be started."""
     recording, servos = read_recording("demo", "right"), None
     if kind == "feetech":
         own = Path(handmap_drive.__file__).with_name("leap.yaml")
@@ -55,7 +56,7 @@ def chain_of(kind: str, folder: Path, **orders: float) -> Chain:
         table |= {"bus": kind, "baud": 1000000, "full": 1000, "setup": []}
         servos = (kind, folder / "feetech.yaml")
         servos[1].write_bytes(msgspec.yaml.encode(table))
-    return Chain(MOTORS[kind], recording, servos, **orders)
+    return started(MOTORS[kind], recording, servos, **orders)
 
 
 def following(kind: str, bus: str, driven: Driven) -> dict[str, Any]:

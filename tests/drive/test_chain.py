@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from handmap_drive import DRIVERS
-from handmap_drive.emulator import Emulator
+from handmap_drive.processes import Emulator
 from patience import PATIENCE, kept_going, wait_until
 from service_tools import address_of, client_of, connected, human_q, in_loop, serving
 

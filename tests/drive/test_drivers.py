@@ -6,19 +6,20 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
-from handmap_drive import DRIVERS
-from handmap_drive.ability import FLAG, Ability, stuffed, unstuffed
+from handmap_drive import DRIVERS, inspire
+from handmap_drive.ability import FLAG, STATE, Ability, stuffed, unstuffed
 from handmap_drive.driver import DriverError, Health
-from handmap_drive.emulator import Emulator
 from handmap_drive.inspire import Inspire
 from handmap_drive.motors import read_motors
-from handmap_drive.servos import Servos
+from handmap_drive.processes import Emulator
+from handmap_drive.servos import FAMILIES, Servos
 from patience import wait_until
 
 from handmap_qp import load_hand
@@ -150,6 +151,71 @@ def follow(motors: Any, q: np.ndarray, effort: float, seconds: float = 0.5) -> N
 def pushing(emulator: Emulator, **orders: Any) -> list[bool]:
     """Return which of the two motors can have a torque."""
     return emulator.order(**orders)["torque"][:2].tolist()
+
+
+DYNAMIXEL = {
+    "torque": "Torque Enable",
+    "fault": "Hardware Error Status",
+    "watchdog": "Bus Watchdog",
+    "limit": "Goal Current",
+    "goal": "Goal Position",
+    "effort": "Present Current",
+    "position": "Present Position",
+    "temperature": "Present Temperature",
+}
+"""Names of registers in the maker's control table."""
+FEETECH = {
+    "torque": (40, 1),
+    "goal": (42, 2),
+    "limit": (48, 2),
+    "position": (56, 2),
+    "effort": (60, 2),
+    "temperature": (63, 1),
+    "fault": (65, 1),
+}
+"""Address and bytes in the memory table of the STS3215."""
+
+
+def registers(family: str) -> dict[str, tuple[int, int]]:
+    """Return address and bytes of each register, which drivers and emulated motors share."""
+    fields = FAMILIES[family].layout.fields
+    return {name: (at, form.itemsize) for name, (form, at) in fields.items()}
+
+
+def test_registers_of_servos_are_those_of_the_makers() -> None:
+    assert registers("feetech") == FEETECH
+    try:
+        package = resources.files("dynamixel_easy_sdk")
+    except ModuleNotFoundError:
+        pytest.skip("this dynamixel-sdk has no control tables")
+    table = (package / "control_table/xc330_m288.model").read_text()
+    rows = [line.split("\t") for line in table.splitlines() if line[:1].isdigit()]
+    sizes = {name: (int(at), int(size)) for at, size, name in rows}
+    own = registers("dynamixel")
+    assert own == {name: sizes[theirs] for name, theirs in DYNAMIXEL.items()}
+    assert sizes["Operating Mode"] == (11, 1)
+
+
+def test_registers_of_an_inspire_hand_are_those_of_the_manual() -> None:
+    assert (inspire.ANGLE_SET, inspire.FORCE_SET, inspire.SPEED_SET) == (
+        1486,
+        1498,
+        1522,
+    )
+    assert inspire.FORMS == {1546: "<i2", 1582: "<i2", 1606: "u1", 1618: "u1"}
+    assert inspire.HOLD == 0xFFFF
+
+
+def test_messages_of_the_ability_hand_are_those_of_the_document() -> None:
+    assert stuffed(b"\x50\xa2").hex() == "7e50a20e7e"
+    # A flag becomes 7d 5e, an escape 7d 5d.
+    assert stuffed(b"\x7e\x7d").hex() == "7e7d5e7d5d057e"
+    assert unstuffed(b"\x7d\x5e\x7d\x5d\x05") == b"\x7e\x7d"
+    answer = bytes(range(38))
+    state = np.frombuffer(answer, STATE)[0]
+    assert state["motor"]["position"][5] == int.from_bytes(answer[21:23], "little")
+    assert state["motor"]["current"][5] == int.from_bytes(answer[23:25], "little")
+    assert state["hot"] == 37
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -8,7 +8,6 @@ threads and ends the process if the hand does not answer, and it keeps matplotli
 import importlib
 import termios
 from contextlib import suppress
-from functools import partial
 from time import monotonic
 from typing import Any, ClassVar
 
@@ -83,7 +82,7 @@ class Ability(TableDriver):
         self._share = np.ones(len(self._ids))
         self._written = monotonic()
         self._effort = np.zeros(len(self._ids))
-        state = insisting(partial(self._ask, TORQUE, NONE))
+        state = insisting(self._ask, TORQUE, NONE)
         self._places = state["motor"]["position"]
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:

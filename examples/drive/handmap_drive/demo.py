@@ -9,16 +9,19 @@ The picture shows the person's hand, what the service commanded, and where the e
 from __future__ import annotations
 
 import json
-import signal
-import subprocess
 import sys
-import tempfile
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
+from subprocess import PIPE
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import interp1d
 
 from handmap_qp import Hand, Recording, load_hand, read_recording
 from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
@@ -33,7 +36,7 @@ from handmap_qp.output_files import output_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import DEMO
 from . import DRIVERS
-from .emulator import Emulator
+from .processes import Emulator, Process
 
 HANDS = {
     "leap_right": ("leap", "dynamixel", 1.0),
@@ -48,55 +51,25 @@ APPROACH = 4.0
 """Time in which the person holds still and the motors approach [s]."""
 PERIOD = 1.0 / 60.0
 LONGEST_DELAY = 0.3  # s
+command = partial(Process, "handmap_qp.cli", stderr=PIPE)
+"""A command of the package, as a process."""
 
 
 def slowed(recording: Recording, share: float) -> Recording:
     """Return a recording of the same motion that takes longer, with as many samples a second."""
-    count = len(recording)
-    at = np.linspace(0.0, count - 1.0, round(share * count))
-    before = at.astype(int)
-    after = np.minimum(before + 1, count - 1)
-    rest = (at - before)[:, None, None]
-    points = recording.landmarks
+    samples = np.arange(len(recording))
+    at = np.linspace(0.0, samples[-1], round(share * len(recording)))
     return Recording(
         recording.name,
-        np.interp(at, np.arange(count), share * recording.time),
-        points[before] + rest * (points[after] - points[before]),
-        recording.valid[before],
+        np.interp(at, samples, share * recording.time),
+        interp1d(samples, recording.landmarks, axis=0)(at),
+        recording.valid[at.astype(int)],
         recording.side,
     )
 
 
-class Process:
-    """A command of the package in a process of its own; also a context manager."""
-
-    def __init__(self, *words: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "handmap_qp.cli", *words],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-
-    def __enter__(self) -> Process:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.process.poll() is None:
-            self.end()
-
-    def line(self) -> dict[str, Any]:
-        assert self.process.stdout is not None
-        return json.loads(self.process.stdout.readline())
-
-    def end(self, number: int = signal.SIGINT) -> tuple[str, str]:
-        """End it; return stdout and stderr."""
-        self.process.send_signal(number)
-        return self.process.communicate(timeout=30.0)
-
-
-class Driven(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Driven:
     """What was commanded and what the motors did, joints in the order of the robot's.
 
     Attributes:
@@ -126,20 +99,19 @@ class Driven(NamedTuple):
         at = self.time + delay
         return np.array([np.interp(at, self.log_time, q) for q in self.angle.T]).T
 
-    def error(self, delay: float) -> np.ndarray:
-        """Return how far they were from the commands then [rad]."""
-        return np.abs(self.joints(delay) - self.q)
+    def rms_at(self, delay: float) -> float:
+        """Return how far they were from the commands then, over all joints [rad]."""
+        return float(np.sqrt(np.mean((self.joints(delay) - self.q) ** 2)))
+
+    @cached_property
+    def delay(self) -> float:
+        """The delay at which joints are nearest to the commands [s]."""
+        return min(np.arange(0.0, LONGEST_DELAY, 0.002).tolist(), key=self.rms_at)
 
     @property
     def rms(self) -> float:
         """How far they were from the commands at `delay`, over all joints [rad]."""
-        return float(np.sqrt(np.mean(self.error(self.delay) ** 2)))
-
-    @property
-    def delay(self) -> float:
-        """The delay at which joints are nearest to the commands [s]."""
-        delays = np.arange(0.0, LONGEST_DELAY, 0.002)
-        return float(min(delays, key=lambda d: np.mean(self.error(d) ** 2)))
+        return self.rms_at(self.delay)
 
     def pinches(self) -> tuple[int, float]:
         """Return the samples with a closed pinch commanded, and the share closed by the motors."""
@@ -153,83 +125,37 @@ class Driven(NamedTuple):
         return count, float(np.sum(got[closed] < CLOSED) / count if count else np.nan)
 
 
-class Chain:
-    """Service, motors and `handmap drive`, ready for samples; a context manager.
+class Chain(NamedTuple):
+    """Service, motors and `handmap drive`, ready for samples.
 
-    Args:
-        robot: One of `HANDS`, or the hand.yaml of one.
-        recording: The recording that leads it.
-        servos: In place of the hand's own motors, emulated servos and their table.
-        **orders: Orders to the emulated motors, such as `loss`.
-
-    Raises:
-        HandmapError: If the hand cannot be loaded, or has no emulated motors.
+    Attributes:
+        robot: The robot hand.
+        recording: What the person is to do.
+        order: The robot's joints among the motors.
+        log: File that the motors write at their end.
+        motors: The emulated motors.
+        service: The service.
+        client: The client that leads the session.
+        drive: `handmap drive`.
     """
 
-    def __init__(
-        self,
-        robot: str,
-        recording: Recording,
-        servos: tuple[str, Path] | None = None,
-        **orders: Any,
-    ) -> None:
-        self._file = (robot,) if robot.endswith(".yaml") else ()
-        self.robot = load_hand(robot)
-        names = ", ".join(HANDS)
-        expect(self.robot.name in HANDS, "--robot", f"one of {names}", value=robot)
-        self._driver, self._kind, slower = HANDS[self.robot.name]
-        self._table = None
-        if servos:
-            self._driver, (self._kind, self._table) = "servos", servos
-        self.recording = slowed(recording, slower)
-        self._orders = orders
-        self._random = np.random.default_rng(0)
-
-    def __enter__(self) -> Chain:
-        with ExitStack() as closing:
-            self._start(closing)
-            self._closing = closing.pop_all()
-        return self
-
-    def _start(self, closing: ExitStack) -> None:
-        """Start everything; what has started is closed if the rest cannot."""
-        start = closing.enter_context
-        self.log = Path(start(tempfile.TemporaryDirectory())) / "log.npz"
-        self.motors = start(Emulator(self._kind, "--log", str(self.log)))
-        self.motors.order(**self._orders)
-        ports = ("--port", "0", "--stream-port", "0", "--health-port", "-1")
-        extra = ("--hand", *self._file) if self._file else ()
-        self.service = start(Process("serve", *ports, "--log-level", "error", *extra))
-        server = f"127.0.0.1:{self.service.line()['ports']['requests']}"
-        self.client = start(Client(f"tcp://{server}", timeout=10.0))
-        self.client.open(
-            self.robot.name,
-            name="demo",
-            input="landmarks",
-            side=self.recording.side,
-            is_shared=True,
-            **measure_person(self.recording).session_fields(),
-        )
-        table = ("--motors", str(self._table)) if self._table else ()
-        self.drive = start(
-            Process(
-                *("drive", "demo", "--driver", self._driver),
-                *("--port", self.motors.port),
-                *table,
-                *("--from", server, "--no-deadman", "--json"),
-            )
-        )
-
-    def __exit__(self, *_: object) -> None:
-        self._closing.close()
+    robot: Hand
+    recording: Recording
+    order: list[int]
+    log: Path
+    motors: Emulator
+    service: Process
+    client: Client
+    drive: Process
 
     def approach(self) -> None:
         """Send a hand that holds still, until the motors have torque and are there."""
         first = self.recording.landmarks[0]
+        random = np.random.default_rng(0)
         end = np.inf
         while time.monotonic() < end and self.drive.process.poll() is None:
             # Landmarks that repeat exactly would be frozen data.
-            self.client.step(landmarks=first + 1e-7 * self._random.random())
+            self.client.step(landmarks=first + 1e-7 * random.random())
             time.sleep(PERIOD)
             if end == np.inf and self.motors.order()["torque"].all():
                 end = time.monotonic() + APPROACH
@@ -257,21 +183,73 @@ class Chain:
         out, said = self.drive.end()
         if self.drive.process.returncode:
             raise HandmapError(said.splitlines()[-1].removeprefix("handmap: "))
-        self.motors.__exit__()
+        self.motors.end()
         log = np.load(self.log)
-        motors = DRIVERS[self._driver]("", self.robot.joint_names, self._table)
-        order = [motors.joint_names.index(name) for name in self.robot.joint_names]
         return Driven(
             self.robot,
             self.recording,
             times,
             q,
             log["time"],
-            log["angle"][:, order],
-            log["limit"][:, order],
+            log["angle"][:, self.order],
+            log["limit"][:, self.order],
             json.loads(out.splitlines()[-1]),
             said,
         )
+
+
+@contextmanager
+def started(
+    robot: str,
+    recording: Recording,
+    servos: tuple[str, Path] | None = None,
+    **orders: Any,
+) -> Iterator[Chain]:
+    """Start a chain, and end it.
+
+    Args:
+        robot: One of `HANDS`, or the hand.yaml of one.
+        recording: The recording that leads it.
+        servos: In place of the hand's own motors, emulated servos and their table.
+        **orders: Orders to the emulated motors, such as `loss`.
+
+    Raises:
+        HandmapError: If the hand cannot be loaded, or has no emulated motors.
+    """
+    hand = load_hand(robot)
+    names = ", ".join(HANDS)
+    expect(hand.name in HANDS, "--robot", f"one of {names}", value=robot)
+    driver, kind, slower = HANDS[hand.name]
+    table = None
+    if servos:
+        driver, (kind, table) = "servos", servos
+    own = DRIVERS[driver]("", hand.joint_names, table).joint_names
+    order = [own.index(name) for name in hand.joint_names]
+    recording = slowed(recording, slower)
+    extra = ("--hand", robot) if robot.endswith(".yaml") else ()
+    ports = "--port", "0", "--stream-port", "0", "--health-port", "-1"
+    with ExitStack() as closing:
+        start = closing.enter_context
+        log = Path(start(TemporaryDirectory())) / "log.npz"
+        motors = start(Emulator(kind, "--log", str(log)))
+        motors.order(**orders)
+        service = start(command("serve", *ports, "--log-level", "error", *extra))
+        address = f"127.0.0.1:{service.line()['ports']['requests']}"
+        client = start(Client(f"tcp://{address}", timeout=10.0))
+        person = measure_person(recording).session_fields()
+        client.open(
+            hand.name,
+            name="demo",
+            input="landmarks",
+            side=recording.side,
+            is_shared=True,
+            **person,
+        )
+        words = ["drive", "demo", "--driver", driver, "--port", motors.port]
+        words += ["--motors", str(table)] if table else []
+        words += ["--from", address, "--no-deadman", "--json"]
+        drive = start(command(*words))
+        yield Chain(hand, recording, order, log, motors, service, client, drive)
 
 
 def drive_demo(robot: str | None, folder: Path) -> None:
@@ -285,8 +263,9 @@ def drive_demo(robot: str | None, folder: Path) -> None:
         HandmapError: If that is not possible.
     """
     require_matplotlib()
-    chain = Chain(robot or "leap_right", read_recording(DEMO, "right"))
-    with output_folder(folder) as writing, chain:
+    recording = read_recording(DEMO, "right")
+    chained = started(robot or "leap_right", recording)
+    with output_folder(folder) as writing, chained as chain:
         with progress("driving", len(chain.recording)) as told:
             chain.approach()
             driven = chain.end(*chain.lead(told))

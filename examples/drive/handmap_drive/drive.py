@@ -89,10 +89,8 @@ class Loop:
     @property
     def measured(self) -> list[float]:
         """Joints of the session as the motors have them; those without one as commanded [rad]."""
-        command = self._command
-        angles = dict(zip(command.joint_names, command.q, strict=True))
-        angles |= zip(self._driver.joint_names, self._q.tolist(), strict=True)
-        return [angles[name] for name in command.joint_names]
+        own = zip(self._driver.joint_names, self._q.tolist(), strict=True)
+        return [*(self._angles | dict(own)).values()]
 
     def hear(self, command: Command, now: float) -> None:
         """Take a command, at a time [s, monotonic].
@@ -117,7 +115,7 @@ class Loop:
                 f"{names[i]}: the motor goes to {self._goal[i]:.3g} rad, not {asked[i]:.3g}"
             )
         self._span = np.clip(now - self._heard, 1.0 / self._driver.rate, SILENCE)
-        self._command, self._heard = command, now
+        self._command, self._angles, self._heard = command, angles, now
         self._age = now - command.server_time
 
     def turn(self, now: float, *, is_held: bool = True) -> None:

@@ -19,16 +19,20 @@ class DriverError(HandmapError):
     """Motors do not answer, or report a fault of their own."""
 
 
-def insisting(ask: Callable[[], T]) -> T:
+def insisting(ask: Callable[..., T], *given: object) -> T:
     """Return what motors answer, in three attempts: for the start, where one is not enough.
+
+    Args:
+        ask: Asks them.
+        *given: Arguments of `ask`.
 
     Raises:
         DriverError: If none of them has an answer.
     """
     for _ in range(2):
         with suppress(DriverError):
-            return ask()
-    return ask()
+            return ask(*given)
+    return ask(*given)
 
 
 def check_places(q: np.ndarray, names: Names, limits: np.ndarray) -> None:

@@ -8,7 +8,6 @@ import importlib
 import logging
 import time
 from contextlib import suppress
-from functools import partial
 from itertools import cycle
 from typing import Any, ClassVar
 
@@ -21,7 +20,9 @@ from .motors import TableDriver
 ANGLE_SET, FORCE_SET, SPEED_SET = 1486, 1498, 1522
 """Registers to write, a word for each motor: little to index finger, bend and turn of the thumb."""
 ANGLE_ACT, FORCE_ACT, ERROR, TEMPERATURE = 1546, 1582, 1606, 1618
-"""Registers to read; the last two have a byte for each motor."""
+"""Registers to read."""
+FORMS = {ANGLE_ACT: "<i2", FORCE_ACT: "<i2", ERROR: "u1", TEMPERATURE: "u1"}
+"""What they have for each motor: a word, or a byte."""
 OPEN = 1000
 """Angle of an open finger, and the largest force and speed; a closed finger is at 0."""
 HOLD = 0xFFFF
@@ -32,8 +33,8 @@ FAULTS = dict(
 """Bits of `ERROR`."""
 _PATIENCE = 0.05
 """Longest wait for an answer [s]."""
-_OTHERS = {FORCE_ACT: "<i2", ERROR: "u1", TEMPERATURE: "u1"}
-"""Registers that are read in turns, one in each, and their type."""
+_OTHERS = FORCE_ACT, ERROR, TEMPERATURE
+"""Registers that are read in turns, one in each."""
 
 
 class _NoAnswerError(DriverError):
@@ -69,18 +70,16 @@ class Inspire(TableDriver):
             )
         self._is_late = False
         for at, value in ((FORCE_SET, 0), (ANGLE_SET, HOLD), (SPEED_SET, OPEN)):
-            insisting(partial(self._put, at, value))
+            insisting(self._put, at, value)
         self._force = 0
-        self._seen = {
-            at: insisting(partial(self._get, at, kind)) for at, kind in _OTHERS.items()
-        }
+        self._seen = {at: insisting(self._get, at) for at in _OTHERS}
         self._next = cycle(_OTHERS)
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`; torques and health are of one of the last three calls."""
-        angle = self._get(ANGLE_ACT, "<i2")
+        angle = self._get(ANGLE_ACT)
         at = next(self._next)
-        self._seen[at] = self._get(at, _OTHERS[at])
+        self._seen[at] = self._get(at)
         force, error, temperature = self._seen.values()
         health = Health(temperature, self._faults(error, FAULTS))
         # A force is positive where a finger closes, and its angle becomes less.
@@ -104,15 +103,16 @@ class Inspire(TableDriver):
             with suppress(DriverError):
                 self._put(at, value)
 
-    def _get(self, at: int, kind: str) -> np.ndarray:
+    def _get(self, at: int) -> np.ndarray:
         """Read a field of the table's motors."""
-        count = len(self.numbers) * np.dtype(kind).itemsize // 2
+        form = np.dtype(FORMS[at])
+        count = len(self.numbers) * form.itemsize // 2
         words = self._ask("read_holding_registers", at, count=count).registers
         if len(words) != count:
             self._is_late = True
             raise _NoAnswerError(f"register {at}: the answer to another message")
         # Of two bytes in a word, the first is the lower one.
-        return np.array(words, "<u2").view(kind)[self._ids]
+        return np.array(words, "<u2").view(form)[self._ids]
 
     def _put(self, at: int, values: Any) -> None:
         """Write a field of all motors; those that the table does not have stay."""

@@ -1,12 +1,11 @@
 """Servos on a serial bus: Dynamixel X by `dynamixel-sdk`, Feetech STS by `feetech-servo-sdk`.
 
-Both packages have the same classes. The registers are in `servos.yaml`.
+Both packages have the same classes. What differs between the families is in `servos.yaml`.
 """
 
 import importlib
 import termios
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -19,25 +18,33 @@ from handmap_qp.hands import Names
 from .driver import DriverError, Health, insisting
 from .motors import TableDriver
 
+STEPS = 4096
+"""Steps of a turn."""
 _WRITING, _READING = 1.0, 0.01
 """Longest waits of one call of the port [s]; a missing answer counts after some 40 ms."""
 _ALERT = 128
 """Bit in an answer of a motor with a fault, which `read` tells."""
 
 
+_FILE = Path(__file__).with_suffix(".yaml")
+FAMILIES = {
+    name: SimpleNamespace(**family, layout=np.dtype(family["registers"]))
+    for name, family in msgspec.yaml.decode(_FILE.read_bytes()).items()
+}
+"""What differs between families, as `servos.yaml` says; and the registers as a type."""
+
+
 class Servos(TableDriver):
     """The servos of a table; arguments and attributes as of `TableDriver`."""
 
-    buses: ClassVar = dict.fromkeys(("dynamixel", "feetech"), 2.0 * np.pi / 4096)
+    buses: ClassVar = dict.fromkeys(FAMILIES, 2.0 * np.pi / STEPS)
     numbers = range(253)
 
     def __init__(
         self, own: str, port: str, joints: Names, file: Path | None = None
     ) -> None:
         super().__init__(own, port, joints, file)
-        families = msgspec.yaml.decode(Path(__file__).with_suffix(".yaml").read_bytes())
-        self._family = family = SimpleNamespace(**families[self._table.bus])
-        self._fields = np.dtype(family.fields)
+        self._family = family = FAMILIES[self._table.bus]
         low, high = family.places
         ends = self._goals(self.range)
         expect(
@@ -52,15 +59,13 @@ class Servos(TableDriver):
         """See `Driver`."""
         self._open()
         family = self._family
-        size = self._fields.itemsize
-        self._state = self._sdk.GroupSyncRead(
-            self._port, self._packets, family.state, size
-        )
-        registers = [(*family.torque, 0), *family.setup, *self._table.setup]
+        first = min(family.registers["offsets"])
+        size = family.layout.itemsize - first
+        self._state = self._sdk.GroupSyncRead(self._port, self._packets, first, size)
         for motor in self._ids:
             self._state.addParam(motor)
-            for register in registers:
-                insisting(partial(self._set, motor, *register))
+            for register in (*family.setup, *self._table.setup):
+                insisting(self._set, motor, *register)
 
     def _open(self) -> None:
         """Open the port, for this process alone."""
@@ -83,53 +88,52 @@ class Servos(TableDriver):
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`."""
-        family = self._family
-        blocks = self._state.data_dict
+        family, group = self._family, self._state
+        blocks = group.data_dict
         # After a motor that does not answer, the others are not read: no block of before may stay.
         blocks.update(dict.fromkeys(blocks, b""))
-        result = self._state.txRxPacket()
+        result = group.txRxPacket()
         for motor, block in blocks.items():
-            is_whole = len(block) == self._fields.itemsize
             # An answer to another message is shorter, and no error of the package.
-            self._check(motor, 0 if is_whole else result or self._sdk.COMM_RX_CORRUPT)
-        state = np.rec.array(b"".join(map(bytes, blocks.values())), self._fields)
-        self._has_torque = (state.torque & (state.watchdog >= family.alive)).all()
+            if len(block) != group.data_length:
+                self._check(motor, result or self._sdk.COMM_RX_CORRUPT)
+        before = bytes(group.start_address)
+        tables = b"".join(before + bytes(block) for block in blocks.values())
+        state = np.rec.array(tables, family.layout)
+        # What is armed is less than 0 after it has stopped the motor.
+        needed = ("torque", *dict(family.arm))
+        self._has_torque = all((state[name] > 0).all() for name in needed)
         self._limit = state.limit
         effort = state.effort.astype(int)
         effort = np.where(effort & family.sign, family.sign - effort, effort)
-        faults = self._faults(state.fault, family.faults)
-        return (
-            self._angles(state.position),
-            self._torques(effort),
-            Health(state.temperature, faults),
-        )
+        health = Health(state.temperature, self._faults(state.fault, family.faults))
+        return self._angles(state.position), self._torques(effort), health
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
-        family = self._family
         limit = round(effort * self._table.full)
-        orders = [(family.limit, limit), (family.goal, self._goals(q))]
+        orders: list[tuple[str, Any]] = [("limit", limit), ("goal", self._goals(q))]
         if not self._has_torque:
             # Not before the limit is known to have arrived.
             torque = (self._limit == limit).all()
-            orders = [*family.arm, *orders, (family.torque, torque)]
+            orders = [*self._family.arm, *orders, ("torque", torque)]
         for register, values in orders:
             self._put(register, values)
 
     def stop(self) -> None:
         """See `Driver`."""
         self._has_torque = False
-        self._put(self._family.torque, 0)
+        self._put("torque", 0)
 
-    def _put(self, register: tuple[int, int], values: Any) -> None:
+    def _put(self, register: str, values: Any) -> None:
         """Write a register of all motors in one message, which they do not answer."""
         # After an error of the port, it would stay in use for ever.
         self._port.is_using = False
-        group = self._sdk.GroupSyncWrite(self._port, self._packets, *register)
-        for motor, value in np.broadcast(self._ids, values):
-            data = int(value).to_bytes(register[1], "little", signed=value < 0)
-            group.addParam(motor, data)
-        group.txPacket()
+        form, at = self._family.layout.fields[register]
+        rows = np.empty(len(self._ids), [("motor", "u1"), ("value", form)])
+        rows["motor"], rows["value"] = self._ids, values
+        data = rows.tobytes()
+        self._packets.syncWriteTxOnly(self._port, at, form.itemsize, data, len(data))
 
     def _set(self, motor: int, at: int, size: int, value: int) -> None:
         """Write a register of one motor, which answers."""
