@@ -100,9 +100,9 @@ def stops(chain: Chain, count: int) -> tuple[Driven, dict[str, list[float]]]:
             page.clutch()
             time.sleep(PAUSE)
             times["frozen"].append(time.monotonic())
-            chain.service.process.send_signal(signal.SIGSTOP)
+            chain.service.send_signal(signal.SIGSTOP)
             time.sleep(PAUSE)
-            chain.service.process.send_signal(signal.SIGCONT)
+            chain.service.send_signal(signal.SIGCONT)
     over.set()
     leading.join()
     return chain.end(*rows[0]), times

@@ -5,13 +5,13 @@ not used: at its import it writes a file `config.py` into the current folder, it
 threads and ends the process if the hand does not answer, and it keeps matplotlib below 3.10.1.
 """
 
-import importlib
 import termios
 from contextlib import suppress
 from time import monotonic
 from typing import Any, ClassVar
 
 import numpy as np
+import serial
 
 from .driver import DriverError, Health, insisting
 from .motors import TableDriver
@@ -71,7 +71,6 @@ class Ability(TableDriver):
 
     def connect(self) -> None:
         """See `Driver`."""
-        serial = importlib.import_module("serial")
         self._port = serial.Serial(
             self._port_name,
             self._table.baud,
@@ -81,37 +80,32 @@ class Ability(TableDriver):
         )
         self._share = np.ones(len(self._ids))
         self._written = monotonic()
-        self._effort = np.zeros(len(self._ids))
-        state = insisting(self._ask, TORQUE, NONE)
-        self._places = state["motor"]["position"]
+        insisting(self._ask, TORQUE, NONE)
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`; the hand does not tell temperatures."""
-        state = self._ask(READ)
-        self._places = state["motor"]["position"]
-        current = state["motor"]["current"]
-        self._effort = self._torques(current[self._ids])
-        faults = self._faults(state["hot"] >> np.array(self._ids), FAULTS)
+        self._ask(READ)
+        faults = self._faults(self._state["hot"] >> np.array(self._ids), FAULTS)
         unknown = np.full(len(self._ids), np.nan)
-        return self._q, self._effort, Health(unknown, faults)
+        return *self._joints(), Health(unknown, faults)
 
-    @property
-    def _q(self) -> np.ndarray:
-        """Where the joints were [rad]."""
-        return self._angles(self._places[self._ids])
+    def _joints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return where joints were [rad], and their torques, by the last answer."""
+        motors = self._state["motor"][self._ids]
+        return self._angles(motors["position"]), self._torques(motors["current"])
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
         now = monotonic()
         dt = min(now - self._written, _YIELDING)
         self._written = now
+        here, pressed = self._joints()
         # Slower than the hand tells its currents; at most twice as much in this time.
-        pressed = np.maximum(np.abs(self._effort), 1e-6)
+        pressed = np.maximum(np.abs(pressed), 1e-6)
         change = np.minimum(effort / pressed, 2.0) ** (dt / _YIELDING)
         self._share = np.minimum(self._share * change, 1.0)
-        here = self._q
         goal = self._goals(here + self._share * (q - here))
-        values = self._places.copy()
+        values = self._state["motor"]["position"].copy()
         values[self._ids] = np.clip(goal, -_FARTHEST, _FARTHEST)
         # What the motors do, `read` tells.
         with suppress(DriverError):
@@ -122,8 +116,8 @@ class Ability(TableDriver):
         with suppress(DriverError):
             self._ask(TORQUE, NONE)
 
-    def _ask(self, header: int, values: Any = ()) -> Any:
-        """Send a message, with a value for each motor, and return the hand's `STATE`.
+    def _ask(self, header: int, values: Any = ()) -> None:
+        """Send a message, with a value for each motor, and take the hand's `STATE`.
 
         Raises:
             DriverError: If no answer arrives, or only damaged ones.
@@ -139,5 +133,6 @@ class Ability(TableDriver):
                 break
             answer = unstuffed(piece[:-1])
             if len(answer) == STATE.itemsize:
-                return np.frombuffer(answer, STATE)[0]
+                self._state = np.frombuffer(answer, STATE)[0]
+                return
         raise DriverError("the hand does not answer")

@@ -153,7 +153,7 @@ class Chain(NamedTuple):
         first = self.recording.landmarks[0]
         random = np.random.default_rng(0)
         end = np.inf
-        while time.monotonic() < end and self.drive.process.poll() is None:
+        while time.monotonic() < end and self.drive.poll() is None:
             # Landmarks that repeat exactly would be frozen data.
             self.client.step(landmarks=first + 1e-7 * random.random())
             time.sleep(PERIOD)
@@ -181,7 +181,7 @@ class Chain(NamedTuple):
         """End the command and the motors, and return what happened."""
         time.sleep(LONGEST_DELAY)
         out, said = self.drive.end()
-        if self.drive.process.returncode:
+        if self.drive.returncode:
             raise HandmapError(said.splitlines()[-1].removeprefix("handmap: "))
         self.motors.end()
         log = np.load(self.log)

@@ -1,48 +1,41 @@
 """Programs in processes of their own: commands of the package, and emulated motors."""
 
 import json
-import signal
-import subprocess
 import sys
-from typing import Any, Self
+from signal import SIGINT
+from subprocess import PIPE, Popen
+from typing import Any
 
 import numpy as np
 
 
-class Process:
-    """A Python program in a process of its own; also a context manager.
+class Process(Popen[str]):
+    """A Python program in a process of its own, which ends with the block of `with`.
 
     Args:
         module: The program.
         *words: Words of its command line.
-        stderr: Where its stderr goes, as of `subprocess.Popen`.
+        stderr: As of `Popen`.
     """
 
     def __init__(self, module: str, *words: str, stderr: int | None = None) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", module, *words],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            text=True,
-        )
+        command = [sys.executable, "-m", module, *words]
+        super().__init__(command, stdin=PIPE, stdout=PIPE, stderr=stderr, text=True)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.process.poll() is None:
+    def __exit__(self, exc_type: Any, value: Any, traceback: Any) -> None:
+        if self.poll() is None:
             self.end()
+        super().__exit__(exc_type, value, traceback)
 
     def line(self) -> dict[str, Any]:
         """Return the next line that it prints, as JSON."""
-        assert self.process.stdout is not None
-        return json.loads(self.process.stdout.readline())
+        assert self.stdout is not None
+        return json.loads(self.stdout.readline())
 
     def end(self) -> tuple[str, str]:
         """End it; return stdout and stderr."""
-        self.process.send_signal(signal.SIGINT)
-        return self.process.communicate(timeout=30.0)
+        self.send_signal(SIGINT)
+        return self.communicate(timeout=30.0)
 
 
 class Emulator(Process):
@@ -62,10 +55,10 @@ class Emulator(Process):
 
     def order(self, **orders: Any) -> dict[str, np.ndarray]:
         """Send a line of orders, and return the state after it."""
-        print(json.dumps(orders), file=self.process.stdin, flush=True)
+        print(json.dumps(orders), file=self.stdin, flush=True)
         state = {name: np.array(value) for name, value in self.line().items()}
         return state | {"torque": state["limit"] > 0.0}
 
     def end(self) -> tuple[str, str]:
         """See `Process`; it ends with its stdin."""
-        return self.process.communicate()
+        return self.communicate()
