@@ -88,18 +88,8 @@ class Servos(TableDriver):
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`."""
-        family, group = self._family, self._state
-        blocks = group.data_dict
-        # After a motor that does not answer, the others are not read: no block of before may stay.
-        blocks.update(dict.fromkeys(blocks, b""))
-        result = group.txRxPacket()
-        for motor, block in blocks.items():
-            # An answer to another message is shorter, and no error of the package.
-            if len(block) != group.data_length:
-                self._check(motor, result or self._sdk.COMM_RX_CORRUPT)
-        before = bytes(group.start_address)
-        tables = b"".join(before + bytes(block) for block in blocks.values())
-        state = np.rec.array(tables, family.layout)
+        family = self._family
+        state = self._registers()
         # What is armed is less than 0 after it has stopped the motor.
         needed = ("torque", *dict(family.arm))
         self._has_torque = all((state[name] > 0).all() for name in needed)
@@ -108,6 +98,25 @@ class Servos(TableDriver):
         effort = np.where(effort & family.sign, family.sign - effort, effort)
         health = Health(state.temperature, self._faults(state.fault, family.faults))
         return self._angles(state.position), self._torques(effort), health
+
+    def _registers(self) -> np.recarray:
+        """Return the registers of all motors.
+
+        Raises:
+            DriverError: If an answer is missing, damaged, or one to another message.
+        """
+        group = self._state
+        blocks = group.data_dict
+        # After a motor that does not answer, the others are not read: no block of before may stay.
+        blocks.update(dict.fromkeys(blocks, b""))
+        result = group.txRxPacket()
+        for motor, block in blocks.items():
+            # An answer to another message is shorter, and no error of the package.
+            if len(block) != group.data_length:
+                self._check(motor, result or self._sdk.COMM_RX_CORRUPT)
+        unread = bytes(group.start_address)
+        tables = b"".join(unread + bytes(block) for block in blocks.values())
+        return np.rec.array(tables, self._family.layout)
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
