@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
-from unittest.mock import Mock, patch
+from unittest.mock import Mock, call, patch
 
 import numpy as np
 import pytest
@@ -196,6 +196,25 @@ def test_registers_of_servos_are_those_of_the_makers() -> None:
     assert sizes["Operating Mode"] == (11, 1)
 
 
+def test_an_emulated_dynamixel_refuses_what_a_real_one_does() -> None:
+    # It needs the packages of examples/drive.
+    from handmap_drive.emulated_servos import Dynamixel
+
+    servos = Dynamixel(range(1), START)
+    assert servos.write(0, 11, b"\x05") == 0
+    assert servos.write(0, 102, (2353).to_bytes(2, "little")) == 6
+    # Armed, and with torque.
+    assert servos.write(0, 98, b"\x0a") == servos.write(0, 64, b"\x01") == 0
+    servos.take()
+    assert servos.write(0, 11, b"\x05") == 7
+    # Goals are read-only after the watchdog, until it is cleared.
+    servos.move(0.004, servos.heard + 0.19)
+    assert servos.write(0, 116, bytes(4)) == 0
+    servos.move(0.004, servos.heard + 0.21)
+    assert servos.write(0, 116, bytes(4)) == servos.write(0, 102, bytes(2)) == 4
+    assert servos.write(0, 98, b"\x00") == servos.write(0, 116, bytes(4)) == 0
+
+
 def test_registers_of_an_inspire_hand_are_those_of_the_manual() -> None:
     assert (inspire.ANGLE_SET, inspire.FORCE_SET, inspire.SPEED_SET) == (
         1486,
@@ -275,20 +294,22 @@ def test_a_joint_that_is_blocked_presses_with_the_limit(
     kind: str, tmp_path: Path
 ) -> None:
     with two(tmp_path, kind) as (emulator, motors):
+        # Farther than any of them can be told, and back.
+        far, back = np.array([9.0, -9.0]), np.array([-0.3, 0.45])
         emulator.order(wall={"0": [0.3, 0.5], "1": [0.3, 0.5]})
-        # The motors would press with more: 0.6 of the largest torque per rad.
-        # Farther than any of them can be told.
-        far = np.array([9.0, -9.0])
         motors.write(far, 0.1)
-        assert (emulator.order()["goal"][:2] > 1.0).all()
-        follow(motors, far, 0.1, 0.5 if KINDS[kind].limit else 1.0)
-        # A hand tells its torques every third time.
-        for _ in range(3):
-            _, effort, _ = seen(motors)
-        state = emulator.order()
-        np.testing.assert_allclose(state["effort"][:2], [0.1, 0.1], atol=2e-3)
-        # As torques of joints, the second of which turns the other way.
-        np.testing.assert_allclose(effort, [0.1, -0.1], atol=2e-3)
+        # The motors would press with more: 0.6 of the largest torque per rad.
+        wait_until(lambda: (emulator.order()["goal"][:2] > 1.0).all())
+        for goal, wall, side in ((far, [0.3, 0.5], 0.1), (back, [0.7, 0.9], -0.1)):
+            emulator.order(wall={"0": wall, "1": wall})
+            follow(motors, goal, 0.1, 0.5 if KINDS[kind].limit else 1.0)
+            # A hand tells its torques every third time.
+            for _ in range(3):
+                _, effort, _ = seen(motors)
+            pressed = emulator.order()["effort"][:2]
+            np.testing.assert_allclose(pressed, side, atol=2e-3)
+            # As torques of joints, the second of which turns the other way.
+            np.testing.assert_allclose(effort, [side, -side], atol=2e-3)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -296,22 +317,23 @@ def test_lost_and_damaged_messages_are_never_a_wrong_position(
     kind: str, tmp_path: Path
 ) -> None:
     with two(tmp_path, kind) as (emulator, motors):
-        emulator.order(loss=0.03, damage=0.05)
-        lost = 0
-        for i in range(50):
-            motors.write(np.full(2, 0.15 + 0.002 * i), 0.2)
-            try:
-                q, _, health = motors.read()
-            except DriverError:
-                lost += 1
-                continue
-            assert (np.abs(q - 0.22) < 0.2).all()
-            if kind != "ability":
-                assert (health.temperature == 30).all()
-            assert not health.faults
-        # On a busy machine answers may be late, too.
-        assert 0 < lost < 50
-        emulator.order(loss=0.0, damage=0.0)
+        for orders in ({"loss": 0.06, "damage": 0.0}, {"loss": 0.0, "damage": 0.1}):
+            emulator.order(**orders)
+            lost = 0
+            for i in range(25):
+                motors.write(np.full(2, 0.15 + 0.004 * i), 0.2)
+                try:
+                    q, _, health = motors.read()
+                except DriverError:
+                    lost += 1
+                    continue
+                assert (np.abs(q - 0.22) < 0.2).all()
+                if kind != "ability":
+                    assert (health.temperature == 30).all()
+                assert not health.faults
+            # On a busy machine answers may be late, too.
+            assert 0 < lost < 25
+        emulator.order(damage=0.0)
         motors.stop()
         seen(motors)
         assert not any(pushing(emulator))
@@ -348,6 +370,7 @@ def test_late_answers_are_never_those_of_another_message(
     with two(tmp_path, kind) as (emulator, motors):
         follow(motors, np.array([START, 0.15]), 0.2, 0.05)
         emulator.order(latency=0.06)
+        told = 0
         for _ in range(4):
             motors.write(np.array([START, 0.15]), 0.2)
             with suppress(DriverError):
@@ -355,6 +378,8 @@ def test_late_answers_are_never_those_of_another_message(
                 np.testing.assert_allclose(q, [START, 0.15], atol=0.01)
                 np.testing.assert_allclose(effort, 0.0, atol=0.01)
                 assert not health.faults
+                told += 1
+        assert told < 4
         # Pushed away in the meantime.
         emulator.order(latency=0.0, wall={"0": [0.5, 0.6]})
         wait_until(lambda: emulator.order()["angle"][0] == 0.5)
@@ -418,7 +443,10 @@ def test_an_answer_to_another_message_is_none(tmp_path: Path) -> None:
             pytest.raises(DriverError, match="answer to another message"),
         ):
             motors.read()
-        seen(motors)
+        # The next message waits until no answer can be on its way.
+        with patch.object(inspire.time, "sleep", wraps=time.sleep) as slept:
+            seen(motors)
+        assert slept.mock_calls[0] == call(0.05)
     with two(tmp_path, "dynamixel") as (_, motors):
         seen(motors)
         # Of a write: it has no data.
@@ -428,6 +456,8 @@ def test_an_answer_to_another_message_is_none(tmp_path: Path) -> None:
         ):
             motors.read()
         # Where nothing is sent, what was read before is not the present.
+        motors.stop()
+        seen(motors)
         with (
             patch.object(motors._packets, "syncReadTx", return_value=-1000),
             pytest.raises(DriverError, match="motor 0: Port is in use"),

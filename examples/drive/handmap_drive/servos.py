@@ -131,7 +131,6 @@ class Servos(TableDriver):
 
     def stop(self) -> None:
         """See `Driver`."""
-        self._has_torque = False
         self._put("torque", 0)
 
     def _put(self, register: str, values: Any) -> None:

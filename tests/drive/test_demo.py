@@ -1,0 +1,74 @@
+"""The chain of `handmap demo --drive`, and what is told of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handmap_qp import Recording, load_hand, read_recording
+from handmap_qp.errors import HandmapError
+
+for module in ("dynamixel_sdk", "pymodbus"):
+    pytest.importorskip(module, reason="needs the packages of examples/drive")
+
+from handmap_drive.demo import Driven, slowed, started  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return read_recording("demo", "right")
+
+
+def test_a_slowed_recording_is_the_same_motion(recording: Recording) -> None:
+    slow = slowed(recording, 4.0)
+    assert len(slow) == 4 * len(recording)
+    assert np.ptp(slow.time) == pytest.approx(4.0 * np.ptp(recording.time))
+    ends = [0, -1]
+    np.testing.assert_array_equal(slow.landmarks[ends], recording.landmarks[ends])
+    speed, before = (
+        np.abs(np.diff(each.landmarks, axis=0)).max() for each in (slow, recording)
+    )
+    assert speed == pytest.approx(before / 4.0, rel=0.01)
+
+
+def test_joints_are_compared_with_the_commands_at_their_delay(
+    recording: Recording,
+) -> None:
+    robot = load_hand("three_finger")
+    low, high = robot.limits
+
+    def motion(time: np.ndarray) -> np.ndarray:
+        return low + (high - low) * (0.5 - 0.5 * np.cos(time)[:, None])
+
+    time = np.arange(0.0, 6.0, 1.0 / 60.0)
+    log_time = np.arange(-1.0, 8.0, 0.004)
+    angle = motion(log_time - 0.05)
+    more: Any = {"summary": {}, "said": ""}
+    torque = np.ones_like(angle)
+    driven = Driven(
+        robot, recording, time, motion(time), log_time, angle, torque, **more
+    )
+    assert driven.delay == pytest.approx(0.05)
+    assert driven.rms < 1e-4
+    assert driven.rms_at(0.0) > 0.01
+
+
+@pytest.mark.slow
+def test_emulated_motors_follow_a_person(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("handmap_drive.demo.APPROACH", 2.0)
+    try:
+        load_hand("leap_right")
+    except HandmapError as error:
+        pytest.skip(str(error))
+    part = recording.part(slice(60, 180))
+    with started("leap_right", part) as chain:
+        chain.approach()
+        driven = chain.end(*chain.lead())
+    # Joints in another order are some 0.5 rad away.
+    assert driven.rms < 0.1
+    assert driven.torque.max() == pytest.approx(0.149, abs=1e-3)
+    assert driven.summary["turns"] > 60
