@@ -379,7 +379,8 @@ def test_late_answers_are_never_those_of_another_message(
                 np.testing.assert_allclose(effort, 0.0, atol=0.01)
                 assert not health.faults
                 told += 1
-        assert told < 4
+        # All answers of an Ability hand say the same.
+        assert told < 4 or kind == "ability"
         # Pushed away in the meantime.
         emulator.order(latency=0.0, wall={"0": [0.5, 0.6]})
         wait_until(lambda: emulator.order()["angle"][0] == 0.5)

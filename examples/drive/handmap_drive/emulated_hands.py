@@ -17,7 +17,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from . import ability, inspire
-from .emulated_motors import Motors
+from .emulated_motors import EmulatedMotors
 
 READ, WRITE = 3, 16
 """Modbus codes."""
@@ -27,13 +27,13 @@ MOTORS = range(6)
 """Numbers of a hand's motors."""
 
 
-class InspireHand(Motors):
+class InspireHand(EmulatedMotors):
     """An RH56; its joints are open at 0 rad.
 
     Args:
         framer: That of RTU or TCP.
-        numbers: As of `Motors`.
-        angle: As of `Motors`.
+        numbers: As of `EmulatedMotors`.
+        angle: As of `EmulatedMotors`.
     """
 
     own = MOTORS
@@ -48,7 +48,7 @@ class InspireHand(Motors):
         self.speed = np.full(6, 1000)
 
     def messages(self, buffer: bytearray) -> Iterator[ModbusPDU]:
-        """See `Motors`."""
+        """See `EmulatedMotors`."""
         while buffer:
             used, message = self.framer.handleFrame(bytes(buffer), 0, 0)
             del buffer[:used]
@@ -58,7 +58,7 @@ class InspireHand(Motors):
                 yield message
 
     def obey(self, message: ModbusPDU) -> Iterator[bytes]:
-        """See `Motors`."""
+        """See `EmulatedMotors`."""
         code, at, count = message.function_code, message.address, message.count
         if self.silent or (code == WRITE and at in self.deaf):
             return
@@ -105,7 +105,7 @@ class InspireHand(Motors):
         return 0
 
 
-class AbilityHand(Motors):
+class AbilityHand(EmulatedMotors):
     """An Ability Hand. Without a message for 0.3 s, its motors hold.
 
     That is an assumption: the document says that the hand leaves its API mode then.
@@ -120,7 +120,7 @@ class AbilityHand(Motors):
     """Kinds of messages that give motors something to do."""
 
     def messages(self, buffer: bytearray) -> Iterator[tuple[int, bytes]]:
-        """See `Motors`."""
+        """See `EmulatedMotors`."""
         while ability.FLAG in buffer:
             piece, _, buffer[:] = bytes(buffer).partition(ability.FLAG)
             message = ability.unstuffed(piece)
@@ -128,7 +128,7 @@ class AbilityHand(Motors):
                 yield message[1], message[2:]
 
     def obey(self, message: tuple[int, bytes]) -> Iterator[bytes]:
-        """See `Motors`."""
+        """See `EmulatedMotors`."""
         header, body = message
         if self.silent or header in self.deaf:
             return

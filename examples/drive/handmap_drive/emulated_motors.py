@@ -20,7 +20,7 @@ OVERLOAD, LONGEST = 0.9, 1.0
 HOTTEST = 70.0  # degrees Celsius
 
 
-class Motors(ABC):
+class EmulatedMotors(ABC):
     """Motors that follow their goals with a lag, a speed limit and a limit of torque.
 
     Args:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from dynamixel_sdk import PacketHandler
 
-from .emulated_motors import Motors
+from .emulated_motors import EmulatedMotors
 from .servos import FAMILIES
 
 TURN = 4096
@@ -27,7 +27,7 @@ Message = tuple[int, int, bytes]
 _number = partial(int.from_bytes, byteorder="little")
 
 
-class Servos(Motors):
+class EmulatedServos(EmulatedMotors):
     """Servos, whose registers are rows of an array.
 
     A message is header, motor, length, instruction, parameters and checksum.
@@ -59,7 +59,7 @@ class Servos(Motors):
         """Return the checksum of a message."""
 
     def messages(self, buffer: bytearray) -> Iterator[Message]:
-        """See `Motors`."""
+        """See `EmulatedMotors`."""
         number = len(self.header)
         start = number + 1 + self.width
         while (at := buffer.find(self.header)) >= 0:
@@ -90,7 +90,7 @@ class Servos(Motors):
         return number.to_bytes(self.width, "little")
 
     def obey(self, message: Message) -> Iterator[bytes]:
-        """See `Motors`."""
+        """See `EmulatedMotors`."""
         self.measure()
         motor, instruction, told = message
         at, rest = self.split(told)
@@ -153,7 +153,7 @@ class Servos(Motors):
         return np.rint(self.full * self.effort)
 
 
-class Dynamixel(Servos):
+class Dynamixel(EmulatedServos):
     """Dynamixel X."""
 
     family = FAMILIES["dynamixel"]
@@ -165,11 +165,11 @@ class Dynamixel(Servos):
     stuffing = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
 
     def checksum(self, message: bytes) -> int:
-        """See `Servos`; by the maker's package."""
+        """See `EmulatedServos`; by the maker's package."""
         return PacketHandler(2.0).updateCRC(0, message, len(message))
 
     def write(self, i: int, at: int, data: bytes) -> int:
-        """See `Servos`."""
+        """See `EmulatedServos`."""
         if at < 64 and self.has_torque[i]:
             return LOCKED
         if at in (102, 116) and self.registers["watchdog"][i] < 0:
@@ -177,7 +177,7 @@ class Dynamixel(Servos):
         return super().write(i, at, data)
 
     def take(self) -> None:
-        """See `Servos`."""
+        """See `EmulatedServos`."""
         super().take()
         # In other operating modes, the goal current means nothing.
         self.limit[self.memory[:, 11] != 5] = 1.0
@@ -185,13 +185,13 @@ class Dynamixel(Servos):
         self.patience = np.where(watchdog > 0, 0.02 * watchdog, np.inf)
 
     def hold(self, late: np.ndarray) -> None:
-        """See `Motors`; the watchdog has to be armed again."""
+        """See `EmulatedMotors`; the watchdog has to be armed again."""
         self.registers["watchdog"][late] = -1
         self.registers["goal"][late] = self.place[late]
         self.take()
 
 
-class Feetech(Servos):
+class Feetech(EmulatedServos):
     """Feetech STS."""
 
     family = FAMILIES["feetech"]
@@ -200,11 +200,11 @@ class Feetech(Servos):
     width = 1
 
     def checksum(self, message: bytes) -> int:
-        """See `Servos`; the sum of all but the header, inverted."""
+        """See `EmulatedServos`; the sum of all but the header, inverted."""
         return ~sum(message[2:]) & 255
 
     @property
     def load(self) -> np.ndarray:
-        """See `Servos`; a bit is the sign."""
+        """See `EmulatedServos`; a bit is the sign."""
         load = super().load
         return np.where(load < 0.0, 0x400 - load, load)

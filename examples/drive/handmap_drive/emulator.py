@@ -45,11 +45,11 @@ import numpy as np
 from pymodbus.framer import FramerRTU, FramerSocket
 
 from .emulated_hands import AbilityHand, InspireHand
-from .emulated_motors import Motors
+from .emulated_motors import EmulatedMotors
 from .emulated_servos import Dynamixel, Feetech
 
 STEP = 0.004  # s
-KINDS: dict[str, Callable[[range, float], Motors]] = {
+KINDS: dict[str, Callable[[range, float], EmulatedMotors]] = {
     "dynamixel": Dynamixel,
     "feetech": Feetech,
     "inspire": partial(InspireHand, FramerRTU),
