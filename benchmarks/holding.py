@@ -18,6 +18,7 @@ import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -147,8 +148,14 @@ class _Person:
             to_rest, to_last = _TO_REST * (q - self.grasp), _TO_LAST * (q - last)
             return np.concatenate([off, to_rest, to_last])
 
+        def slopes(q: np.ndarray) -> np.ndarray:
+            points = self.hand.point_jacobian(q, np.eye(4)).reshape(-1, 3, len(q))
+            own = _TO_PLACE * points[self._fingers].reshape(-1, len(q))
+            one = np.eye(len(q))
+            return np.concatenate([own, _TO_REST * one, _TO_LAST * one])
+
         start = np.clip(last, low + 1e-6, high - 1e-6)
-        return least_squares(cost, start, bounds=(low, high), xtol=1e-7).x
+        return least_squares(cost, start, slopes, (low, high), xtol=1e-7).x
 
 
 def add_choices(parser: argparse.ArgumentParser, motions: Sequence[str]) -> None:
@@ -160,6 +167,7 @@ def add_choices(parser: argparse.ArgumentParser, motions: Sequence[str]) -> None
     add("--seed", type=int, default=0)
 
 
+@lru_cache(maxsize=4)
 def hold(what: str, motion: str, seed: int = 0, wrist: float = 0.0) -> Hold:
     """Make a person who grasps an object and moves it in the hand.
 
