@@ -123,12 +123,15 @@ def on_detours(mapper: HandMapper | RobotMapper) -> list[bool]:
 def test_each_hand_takes_the_detours_that_it_takes_alone(
     pair: Hand, formulation: str
 ) -> None:
+    # The second posture of these takes each hand on a detour, one before the other; the core has
+    # time for more.
+    count = 50 if formulation == "direct" else 200
     mapper, alone = together_and_alone(pair, formulation)
     _, wrists = motion(0, apart=1.0)
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(117)
     taken = np.zeros(2, dtype=int)
     q: dict[Side, np.ndarray] = {}
-    for i in range(200):
+    for i in range(count):
         if i % 25 == 0:
             q = {
                 side: rng.uniform(human.lower_limits, human.upper_limits)
