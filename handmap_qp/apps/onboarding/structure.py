@@ -174,7 +174,7 @@ def _branching(robot: Robot) -> list[list[RobotFinger]]:
     found = {
         body: fingers
         for body in range(robot.model.njoints)
-        if (fingers := _fingerlike(robot, body)) and not _is_base(robot, body)
+        if not _is_base(robot, body) and (fingers := _fingerlike(robot, body))
     }
     supports = robot.model.supports
     # Bodies inside the fingers of another palm are none, and neither is a base with wheels.
