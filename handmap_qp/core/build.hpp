@@ -437,11 +437,19 @@ inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
   if (!from.object("share").is_none()) map.share = from.numbers("share");
 }
 
+inline std::vector<Attached> points_of_task(const Fields& task) {
+  return attached_of(task.get<Indices>("points.joints"), task.get<Array>("points.offsets"));
+}
+
 inline void make_distances(DistanceTask* self, const nb::object& owner) {
   const Fields from(owner);
-  const Indices joints = from.get<Indices>("points.joints");
-  new (self) DistanceTask{attached_of(joints, from.get<Array>("points.offsets")),
-                          from.indices("first"), from.indices("second")};
+  new (self) DistanceTask{points_of_task(from), from.indices("first"), from.indices("second")};
+}
+
+// Of a `PointOffset`.
+inline OffsetTask offset_of(const Fields& task) {
+  const std::vector<Attached> ends = points_of_task(task);
+  return {ends.at(0), ends.at(1), task.point("aim"), task.get<double>("weight") / kLengthUnit};
 }
 
 inline void make_landmark_reader(LandmarkReader* self, const nb::object& owner) {

@@ -86,12 +86,16 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
       goal.wrists.push_back(pose_of(wrists->data() + 16 * i));
   }
   goal.postures = postures_of(ik, given.get<Postures>("postures"));
+  static const nb::object& PointOffset =
+      *new nb::object(module_of("ik.tasks").object("PointOffset"));
   nb::list others;
   for (const nb::handle& each : given.object("tasks")) {
+    const Fields task(nb::borrow(each));
     const DistanceTask* own = nullptr;
     if (nb::try_cast(nb::getattr(each, "core", nb::none()), own, false) && own) {
-      const Fields task(nb::borrow(each));
       goal.distances.push_back({own, task.numbers("distances"), task.numbers("weights")});
+    } else if (nb::isinstance(each, PointOffset)) {
+      goal.offsets.push_back(offset_of(task));
     } else {
       others.append(each);
     }
@@ -376,7 +380,7 @@ NB_MODULE(_core, m) {
       .def("map", &SampleReader::map_landmarks, "reader"_a.none(), "landmarks"_a.none(),
            "wrist"_a.none(), "dt"_a.none())
       .def("map_sample", &SampleReader::map_sample, "guard"_a, "smoother"_a, "reader"_a,
-           "sample"_a, "dt"_a.none(), "arrival"_a.none());
+           "sample"_a.none(), "dt"_a.none(), "arrival"_a.none());
   nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
       .def(nb::init<nb::object, const nb::object&, const nb::object&>(), "ik"_a, "robot"_a,
            "target_map"_a)

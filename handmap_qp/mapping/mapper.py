@@ -317,8 +317,7 @@ class HandMapper(Mover):
         if reference is not self._reference:
             self._begin(reference)
         if targets:
-            rest = target_map.rest
-            asked = Asked(sample, targets, rest, dt, speed, target_map)
+            asked = Asked(sample, targets, target_map.rest, dt, speed, target_map)
             stages = self._moved(asked)
         else:
             stages = own.follow(sample, dt, speed)
@@ -619,8 +618,8 @@ class JointReader(Compiled):
         angles, excess = check_joints(human, q, "human_q", self.tolerance)
         self._placed.place(human.configuration_vector(angles))
         points = transform_points(wrist, self._placed.points)
-        outside = compress(human.joint_names, excess > 0.0)
-        return HumanPose(points, wrist), tuple(outside)
+        outside = tuple(compress(human.joint_names, excess > 0.0))
+        return HumanPose(points, wrist), outside
 
 
 class _Reference(NamedTuple):

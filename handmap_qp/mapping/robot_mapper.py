@@ -183,8 +183,7 @@ class RobotStep(MapStep, frozen=True, kw_only=True):
     @property
     def arm_held_by(self) -> str:
         """What keeps the wrist of a hand off its target; see `MapStep.arm_held_by`."""
-        reasons = (step.arm_held_by for step in self.hands.values())
-        return next(filter(None, reasons), "")
+        return next(filter(None, [s.arm_held_by for s in self.hands.values()]), "")
 
 
 class RobotMapper(Mover):
@@ -244,7 +243,7 @@ class RobotMapper(Mover):
     @property
     def human(self) -> Hand:
         """The first hand that leads; joints and points of the others have the same names."""
-        return next(iter(self.leaders.values())).human
+        return self.leaders[self.robot.side].human
 
     @property
     def robot(self) -> Hand:
@@ -411,14 +410,14 @@ class RobotMapper(Mover):
         if self._is_released:
             return self.point_ik.hold(dt)
         rest = self.robot.rest.copy()
-        for own, each in zip(self._own, asked, strict=True):
+        for own, each in zip(self.robot.finger_joints, asked, strict=True):
             rest[own] = each.rest[own]
         return self.point_ik.solve(
             np.concatenate([each.points for each in targets]),
             np.array([each.wrist for each in targets]),
             dt,
             rest=rest,
-            tasks=sum((each.tasks for each in targets), (*tasks,)),
+            tasks=sum((each.tasks for each in targets), tuple(tasks)),
             margins=self._margins(targets),
             speed=min(each.speed for each in asked),
         )
@@ -440,7 +439,7 @@ class RobotMapper(Mover):
             parts.append(stages_of(asked[k].pose, moved, part))
         points = np.concatenate([each.pose.points for each in asked])
         flags = dict.fromkeys(flag for each in targets for flag in each.flags)
-        whole = Targets(result.targets, targets[0].wrist, flags=(*flags,))
+        whole = Targets(result.targets, targets[0].wrist, flags=tuple(flags))
         pose = HumanPose(points, asked[0].pose.wrist)
         return stages_of(pose, whole, result), parts
 
@@ -491,7 +490,6 @@ class RobotMapper(Mover):
         pairs, pinching = common_pairs(contacts) if contacts else (None, [])
         self.point_ik = PointIk(whole, leaders[0].ik, motion, contacts=pairs)
         self._pinching = pinching
-        self._own = whole.finger_joints
         self.core = None
         for leader in leaders:
             leader.join(self.point_ik)

@@ -330,6 +330,25 @@ def test_offsets_are_derivatives(g1: Hand) -> None:
         np.testing.assert_allclose(slope, jacobian[:, column], atol=1e-4)
 
 
+def test_the_core_keeps_offsets_as_python_does(pair: Hand) -> None:
+    places = [(hand.wrist_frame.parentJoint, np.zeros(3)) for hand in pair.hands]
+    ends = []
+    for formulation in FORMULATIONS:
+        ik = PRESET.ik.replaced(formulation=formulation)
+        solver = PointIk(pair, ik)
+        at = solver.configuration
+        first, other = (wrist.translation for wrist in at.wrists)
+        aim = other - first + 0.05
+        task = PointOffset(AttachedPoints(pair, places), aim, 20.0)
+        wrists = np.array([wrist.homogeneous for wrist in at.wrists])
+        result = solver.solve(at.points, wrists, DT, tasks=[task])
+        apart = result.wrists[1] - result.wrists[0]
+        before = np.linalg.norm(aim - (other - first))
+        assert np.linalg.norm(aim - apart[:3, 3]) < 0.95 * before
+        ends.append(result.q)
+    np.testing.assert_allclose(ends[0], ends[-1], atol=1e-9)
+
+
 def samples_of(i: int, lost: Side | None = None) -> dict[Side, HumanSample]:
     q, wrists = motion(i)
     found: dict[Side, HumanSample] = {}
