@@ -480,9 +480,9 @@ class PythonGuard {
     }
   };
 
-  // Whether a sample is of the guard's own hand.
+  // Whether something is a sample of the guard's own hand.
   bool is_own(const nb::object& sample) const {
-    const nb::object side = field(sample, 5);
+    const nb::object side = nb::getattr(sample, names_[5], nb::none());
     return side.is(side_) || side.equal(side_);
   }
 

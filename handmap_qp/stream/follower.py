@@ -11,17 +11,17 @@ import math
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from time import perf_counter, thread_time
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from msgspec import structs
 
-from handmap_qp.errors import HandmapError, InvalidOptionsError
+from handmap_qp.errors import HandmapError, expect
 from handmap_qp.human import HumanSample, Recording, Verdict
 from handmap_qp.ik import SHORTEST_DT, Compiled, Task, in_core
 from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
-from handmap_qp.options import NotNegative, Options, Positive
+from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
 from handmap_qp.trackers import change_rate, learnt_noise, noise_of
 from .guard import StreamGuard
@@ -289,6 +289,7 @@ class Follower:
 
     Raises:
         InvalidOptionsError: If `rejoin` is something else.
+        InvalidInputError: If `smoothing` is.
         HandError: If the human hand has no landmarks.
     """
 
@@ -299,12 +300,14 @@ class Follower:
         rejoin: RejoinKind = "glide",
         smoothing: Smoothing | None = Smoothing(),
     ) -> None:
-        kinds = get_args(RejoinKind)
-        if rejoin not in kinds:
-            expected = f"one of {', '.join(kinds)}"
-            raise InvalidOptionsError(option="rejoin", expected=expected, value=rejoin)
         self.mapper = mapper
-        self.rejoin = rejoin
+        self.rejoin = Option("rejoin", RejoinKind, RejoinKind, "glide").read(rejoin)
+        expect(
+            isinstance(smoothing, Smoothing | None),
+            "smoothing",
+            "a Smoothing or None",
+            value=smoothing,
+        )
         self._smoother = Smoother(smoothing)
         self._guard = StreamGuard(mapper.human)
         self._return = Rejoin(rejoin)
@@ -334,8 +337,8 @@ class Follower:
             Every stage of the step; of a held one, targets and points are the robot's own.
 
         Raises:
-            InvalidInputError: If the sample is of the other hand, or cannot be used; the mapper is
-                then as it was before.
+            InvalidInputError: If it is no sample, or one of the other hand, or cannot be used; the
+                mapper is then as it was before.
             InvalidOptionsError: If a reference point of the human is not a landmark.
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
@@ -372,9 +375,10 @@ class Follower:
             verdict = None
             if cores := self._cores():
                 last = min(count, i + _RUN)
-                run = self.mapper.core.run(*cores, samples, i, last, table.rows)
-                i, verdict, seen = run
-                if seen is not None:
+                i, verdict, seen = self.mapper.core.run(
+                    *cores, samples, i, last, table.rows
+                )
+                if seen:
                     self._return = self._return._replace(seen=seen)
             if i < count:
                 started = thread_time()
@@ -383,7 +387,7 @@ class Follower:
                 step = self._judged(sample, verdict, None)
                 table.write(i, step, thread_time() - started)
                 i += 1
-            if progress is not None:
+            if progress:
                 progress(i)
         return table
 

@@ -407,7 +407,7 @@ class StreamGuard(Compiled):
             InvalidInputError: If it is of the other hand.
         """
         self.check_side(sample)
-        if self.core is not None:
+        if self.core:
             return self.core.check(sample, arrival)
         former = self._former = self._state
         clock = former.clock.advance(sample.time)
@@ -428,11 +428,20 @@ class StreamGuard(Compiled):
         return verdict._replace(rule="unproven")
 
     def check_side(self, samples: HumanSample | Recording) -> None:
-        """Reject samples of the other hand."""
-        given, own = samples.side, self._side
-        if given != own:
-            got = f"one of a {given} hand"
-            expect(False, "side", f"samples of a {own} hand", value=given, got=got)
+        """Reject samples of the other hand, and what is none."""
+        expect(
+            isinstance(samples, HumanSample | Recording),
+            "sample",
+            "a HumanSample or a Recording",
+            value=samples,
+        )
+        expect(
+            samples.side == self._side,
+            "side",
+            f"samples of a {self._side} hand",
+            value=samples.side,
+            got=f"one of a {samples.side} hand",
+        )
 
     @in_core
     def holds(self, recording: Recording) -> Array:
@@ -452,7 +461,7 @@ class StreamGuard(Compiled):
         if is_zero(sample.landmarks):
             return "zero", None
         finding = self._input.update(sample.time, sample.landmarks, sample.wrist)
-        if finding is not None:
+        if finding:
             return finding.kind, finding
         return ("" if self._palm.fits(sample.landmarks) else "size"), None
 

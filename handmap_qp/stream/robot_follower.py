@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import HandmapError
+from handmap_qp.errors import HandmapError, expect
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample, Recording, Verdict, sample_columns
 from handmap_qp.mapping import MapStep, RobotMapper, RobotStep
@@ -56,13 +56,19 @@ class RobotFollower:
 
         A hand without a sample goes on to what it asked for last.
         """
+        expect(
+            isinstance(samples, Mapping),
+            "samples",
+            "a HumanSample of each hand by side",
+            value=samples,
+        )
         followed: dict[Side, MapStep] = {}
 
         def follow(side: Side) -> MapStep:
-            follower = self.hands[side]
-            step = follower.map_sample(samples[side], dt=dt, arrival=arrival)
-            followed[side] = step
-            return step
+            followed[side] = self.hands[side].map_sample(
+                samples[side], dt=dt, arrival=arrival
+            )
+            return followed[side]
 
         try:
             step = self.mapper.step(samples, follow)

@@ -228,6 +228,11 @@ def test_another_way_back_is_an_error() -> None:
     ) as caught:
         Follower(HandMapper(HUMAN, ROBOT), rejoin="leap")  # ty: ignore[invalid-argument-type]
     assert caught.value.option == "rejoin"
+    wrong: Any = "x"
+    with pytest.raises(InvalidInputError, match="smoothing: expected a Smoothing"):
+        Follower(HandMapper(HUMAN, ROBOT), smoothing=wrong)
+    with pytest.raises(InvalidInputError, match="sample: expected a HumanSample"):
+        Follower(HandMapper(HUMAN, ROBOT)).map_sample(wrong)
 
 
 @pytest.mark.parametrize("max_acceleration", [None, 60.0])
