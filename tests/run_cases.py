@@ -8,9 +8,11 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from faulty_recordings import DEMO
@@ -18,17 +20,19 @@ from injection import inject, parse_faults
 
 from handmap_qp import Follower, HandMapper, HumanSample, load_hand
 from handmap_qp.errors import HandmapError, InvalidOptionsError
-from handmap_qp.hands import hand_files
+from handmap_qp.hands import Hand, Side, hand_files, load_robot, robot_files
 from handmap_qp.human import PALM, landmarks_at_rest, scaled_human
 from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.ik.core import fingerprint
+from handmap_qp.mapping import RobotMapper
 from handmap_qp.se3 import (
     affine,
     quat_wxyz_from_rotation,
     rigid_fit,
     rotation_from_quat_wxyz,
 )
-from handmap_qp.trackers import LAYOUTS, read_recording
+from handmap_qp.stream import RobotFollower
+from handmap_qp.trackers import LAYOUTS, read_hands, read_recording
 
 ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "examples" / "run"
@@ -89,34 +93,40 @@ def write_package(folder: Path) -> Path:
 
 
 def write_case(
-    folder: Path, name: str, mapper: HandMapper, recording: Recording
+    folder: Path,
+    name: str,
+    mapper: HandMapper | RobotMapper,
+    *recordings: Recording,
 ) -> None:
-    """Write a hand and samples, for `alone.py`."""
-    from handmap_run.saving import saved_hand
+    """Write a hand or a robot, and samples of each hand, for `alone.py`."""
+    from handmap_run.saving import saved
 
-    (folder / f"{name}.hand").write_bytes(saved_hand(mapper))
-    wrist = recording.wrist
-    shares = recording.confidence
-    np.savez(
-        folder / f"{name}.npz",
-        time=recording.time,
-        landmarks=recording.landmarks,
-        wrist=np.zeros((len(recording), 4, 4)) if wrist is None else wrist,
-        has=np.array([] if wrist is None else ["wrist"], dtype=str),
-        valid=recording.valid,
-        confidence=np.ones(len(recording)) if shares is None else shares,
-        side=recording.side,
-    )
+    (folder / f"{name}.hand").write_bytes(saved(mapper))
+    for each in recordings:
+        count = len(each)
+        shares = each.confidence
+        np.savez(
+            folder / f"{name}.{each.side}.npz",
+            time=each.time,
+            landmarks=each.landmarks,
+            wrist=np.zeros((count, 4, 4)) if each.wrist is None else each.wrist,
+            has_wrist=each.wrist is not None,
+            valid=each.valid,
+            confidence=np.ones(count) if shares is None else shares,
+        )
 
 
 def expected_columns(
-    folder: Path, name: str, mapper: HandMapper
+    folder: Path, name: str, mapper: HandMapper | RobotMapper
 ) -> dict[str, np.ndarray]:
     """Return what `handmap_qp` commands for a case."""
-    with np.load(folder / f"{name}.npz") as archive:
-        samples = dict(archive)
-    follow = module_of(ALONE).columns_of
-    return follow(Follower(mapper), samples, HumanSample)
+    alone = module_of(ALONE)
+    samples = alone.samples_of(folder / f"{name}.hand", HumanSample)
+    if isinstance(mapper, RobotMapper):
+        follow = RobotFollower(mapper).map_samples
+    else:
+        follow = Follower(mapper).map_sample
+    return alone.columns_of(follow, samples)
 
 
 def difference(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> float:
@@ -173,25 +183,52 @@ def mapper_of(robot: str, preset: str) -> HandMapper:
     return HandMapper(human, load_hand(robot), preset)
 
 
+def robot_mapper_of(
+    robot: str, preset: str, hands: dict[Side, Recording]
+) -> RobotMapper:
+    """Return the person of recordings of both hands with a robot."""
+    humans: dict[Side, Hand] = {
+        side: scaled_human(each, points="landmarks") for side, each in hands.items()
+    }
+    return RobotMapper(load_robot(robot), humans, preset)
+
+
 def recordings() -> Iterator[Recording]:
     """Return the demo with every fault, and the beginning of each recording that is here."""
     for fault in FAULTS:
         yield replace(recording_with(fault), name=f"demo {fault}")
+    for file in shared_files():
+        yield beginning(read_recording(str(file)))
+
+
+def shared_files() -> list[Path]:
+    """Return the recordings that are here."""
     folder = os.environ.get("HANDMAP_RECORDINGS", "")
-    for file in sorted(Path(folder).glob("*.npz")) if folder else ():
-        whole = read_recording(str(file))
-        recording = whole.part(slice(0, min(200, len(whole))))
-        samples = [recording.sample(i) for i in range(len(recording))]
-        poses = None
-        if samples[0].wrist is not None:
-            poses = np.array([sample.wrist for sample in samples])
-        yield sample_columns(recording, poses)
+    return sorted(Path(folder).glob("*.npz")) if folder else []
 
 
-def write_all(folder: Path) -> None:
-    """Write every hand that loads with every recording of its side.
+def beginning(whole: Recording) -> Recording:
+    """Return the first 200 samples of a recording, as columns."""
+    recording = whole.part(slice(0, min(200, len(whole))))
+    samples = [recording.sample(i) for i in range(len(recording))]
+    poses = None
+    if samples[0].wrist is not None:
+        poses = np.array([sample.wrist for sample in samples])
+    return sample_columns(recording, poses)
 
-    `CASE.expected.npz` is what `handmap_qp` commands.
+
+def both_hands() -> Iterator[dict[Side, Recording]]:
+    """Return the beginning of each recording of both hands that is here."""
+    quest = [file for file in shared_files() if file.name.startswith("quest3_webxr_")]
+    for files in ([Path("pinch")], [Path("demo")], quest):
+        if files:
+            yield {side: beginning(each) for side, each in read_hands(files).items()}
+
+
+def cases() -> Iterator[tuple[str, HandMapper | RobotMapper, tuple[Recording, ...]]]:
+    """Return every hand with every recording of its side, and every robot with those of both.
+
+    Hands and robots that are not installed are left out, and presets that one cannot have.
     """
     known = [*recordings()]
     demo = scaled_human(DEMO)
@@ -199,23 +236,28 @@ def write_all(folder: Path) -> None:
         demo if each.name.startswith("demo") else scaled_human(each) for each in known
     ]
     for robot in hand_files():
-        try:
+        with suppress(HandmapError):
             hand = load_hand(robot)
-        except HandmapError:
-            continue
-        for k, (recording, human) in enumerate(zip(known, humans, strict=True)):
-            # Other methods with the first fault and the last recording alone: it takes long.
-            others = ("object", "paper") if k in (1, len(known) - 1) else ()
-            for preset in ("teleoperation", *others):
+            for k, (recording, human) in enumerate(zip(known, humans, strict=True)):
                 if hand.side != recording.side:
                     continue
-                try:
-                    mapper = HandMapper(human, hand, preset)
-                except InvalidOptionsError:
-                    continue
-                name = f"{robot}-{preset}-{k}"
-                write_case(folder, name, mapper, recording)
-                expected = expected_columns(folder, name, mapper)
-                np.savez(
-                    folder / f"{name}.expected.npz", allow_pickle=False, **expected
-                )
+                # Other methods with the first fault and the last recording alone: it takes long.
+                others = ("object", "paper") if k in (1, len(known) - 1) else ()
+                for preset in ("teleoperation", *others):
+                    with suppress(InvalidOptionsError):
+                        mapper = HandMapper(human, hand, preset)
+                        yield f"{robot}-{preset}-{k}", mapper, (recording,)
+    for robot in robot_files():
+        for k, hands in enumerate(both_hands()):
+            for preset in ("teleoperation", "object", "paper"):
+                with suppress(HandmapError):
+                    both = robot_mapper_of(robot, preset, hands)
+                    yield f"{robot}-{preset}-{k}", both, tuple(hands.values())
+
+
+def write_all(folder: Path) -> None:
+    """Write all cases; `CASE.expected.npz` is what `handmap_qp` commands."""
+    for name, mapper, recordings in cases():
+        write_case(folder, name, mapper, *recordings)
+        expected: dict[str, Any] = expected_columns(folder, name, mapper)
+        np.savez(folder / f"{name}.expected.npz", **expected)

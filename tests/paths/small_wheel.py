@@ -87,6 +87,15 @@ def size_of(folder: Path) -> float:
     )
 
 
+def largest_difference(file: Path) -> float:
+    """Return how far commands of a case are from those of the library."""
+    columns = []
+    for end in (".out.npz", ".expected.npz"):
+        with np.load(file.with_suffix(end)) as archive:
+            columns.append(dict(archive))
+    return difference(*columns)
+
+
 def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> str:
     """Follow all cases in a fresh environment, compare, and return its Python."""
     environment = wheel.parent / f"with {numpy}"
@@ -106,21 +115,22 @@ def try_alone(wheel: Path, python: str, numpy: str, cases: Path) -> str:
     own_numpy, everything = (
         1e3 * min(map(float, each)) for each in zip(*tried, strict=True)
     )
-    largest = 0.0
-    for file in sorted(cases.glob("*.hand")):
-        columns = []
-        for end in (".out.npz", ".expected.npz"):
-            with np.load(file.with_suffix(end)) as archive:
-                columns.append(dict(archive))
-        largest = max(largest, difference(*columns))
     print(
         f"           Python {found['python']}, numpy {found['numpy']}: "
         f"{size:.1f} MB, of which numpy {sizes['numpy']:.1f}, handmap_run "
         f"{sizes['handmap_run']:.1f}; wheel {wheel.stat().st_size / 1e6:.2f} MB\n"
         f"           import {everything:.0f} ms of CPU (best of 9), of which numpy "
-        f"{own_numpy:.0f}; load {1e3 * statistics.median(found['load_s']):.0f} ms; a sample "
-        f"{statistics.median(found['sample_us']):.0f} us\n"
-        f"           {len(found['load_s'])} cases: commands differ by {largest:.1e} at most",
+        f"{own_numpy:.0f}"
+    )
+    for kind, times in found["times"].items():
+        load_s, sample_us = map(statistics.median, zip(*times, strict=True))
+        print(
+            f"           a {kind}: load {1e3 * load_s:.0f} ms, a sample {sample_us:.0f} us"
+        )
+    files = sorted(cases.glob("*.hand"))
+    largest = max(map(largest_difference, files))
+    print(
+        f"           {len(files)} cases: commands differ by {largest:.1e} at most",
         flush=True,
     )
     if largest > 1e-9:
@@ -166,7 +176,7 @@ def main() -> None:
         path.handmap("hands", "save", "three_finger")
         path.handmap("hands", "save", "three_finger", "--check")
         with path.step(
-            "follow recordings with every hand by the library, and save them"
+            "follow recordings with every hand and robot by the library, and save them"
         ):
             shared = os.environ.get("HANDMAP_RECORDINGS", "")
             code = f"import os\nos.environ['HANDMAP_RECORDINGS'] = {shared!r}\n{_CASES}"

@@ -1,6 +1,6 @@
 """What `handmap_run` does alone: it follows the samples of each case in a folder.
 
-    python alone.py FOLDER        # CASE.hand and CASE.npz become CASE.out.npz
+    python alone.py FOLDER        # CASE.hand and CASE.SIDE.npz become CASE.out.npz
 
 Nothing that a robot's computer lacks can be imported. Prints one JSON object: versions, CPU times
 and the modules that were imported. Runs with numpy 1.26 as well.
@@ -34,34 +34,51 @@ class Alone:
             raise ModuleNotFoundError(f"{name} is absent here", name=name)
 
 
-def columns_of(follower, samples, kind):
+SIDES = ("left", "right")
+
+
+def samples_of(file, kind):
+    """Yield the samples of a case: what a hand's follower takes, or a robot's, by side."""
+    import numpy as np
+
+    hands = {}
+    for side in SIDES:
+        columns = file.with_suffix(f".{side}.npz")
+        if columns.exists():
+            with np.load(columns) as archive:
+                hands[side] = dict(archive)
+    for i in range(max(len(columns["time"]) for columns in hands.values())):
+        samples = {
+            side: kind(
+                float(columns["time"][i]),
+                side,
+                columns["landmarks"][i],
+                columns["wrist"][i] if columns["has_wrist"] else None,
+                bool(columns["valid"][i]),
+                float(columns["confidence"][i]),
+            )
+            for side, columns in hands.items()
+            if i < len(columns["time"])
+        }
+        yield samples if len(hands) > 1 else next(iter(samples.values()))
+
+
+def columns_of(follow, samples):
     """Return what a follower commands for the samples of a case, as columns by name."""
     import numpy as np
 
     rows, every_margin = [], []
-    for time_, landmarks, wrist, valid, confidence in zip(
-        *(
-            samples[name]
-            for name in ("time", "landmarks", "wrist", "valid", "confidence")
-        ),
-        strict=True,
-    ):
-        sample = kind(
-            float(time_),
-            str(samples["side"]),
-            landmarks,
-            wrist if "wrist" in samples["has"] else None,
-            bool(valid),
-            float(confidence),
-        )
-        step = follower.map_sample(sample)
-        problem = step.finding.problem if step.finding else ""
-        # A sample that is held asks for nothing.
-        margins = () if step.asked.margins is None else step.asked.margins
-        about = str(step.is_held), str(step.is_gliding), str(len(margins))
-        said = step.status, step.rule, problem, *about
+    for sample in samples:
+        step = follow(sample)
+        said = []
+        for part in (step, *getattr(step, "hands", {}).values()):
+            problem = part.finding.problem if part.finding else ""
+            # A sample that is held asks for nothing.
+            margins = () if part.asked.margins is None else part.asked.margins
+            about = str(part.is_held), str(part.is_gliding), str(len(margins))
+            said += [part.status, part.rule, problem, *about]
+            every_margin.extend(margins)
         rows.append((step.command.q, step.command.wrist, step.targets, said))
-        every_margin.extend(margins)
     columns = map(np.array, zip(*rows, strict=True))
     found = dict(zip(("q", "wrist", "targets", "said"), columns, strict=True))
     return found | {"margins": np.array(every_margin)}
@@ -73,26 +90,30 @@ def main(folder):
     import handmap_run
     import numpy as np
 
-    found = {
-        "python": sys.version.split()[0],
-        "numpy": np.__version__,
-        "load_s": [],
-        "sample_us": [],
-    }
+    # Seconds to load, and microseconds a sample, of each case.
+    times = {"hand": [], "robot": []}
     for file in sorted(folder.glob("*.hand")):
+        is_robot = all(file.with_suffix(f".{side}.npz").exists() for side in SIDES)
         started = time.process_time()
-        follower = handmap_run.load(file)
-        found["load_s"].append(time.process_time() - started)
-        with np.load(file.with_suffix(".npz")) as archive:
-            samples = {name: archive[name] for name in archive.files}
-        started = time.process_time()
-        columns = columns_of(follower, samples, handmap_run.HumanSample)
-        each = (time.process_time() - started) / len(columns["q"])
-        found["sample_us"].append(1e6 * each)
+        if is_robot:
+            follow = handmap_run.load_robot(file).map_samples
+        else:
+            follow = handmap_run.load(file).map_sample
+        loaded = time.process_time()
+        samples = [*samples_of(file, handmap_run.HumanSample)]
+        began = time.process_time()
+        columns = columns_of(follow, samples)
+        each = 1e6 * (time.process_time() - began) / len(samples)
+        times["robot" if is_robot else "hand"].append((loaded - started, each))
         np.savez(file.with_suffix(".out.npz"), **columns)
     import handmap_run.client
 
-    found["modules"] = sorted({name.partition(".")[0] for name in sys.modules})
+    found = {
+        "python": sys.version.split()[0],
+        "numpy": np.__version__,
+        "times": times,
+        "modules": sorted({name.partition(".")[0] for name in sys.modules}),
+    }
     print(json.dumps(found))
 
 

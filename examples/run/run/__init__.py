@@ -13,10 +13,16 @@ It needs numpy (1.26 or later), msgspec and pyzmq. What follows here follows in 
 
 __version__ = "0.2.0"
 
-from handmap_qp.errors import HandError, HandmapError, InvalidInputError
+from handmap_qp.errors import (
+    HandError,
+    HandmapError,
+    InvalidInputError,
+    InvalidOptionsError,
+)
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.stream.follower import Follower, Smoothing
-from .saved import load
+from handmap_qp.stream.robot_follower import RobotFollower
+from .saved import load, load_robot
 
 __all__ = [
     "Follower",
@@ -24,6 +30,9 @@ __all__ = [
     "HandmapError",
     "HumanSample",
     "InvalidInputError",
+    "InvalidOptionsError",
+    "RobotFollower",
     "Smoothing",
     "load",
+    "load_robot",
 ]

@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 
 KIND = "handmap hand"
+HAND, ROBOT = 1, 2
+"""Forms of what a file has: a hand, or a robot with two."""
 TYPES = ("<f8", "<i8", "<i4", "|b1")
 """Numbers that arrays may have."""
 _ARRAY = 1
@@ -21,13 +23,15 @@ class File(msgspec.Struct, frozen=True):
         kind: `KIND`.
         version: Version of the library that saved it: another one may have other names.
         checksum: CRC-32 of `body`.
-        body: The hand and how it follows, in msgpack again.
+        body: The hand and how it follows, or a robot with its hands, in msgpack again.
+        form: Form of `body`. The first version had hands alone, and did not name it.
     """
 
     kind: str
     version: str
     checksum: int
     body: bytes
+    form: int = HAND
 
 
 def _pack(value: Any) -> msgspec.msgpack.Ext:

@@ -1,8 +1,10 @@
-"""`load`: a follower of a hand that `handmap hands save` has written."""
+"""`load` and `load_robot`: followers of what `handmap hands save` has written."""
 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,11 @@ from handmap_qp.ik.tasks import PointDistances
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.methods import homogeneous, teleoperation
+from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.options import Options
 from handmap_qp.stream.follower import Follower, RejoinKind, Smoothing
-from .form import KIND, File, decode
+from handmap_qp.stream.robot_follower import RobotFollower
+from .form import HAND, KIND, ROBOT, File, decode
 from .hands import KINDS, Record
 from .trackers.layouts import LAYOUTS, Layout
 
@@ -33,18 +37,20 @@ _KINDS: dict[str, type] = {
     "PointDistances": PointDistances,
     **KINDS,
 }
+_FORMS = {HAND: ("one hand", "load"), ROBOT: ("a robot with two hands", "load_robot")}
+"""What files of each form have, and what reads them."""
 _AGAIN = f"save it again, by handmap-qp {__version__}"
 
 
 class _Method:
-    """The method of a saved hand, which is bound already."""
+    """The method of saved hands, which is bound already."""
 
-    def __init__(self, bound: Any) -> None:
-        self._bound = bound
+    def __init__(self, hands: Sequence[Any]) -> None:
+        self._bound = {each.robot.side: each.bound for each in hands}
 
     def bind(self, human: Any, robot: Any) -> Any:
-        del human, robot
-        return self._bound
+        del human
+        return self._bound[robot.side]
 
 
 def load(
@@ -63,33 +69,58 @@ def load(
     Raises:
         HandError: If the file is not a saved hand, is damaged, or is of another version.
         OSError: If it cannot be read.
-        InvalidOptionsError: If `rejoin` is something else.
+        InvalidOptionsError: If `rejoin` or `smoothing` is something else.
     """
-    path = Path(path)
-    file = _read(path)
-    try:
-        saved = _made(decode(file.body))
-        LAYOUTS.update({name: Layout(order) for name, order in saved.orders.items()})
-        bound = saved.bound
-        bound.human = saved.human
-        bound.robot = saved.robot
-        mapper = HandMapper(
-            saved.human,
-            saved.robot,
-            _Method(bound),
-            ik=saved.ik,
-            dt=saved.dt,
-            joint_tolerance=saved.joint_tolerance,
-            quat_order=saved.quat_order,
-        )
-    except (AttributeError, LookupError, TypeError, ValueError, RuntimeError) as error:
-        problem = f"it does not fit this version ({error}); {_AGAIN}"
-        raise HandError(problem, file=path) from error
+    with _opened(Path(path), HAND) as saved:
+        mapper = HandMapper(saved.human, saved.robot, **_options([saved]))
     return Follower(mapper, rejoin=rejoin, smoothing=smoothing)
 
 
-def _read(path: Path) -> File:
-    """Read a file, and check that it is whole and of this form."""
+def load_robot(
+    path: Path | str,
+    *,
+    rejoin: RejoinKind = "glide",
+    smoothing: Smoothing | None = Smoothing(),
+) -> RobotFollower:
+    """Return a follower of a saved robot with two hands; arguments and errors as of `load`.
+
+    The first sample of each hand is its reference.
+    """
+    with _opened(Path(path), ROBOT) as saved:
+        robot = saved.robot
+        robot.parts = tuple(each.robot for each in saved.hands)
+        for part in robot.parts:
+            part.whole = robot
+        humans = {each.robot.side: each.human for each in saved.hands}
+        options = _options(saved.hands)
+        mapper = RobotMapper(robot, humans, turns_in=saved.turns_in, **options)
+    return RobotFollower(mapper, rejoin=rejoin, smoothing=smoothing)
+
+
+def _options(hands: Sequence[Any]) -> dict[str, Any]:
+    """Return what a mapper of saved hands is made of."""
+    for each in hands:
+        each.bound.human = each.human
+        each.bound.robot = each.robot
+    first = hands[0]
+    LAYOUTS.update({name: Layout(order) for name, order in first.orders.items()})
+    names = "ik", "dt", "joint_tolerance", "quat_order"
+    return {"method": _Method(hands)} | {name: getattr(first, name) for name in names}
+
+
+@contextmanager
+def _opened(path: Path, form: int) -> Iterator[Any]:
+    """Open a file, to make a mapper of what it has."""
+    body = _read(path, form)
+    try:
+        yield _made(decode(body))
+    except (AttributeError, LookupError, TypeError, ValueError, RuntimeError) as error:
+        problem = f"it does not fit this version ({error}); {_AGAIN}"
+        raise HandError(problem, file=path) from error
+
+
+def _read(path: Path, form: int) -> bytes:
+    """Read the body of a file, and check that it is whole, and of a form."""
     try:
         file = msgspec.msgpack.decode(path.read_bytes(), type=File)
     except msgspec.MsgspecError:
@@ -99,12 +130,18 @@ def _read(path: Path) -> File:
             "expected a saved hand (handmap hands save), got another or a damaged file"
         )
         raise HandError(made, file=path)
+    if file.form not in _FORMS:
+        newer = f"it is of form {file.form}, expected {max(_FORMS)} or less"
+        raise HandError(f"{newer}; install a newer handmap-run", file=path)
     if file.version != __version__:
         other = f"it is of version {file.version}, expected {__version__}"
         raise HandError(f"{other}; {_AGAIN}", file=path)
     if zlib.crc32(file.body) != file.checksum:
         raise HandError("it is damaged; copy it again", file=path)
-    return file
+    if file.form != form:
+        name, function = _FORMS[file.form]
+        raise HandError(f"it is {name}; {function} reads it", file=path)
+    return file.body
 
 
 def _made(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""`saved_hand`: what the core is made of, for a computer without `handmap_qp`."""
+"""`saved`: what the core is made of, for a computer without `handmap_qp`."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import pinocchio as pin
 import handmap_qp
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.human import landmarks_at_rest
-from handmap_qp.mapping import HandMapper
+from handmap_qp.mapping import HandMapper, RobotMapper
 from handmap_qp.options import Options
 from handmap_qp.trackers import LAYOUTS
-from .form import KIND, File, encode
+from .form import HAND, KIND, ROBOT, File, encode
 
 _HAND = """
 name side mount is_floating joint_names all_joint_names limits lower_limits upper_limits
 velocity_limits rest spread active_columns joint_columns q_indices point_weights palm_frame
 wrist_frame wrist_to_palm point_frames reference_points spec model moves_wrist finger_joints
-has_moving_wrist rules _moving_q _motion _shift _wrist_to_root
+has_moving_wrist has_floating_base rules _moving_q _motion _shift _wrist_to_root
 """
 _ATTRIBUTES = {
     "Hand": _HAND,
@@ -57,52 +57,71 @@ _ATTRIBUTES = {
 """What the core, the guard and the maps read of each class; both sides have the same names."""
 
 
-def saved_hand(mapper: HandMapper) -> bytes:
+def saved(mapper: HandMapper | RobotMapper) -> bytes:
     """Return the file of a mapper's hands, and of how the one follows the other.
 
-    The reference, the posture and the person's samples are not in it.
+    References, the posture and the person's samples are not in it.
 
     Args:
-        mapper: The mapper; its human hand must be scaled to the person.
+        mapper: The mapper; its human hands must be scaled to the person.
 
     Raises:
         InvalidOptionsError: If it moves the robot in Python: by another method than those of the
             core, with tasks, or by another solver.
-        HandError: If the human hand has no landmarks.
+        HandError: If a human hand has no landmarks.
     """
-    ik = mapper.ik
+    if not mapper.point_ik.core:
+        _refuse("formulation", "the compiled core does not move this hand as asked")
+    collisions = _packed(mapper.point_ik.gate.collisions)
+    if isinstance(mapper, RobotMapper):
+        form, tree = ROBOT, _robot(mapper, collisions)
+    else:
+        form, tree = HAND, _hand(mapper, mapper.bound.contacts is not None, collisions)
+    body = encode(tree)
+    version = handmap_qp.__version__
+    file = File(KIND, version, zlib.crc32(body), body, form)
+    return msgspec.msgpack.encode(file)
+
+
+def _robot(mapper: RobotMapper, collisions: Any) -> dict[str, Any]:
+    """Return a robot, and each of its hands as if it was alone, but for the collisions."""
+    # Which pairs of a hand pinch, among those of all hands and among its own.
+    contacts = mapper._pinching or [()] * len(mapper.leaders)
+    leaders = zip(mapper.leaders.values(), contacts, strict=True)
+    robot = _packed(mapper.robot) | {"landmarks": None, "collisions": collisions}
+    return {
+        "": "Saved",
+        "robot": robot,
+        "hands": [_hand(leader, [*own], None) for leader, own in leaders],
+        "turns_in": mapper._turns_in,
+    }
+
+
+def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
+    """Return a hand, the person's, and how the one follows the other."""
     kind = type(mapper.bound).__name__
     if kind not in ("BoundHomogeneous", "BoundTeleoperation"):
         _refuse("method", f"{kind.removeprefix('Bound')} is in Python alone")
-    if mapper.tasks or ik.tasks:
+    if mapper.tasks or mapper.ik.tasks:
         _refuse("tasks", "further tasks are in Python alone")
-    if not mapper.point_ik.core:
-        _refuse("formulation", "the compiled core does not move this hand as asked")
-    human = _packed(mapper.human)
-    human["landmarks"] = landmarks_at_rest(mapper.human)
-    robot = _packed(mapper.robot) | {"landmarks": None}
-    robot["collisions"] = _packed(mapper.point_ik.gate.collisions)
-    bound = _packed(mapper.bound)
-    bound["contacts"] = mapper.bound.contacts is not None
+    robot = _packed(mapper.robot) | {"landmarks": None, "collisions": collisions}
+    human = _packed(mapper.human) | {"landmarks": landmarks_at_rest(mapper.human)}
     orders = {
         name: np.array(layout.order("right"))
         for name, layout in LAYOUTS.items()
         if layout.shapes[0][0] == 21 and layout.order("right") is not None
     }
-    tree = {
+    return {
         "": "Saved",
         "human": human,
         "robot": robot,
-        "bound": bound,
-        "ik": _packed(ik),
+        "bound": _packed(mapper.bound) | {"contacts": contacts},
+        "ik": _packed(mapper.ik),
         "dt": mapper.dt,
         "joint_tolerance": mapper.joint_tolerance,
         "quat_order": mapper.quat_order,
         "orders": orders,
     }
-    body = encode(tree)
-    version = handmap_qp.__version__
-    return msgspec.msgpack.encode(File(KIND, version, zlib.crc32(body), body))
 
 
 def _refuse(option: str, problem: str) -> None:

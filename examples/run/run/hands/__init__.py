@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
+from itertools import accumulate
 from typing import Any, Literal
 
 import numpy as np
@@ -14,6 +16,7 @@ from handmap_qp.se3 import (
     as_floats,
     check_pose,
     quat_wxyz_from_rotation,
+    transform_points,
 )
 
 Names = tuple[str, ...]
@@ -26,8 +29,8 @@ class Record:
 
 
 # Types of arguments, and what only describes a hand that is not saved yet.
-AttachedPoints = Finger = PointSpec = ShapePairs = Record
-moved_by = named_pairs = pair_ends = None
+Finger = PointSpec = ShapePairs = Record
+load_hand = moved_by = named_pairs = pair_ends = None
 
 
 class Pose(Record):
@@ -38,6 +41,19 @@ class Pose(Record):
     @property
     def translation(self) -> Array:
         return self.homogeneous[:3, 3].copy()
+
+    def act(self, point: Array) -> Array:
+        return transform_points(self.homogeneous, point)
+
+
+class AttachedPoints(Record):
+    """Points that are fixed to joints; see `hands.configuration`."""
+
+    def __init__(self, hand: Hand, places: Sequence[tuple[int, Array]]) -> None:
+        del hand
+        joints, offsets = zip(*places, strict=True)
+        self.joints = joints
+        self.offsets = np.array(offsets)
 
 
 class JointModel(Record):
@@ -65,6 +81,8 @@ class Configuration:
 
     def __init__(self, hand: Hand) -> None:
         self._hand = hand
+        ends = [*accumulate(len(each.reference_points) for each in hand.hands)]
+        self.parts = [*map(slice, [0, *ends], ends)]
 
     def place(self, vector: Array) -> None:
         hand = self._hand
@@ -79,10 +97,12 @@ class Hand(Record):
     """A hand that was saved; attributes and methods are those of the library's."""
 
     name: str
+    side: Side
     is_floating: bool
     landmarks: Array | None
     model: Any
     point_frames: tuple[Any, ...]
+    reference_points: tuple[Any, ...]
     wrist_frame: Any
     lower_limits: Array
     upper_limits: Array
@@ -92,7 +112,9 @@ class Hand(Record):
     _motion: Array
     _shift: Array
     unscaled = None
-    parts = ()
+    parts: tuple[Hand, ...] = ()
+    whole: Hand
+    has_floating_base = False
 
     @cached_property
     def tree(self) -> Any:
@@ -105,8 +127,13 @@ class Hand(Record):
 
     @property
     def hands(self) -> tuple[Hand, ...]:
-        """The hand."""
-        return (self,)
+        """The hands of a robot, else this one."""
+        return self.parts or (self,)
+
+    @property
+    def by_side(self) -> dict[Side, Hand]:
+        """The same by their side."""
+        return {hand.side: hand for hand in self.hands}
 
     def configuration(self) -> Configuration:
         """Return a new workspace."""
@@ -172,6 +199,20 @@ class _Landmarks(Hand):
         return self.landmarks
 
 
-KINDS = {kind.__name__: kind for kind in (Pose, JointModel, Convex, PairBounds, Hand)}
+def joined(name: str, *hands: Hand) -> Hand:
+    """Return the robot that hands were saved with."""
+    del name
+    return hands[0].whole
+
+
+def common_pairs(contacts: tuple[Any, ...]) -> tuple[bool, list[Any]]:
+    """Return which pairs of each hand pinch: `joined` has all pairs."""
+    return True, [*contacts]
+
+
+KINDS = {
+    kind.__name__: kind
+    for kind in (Pose, AttachedPoints, JointModel, Convex, PairBounds, Hand)
+}
 """Kinds of records that do something, by name."""
 # Constants of the tree follow: see `taken.py`.
