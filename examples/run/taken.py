@@ -10,6 +10,7 @@ Pinocchio and scipy, does not have. Files in `run` take the place of those that 
 from __future__ import annotations
 
 import ast
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -95,20 +96,13 @@ def homes_in(package: str) -> dict[str, str]:
 def constants_text() -> str:
     """Return the lines of the tree that give `CONSTANTS` their values."""
     lines = []
-    for name, wanted in CONSTANTS.items():
-        missing = {*wanted}
-        for node in ast.parse(read(ROOT / f"{name}.py")).body:
-            if isinstance(node, ast.Assign):
-                given = {ast.unparse(target) for target in node.targets}
-            elif isinstance(node, ast.AnnAssign):
-                given = {ast.unparse(node.target)}
-            else:
-                continue
-            if given & missing:
-                missing -= given
-                lines.append(f"{ast.unparse(node)}\n")
-        if missing:
-            stop(f"{name}.py has no {', '.join(sorted(missing))}; change CONSTANTS")
+    for file, names in CONSTANTS.items():
+        text = read(ROOT / f"{file}.py")
+        for name in names:
+            found = re.search(rf"^{name}\b.* = .*\n", text, re.MULTILINE)
+            if found is None:
+                stop(f"{file}.py has no {name}; change CONSTANTS")
+            lines.append(found[0])
     return "".join(lines)
 
 
@@ -131,7 +125,7 @@ def check_imports(written: dict[str, str], homes: dict[str, dict[str, str]]) -> 
         written: Text of each file.
         homes: Modules of the names of each package.
     """
-    names = {f"{NAME}.{package}": {""} for package in homes}
+    names = {}
     for file, text in written.items():
         module = f"{NAME}/{file}".removesuffix(".py").removesuffix("/__init__")
         symbols = symtable(text, file, "exec").get_symbols()
@@ -140,16 +134,18 @@ def check_imports(written: dict[str, str], homes: dict[str, dict[str, str]]) -> 
             for each in symbols
             if each.is_assigned() or each.is_imported()
         }
-
-    def has(module: str, name: str) -> bool:
-        home = homes.get(module.removeprefix(f"{NAME}."), {}).get(name)
-        is_there = name in names.get(module, ()) or f"{module}.{name}" in names
-        return is_there or (home is not None and has(f"{module}.{home}", name))
-
+    for name, own in homes.items():
+        package = f"{NAME}.{name}"
+        names[package] = {""} | {
+            each
+            for each, home in own.items()
+            if each in names.get(f"{package}.{home}", ())
+        }
     for file, text in written.items():
         package = ".".join((NAME, *Path(file).parent.parts))
         for module, name in imports_of(ast.parse(text), package):
-            if module.partition(".")[0] not in PRESENT and not has(module, name):
+            is_there = name in names.get(module, ()) or f"{module}.{name}" in names
+            if not is_there and module.partition(".")[0] not in PRESENT:
                 stop(f"{file} imports {module} {name}, which {NAME} does not have")
 
 

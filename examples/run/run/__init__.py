@@ -21,7 +21,6 @@ from handmap_qp.errors import (
 )
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.stream.follower import Follower, Smoothing
-from handmap_qp.stream.robot_follower import RobotFollower
 from .saved import load, load_robot
 
 __all__ = [
@@ -31,7 +30,6 @@ __all__ = [
     "HumanSample",
     "InvalidInputError",
     "InvalidOptionsError",
-    "RobotFollower",
     "Smoothing",
     "load",
     "load_robot",

@@ -10,17 +10,15 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp import __version__
+from handmap_qp import __version__, mapping, stream
 from handmap_qp.errors import HandError
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import PointDistances
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.methods import homogeneous, teleoperation
-from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.options import Options
 from handmap_qp.stream.follower import Follower, RejoinKind, Smoothing
-from handmap_qp.stream.robot_follower import RobotFollower
 from .form import HAND, KIND, ROBOT, File, decode
 from .hands import KINDS, Record
 from .trackers.layouts import LAYOUTS, Layout
@@ -69,7 +67,8 @@ def load(
     Raises:
         HandError: If the file is not a saved hand, is damaged, or is of another version.
         OSError: If it cannot be read.
-        InvalidOptionsError: If `rejoin` or `smoothing` is something else.
+        InvalidInputError: If `smoothing` is something else.
+        InvalidOptionsError: If `rejoin` is.
     """
     with _opened(Path(path), HAND) as saved:
         mapper = HandMapper(saved.human, saved.robot, **_options([saved]))
@@ -81,7 +80,7 @@ def load_robot(
     *,
     rejoin: RejoinKind = "glide",
     smoothing: Smoothing | None = Smoothing(),
-) -> RobotFollower:
+) -> stream.RobotFollower:
     """Return a follower of a saved robot with two hands; arguments and errors as of `load`.
 
     The first sample of each hand is its reference.
@@ -93,8 +92,9 @@ def load_robot(
             part.whole = robot
         humans = {each.robot.side: each.human for each in saved.hands}
         options = _options(saved.hands)
-        mapper = RobotMapper(robot, humans, turns_in=saved.turns_in, **options)
-    return RobotFollower(mapper, rejoin=rejoin, smoothing=smoothing)
+        # Its module is imported at this first use: most programs have one hand.
+        mapper = mapping.RobotMapper(robot, humans, turns_in=saved.turns_in, **options)
+    return stream.RobotFollower(mapper, rejoin=rejoin, smoothing=smoothing)
 
 
 def _options(hands: Sequence[Any]) -> dict[str, Any]:
