@@ -184,13 +184,13 @@ def mapper_of(robot: str, preset: str) -> HandMapper:
 
 
 def robot_mapper_of(
-    robot: str, preset: str, hands: dict[Side, Recording]
+    robot: str, preset: str, hands: dict[Side, Recording], **options: Any
 ) -> RobotMapper:
     """Return the person of recordings of both hands with a robot."""
     humans: dict[Side, Hand] = {
         side: scaled_human(each, points="landmarks") for side, each in hands.items()
     }
-    return RobotMapper(load_robot(robot), humans, preset)
+    return RobotMapper(load_robot(robot), humans, preset, **options)
 
 
 def recordings() -> Iterator[Recording]:

@@ -128,7 +128,7 @@ def test_both_packages_are_in_one_process(saved: Path) -> None:
 
 @pytest.fixture(scope="module")
 def g1() -> RobotMapper:
-    return robot_mapper_of("g1", "teleoperation", PINCH)
+    return robot_mapper_of("g1", "teleoperation", PINCH, turns_in=1.0)
 
 
 @pytest.fixture
