@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import daqp
@@ -102,6 +102,12 @@ class IkResult(ArrayStruct, frozen=True):
         return self.targets - self.points
 
 
+@lru_cache(maxsize=16)
+def _costs(hand: Hand, options: IkOptions) -> Array:
+    """Return the costs of points and wrist by their coordinates, shape (3 m + 6,), read-only."""
+    return frozen(np.repeat([*options.point_costs(hand), *options.wrist_costs], 3))
+
+
 def point_rows(
     configuration: Configuration,
     targets: Array,
@@ -156,7 +162,7 @@ def cost_rows(
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
     """
-    costs = np.repeat([*options.point_costs(hand), *options.wrist_costs], 3)
+    costs = _costs(hand, options)
     blocks = []
     for part, own in enumerate(configuration.parts):
         wrist = None if goal.wrists is None else pin.SE3(goal.wrists[part])
