@@ -120,7 +120,7 @@ def assess_fidelity(
     r = robot.part(counts, shared)
     fingers = finger_metrics(h, r)
     values = mean_values([]) | _over_fingers(shared, fingers)
-    for compare in (object_metrics, palm_metrics, key_vector_metrics):
+    for compare in object_metrics, palm_metrics, key_vector_metrics:
         values |= compare(h, r)
     values["latency_ms"] = latency(h, r, time[counts])
     pinch_samples = 0
@@ -139,7 +139,7 @@ def _over_fingers(names: list[str], fingers: ByFinger) -> Values:
     """Return metrics of the whole hand: correlations weighted by the human's range, and means."""
     correlations = fingers["extension_correlation"]
     weights = fingers["extension_range"]
-    means = ("wrist_direction_deg", "tip_error_mm", "tip_error_knuckles_mm")
+    means = "wrist_direction_deg", "tip_error_mm", "tip_error_knuckles_mm"
     found: Values = {key: fingers[key].mean() for key in means} | {
         "extension_rms": _rms(fingers["extension_rms"]),
         "finger_direction_deg": fingers["direction_deg"].mean(),
@@ -232,8 +232,7 @@ def gap_metrics(human: HandTrace, gaps: GapMeter, q: Array) -> tuple[int, Values
     wanted = pinch_gaps(human)
     pinches = gaps.pinches(q)
     shared = [name for name in wanted if name in pinches]
-    h = np.array([wanted[name] for name in shared])
-    r = np.array([pinches[name] for name in shared])
+    h, r = np.array([[gap[name] for name in shared] for gap in (wanted, pinches)])
     pinched = r[h < PINCH]
     apart = r[h > OPEN]
     nearest = gaps.nearest(q)
@@ -352,9 +351,9 @@ def sample_workspace(hand: Hand, *, count: int = 20_000) -> ByFinger:
 
     They are in the palm frame, by finger [m], shape (count, 3) each.
     """
-    random = np.random.default_rng(42)
-    q = random.uniform(*hand.limits, (count, len(hand.joint_names)))
-    return _tips_by_finger(trace_robot(hand, q))
+    q = np.random.default_rng(42).uniform(*hand.limits, (count, *hand.zero.shape))
+    # Wherever the wrist is, they are the same.
+    return _tips_by_finger(trace_robot(hand, q, np.eye(4)[None]))
 
 
 def _tips_by_finger(hand: HandTrace) -> ByFinger:

@@ -107,11 +107,7 @@ def trace_human(
     return HandTrace(FINGERS, points, reach, palm, size)
 
 
-def trace_robot(
-    hand: Hand,
-    q: Array,
-    wrist: Array | None = None,
-) -> HandTrace:
+def trace_robot(hand: Hand, q: Array, wrist: Array | None = None) -> HandTrace:
     """Describe a robot's motion by its joint angles and wrist poses.
 
     Args:
