@@ -14,11 +14,9 @@ import common  # first: it sets the number of threads before numpy is loaded
 # isort: split
 import os
 from collections.abc import Sequence
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import shared_hands
 
 from handmap_qp import load_hand
@@ -35,7 +33,6 @@ from handmap_qp.apps.onboarding.measure import check_pinches
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
-from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.presets import default_preset
 from handmap_qp.trackers.formats import read_recording
 
@@ -67,7 +64,7 @@ def main(words: Sequence[str] | None = None) -> list[dict[str, Any]]:
     ]
     recordings = [read_recording(file) for file in files]
     if arguments.quick:
-        recordings = [_shortened(recording) for recording in recordings]
+        recordings = [recording.part(slice(_FEW_SAMPLES)) for recording in recordings]
     hands, notes = load_hands(2 if arguments.quick else None)
     takes: dict[str, list[Take]] = {}
     rows = []
@@ -147,17 +144,6 @@ def _number(metric: Metric, overall: dict[str, float]) -> str:
 
 def _problem(runs: list[Run]) -> str:
     return "" if not runs else f"{len(runs)} failed: {runs[0].problem}"
-
-
-def _shortened(recording: Recording) -> Recording:
-    """Return the first samples of a recording."""
-    values = {item.name: getattr(recording, item.name) for item in fields(recording)}
-    cut = {
-        name: value[:_FEW_SAMPLES]
-        for name, value in values.items()
-        if isinstance(value, np.ndarray) and len(value) == len(recording)
-    }
-    return replace(recording, **cut)
 
 
 def draw(rows: list[dict[str, Any]]) -> Any:

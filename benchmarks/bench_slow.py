@@ -65,10 +65,11 @@ def main(words: Sequence[str] | None = None) -> list[dict[str, Any]]:
     parser.add_argument("--hand", default="hey5", help="name, or path of a hand.yaml")
     arguments = common.parse_arguments(parser, words)
     files = common.find_recordings(arguments.recordings)
+    recordings = [read_recording(file) for file in files]
     if arguments.quick:
-        files = files[:1]
+        recordings = [recordings[0].part(slice(200))]
     hand = load_hand(arguments.hand)
-    takes = [prepare_take(read_recording(file), hand.side) for file in files]
+    takes = [prepare_take(recording, hand.side) for recording in recordings]
     methods = compared(is_quick=arguments.quick)
     with common.progress("mapping", len(methods) * len(takes)) as advance:
         comparison = compare_methods(takes, hand, methods, lambda *_: advance())
