@@ -25,6 +25,7 @@ from handmap_qp.apps.onboarding.check import (
     check_hand,
     check_speeds,
 )
+from handmap_qp.apps.onboarding.cli import HandsCheck
 from handmap_qp.apps.onboarding.collision_pairs import (
     find_collision_pairs,
     joined_notes,
@@ -279,8 +280,13 @@ def test_every_maker_figure_has_a_source() -> None:
 
 
 def test_a_contradiction_is_an_exit_code(
-    made: MadeHand, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: MadeHand,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    # Other tests look at pictures.
+    monkeypatch.setattr(HandsCheck, "_steps", ("hand", check_hand, lambda *_: None))
     file = described(tmp_path, made.urdf)
     words = ["hands", "check", str(file), "--no-motion", "--json"]
     assert cli.main(words) == 0

@@ -223,7 +223,13 @@ def test_a_urdf_is_described_and_saved_as_init_writes_it(
         HandsEdit(str(urdf)).run()
 
 
-def test_a_tip_is_dragged_and_one_that_is_too_far_goes_back(tmp_path: Path) -> None:
+def test_a_tip_is_dragged_and_one_that_is_too_far_goes_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Gestures are those of another test.
+    monkeypatch.setattr(
+        "handmap_qp.apps.onboarding.editor.draw_gestures", lambda _: ({}, "")
+    )
     with serving() as server:
         found = edit.open_description("allegro_left")
         editor = HandEditor(server, found, tmp_path / "mine.yaml")
