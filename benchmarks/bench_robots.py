@@ -235,11 +235,12 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", nargs="+", default=ROBOTS, choices=ROBOTS)
     arguments: argparse.Namespace = common.parse_arguments(parser, words)
     meeting = meeting_hands()
+    if arguments.quick:
+        few = slice(None, None, 4)
+        meeting = {side: each.part(few) for side, each in meeting.items()}
     pairs = [("world", meeting)]
     if arguments.quick:
         arguments.robots = arguments.robots[:1]
-        for side, recording in meeting.items():
-            meeting[side] = recording.part(slice(None, None, 4))
     else:
         files = common.find_recordings(arguments.recordings)
         # Headsets have +y up.
