@@ -20,14 +20,17 @@ LOWEST := build/lowest
 # The interpreters to make .venv from, the first that will do; `make PYTHON=...` names another.
 PYTHONS := $(or $(PYTHON),python3.11 python3 python3.12 python3.13)
 
-# A core each, up to four. The tests of a file stay together, for they share what is slow to make.
-PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
+# Four at a time on two cores too: tests that wait for processes and browsers leave a core idle. The
+# tests of a file stay together, for they share what is slow to make.
+PARALLEL := --numprocesses 4 --dist loadfile
 
 # One thread: our matrices are small, so that more threads only wait for each other, and timings scatter.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 # A ROS shell sets PYTHONPATH, and its Pinocchio, built for another Python, would come before ours.
 unexport PYTHONPATH
+# Without bytecode every process of a test compiles what it imports: .2 s for a command.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
