@@ -124,8 +124,9 @@ def test_files_that_exist_are_kept(
 def test_init_says_what_it_found_as_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "robot.yaml"
-    assert main(["hands", "init", str(G1), "--out", str(out), "--json"]) == 0
+    (tmp_path / "two.xml").write_text(mjcf(), encoding="utf-8")
+    out, words = tmp_path / "robot.yaml", ["hands", "init", str(tmp_path / "two.xml")]
+    assert main([*words, "--out", str(out), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["out"] == str(out)
     assert [hand["name"] for hand in said["hands"]] == [
