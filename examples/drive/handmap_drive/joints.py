@@ -12,7 +12,7 @@ from .motion import Motion
 from .space import Space
 from .tuning import Joints
 
-WIDE = 1.0
+_WIDE = 1.0
 """Speed of motions over the range [rad/s]."""
 _SLOW, _FAST = 0.08, 2.0
 """Speeds of the motions through the play, and for the delay [rad/s]."""
@@ -143,9 +143,9 @@ def _measure(motion: Motion, space: Space, joints: Array, spans: Array) -> Array
         pulled = rough.command(end, np.sign(span))
         goal = home.copy()
         goal[joints] = np.clip(pulled, *limits)
-        motion.go(goal, WIDE)
+        motion.go(goal, _WIDE)
         ends.append(motion.rest())
-        motion.go(home, WIDE)
+        motion.go(home, _WIDE)
     q, torque = np.array(ends)[..., joints].swapaxes(0, 1)
     found = _fit(motion, start, joints)
     final = Joints(*found, *limits, no_error)

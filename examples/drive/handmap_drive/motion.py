@@ -104,14 +104,15 @@ class Motion:
 
         Args:
             goal: The goal [rad].
-            speed: Speed of the joint that goes farthest [rad/s].
+            speed: Speed of the joint that goes farthest, at most that of its motors [rad/s].
             until: Is asked in each turn whether to stay there.
 
         Returns:
             Whether it stayed.
         """
         farthest = np.abs(goal - self.goal).max()
-        count = ceil(farthest / speed * self.driver.rate)
+        step = min(speed, self.driver.speed) / self.driver.rate
+        count = ceil(farthest / step)
         for place in np.linspace(self.goal, goal, count + 1)[1:]:
             self.turn(place)
             if until():

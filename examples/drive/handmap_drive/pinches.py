@@ -15,14 +15,14 @@ from handmap_qp.se3 import Array
 from handmap_qp.trackers import DEMO, read_recording
 from .drive import APPROACH
 from .fit import MEETS, fit_encoders
-from .joints import WIDE, Tell
+from .joints import Tell
 from .motion import Motion
 from .space import EXACT, TUNED, Space
 from .tuning import Joints, Tuning, tuned
 
 _KEPT = 2.2
 """Bands that pinches keep from the ends of ranges."""
-_WAYS, _TRIES = 4, 40
+_WAYS, _TRIES = 6, 40
 """Ways to close each pinch, and shifts of its joints that are tried for them."""
 _SHIFT = 0.12
 """Standard deviation of the shifts [rad]."""
@@ -32,8 +32,8 @@ _NEAR = 0.008
 """Gap from which on fingers close slowly [m]."""
 _BEYOND = 0.8
 """How much farther than to the closed pinch fingers go until they meet, a share of the way."""
-_CLOSING = 0.2
-"""Speed of fingers that are going to meet [rad/s]."""
+_FREE, _CLOSING = 2.0, 0.2
+"""Speeds of fingers on free ways, and where they are going to meet [rad/s]."""
 _TURNS = 5
 """Turns over which torques count."""
 
@@ -115,17 +115,17 @@ def meet(
             # The thumb may meet another finger.
             return all(is_more[chain].any() for chain in chains)
 
-        motion.go(pinch.opened, WIDE)
+        motion.go(pinch.opened, _FREE)
         for first, near, beyond in pinch.ways:
-            motion.go(first, WIDE)
-            motion.go(near, WIDE)
+            motion.go(first, _FREE)
+            motion.go(near, _FREE)
             motion.rest()
             if motion.go(beyond, _CLOSING, until=is_pressed):
                 q, _ = motion.rest()
                 met.append((pinch.finger, space.posture(q)))
-            motion.go(first, WIDE)
-            motion.go(pinch.opened, WIDE)
-        motion.go(space.home, WIDE)
+            motion.go(first, _FREE)
+            motion.go(pinch.opened, _FREE)
+        motion.go(space.home, _FREE)
     return met
 
 
