@@ -6,7 +6,12 @@ teleoperation, as told and compensated. Gain .8 to 1.1, zero 1 degree, delay 20 
 1.4 degrees wrong, stops up to 5 % of the range inside or outside the limits.
 
     python benchmarks/tune_hands.py
-    python benchmarks/tune_hands.py --hands leap_right --seeds 0 1 2
+    python benchmarks/tune_hands.py --hands leap_right --seeds 20 21 --effects gravity
+
+Effects are what the fitted model does not have: `gravity` is that of the links of a hand that lies
+on its back while it is tuned, and has its palm down while it is driven, with `--down`; `untold` is
+the same without; `stiction` is more friction at rest; `tendon` is longer by a power of the torque;
+`lag` is that of motors; `jitter` is that of the delay.
 """
 
 from __future__ import annotations
@@ -20,10 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from handmap_drive.driver import Driver
 from handmap_drive.motion import Motion
 from handmap_drive.ritual import find_tuning
 from handmap_drive.simulated import Simulated
+from handmap_drive.space import ON_ITS_BACK, Space
 from handmap_drive.tuning import Compensated, Tuning, tuned
 
 from handmap_qp import Hand, load_hand, read_recording
@@ -35,6 +42,7 @@ from handmap_qp.apps.offline.comparison import (
 from handmap_qp.apps.offline.fidelity import CLOSED
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.tables import markdown_table
+from handmap_qp.hands import Names
 from handmap_qp.mapping import default_preset
 
 FLOORS = {
@@ -48,20 +56,64 @@ FLOORS = {
 """Errors that are small enough in any case: .3 degrees, at a torque of .3, 5 ms, .5 %."""
 LAG = 0.3
 """Longest delay of a hand that is looked for [s]."""
+WEIGHTS = "gravity", "untold"
+EFFECTS = *WEIGHTS, "stiction", "tendon", "lag", "jitter"
+PALM_DOWN = 0.0, 0.0, -1.0
+STRONGEST = 0.6
+"""Largest torque of a motor, for the weights of links [N m]."""
+STICKS, SOFT, LATE = 1.4, 0.7, 0.2
+"""Friction at rest by that in motion; torque to the power of which tendons are longer; share of
+commands that come a turn late."""
+LAGS = 0.01, 0.03
+"""Time constants of motors, least and largest [s]."""
 SETTLED = 1.0
 """Time in which a hand comes to the recording [s]."""
 RECORDINGS = ("leap_pinch_move_right", "leap_hmd_right")
 
 
-class Recorded(Simulated):
-    """A simulated hand that knows how far it was told to leave its limits [rad]."""
+class Motors(Simulated):
+    """A simulated hand that knows how far it was told to leave its limits, at most [rad].
 
+    Its joints are not those that are fitted, where there are `effects`.
+    """
+
+    effects: Names = ()
+    down = ON_ITS_BACK
     told = -np.inf
+
+    def __init__(self, port: str, joints: Names) -> None:
+        super().__init__(port, joints)
+        self._chance = np.random.default_rng([1, int(port.rpartition(":")[2])])
+        lag = self._chance.uniform(*LAGS, len(self.q)) * self.rate
+        self._lag = lag * ("lag" in self.effects)
+        self._drive = self._last = self.q
+        self._data = self._hand.model.createData()
+        self.sticks = STICKS if "stiction" in self.effects else 1.0
+        self.exponent = SOFT if "tendon" in self.effects else 1.0
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
         self.told = max(self.told, beyond(self, q))
         super().write(q, effort)
+
+    def turned(self, q: np.ndarray) -> np.ndarray:
+        """See `Simulated`."""
+        now = super().turned(q)
+        is_late = "jitter" in self.effects and self._chance.random() < LATE
+        goal, self._last = self._last if is_late else now, now
+        self._drive = self._drive + (goal - self._drive) / (1.0 + self._lag)
+        return self._drive
+
+    def load(self) -> np.ndarray:
+        """See `Simulated`."""
+        if {*WEIGHTS}.isdisjoint(self.effects):
+            return super().load()
+        hand, model = self._hand, self._hand.model
+        palm = hand.frame_pose("palm", hand.rest)[:3, :3]
+        model.gravity.linear = 9.81 * palm.dot(self.down)
+        q = hand.configuration_vector(self.posture)
+        torque = pin.computeGeneralizedGravity(model, self._data, q)
+        return torque @ hand.joint_motion[:, self._own] / STRONGEST
 
 
 @lru_cache(maxsize=6)
@@ -135,7 +187,7 @@ def beyond(motors: Simulated, seen: np.ndarray) -> float:
 def measure(hand: Hand, seed: int, files: dict[str, str]) -> dict[str, Any]:
     """Return a row about a hand with hidden parameters."""
     port = f"{hand.name}:{seed}"
-    motors = Recorded(port, hand.joint_names)
+    motors = Motors(port, hand.joint_names)
     motion = Motion(motors, motors.effort, (k / motors.rate for k in count()))
     tuning = find_tuning(motion, hand)
     meter = GapMeter(hand)
@@ -149,15 +201,20 @@ def measure(hand: Hand, seed: int, files: dict[str, str]) -> dict[str, Any]:
     for recording, file in files.items():
         asked, shares = motion_of(hand, file), []
         for mapped, is_tuned in ((hand, False), (found, True)):
-            motors = Recorded(port, hand.joint_names)
-            driver = Compensated(motors, tuning) if is_tuned else motors
+            motors = Motors(port, hand.joint_names)
+            motors.down = PALM_DOWN
+            weights = np.zeros_like
+            if "gravity" in motors.effects:
+                weights = Space(hand, motors, PALM_DOWN).weights
+            driver = Compensated(motors, tuning, weights) if is_tuned else motors
             q = motion_of(mapped, file)
             true, seen = follow(driver, motors, q)
             wanted, closed = pinches(meter, asked, q, true)
             shares.append(closed / wanted)
             over.append(beyond(motors, seen))
             told.append(motors.told)
-        row[f"{recording} ({wanted})"] = " / ".join(f"{x:.2f}" for x in shares)
+        before, after = shares
+        row |= {f"{recording}: before": before, f"{recording}: after": after}
     row["told beyond limits"] = max(told)
     row["joints beyond: ritual"] = over[0]
     row["as told"], row["compensated"] = max(over[1::2]), max(over[2::2])
@@ -168,8 +225,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Tuning of simulated hands.")
     hands = ["leap_right", "allegro_right", "shadow_right", "orca_right"]
     parser.add_argument("--hands", nargs="+", default=hands)
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[*range(20, 25)])
+    help_ = "what joints have besides the fitted model"
+    parser.add_argument("--effects", nargs="+", default=[], choices=EFFECTS, help=help_)
     given = parser.parse_args()
+    Motors.effects = tuple(given.effects)
     warnings.simplefilter("ignore")
     folder = Path(os.environ["HANDMAP_RECORDINGS"])
     rows = []
@@ -180,6 +240,13 @@ def main() -> None:
             rows.append(measure(hand, seed, files))
             print(rows[-1], flush=True)
     print(markdown_table(rows))
+    before, after = (
+        np.array([row[f"{r}: {when}"] for row in rows for r in RECORDINGS])
+        for when in ("before", "after")
+    )
+    print(f"closed in the mean: {before.mean():.2f} before, {after.mean():.2f} after")
+    print(f"under .20 before: {(before < 0.2).sum()} of {before.size}")
+    print(f"from .95 after: {(after >= 0.95).sum()} of {after.size}")
 
 
 if __name__ == "__main__":

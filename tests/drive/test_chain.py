@@ -243,6 +243,8 @@ def test_motors_of_a_command_that_is_killed_stop_themselves(chain: Chain) -> Non
         (["--port", "/dev/none", "--no-deadman"], "--port: "),
         (["--temperature", "nan"], "--temperature: expected more than 0, got nan"),
         (["--effort", "nan", "--no-deadman"], "--effort: expected a share, 0 to 1"),
+        (["--down", "0", "0", "0"], "--down: expected a direction"),
+        (["--down", "0", "0", "1"], "--down: expected --tuning too"),
         ([], "--no-deadman: expected a terminal whose space bar"),
         (["--from", "HERE", "other"], "SESSION: "),
     ],

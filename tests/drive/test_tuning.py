@@ -13,8 +13,10 @@ from unittest.mock import patch
 
 import msgspec
 import numpy as np
+import pinocchio as pin
 import pytest
 from handmap_drive import tune
+from handmap_drive.cli import compensated
 from handmap_drive.drive import Loop
 from handmap_drive.driver import DriverError, Health
 from handmap_drive.fit import fit_encoders, fit_joint
@@ -76,37 +78,90 @@ def path(*ways: tuple[float, float]) -> np.ndarray:
     return np.concatenate([*rows, np.full(40, rows[-1][-1])])
 
 
-def played(told: np.ndarray, joint: Joint) -> tuple[np.ndarray, np.ndarray]:
-    """Return where a joint goes, and its torque: a tendon with play, and friction."""
+def played(
+    told: np.ndarray, joint: Joint, weight: float = 0.0
+) -> tuple[np.ndarray, ...]:
+    """Return where a joint goes, its torque, and that of its link: play, friction, a weight."""
     time = np.arange(len(told)) / RATE
-    (band,) = Tuning({"": joint}).arrays(("",)).band
     goals = joint.gain * np.interp(time - joint.delay, time, told) + joint.zero
     q, rows, half = goals[0], [], 0.5 * joint.backlash
     for goal in goals:
-        q = np.clip(q, goal - band, goal + band)
+        load = weight * np.sin(q)
+        torques = joint.weight * load + np.array([1.0, -1.0]) * joint.friction
+        q = np.clip(q, *(goal - joint.stretch * torques - half * np.sign(torques)))
         pull = goal - q
         slack = np.clip(pull, -half, half)
-        rows.append((q, (pull - slack) / joint.stretch))
-    angles, torques = np.array(rows).T
-    return angles, torques
+        rows.append((q, (pull - slack) / joint.stretch, load))
+    return tuple(np.transpose(rows))
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_joint_without_noise_is_found_to_half_a_percent(seed: int) -> None:
+@pytest.mark.parametrize(("weight", "within"), [(0.0, 5e-3), (0.06, 5e-2)])
+def test_a_joint_without_noise_is_found(
+    seed: int, weight: float, within: float
+) -> None:
     random = np.random.default_rng(seed)
     least = [0.8, -0.1, 0.02, 0.02, 0.1, 0.03]
     most = [1.1, 0.1, 0.12, 0.08, 0.4, 0.08]
     true = random.uniform(least, most)
     # A delay between two of those that are tried would leave a rest.
     true[2] = true[2].round(3)
-    joint = Joint(*true.tolist(), -2.0, 2.0)
+    joint = Joint(*true.tolist(), -2.0, 2.0, weight=1.6)
     slow = [(0.15, 0.5), (-0.15, 0.04), (0.15, 0.04)]
     fast = [(0.15, 2.0), (-0.15, 2.0), (0.15, 2.0), (-0.15, 2.0)]
     told = path(*slow, *fast, (1.0, 0.8), (0.0, 0.8))
-    q, torque = played(told, joint)
+    q, torque, load = played(told, joint, weight)
     columns = (values[:, None] for values in (told, q, torque))
     log = Log(np.arange(len(told)) / RATE, *columns)
-    np.testing.assert_allclose(fit_joint(log, 0, 1.0), true, rtol=5e-3)
+    *found, held = fit_joint(log, 0, 1.0, load)
+    np.testing.assert_allclose(found, true, rtol=within)
+    np.testing.assert_allclose(held, 1.6 * bool(weight), rtol=within)
+
+
+def test_weights_of_links_are_the_slopes_of_their_height() -> None:
+    hand = load_hand(HAND, mount="fixed")
+    motors = simulated()
+    down = np.array([0.3, -0.5, 0.8])
+    space = Space(hand, motors, tuple(down))
+    palm = hand.frame_pose("palm", hand.rest)[:3, :3]
+    axis = palm @ down / np.linalg.norm(down)
+    model, data = hand.model, hand.model.createData()
+
+    def energy(q: np.ndarray) -> float:
+        at = hand.configuration_vector(space.posture(q))
+        links = range(1, model.njoints)
+        pin.forwardKinematics(model, data, at)
+        centers = [data.oMi[i].act(model.inertias[i].lever) for i in links]
+        masses = [model.inertias[i].mass for i in links]
+        return -9.81 * float(np.dot(masses, centers @ axis))
+
+    q = motors.range[0] + 0.3 * np.ptp(motors.range, axis=0)
+    steps = 1e-5 * np.eye(len(q))
+    slopes = [(energy(q + step) - energy(q - step)) / 2e-5 for step in steps]
+    np.testing.assert_allclose(space.weights(q[None])[0], slopes, atol=1e-8)
+
+
+def test_the_play_of_a_hand_with_heavy_links_is_found() -> None:
+    motors = simulated()
+    hand = load_hand(HAND, mount="fixed")
+    space = Space(hand, motors)
+    strongest = 0.4
+
+    def load() -> np.ndarray:
+        return space.weights(motors.q[None])[0] / strongest
+
+    motors.load = load
+    # More than friction, so that it would be taken for a stop.
+    assert (np.abs(load()) > motors.friction + 0.02).any()
+    tuning = find_tuning(motion_of(motors), hand)
+    found = tuning.arrays(motors.joint_names)
+    for name, floor in {"gain": 0.0, "zero": 5e-3, "backlash": 5e-3}.items():
+        true = getattr(motors, name)
+        error = np.abs(getattr(found, name) - true)
+        assert (error <= np.maximum(0.1 * true, floor)).mean() > 0.9, name
+    np.testing.assert_allclose(np.median(found.weight), 1.0 / strongest, rtol=0.1)
+    assert len(tuning.pinches) == 3
+    assert not found.meet(load(), space.weights(motors.q[None])[0]).any()
 
 
 def test_all_parameters_of_a_hand_are_found(
@@ -183,6 +238,7 @@ class Played:
     joint_names: Names = ("b", "a")
     range = np.array([[-1.0, -1.0], [1.0, 2.0]])
     rate, speed, effort = RATE, 5.0, 0.4
+    load = 0.0
 
     def __init__(self, *joints: Joint) -> None:
         self.found = Tuning(dict(zip("ba", joints, strict=True))).arrays(("b", "a"))
@@ -196,17 +252,25 @@ class Played:
 
     def write(self, q: np.ndarray, effort: float) -> None:
         goal = self.found.gain * q + self.found.zero
-        band = self.found.band
-        self.q = np.clip(self.q, goal - band, goal + band)
+        friction = np.array([[1.0], [-1.0]]) * self.found.friction
+        torques = self.found.weight * self.load + friction
+        lags = 0.5 * self.found.backlash * np.sign(torques)
+        lags += self.found.stretch * torques
+        self.q = np.clip(self.q, *(goal - lags))
         self.written.append(q)
 
     def stop(self) -> None: ...
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_joints_go_where_they_are_told_inside_the_dead_band(seed: int) -> None:
-    motors = Played(JOINT, STIFF)
-    driver = Compensated(motors, PAIR)
+@pytest.mark.parametrize(("seed", "load"), [(0, 0.0), (1, 0.0), (2, 0.015), (3, -0.1)])
+def test_joints_go_where_they_are_told_inside_the_dead_band(
+    seed: int, load: float
+) -> None:
+    heavy = [msgspec.structs.replace(joint, weight=1.5) for joint in (JOINT, STIFF)]
+    motors = Played(*heavy)
+    motors.load = load
+    tuning = Tuning(dict(zip("ba", heavy, strict=True)))
+    driver = Compensated(motors, tuning, lambda q: np.full_like(q, load))
     random = np.random.default_rng(seed)
     time = np.arange(0.0, 10.0, 1.0 / RATE)
     waves = random.uniform(0.2, 1.5, (2, 3)), random.uniform(0.0, 6.0, (2, 3))
@@ -442,6 +506,18 @@ def test_the_hand_is_written_and_read_again(
     joints = found[2].arrays(hand.joint_names)
     np.testing.assert_allclose(hand.limits, joints.range)
     assert hand.name == "mine"
+    # With the palm down, links pull the other way.
+    motors, home = simulated(), Space(hand, found[0]).home
+    told = [
+        compensated(motors, out, down).command(home)
+        for down in (None, (0.0, 0.0, 1.0), (0.0, 0.0, -2.0))
+    ]
+    without, up, down = np.array(told)
+    heavy = Space(load_hand(HAND, mount="fixed"), motors).weights(home[None])[0]
+    gain, stretch, held = joints.gain, joints.stretch, joints.weight * heavy
+    np.testing.assert_allclose(up + down, 2.0 * without, atol=1e-12)
+    assert ((up - without) * held >= 0.0).all()
+    assert (np.abs(up - without) >= np.abs(stretch * held / gain) - 1e-12).all()
     # `handmap hands edit` keeps it.
     write_hand(open_description(out), tmp_path / "again.yaml")
     assert read_tuning(tmp_path / "again.yaml") == found[2]

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from math import hypot, inf
 from pathlib import Path
 from time import monotonic
 from typing import Annotated
@@ -20,8 +21,11 @@ from handmap_qp.apps.connection import connected
 from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import expect, warn
+from handmap_qp.hands import load_hand
 from .drive import HOTTEST, Loop
+from .driver import Driver
 from .running import effort_of, find_driver, stopping
+from .space import Space, Vector
 from .tuning import Compensated, read_tuning
 
 _HELD = 0.25
@@ -56,6 +60,19 @@ def held_key() -> Iterator[Callable[[], bool]]:
         termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
+def compensated(driver: Driver, file: Path, down: Vector | None) -> Compensated:
+    """Return motors that make up for what `handmap tune` found, and for weights if down is known.
+
+    Raises:
+        HandmapError: If the file is not that of a tuned hand with these motors.
+    """
+    tuning = read_tuning(file)
+    if not down:
+        return Compensated(driver, tuning)
+    space = Space(load_hand(file, mount="fixed"), driver, down)
+    return Compensated(driver, tuning, space.weights)
+
+
 @dataclass(frozen=True)
 class Drive:
     """Drive the motors of a hand by the commands of a session, while the space bar is held.
@@ -78,6 +95,8 @@ class Drive:
         source: Address of the service's requests.
         motors: Table of motors, in place of the driver's own.
         tuning: A hand.yaml of `handmap tune`, whose joints are made to go where they are told.
+        down: Direction of gravity to the side, the fingertips and the back of the hand, as 0 0 1
+            where it lies on its back: makes up for the weights of links.
         effort: Limit of the torque, a share of the motors' largest.
         temperature: Largest temperature of a motor [degrees Celsius].
         deadman: Whether motors move only while the space bar is held.
@@ -93,6 +112,7 @@ class Drive:
         None
     )
     tuning: Annotated[Path | None, hinted("HAND.yaml")] = None
+    down: Annotated[Vector | None, hinted("X Y Z", "(default: not known)")] = None
     effort: Annotated[float | None, hinted("SHARE", "(default: the table's)")] = None
     temperature: float = HOTTEST
     deadman: bool = True
@@ -102,6 +122,10 @@ class Drive:
     def run(self) -> None:
         """Drive until Ctrl-C or an error."""
         maker = find_driver(self.driver)
+        if self.down:
+            is_direction = 0.0 < hypot(*self.down) < inf
+            expect(is_direction, "--down", "a direction", value=self.down)
+            expect(self.tuning is not None, "--down", "--tuning too")
         is_limit = self.temperature > 0.0
         expect(is_limit, "--temperature", "more than 0", value=self.temperature)
         with connected("--from", self.source, self.keys, refused="SESSION") as client:
@@ -112,7 +136,7 @@ class Drive:
                 warn("waiting for a command")
             driver = maker(self.port, command.joint_names, self.motors)
             if self.tuning:
-                driver = Compensated(driver, read_tuning(self.tuning))
+                driver = compensated(driver, self.tuning, self.down)
             effort = effort_of(driver, self.effort)
             driver.connect()
             loop = Loop(driver, command, effort, self.temperature)

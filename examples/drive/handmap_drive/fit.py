@@ -9,19 +9,18 @@ from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array
 from .motion import Log
+from .tuning import TORQUE
 
 _SLOWEST = 0.04
 """A joint moves above this speed [rad/s]."""
 FULL = 0.9
 """Share of the limit of torque from which on a motor gives way."""
-TORQUE = 0.01
-"""Torques below this are none, as shares of the largest."""
-MEETS = 0.02
-"""Torque beyond friction that says that something is in the way."""
 _LONGEST = 0.25
 """Longest delay that is looked for [s]."""
 _smooth = partial(uniform_filter1d, size=5, mode="nearest")
 """Returns means over five turns."""
+_WEIGHT = 0.0005
+"""Torque of weights that is hardly felt [N m]."""
 _ITERATIONS = 5
 _STEP = 1e-4
 """Change of a joint from which gaps' slopes are found [rad]."""
@@ -29,7 +28,7 @@ _ERROR, _GAP = 0.03, 0.0003
 """Errors of encoders [rad] and of gaps [m] that are expected."""
 
 
-def fit_joint(log: Log, i: int, limit: float) -> tuple[float, ...]:
+def fit_joint(log: Log, i: int, limit: float, weights: Array) -> tuple[float, ...]:
     """Find the parameters of a joint by least squares.
 
     Where the torque e pulls the joint, still or not, `q = gain u(t - delay) + zero - sign(e)
@@ -39,24 +38,32 @@ def fit_joint(log: Log, i: int, limit: float) -> tuple[float, ...]:
         log: What happened.
         i: The joint.
         limit: The limit of torque.
+        weights: Torques that hold the joint's links [N m], shape (T,).
 
     Returns:
-        Gain, zero, delay, backlash, stretch and friction.
+        Gain, zero, delay, backlash, stretch, friction, and weight.
     """
     time = log.time
     told = log.told[:, i]
     raw = log.torque[:, i]
     size = np.abs(raw)
-    is_known = (size > TORQUE) & (size < FULL * limit)
-    pulls = np.where(is_known, np.sign(raw), 0.0)
-    is_pulled = np.abs(_smooth(pulls)) > 0.99
+    is_able = size < FULL * limit
+    pulls = np.where(is_able & (size > TORQUE), np.sign(raw), 0.0)
+    is_pulled = _is_steady(pulls)
     q = _smooth(log.q[:, i])
     torque = _smooth(raw)
-    speed = np.abs(np.gradient(q, time))
-    moves = is_pulled & (speed > _SLOWEST)
-    friction = np.median(np.abs(torque[moves]))
+    speed = np.gradient(q, time)
+    is_fast = np.abs(speed) > _SLOWEST
+    moves = _is_steady(np.where(is_able & is_fast, np.sign(speed), 0.0))
+    # In motion, torque is that of weights and friction. Links that weigh next to nothing tell
+    # nothing about the motor.
+    loads = np.array([weights, np.sign(speed)]).T
+    slight = [_WEIGHT * np.sqrt(moves.sum()), 0.0]
+    felt = np.append(raw[moves], 0.0)
+    held, *_ = np.linalg.lstsq(np.vstack([loads[moves], slight]), felt)
+    weight, friction = np.maximum(held, 0.0)
     # Noise of the many samples in motion would hide how torques change at rest.
-    torque = np.where(moves, pulls * friction, torque)
+    torque = np.where(moves, loads @ (weight, friction), torque)
     ones = np.ones_like(q)
     wanted = q[is_pulled]
 
@@ -76,7 +83,12 @@ def fit_joint(log: Log, i: int, limit: float) -> tuple[float, ...]:
     delay = best(np.maximum(near, 0.0))
     _, (gain, zero, *lag) = solve(delay)
     backlash, stretch = np.maximum(lag, 0.0)
-    return gain, zero, delay, backlash, stretch, friction
+    return gain, zero, delay, backlash, stretch, friction, weight
+
+
+def _is_steady(signs: Array) -> Array:
+    """Return where signs are the same over some turns, and not 0."""
+    return np.abs(_smooth(signs)) > 0.99
 
 
 def fit_encoders(hand: Hand, met: list[tuple[str, Array]]) -> tuple[Array, Array]:

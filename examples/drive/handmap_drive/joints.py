@@ -7,10 +7,10 @@ import numpy as np
 from handmap_qp.se3 import Array
 from .drive import APPROACH
 from .driver import DriverError
-from .fit import FULL, MEETS, TORQUE, fit_joint
+from .fit import FULL, fit_joint
 from .motion import Motion
 from .space import Space
-from .tuning import Joints
+from .tuning import TORQUE, Joints
 
 _WIDE = 1.0
 """Speed of motions over the range [rad/s]."""
@@ -56,12 +56,12 @@ def measure_joints(
     for i, name in enumerate(names):
         tell(10.0 * i / len(names), name)
         _check(motion, space, i)
-    found = np.zeros((9, len(names)))
+    found = np.zeros((len(Joints._fields), len(names)))
     for k, group in enumerate(groups):
         joints = np.flatnonzero(group)
         moved = ", ".join(names[i] for i in joints)
         tell(10.0 + 60.0 * k / len(groups), moved)
-        found[:8, joints] = _measure(motion, space, joints, spans)
+        found[:, joints] = _measure(motion, space, joints, spans)
     return Joints(*found)
 
 
@@ -119,8 +119,8 @@ def _check(motion: Motion, space: Space, i: int) -> None:
             raise DriverError(f"{names[i]}: {problem}")
 
 
-def _measure(motion: Motion, space: Space, joints: Array, spans: Array) -> Array:
-    """Move joints together; return what `fit_joint` finds, and ranges [rad], shape (8, m)."""
+def _measure(motion: Motion, space: Space, joints: Array, spans: Array) -> Joints:
+    """Move joints together; return what they do."""
     home = space.home
     small = _SMALL * np.isin(np.arange(len(home)), joints)
     motion.go(home + small, APPROACH)
@@ -134,42 +134,47 @@ def _measure(motion: Motion, space: Space, joints: Array, spans: Array) -> Array
         motion.go(home + side * small, _FAST)
     motion.go(home, APPROACH)
     motion.rest()
-    limits = space.limits[:, joints]
-    no_error = np.zeros(len(joints))
-    rough = Joints(*_fit(motion, start, joints), *limits, no_error)
+    rough = _fit(motion, space, start, joints)
     ends = []
-    for span in spans[:, joints]:
-        end = home[joints] + _NEARLY * span
-        pulled = rough.command(end, np.sign(span))
+    for span in _NEARLY * spans[:, joints]:
         goal = home.copy()
-        goal[joints] = np.clip(pulled, *limits)
+        goal[joints] += span
+        load = space.weights(goal[None])[0, joints]
+        pulled = rough.command(goal[joints], np.sign(span), load)
+        goal[joints] = np.clip(pulled, *rough.range)
         motion.go(goal, _WIDE)
         ends.append(motion.rest())
         motion.go(home, _WIDE)
-    q, torque = np.array(ends)[..., joints].swapaxes(0, 1)
-    found = _fit(motion, start, joints)
-    final = Joints(*found, *limits, no_error)
+    final = _fit(motion, space, start, joints)
+    q, torque = np.array(ends).swapaxes(0, 1)
+    load = space.weights(q)
     names = [motion.driver.joint_names[i] for i in joints]
-    ranges = _ranges(names, final, q, torque)
-    return np.vstack([found, ranges])
+    lower, upper = _ranges(
+        names, final, q[:, joints], torque[:, joints], load[:, joints]
+    )
+    return final._replace(lower=lower, upper=upper)
 
 
-def _fit(motion: Motion, start: int, joints: Array) -> Array:
-    """Return what `fit_joint` finds of joints that were moved since a turn, shape (6, m)."""
+def _fit(motion: Motion, space: Space, start: int, joints: Array) -> Joints:
+    """Return what `fit_joint` finds of joints that were moved since a turn; ranges are limits."""
     log = motion.log(start)
-    found = np.array([fit_joint(log, i, motion.effort) for i in joints])
+    weights = space.weights(log.q)
+    found = [fit_joint(log, i, motion.effort, weights[:, i]) for i in joints]
+    *first, weight = np.transpose(found)
     least, most = _GAINS
-    gains = found[:, 0]
-    for i, gain in zip(joints, gains, strict=True):
+    for i, gain in zip(joints, first[0], strict=True):
         if not least < gain < most:
             name = motion.driver.joint_names[i]
             problem = f"{name}: it moves {gain:.2g} times as far as it is told"
             advice = "see its ratio, or whether this is another hand"
             raise DriverError(f"{problem}: {advice}")
-    return found.T
+    no_error = np.zeros(len(joints))
+    return Joints(*first, *space.limits[:, joints], no_error, weight)
 
 
-def _ranges(names: list[str], found: Joints, q: Array, torque: Array) -> Array:
+def _ranges(
+    names: list[str], found: Joints, q: Array, torque: Array, load: Array
+) -> Array:
     """Return how far joints can go: to stops, limits, or where commands bring them [rad].
 
     Args:
@@ -177,15 +182,16 @@ def _ranges(names: list[str], found: Joints, q: Array, torque: Array) -> Array:
         found: What was found of them, with their limits as ranges.
         q: Where they were at both ends [rad], shape (2, m).
         torque: Their torques there, shape (2, m).
+        load: Torques that hold their links there [N m], shape (2, m).
     """
     limits = found.range
-    at_stop = _SIDES * torque > found.friction + MEETS
+    at_stop = found.meet(torque, load)
     width = np.ptp(limits, axis=0)
     missing = np.abs(limits - q) / width
     for side, i in np.argwhere(at_stop & (missing > _JAM)):
         stop, limit = q[side, i], limits[side, i]
         problem = f"{names[i]}: it stops at {stop:.3g} rad on its way to {limit:.3g}"
         raise DriverError(f"{problem}: it jams, or this is another hand")
-    reached = found.gain * limits + found.zero - _SIDES * found.band
+    reached = found.gain * limits + found.zero - found.lag(_SIDES, load)
     ends = np.where(at_stop, q - _SIDES * _INSIDE, reached)
     return np.clip(ends, *limits)

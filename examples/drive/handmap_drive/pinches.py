@@ -14,7 +14,7 @@ from handmap_qp.mapping import default_preset
 from handmap_qp.se3 import Array
 from handmap_qp.trackers import DEMO, read_recording
 from .drive import APPROACH
-from .fit import MEETS, fit_encoders
+from .fit import fit_encoders
 from .joints import Tell
 from .motion import Motion
 from .space import EXACT, TUNED, Space
@@ -110,8 +110,8 @@ def meet(
         chains = space.chain(THUMB), space.chain(pinch.finger)
 
         def is_pressed(chains: tuple[Array, ...] = chains) -> bool:
-            _, torque = motion.mean(_TURNS)
-            is_more = np.abs(torque) > joints.friction + MEETS
+            q, torque = motion.mean(_TURNS)
+            is_more = joints.meet(torque, space.weights(q[None])[0])
             # The thumb may meet another finger.
             return all(is_more[chain].any() for chain in chains)
 

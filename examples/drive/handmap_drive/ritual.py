@@ -45,7 +45,7 @@ def find_tuning(motion: Motion, hand: Hand, tell: Tell = lambda *_: None) -> Tun
     # Motors that hear nothing for a moment may lose their torque, and begin where they are then.
     driver.stop()
     pinches = plan_pinches(space, rough)
-    motion.start(Compensated(driver, rough).command)
+    motion.start(Compensated(driver, rough, space.weights).command)
     met = meet(motion, space, joints, pinches, tell)
     joints, off = with_encoders(space, joints, met)
     return Tuning.of(driver.joint_names, joints, off)

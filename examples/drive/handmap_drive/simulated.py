@@ -27,6 +27,7 @@ _COUNT = 2.0 * np.pi / 4096
 """Resolution of encoders [rad]."""
 _NOISE = 0.002
 """Noise of torques, a share of the largest."""
+_SIDES = np.array([[-1.0], [1.0]])
 _NEAR = 0.02
 """Tips that are farther apart do not meet in a turn [m]."""
 
@@ -51,6 +52,8 @@ class Simulated:
         backlash: Play of the tendon [rad].
         stretch: Of the tendon, by the largest torque [rad].
         friction: Torque below which the joint stands still.
+        sticks: Friction of a joint that stands still, by that of one that moves.
+        exponent: Tendons are longer by this power of the torque.
         encoder: What encoders miss of the joints [rad].
         stops: Where joints stop, as encoders tell it [rad], shape (2, n).
         q: Where joints are, as encoders tell it [rad].
@@ -59,6 +62,7 @@ class Simulated:
     rate = 100.0
     speed = 6.0
     effort = 0.3
+    sticks = exponent = 1.0
 
     def __init__(self, port: str, joints: Names, file: Path | None = None) -> None:
         name, _, seed = port.rpartition(":")
@@ -84,6 +88,7 @@ class Simulated:
         self.q = np.clip(hand.rest[own], *self.stops)
         self._delayed = Delayed(self.delay * self.rate, self.q)
         self._torque = np.zeros(n)
+        self._moves = np.zeros(n, bool)
 
     @property
     def posture(self) -> Array:
@@ -105,15 +110,29 @@ class Simulated:
 
     def write(self, q: Array, effort: float) -> None:
         """See `Driver`."""
-        goal = self.gain * self._delayed(q) + self.zero
-        half = 0.5 * self.backlash
-        band = half + self.stretch * self.friction
-        free = np.clip(self.q, goal - band, goal + band)
-        free = np.where(effort > self.friction, free, self.q)
-        self.q = self.q + self._allowed(free - self.q)
+        goal = self.turned(q)
+        half, longest = 0.5 * self.backlash, self.stretch * self.effort
+        held = np.where(self._moves, 1.0, self.sticks) * self.friction
+        # Joints stand still between these torques.
+        ends = self.load() + _SIDES * held
+        slack = np.where(ends > 0.0, half, -half)
+        least, most = slack + longest * _power(ends / self.effort, self.exponent)
+        free = np.clip(self.q, goal - most, goal - least)
+        free = np.where(effort > np.abs(ends).max(axis=0), free, self.q)
+        step = self._allowed(free - self.q)
+        self.q, self._moves = self.q + step, step != 0.0
         pull = goal - self.q
         tight = pull - np.clip(pull, -half, half)
-        self._torque = np.clip(tight / self.stretch, -effort, effort)
+        torque = self.effort * _power(tight / longest, 1.0 / self.exponent)
+        self._torque = np.clip(torque, -effort, effort)
+
+    def turned(self, q: Array) -> Array:
+        """Return where drives are that were told to go to q, in the joints' angles [rad]."""
+        return self.gain * self._delayed(q) + self.zero
+
+    def load(self) -> Array:
+        """Return the torques that hold the joints against weights."""
+        return np.zeros(len(self.q))
 
     def _allowed(self, step: Array) -> Array:
         """Return the step that stops and tips leave, each joint as its tendon gives way [rad]."""
@@ -131,6 +150,11 @@ class Simulated:
     def stop(self) -> None:
         """See `Driver`."""
         self._torque = np.zeros(len(self.q))
+
+
+def _power(values: Array, exponent: float) -> Array:
+    """Return powers with the values' signs."""
+    return np.sign(values) * np.abs(values) ** exponent
 
 
 def _pinching(hand: Hand) -> ShapePairs:

@@ -1,6 +1,7 @@
 """Where a hand can go without touching itself."""
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.hands import Hand, all_pairs, find_fingers
 from handmap_qp.ik.collision import CollisionLimit
@@ -9,6 +10,8 @@ from .driver import Driver
 
 APART, TUNED, EXACT = 0.1, 0.03, 0.0
 """Share of a line by which a joint may be ahead of others: at first, once tuned, and never."""
+Vector = tuple[float, float, float]
+ON_ITS_BACK: Vector = 0.0, 0.0, 1.0
 _HOME, _LEAST = 0.15, 0.2
 """What home keeps from the ends of a range: a share of it, and at least this much [rad]."""
 
@@ -19,6 +22,7 @@ class Space:
     Args:
         hand: The hand, with a fixed wrist.
         driver: Its motors.
+        down: Direction of gravity in the palm frame, shape (3,); it lies on its back if omitted.
 
     Attributes:
         hand: As given.
@@ -27,7 +31,7 @@ class Space:
         home: The open hand, away from the limits [rad], shape (n,).
     """
 
-    def __init__(self, hand: Hand, driver: Driver) -> None:
+    def __init__(self, hand: Hand, driver: Driver, down: Vector = ON_ITS_BACK) -> None:
         self.hand = hand
         self.own = own = [*map(hand.joint_names.index, driver.joint_names)]
         limits = hand.limits[:, own]
@@ -36,6 +40,10 @@ class Space:
         width = high - low
         kept = np.clip(_HOME * width, _LEAST, 0.5 * width)
         self.home = np.clip(hand.zero[own], low + kept, high - kept)
+        self._weighted = pin.Model(hand.model)
+        palm = hand.frame_pose("palm", hand.rest)[:3, :3]
+        self._weighted.gravity.linear = 9.81 * palm.dot(down) / np.linalg.norm(down)
+        self._data = self._weighted.createData()
         self._touch = CollisionLimit(hand, all_pairs(hand))
         # One line that is exact, and three on which some joints are ahead and some behind.
         random = np.random.default_rng(0)
@@ -48,6 +56,15 @@ class Space:
         full = np.tile(self.hand.rest, (*leading, 1))
         full[..., self.own] = q
         return full
+
+    def weights(self, q: Array) -> Array:
+        """Return the torques that hold the hand's links by angles [rad]: [N m], shape (T, n)."""
+        at = map(self.hand.configuration_vector, self.posture(q))
+        torques = [
+            pin.computeGeneralizedGravity(self._weighted, self._data, each).copy()
+            for each in at
+        ]
+        return torques @ self.hand.joint_motion[:, self.own]
 
     def chain(self, finger: str) -> Array:
         """Return which joints are those of a finger, shape (n,)."""

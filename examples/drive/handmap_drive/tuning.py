@@ -1,5 +1,6 @@
 """What a hand makes of its commands, as its file says, and commands that make up for it."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -21,6 +22,10 @@ from .driver import Driver, Health
 
 STILL = 0.01
 """A command that turns back by less than this does not change the side of the play [rad]."""
+TORQUE = 0.01
+"""Torques below this are none, as shares of the largest."""
+_MEETS = 0.02
+"""Torque beyond friction and weights that says that something is in the way."""
 _Least = Annotated[float, Meta(ge=0.0)]
 
 
@@ -37,6 +42,7 @@ class Joint(Document, frozen=True):
         lower: How far it can go, inside the limits of the hand's description [rad].
         upper: The same, to the other side.
         encoder: What its encoder misses of its angle, as meeting fingertips tell [rad].
+        weight: Torque by that of the weights of links, a share of the largest per N m.
     """
 
     gain: Annotated[float, Meta(gt=0.0)]
@@ -48,12 +54,14 @@ class Joint(Document, frozen=True):
     lower: float
     upper: float
     encoder: float = 0.0
+    weight: _Least = 0.0
 
 
 class Joints(NamedTuple):
     """What joints make of their commands u: `q = gain u(t - delay) + zero - s band`.
 
-    They move to the side s, 1 or -1, and lag by `band = backlash / 2 + stretch friction`.
+    They move to the side s, 1 or -1, and lag by `band = backlash / 2 + stretch friction`, or by
+    more or less where the weights of links pull.
     Attributes are arrays of those of each `Joint`, shape (n,).
     """
 
@@ -66,20 +74,33 @@ class Joints(NamedTuple):
     lower: Array
     upper: Array
     encoder: Array
+    weight: Array
 
     @property
     def band(self) -> Array:
-        """How far they lag behind what they are told [rad]."""
-        return 0.5 * self.backlash + self.stretch * self.friction
+        """How far they lag behind what they are told, without weights [rad]."""
+        return self.lag(1.0, 0.0)
 
     @property
     def range(self) -> Array:
         """Lower and upper ends [rad], shape (2, n)."""
         return np.array([self.lower, self.upper])
 
-    def command(self, q: Array, side: Array) -> Array:
-        """Return the commands that bring them to angles [rad] from a side of their play."""
-        return (q - self.encoder - self.zero + side * self.band) / self.gain
+    def lag(self, side: Array | float, load: Array | float) -> Array:
+        """Return how far they lag that move to a side, where links need a torque [N m]: [rad]."""
+        torque = self.weight * load + side * self.friction
+        # Where next to nothing pulls, they are anywhere in their play: in the middle by chance.
+        pulled = np.clip(torque / TORQUE, -1.0, 1.0)
+        return 0.5 * self.backlash * pulled + self.stretch * torque
+
+    def meet(self, torque: Array, load: Array) -> Array:
+        """Return which of them something is in the way of, by torques and loads as of `lag`."""
+        return np.abs(torque - self.weight * load) > self.friction + _MEETS
+
+    def command(self, q: Array, side: Array, load: Array) -> Array:
+        """Return the commands that bring them to angles [rad]; side and load as of `lag`."""
+        lag = self.lag(side, load)
+        return (q - self.encoder - self.zero + lag) / self.gain
 
 
 class Tuning(Document, frozen=True):
@@ -159,12 +180,19 @@ class Compensated:
     Args:
         driver: The motors.
         tuning: What is known of them.
+        weights: Returns the torques that hold links by angles [N m]; nothing if omitted.
 
     Raises:
         InvalidInputError: If the tuning is that of another hand.
     """
 
-    def __init__(self, driver: Driver, tuning: Tuning) -> None:
+    def __init__(
+        self,
+        driver: Driver,
+        tuning: Tuning,
+        weights: Callable[[Array], Array] = np.zeros_like,
+    ) -> None:
+        self._weights = weights
         self._driver = driver
         self.joint_names: Names = driver.joint_names
         expect(
@@ -212,7 +240,8 @@ class Compensated:
         # It goes along, so that the way back begins where the way ended.
         goes_along = away * self._side > 0.0
         self._turn = np.where(turns | goes_along, goal, self._turn)
-        pulled = self._joints.command(goal, self._side)
+        load = self._weights(goal[None])[0]
+        pulled = self._joints.command(goal, self._side, load)
         told = np.clip(pulled, *self._driver.range)
         change = np.clip(told - self._told, -step, step)
         self._told = self._told + change
