@@ -12,6 +12,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 from scipy.interpolate import BPoly
+from scipy.stats import norm, qmc
 
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, sheet_rows
 from handmap_qp.apps.offline.comparison import Take, prepare_take
@@ -27,8 +28,8 @@ TRACKER_NOISE = 0.0003
 """Standard deviation of every coordinate of a landmark in every sample [m]."""
 MOVES = 0.3, 0.8
 """Shortest and longest motion between two gestures [s]."""
-HOLDS = 0.3, 0.6
-"""Shortest and longest time in which a gesture is held [s]."""
+HOLD = 0.45
+"""Time in which every gesture is held [s]: all of them count the same."""
 START = 0.7
 """Time at rest before the first motion [s]; the first half second is not measured."""
 READERS_SEED = 2**32
@@ -57,22 +58,26 @@ class Gestures(NamedTuple):
     """The n poses of a source, as those of one right hand.
 
     Attributes:
-        source: The source.
         human: The human hand, scaled to them; its reference points are the landmarks.
         names: Their names, all different; the side of a hand in brackets where there are both.
+        landmarks: As the source has them, those of left hands mirrored [m], shape (n, 21, 3).
         poses: Joint angles [rad], and what the fit leaves over of each landmark, in wrist axes [m],
             shape (n, 20 + 63).
     """
 
-    source: Source
     human: Hand
     names: Names
+    landmarks: Array
     poses: Array
 
     def show(self, order: Array, rng: np.random.Generator) -> Array:
-        """Return poses of gestures by index, never twice the same, shape (k, 83)."""
+        """Return poses of gestures by index, never twice the same, shape (k, 83).
+
+        Each joint's noise is spread evenly: it is a little in each of k equally likely ranges.
+        """
         shown = self.poses[order]
-        shown[:, :_JOINTS] += rng.normal(0.0, JOINT_NOISE, (len(order), _JOINTS))
+        evenly = qmc.LatinHypercube(_JOINTS, seed=rng).random(len(order))
+        shown[:, :_JOINTS] += JOINT_NOISE * norm.ppf(evenly)
         return shown
 
     def seen(self, poses: Array, rng: np.random.Generator) -> Array:
@@ -86,21 +91,23 @@ class Performance(NamedTuple):
     """Gestures after one another.
 
     Attributes:
-        gestures: The n gestures.
+        source: Where the n gestures are from.
         take: The motion, of a hand of the robot's side.
-        samples: Last sample in which each gesture is held, shape (n,).
+        shown: Their names, in the order of showing.
+        samples: Last sample in which each is held, shape (n,).
     """
 
-    gestures: Gestures
+    source: Source
     take: Take
+    shown: Names
     samples: Array
 
     def sheet(self, motions: list[Array]) -> list[SheetRow]:
         """Return the end of every gesture, with the joints of motions of shape (T, k) each."""
-        source = self.gestures.source
-        ends = zip(self.gestures.names, self.samples.tolist(), strict=True)
+        ends = sorted(zip(self.shown, self.samples.tolist(), strict=True))
         rows = sheet_rows(self.take.recording, dict(ends), motions)
-        return [row._replace(note=f"{source.name}, {source.licence}") for row in rows]
+        note = f"{self.source.name}, {self.source.licence}"
+        return [row._replace(note=note) for row in rows]
 
 
 @cache
@@ -119,7 +126,7 @@ def read_gestures(source: Source) -> Gestures:
     local = transform_points(inverse_pose(wrists), points)
     rest = local - _points(human, q)
     poses = np.hstack([q, rest.reshape(len(q), -1)])
-    return Gestures(source, human, tuple(map(_name, raw)), poses)
+    return Gestures(human, tuple(map(_name, raw)), points, poses)
 
 
 @cache
@@ -127,7 +134,8 @@ def perform(source: Source, seed: int, rate: float, side: Side) -> Performance:
     """Show every gesture once, in pairs after a pause at rest.
 
     So every second motion is from rest, and the others are between random pairs. The seed chooses
-    order and durations, how joints differ from the poses, and the tracker's noise.
+    the order, how long motions take and how joints differ from the poses, both evenly, and the
+    tracker's noise.
 
     Args:
         source: Source of the gestures.
@@ -140,24 +148,24 @@ def perform(source: Source, seed: int, rate: float, side: Side) -> Performance:
     shown = rng.permutation(len(gestures.names))
     pauses = np.arange(0, len(shown), 2)
     order = np.insert(shown, pauses, gestures.names.index(source.start))
-    moves = rng.uniform(*MOVES, len(order))
-    holds = rng.uniform(*HOLDS, len(order))
+    evenly = qmc.LatinHypercube(1, seed=rng).random(len(order))
+    times = np.insert(qmc.scale(evenly, *MOVES), 1, HOLD, axis=1)
     # The person is at the start already.
-    moves[0], holds[0] = 0.0, START
-    knots = np.column_stack([moves, holds]).cumsum()
+    times[0] = 0.0, START
+    knots = times.cumsum()
     # Of least jerk is the quintic between poses in which the hand is still: a pose is held from one
     # knot to the next.
     held = gestures.show(order, rng).repeat(2, axis=0)
     still = np.zeros_like(held)
     motion = BPoly.from_derivatives(knots, np.stack([held, still, still], axis=1))
     time = np.arange(int(knots[-1] * rate)) / rate
-    name = f"{source.name}, seed {seed}"
-    recording = _recorded(name, gestures.seen(motion(time), rng), rate)
-    # Gestures in their own order; there is a pause before every second one that is shown.
-    turn = np.argsort(shown)
-    ends = knots[1::2][turn + turn // 2 + 1]
-    samples = np.searchsorted(time, ends) - 1
-    return Performance(gestures, prepare_take(recording, side), samples)
+    landmarks = gestures.seen(motion(time), rng)
+    recording = _recorded(f"{source.name}, seed {seed}", landmarks, rate)
+    ends = np.searchsorted(time, knots[1::2]) - 1
+    # A pause and two gestures take turns.
+    is_gesture = np.arange(len(order)) % 3 > 0
+    names = tuple(gestures.names[k] for k in shown)
+    return Performance(source, prepare_take(recording, side), names, ends[is_gesture])
 
 
 @cache

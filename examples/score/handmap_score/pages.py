@@ -12,10 +12,10 @@ from PIL import Image
 
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, pose_pictures
 from handmap_qp.apps.offline.metrics import METRICS
-from handmap_qp.apps.tables import Row
+from handmap_qp.apps.tables import Row, rows_of
 from handmap_qp.hands import FINGERS, Hand, Values
 from handmap_qp.se3 import Array
-from .scoring import PARTS, READ, HandScore
+from .scoring import PARTS, READ, HandScore, rank
 
 _LABELS = {
     **{key: key for key in (*PARTS, *READ)},
@@ -25,36 +25,49 @@ _LABELS = {
 """Columns of the page, by the keys of their values."""
 
 
-def overview(hands: list[HandScore]) -> list[Row]:
-    """Return a row for each mapping that ran on all hands, best first."""
-    found = [mapping for hand in hands for mapping in hand.mappings]
-    rows = []
-    for method in {mapping.method for mapping in found}:
-        own = [mapping for mapping in found if mapping.method == method]
-        if len(own) == len(hands):
-            seeds = np.mean([mapping.scores for mapping in own], axis=0)
-            row = {"mapping": method, "score": seeds.mean(), "sd": seeds.std()}
-            for hand, mapping in zip(hands, own, strict=True):
-                row[hand.robot.name] = mapping.score
-            rows.append(row)
-    return sorted(rows, key=lambda row: row["score"], reverse=True)
-
-
 def results_of(hands: list[HandScore], about: Values) -> Values:
     """Return all that was measured as plain values, with None for NaN."""
     found = {hand.robot.name: vars(hand).copy() for hand in hands}
     for hand in found.values():
         del hand["robot"], hand["sheet"]
-    document = {"about": about, "overview": overview(hands), "hands": found}
+    rows, agreeing = overview(hands)
+    document = {"about": about, "overview": rows, "agreeing": agreeing, "hands": found}
     return msgspec.json.decode(msgspec.json.encode(document, enc_hook=np.generic.item))
 
 
-def score_page(hands: list[HandScore], results: Values) -> str:
-    """Return the page of the score: results, and gestures beside each hand's best mapping's."""
+def overview(hands: list[HandScore]) -> tuple[list[Row], int]:
+    """Return a row for each mapping that ran on all hands, best first, and how many seeds agree."""
+    by_hand = [{one.method: one.scores for one in hand.mappings} for hand in hands]
+    ran = [*set.intersection(*map(set, by_hand))]
+    if not ran:
+        return [], 0
+    ran.sort(key=lambda method: -np.mean([own[method] for own in by_hand]))
+    scores = np.array([[own[method] for method in ran] for own in by_hand])
+    seeds = scores.mean(axis=0)
+    ranking = rank(seeds)
+    columns = {
+        "place": ranking.places,
+        "mapping": ran,
+        "score": seeds.mean(axis=1),
+        "sd": seeds.std(axis=1),
+    }
+    names = [hand.robot.name for hand in hands]
+    columns |= zip(names, scores.mean(axis=2), strict=True)
+    return rows_of(columns), ranking.agreeing
+
+
+def score_page(hands: list[HandScore], results: Values, every: int) -> str:
+    """Return the page of the score: results, and gestures beside each hand's best mapping's.
+
+    Args:
+        hands: The hands.
+        results: Of `results_of`.
+        every: Every so many-th gesture has pictures.
+    """
     ran = [hand for hand in hands if hand.mappings]
     rows = [
         rows[0]._replace(q=tuple(row.q[0] for row in rows))
-        for rows in zip(*(hand.sheet for hand in ran), strict=True)
+        for rows in zip(*(hand.sheet[::every] for hand in ran), strict=True)
     ]
     page = {
         "labels": _LABELS,

@@ -1,5 +1,7 @@
 """Whether a robot's gestures can be read: `Reader` has seen people only, and names what it sees."""
 
+from itertools import compress
+
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import cdist
@@ -22,12 +24,9 @@ def signs(hand: HandTrace, fingers: Names) -> Array:
     """
     chosen = [hand.names.index(name) for name in fingers]
     knuckle, middle, tip = np.moveaxis(hand.local[:, chosen], 2, 0)
-    reach = hand.reach[chosen, None]
-    pointing = (tip - knuckle) / reach
-    from_thumb = (tip - tip[:, :1]) / reach
-    last = unit(tip - middle)
-    seen = np.concatenate([pointing, from_thumb, last], axis=2)
-    return seen.reshape(len(tip), -1)
+    spans = np.array([tip - knuckle, tip - tip[:, :1]]) / hand.reach[chosen, None]
+    seen = np.array([*spans, unit(tip - middle)])
+    return seen.swapaxes(0, 1).reshape(len(tip), -1)
 
 
 class Reader:
@@ -48,33 +47,35 @@ class Reader:
     """
 
     def __init__(self, source: Source, side: Side, fingers: Names) -> None:
-        self._names = names = np.array(read_gestures(source).names)
+        self._names = names = read_gestures(source).names
         self._fingers = fingers
         seen = signs(people(source, side), fingers)
         rounds = seen.reshape(-1, len(names), seen.shape[1])
         self._means = rounds.mean(axis=0)
         changes = lengths(np.diff(rounds, axis=0))
         alike = np.percentile(changes, _ALIKE)
-        tree = linkage(self._means, "complete")
-        groups = fcluster(tree, alike, "distance")
+        groups = fcluster(linkage(self._means, "complete"), alike, "distance")
         # A left and a right hand's have one label.
         labels = [name.partition(" (")[0] for name in names]
-        is_label = np.equal.outer(labels, labels)
-        self.same = np.equal.outer(groups, groups) | is_label
-        found = {tuple(names[same].tolist()) for same in self.same}
+        self.same = np.equal.outer(groups, groups) | np.equal.outer(labels, labels)
+        found = {tuple(compress(names, same)) for same in self.same}
         self.alike = sorted(group for group in found if len(group) > 1)
 
-    def read(self, hand: HandTrace) -> tuple[Array, list[str]]:
-        """Name the gestures of a hand that shows each of them in turn.
+    def read(self, hand: HandTrace, shown: Names) -> list[str]:
+        """Name the gestures of a hand that shows each as often as every other.
 
         What all of them have in common, such as a thumb that is set elsewhere, is overlooked.
 
+        Args:
+            hand: The hand, a sample for each time that it shows one.
+            shown: What it means to show in each.
+
         Returns:
-            Whether each is named right, shape (n,); and in words, what was taken for what.
+            What each is taken for: the gesture itself if one that counts as the same.
         """
+        wanted = [self._names.index(name) for name in shown]
         seen = signs(hand, self._fingers)
-        seen += (self._means - seen.mean(axis=0)).mean(axis=0)
+        seen += (self._means[wanted] - seen).mean(axis=0)
         named = cdist(seen, self._means).argmin(axis=1)
-        is_right = self.same[:, named].diagonal()
-        wrong = np.stack([self._names, self._names[named]], axis=1)[~is_right]
-        return is_right, [" for ".join(pair) for pair in wrong]
+        is_right = self.same[wanted, named]
+        return [self._names[i] for i in np.where(is_right, wanted, named)]

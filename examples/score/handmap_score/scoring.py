@@ -2,11 +2,10 @@
 
 from collections import Counter
 from dataclasses import dataclass
-from itertools import combinations
 from statistics import fmean
 
 import numpy as np
-from scipy.stats import kendalltau
+from scipy.stats import t
 
 from handmap_qp.apps.drawing.contact_sheet import SheetRow
 from handmap_qp.apps.offline.comparison import (
@@ -36,6 +35,8 @@ PARTS = "DCRPML"
 READ = ("read", "people", "chance")
 """Columns beside those of `handmap compare`: share of gestures that the reader names right of the
 robot's, of the person's in the same samples, and without looking."""
+LEVEL = 0.01
+"""Mappings have places of their own if chance makes differences as theirs less often than this."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,19 @@ class Scored:
     confused: dict[str, int]
 
 
+@dataclass(frozen=True)
+class Ranking:
+    """An order with ties.
+
+    Attributes:
+        places: Place of each mapping: the number of those above its own place, plus 1.
+        agreeing: In how many seeds no mapping scores more than one of a better place.
+    """
+
+    places: list[int]
+    agreeing: int
+
+
 @dataclass(frozen=True, eq=False)
 class HandScore:
     """All mappings on one hand.
@@ -66,8 +80,7 @@ class HandScore:
         robot: The hand.
         mappings: Those that did not fail, best first.
         notes: What the others did not do.
-        same_order: In how many of the seeds the mappings come in this order.
-        kendall_tau: Rank correlation between two seeds, mean over all pairs of them.
+        ranking: Their places.
         alike: Gestures that count as one, because the hand's fingers would not tell them apart.
         sheet: The end of every gesture in the first seed, with the joints of every mapping.
     """
@@ -75,10 +88,27 @@ class HandScore:
     robot: Hand
     mappings: list[Scored]
     notes: list[str]
-    same_order: int
-    kendall_tau: float
+    ranking: Ranking
     alike: list[Names]
     sheet: list[SheetRow]
+
+
+def rank(scores: Array) -> Ranking:
+    """Rank mappings by their scores in the same seeds, best mean first, shape (mappings, seeds).
+
+    Neighbours share a place unless the upper one is better by a paired t-test over the seeds
+    (Student 1908), one-sided at `LEVEL`. One seed tells none apart.
+    """
+    count, seeds = scores.shape
+    gaps = scores[:-1] - scores[1:]
+    bound = t.isf(LEVEL, seeds - 1) * gaps.std(axis=1)
+    is_apart = gaps.mean(axis=1) * np.sqrt(seeds - 1) > bound
+    places = np.arange(1, count + 1)
+    places[1:][~is_apart] = 1
+    places = np.maximum.accumulate(places)
+    is_above = np.less.outer(places, places)
+    agrees = (scores[:, None] >= scores)[is_above].all(axis=0)
+    return Ranking(places.tolist(), int(agrees.sum()))
 
 
 def parts_of(values: Values) -> Array:
@@ -139,10 +169,7 @@ def score_hand(
         if all(run.motion for run in own)
     ]
     mappings.sort(key=lambda mapping: mapping.score, reverse=True)
-    by_seed = np.array([mapping.scores for mapping in mappings]).T
-    # One mapping has no order.
-    pairs = combinations(by_seed, 2) if len(mappings) > 1 else ()
-    taus = [kendalltau(*pair).statistic for pair in pairs]
+    scores = np.array([mapping.scores for mapping in mappings])
     sheet = []
     for i, show in enumerate(shows[0]):
         motions = [runs[mapping.method][i].motion for mapping in mappings]
@@ -151,8 +178,7 @@ def score_hand(
         robot,
         mappings,
         compared.notes(),
-        same_order=sum(all(np.diff(scores) <= 0.0) for scores in by_seed),
-        kendall_tau=fmean(taus) if taus else np.nan,
+        ranking=rank(scores.reshape(-1, len(seeds))),
         alike=[group for reader in readers for group in reader.alike],
         sheet=sheet,
     )
@@ -167,26 +193,28 @@ def _scored(
     """Score a mapping by its runs: on the performances of each seed, then on other recordings."""
     count = len(readers)
     others = runs[count * len(shows) :]
-    seeds, scores, mistakes = [], [], []
+    seeds, scores, named = [], [], Counter()
     for i, each in enumerate(shows):
         own = runs[count * i :][:count]
         motions = [run.motion for run in own if run.motion]
-        reads = []
+        shown, read, people, chance = [], [], [], []
         for motion, show, reader in zip(motions, each, readers, strict=True):
             robot = trace_robot(motion.robot, motion.q[show.samples])
             person = show.take.trace.part(show.samples, FINGERS)
-            is_right, wrong = reader.read(robot)
-            is_own, _ = reader.read(person)
-            reads.append([is_right, is_own, reader.same.mean(axis=0)])
-            mistakes += wrong
+            shown += show.shown
+            read += reader.read(robot, show.shown)
+            people += reader.read(person, show.shown)
+            chance += reader.same.mean(axis=0).tolist()
+        named.update(zip(shown, read, strict=True))
+        is_right = np.equal([read, people], shown).mean(axis=1)
         values = _columns([*own, *others])
-        values |= zip(READ, np.hstack(reads).mean(axis=1), strict=True)
+        values |= zip(READ, [*is_right, fmean(chance)], strict=True)
         parts = parts_of(values)
         values |= zip(PARTS, parts.flat, strict=True)
         seeds.append(values)
         scores.append(score_of(parts))
     means = {key: fmean(values[key] for values in seeds) for key in seeds[0]}
-    confused = dict(Counter(mistakes).most_common())
+    confused = {f"{a} for {b}": n for (a, b), n in named.most_common() if a != b}
     return Scored(method, fmean(scores), scores, means, confused)
 
 
