@@ -4,13 +4,12 @@
     python benchmarks/bench_gestures.py --robots leap_right --caught --start
 
 Every labelled pose of a right hand follows every other one, half a second between them (minimum
-jerk) and half a second each. The palm stays. Poses are those of `HANDMAP_POSES`, else of
-`../shared/poses`. A finger counts as caught where, at the end of its pose, it points or bends more
-than 60 degrees off the person's. *read* is the share of poses that a reader, who has seen the
-person's only, names right: the nearest one by the directions of fingers, tips from the thumb's, and
-last bones. *still* counts samples in which the person moves, and no joint of
-the robot does. `start` maps one recording from 20 cuts: the share of samples
-whose joints differ by more than 5 degrees, a second later, from those of the whole recording.
+jerk) and half a second each. The palm stays. Poses and reader are those of `handmap score`. A
+finger counts as caught where, at the end of its pose, it points or bends more than 60 degrees off
+the person's. *read* is the share of poses that the reader, who has seen people only, names right.
+*still* counts samples in which the person moves, and no joint of the robot does. `start` maps one
+recording from 20 cuts: the share of samples whose joints differ by more than 5 degrees, a second
+later, from those of the whole recording.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ import common  # first: it sets the number of threads before numpy is loaded
 
 # isort: split
 import argparse
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import shared_hands
+from handmap_score.gestures import SOURCES, Source, read_gestures
+from handmap_score.reader import Reader
 
 from handmap_qp import Hand, HandmapError, HandMapper, Recording, read_recording
 from handmap_qp.apps.offline.fidelity import angles_between
@@ -57,22 +56,19 @@ _CUTS, _LATER, _APART = 20, 1.0, 5.0
 class Pose(NamedTuple):
     """A labelled pose: its landmarks with the palm at the origin, shape (21, 3)."""
 
+    source: Source
     name: str
     landmarks: np.ndarray
 
 
 def read_poses() -> list[Pose]:
     """Read the labelled poses of right hands, scaled to one length of the palm."""
-    named = os.environ.get("HANDMAP_POSES")
-    folder = Path(named) if named else common.ROOT.parent / "shared" / "poses"
     found = []
-    for file in sorted(folder.glob("*.npz")):
-        with np.load(file, allow_pickle=False) as arrays:
-            for name, points in zip(arrays["names"], arrays["landmarks"], strict=True):
-                if not str(name).startswith("LEFT"):
-                    found.append(Pose(str(name), points.astype(float)))
-    if not found:
-        common.stop(f"{folder}: no poses; set HANDMAP_POSES")
+    for source in SOURCES:
+        gestures = read_gestures(source)
+        for name, points in zip(gestures.names, gestures.landmarks, strict=True):
+            if not name.endswith("(left)"):
+                found.append(Pose(source, name, points))
     return _with_one_palm(found)
 
 
@@ -86,7 +82,7 @@ def _with_one_palm(poses: list[Pose]) -> list[Pose]:
     ]
     size = np.median([np.linalg.norm(points[9] - points[0]) for points in local])
     return [
-        Pose(pose.name, points * size / np.linalg.norm(points[9] - points[0]))
+        pose._replace(landmarks=points * size / np.linalg.norm(points[9] - points[0]))
         for pose, points in zip(poses, local, strict=True)
     ]
 
@@ -195,7 +191,8 @@ def measure(
     robot, q, wrist, still = map_tour(robot, poses, order, preset)
     shown = np.array([poses[k].landmarks for k in order])
     lengths = HumanLengths.from_hand_length(0.19)
-    errors = compare(trace_human(shown, lengths), trace_robot(robot, q, wrist))
+    own = trace_robot(robot, q, wrist)
+    errors = compare(trace_human(shown, lengths), own)
     is_thumb = np.array([finger == "thumb" for finger in errors.names])
     others = np.array([finger in FINGERS[1:4] for finger in errors.names])
     thumb = errors.direction[:, is_thumb].ravel()
@@ -204,9 +201,13 @@ def measure(
     caught = (off > CAUGHT).any(axis=1)
     meter = GapMeter(robot)
     _, first = np.unique(order, return_index=True)
-    names = errors.names
-    people = signs(trace_human(shown[first], lengths), names)
-    read = reads(people, signs(trace_robot(robot, q, wrist), names))
+    right = []
+    for source in dict.fromkeys(pose.source for pose in poses):
+        is_own = np.array([poses[k].source == source for k in order])
+        names = tuple(poses[k].name for k in order if poses[k].source == source)
+        reader = Reader(source, robot.side, tuple(errors.names))
+        read = reader.read(own.part(is_own, errors.names), names)
+        right += np.equal(read, names).tolist()
     row = {
         "robot": name,
         "preset": preset,
@@ -218,41 +219,12 @@ def measure(
         "worst p95": np.percentile(worst, 95),
         "caught": int(caught.sum()),
         "still": still,
-        "read": np.mean(read == np.array(order)),
+        "read": np.mean(right),
         "closed": pinches_closed(meter, q, shown, errors.names),
         "deepest_mm": 1e3 * min(0.0, meter.nearest(q[first]).min()),
     }
     pairs = [f"{poses[a].name} -> {poses[b].name}" for a, b in pairwise(order)]
     return row, [pairs[i - 1] for i in np.flatnonzero(caught) if i]
-
-
-def signs(hand: HandTrace, names: list[str]) -> np.ndarray:
-    """Return what a reader looks at, shape (T, 9 k): where fingers, tips and last bones point."""
-    points = hand.part(np.arange(len(hand.palm)), names).local
-    tip, middle, knuckle = (
-        points[:, :, TIP],
-        points[:, :, MIDDLE],
-        points[:, :, KNUCKLE],
-    )
-    reach = np.linalg.norm(tip - knuckle, axis=2).max(axis=0)[:, None]
-    last = tip - middle
-    parts = [
-        (tip - knuckle) / reach,
-        last / np.linalg.norm(last, axis=2, keepdims=True),
-        (tip - tip[:, :1]) / reach,
-    ]
-    return np.concatenate(parts, axis=2).reshape(len(points), -1)
-
-
-def reads(people: np.ndarray, robot: np.ndarray) -> np.ndarray:
-    """Name the person's pose that each of the robot's is most like, shape (T,).
-
-    The reader has seen the person's poses only; what differs in all of a robot's poses, it learns
-    to overlook.
-    """
-    centred = robot - robot.mean(axis=0) + people.mean(axis=0)
-    apart = np.linalg.norm(centred[:, None] - people, axis=2)
-    return apart.argmin(axis=1)
 
 
 def pinches_closed(

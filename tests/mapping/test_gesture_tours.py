@@ -5,9 +5,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import bench_gestures
 import numpy as np
 import pytest
@@ -18,13 +15,10 @@ from handmap_qp.errors import MissingPackageError
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.ik import core as core_module
 
-SHARED = Path(__file__).parents[3] / "shared" / "poses"
-HAS_POSES = Path(os.environ.get("HANDMAP_POSES", SHARED)).is_dir()
 # Python takes a minute a hand for it.
 HANDS = ("allegro_right", "shadow_right", "leap_right")
 
 
-@pytest.mark.skipif(not HAS_POSES, reason="set HANDMAP_POSES")
 @pytest.mark.skipif(core_module.core is None, reason=core_module.description)
 @pytest.mark.parametrize("name", HANDS)
 def test_no_finger_stays_caught_from_one_gesture_to_the_next(name: str) -> None:
