@@ -146,7 +146,7 @@ $(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/compile.py $(CORE)
 	    $(PIP) install -qq --constraint $(CONSTRAINTS) pip $(BUILDERS) && \
 	    echo "$(CURDIR)" > $(FOLDER) || exit 1; \
 	fi
-	@echo "Installing into $(VENV) the package with all that it needs; with a C++ compiler, its core takes some 15 s"
+	@echo "Installing into $(VENV) the package with all that it needs: some minutes without a word from pip"
 	@$(PIP) install -qq --constraint $(CONSTRAINTS) $(BUILDERS)
 	@$(PIP) install -qq --constraint $(CONSTRAINTS) --no-build-isolation --editable $(WANTED)
 	@cat build/core.txt

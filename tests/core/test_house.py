@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 import handmap_qp
@@ -151,6 +152,12 @@ def test_constraints_fit_the_requirements(project: dict[str, Any]) -> None:
         assert wanted.specifier.contains(version), (
             f"{wanted} does not admit the pinned {version}: run make lock"
         )
+    # The first Python 3.11 of `requires-python` is not the last: Debian 12 has 3.11.2.
+    lowest = project["project"]["requires-python"].removeprefix(">=") + ".0"
+    for each in importlib.metadata.distributions():
+        if pins.get(canonicalize_name(each.name)) == each.version:
+            pythons = SpecifierSet(each.metadata["Requires-Python"] or "")
+            assert pythons.contains(lowest), f"{each.name} needs Python {pythons}"
 
 
 def test_page_of_dependencies_is_current(project: dict[str, Any]) -> None:
