@@ -26,9 +26,16 @@ from handmap_drive.ritual import find_tuning
 from handmap_drive.running import stopping
 from handmap_drive.simulated import Simulated
 from handmap_drive.space import Space
-from handmap_drive.tuning import STILL, Compensated, Joint, Tuning, read_tuning
+from handmap_drive.tuning import (
+    STILL,
+    Compensated,
+    Joint,
+    Tuning,
+    read_tuning,
+    tuned,
+)
 
-from handmap_qp import load_hand
+from handmap_qp import Hand, load_hand
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.onboarding.edit import open_description
 from handmap_qp.apps.onboarding.write import write_hand
@@ -191,6 +198,21 @@ def test_the_ritual_keeps_all_limits_and_touches_with_tips_alone(
     assert GapMeter(load_hand(HAND, mount="fixed")).nearest(true).min() > -0.02
 
 
+def test_a_finger_that_another_one_pushes_stays_in_its_limits(
+    found: tuple[Simulated, Motion, Tuning],
+) -> None:
+    motors, _, tuning = found
+    spec = tuned(load_hand(HAND).spec, tuning, motors.effort)
+    _, end = Hand(spec, mount="fixed").limits
+    driver = Compensated(motors, tuning)
+    shares = np.minimum(np.linspace(0.8, 1.2, 200), 1.0)
+    *_, told = [driver.command(share * end) for share in shares]
+    # By the largest torque, through all of its play.
+    pushed = motors.gain * told + motors.zero + 0.5 * motors.backlash
+    pushed += motors.stretch * motors.effort
+    assert (pushed < motors.range[1] + 2e-3).all()
+
+
 def test_a_hand_that_had_no_torque_goes_on_from_where_it_is(
     found: tuple[Simulated, Motion, Tuning],
 ) -> None:
@@ -207,7 +229,7 @@ def test_encoders_are_right_where_tips_meet(
     motors, _, tuning = found
     meter = GapMeter(hand := load_hand(HAND, mount="fixed"))
     met = []
-    pinches = plan_pinches(Space(hand, motors), tuning)
+    pinches = plan_pinches(Space(hand, motors), tuning, motors.effort)
     for finger, (_, near, last) in ((p.finger, way) for p in pinches for way in p.ways):
         ways = near + np.linspace(0.0, 1.0, 2000)[:, None] * (last - near)
         gaps = meter.pinches(ways + motors.encoder)[finger]

@@ -20,8 +20,6 @@ from .motion import Motion
 from .space import EXACT, TUNED, Space
 from .tuning import Joints, Tuning, tuned
 
-_KEPT = 2.2
-"""Bands that pinches keep from the ends of ranges."""
 _WAYS, _TRIES = 6, 40
 """Ways to close each pinch, and shifts of its joints that are tried for them."""
 _SHIFT = 0.12
@@ -53,10 +51,16 @@ class Pinch(NamedTuple):
     ways: list[Array]
 
 
-def plan_pinches(space: Space, tuning: Tuning) -> list[Pinch]:
-    """Return pinches of the package's recording, as they are mapped to the hand as it was found."""
+def plan_pinches(space: Space, tuning: Tuning, effort: float) -> list[Pinch]:
+    """Return pinches of the package's recording, as they are mapped to the hand as it was found.
+
+    Args:
+        space: Where the hand can go.
+        tuning: How it was found.
+        effort: Limit of the torque.
+    """
     # A finger that is pushed goes through its play, which must not lead out of its range.
-    spec = tuned(space.hand.spec, tuning, kept=_KEPT)
+    spec = tuned(space.hand.spec, tuning, effort)
     hand = Hand(spec, mount="fixed")
     meter = GapMeter(hand)
     random = np.random.default_rng(0)

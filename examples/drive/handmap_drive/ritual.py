@@ -44,7 +44,7 @@ def find_tuning(motion: Motion, hand: Hand, tell: Tell = lambda *_: None) -> Tun
     rough = Tuning.of(driver.joint_names, joints, {})
     # Motors that hear nothing for a moment may lose their torque, and begin where they are then.
     driver.stop()
-    pinches = plan_pinches(space, rough)
+    pinches = plan_pinches(space, rough, motion.effort)
     motion.start(Compensated(driver, rough, space.weights).command)
     met = meet(motion, space, joints, pinches, tell)
     joints, off = with_encoders(space, joints, met)

@@ -141,13 +141,13 @@ def read_tuning(file: Path) -> Tuning:
         raise HandError(problem, file=file, key="tuning") from error
 
 
-def tuned(spec: HandSpec, tuning: Tuning, kept: float = 0.0) -> HandSpec:
+def tuned(spec: HandSpec, tuning: Tuning, pushed: float = 0.0) -> HandSpec:
     """Return the description of a hand as it was found: the ranges of its joints are its limits.
 
     Args:
         spec: The hand's description.
         tuning: What was found.
-        kept: How often the band that joints lag by is kept from both ends.
+        pushed: Torque by which contacts push joints; both ends keep what they give way by.
     """
     limits = dict(spec.limits)
     rest = dict(spec.rest)
@@ -155,7 +155,9 @@ def tuned(spec: HandSpec, tuning: Tuning, kept: float = 0.0) -> HandSpec:
     names = tuple(tuning.joints)
     joints = tuning.arrays(names)
     width = joints.upper - joints.lower
-    slack = np.minimum(kept * joints.band, 0.45 * width)
+    # Commands are ahead by the band, and a push goes through it and the play.
+    way = joints.band + 0.5 * joints.backlash + joints.stretch * pushed
+    slack = np.minimum(way * (pushed > 0.0), 0.45 * width)
     lowest = (joints.lower + slack).tolist()
     highest = (joints.upper - slack).tolist()
     for name, lower, upper in zip(names, lowest, highest, strict=True):
