@@ -429,18 +429,18 @@ class StreamGuard(Compiled):
 
     def check_side(self, samples: HumanSample | Recording) -> None:
         """Reject samples of the other hand, and what is none."""
-        is_sample = isinstance(samples, HumanSample | Recording)
-        if is_sample and samples.side == self._side:
-            return
-        expect(is_sample, "sample", "a HumanSample or a Recording", value=samples)
-        expect(
-            False,
-            "side",
-            f"samples of a {self._side} hand",
-            value=samples.side,
-            got=f"one of a {samples.side} hand",
-        )
+        if not isinstance(samples, HumanSample | Recording):
+            expect(False, "sample", "a HumanSample or a Recording", value=samples)
+        if samples.side != self._side:
+            expect(
+                False,
+                "side",
+                f"samples of a {self._side} hand",
+                value=samples.side,
+                got=f"one of a {samples.side} hand",
+            )
 
+    @in_core
     def holds(self, recording: Recording) -> Array:
         """Tell which samples of a recording the robot may not follow, wrists apart, shape (T,)."""
         samples = sample_columns(recording)
