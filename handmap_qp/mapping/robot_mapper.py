@@ -124,8 +124,10 @@ class Leader(HandMapper):
         """Ask that the robot's hand stays where it is; arguments as of `HandMapper.hold`."""
         if not self.is_staying:
             self.stay()
-        asked = self.asked._replace(dt=check_dt(dt))
-        return MapStep(asked._replace(pose=seen) if seen else asked, (), 0.0)
+        asked = self.asked
+        return MapStep(
+            asked._replace(pose=seen or asked.pose, dt=check_dt(dt)), (), 0.0
+        )
 
 
 def _aimed(
@@ -565,6 +567,5 @@ class RobotMapper(Mover):
 
 def _expect_sides(sides: Iterable[Side], known: Mapping[Side, Any], name: str) -> None:
     """Reject sides that are not among the known ones."""
-    expected = " and ".join(known) or "at least one"
     for side in sides:
-        expect(side in known, name, expected, value=side)
+        expect(side in known, name, " and ".join(known) or "at least one", value=side)
