@@ -10,8 +10,8 @@ teleoperation, as told and compensated. Gain .8 to 1.1, zero 1 degree, delay 20 
 
 Effects are what the fitted model does not have: `gravity` is that of the links of a hand that lies
 on its back while it is tuned, and has its palm down while it is driven, with `--down`; `untold` is
-the same without; `stiction` is more friction at rest; `tendon` is longer by a power of the torque;
-`lag` is that of motors; `jitter` is that of the delay.
+that of one that stays on its back, without `--down`; `stiction` is more friction at rest; `tendon`
+is longer by a power of the torque; `lag` is that of motors; `jitter` is that of the delay.
 """
 
 from __future__ import annotations
@@ -202,9 +202,9 @@ def measure(hand: Hand, seed: int, files: dict[str, str]) -> dict[str, Any]:
         asked, shares = motion_of(hand, file), []
         for mapped, is_tuned in ((hand, False), (found, True)):
             motors = Motors(port, hand.joint_names)
-            motors.down = PALM_DOWN
             weights = np.zeros_like
             if "gravity" in motors.effects:
+                motors.down = PALM_DOWN
                 weights = Space(hand, motors, PALM_DOWN).weights
             driver = Compensated(motors, tuning, weights) if is_tuned else motors
             q = motion_of(mapped, file)
