@@ -7,8 +7,9 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -117,11 +118,14 @@ def write_case(
 
 
 def expected_columns(
-    folder: Path, name: str, mapper: HandMapper | RobotMapper
+    folder: Path,
+    name: str,
+    mapper: HandMapper | RobotMapper,
+    kind: Callable[..., HumanSample] = HumanSample,
 ) -> dict[str, np.ndarray]:
-    """Return what `handmap_qp` commands for a case."""
+    """Return what `handmap_qp` commands for a case, whose samples `kind` makes."""
     alone = module_of(ALONE)
-    samples = alone.samples_of(folder / f"{name}.hand", HumanSample)
+    samples = alone.samples_of(folder / f"{name}.hand", kind)
     if isinstance(mapper, RobotMapper):
         follow = RobotFollower(mapper).map_samples
     else:
@@ -256,8 +260,22 @@ def cases() -> Iterator[tuple[str, HandMapper | RobotMapper, tuple[Recording, ..
 
 
 def write_all(folder: Path) -> None:
-    """Write all cases; `CASE.expected.npz` is what `handmap_qp` commands."""
+    """Write all cases; `CASE.expected.npz` is what `handmap_qp` commands.
+
+    Its `own` is how far a robot's commands are from that where landmarks are 1e-14 m off: where
+    rounding decides.
+    """
+    random = np.random.default_rng(0)
+
+    def shaken(time: float, side: Side, landmarks: Any, *others: Any) -> HumanSample:
+        off = 1e-14 * random.standard_normal(landmarks.shape)
+        return HumanSample(time, side, landmarks + off, *others)
+
     for name, mapper, recordings in cases():
         write_case(folder, name, mapper, *recordings)
-        expected: dict[str, Any] = expected_columns(folder, name, mapper)
-        np.savez(folder / f"{name}.expected.npz", **expected)
+        expected: dict[str, Any] = expected_columns(folder, name, deepcopy(mapper))
+        own = 0.0
+        if isinstance(mapper, RobotMapper):
+            found = expected_columns(folder, name, mapper, shaken)
+            own = difference(found, expected)
+        np.savez(folder / f"{name}.expected.npz", own=own, **expected)
