@@ -11,6 +11,7 @@ import pytest
 from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.apps.offline.summary import notes, summarise, table_rows
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
+from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.spec import LimitSpec
 from handmap_qp.human.recording import Recording
 
@@ -112,7 +113,14 @@ def test_an_arm_that_is_too_short_is_one_line_with_a_scale() -> None:
     assert sum(found["held_by"].values()) == pytest.approx(1.0)
     (note,) = [note for note in notes(summary) if "arm" in note]
     assert "held by reach 5" in note
-    assert "--scale 0.5" in note
+    assert "try --scale 0.5" in note
+    # Palms of a robot that are near each other are not scaled, so none is advised.
+    pair = load_robot("ur5_pair")
+    columns = np.zeros((seen, len(pair.joint_names)))
+    off = columns.astype(bool)
+    both = replace(late, robot=pair, q=columns, at_speed_limit=off, at_limit=off)
+    (note,) = [note for note in notes(summarise(both)) if "arm" in note]
+    assert "try --scale" not in note
     # A floating hand, and an arm that arrives, need no line.
     assert summarise(replace(trajectory, wrist_error=error))["arm_out_of_reach"] is None
     near = notes(summarise(replace(late, wrist_error=0.1 * error)))

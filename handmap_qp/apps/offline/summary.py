@@ -27,8 +27,8 @@ def summarise(trajectory: Trajectory) -> Values:
     `speed_limited_share` is the share of the followed samples in which a speed limit held a joint;
     `speed_limited_joints` has the joints held most often, with share and limit [rad/s or m/s].
     `arm_out_of_reach` has the share of samples, what holds the arm in them (`arm_held_by`), the
-    largest error, the extent of the motion and a scale to try, of an arm that does not follow; None
-    if it does.
+    largest error, the extent of the motion and a scale to try (None for a robot with two hands), of
+    an arm that does not follow; None if it does.
     """
     robot = trajectory.robot
     seen = trajectory.valid
@@ -108,11 +108,16 @@ def notes(summary: Values) -> list[str]:
         reasons = ", ".join(
             f"{name} {100.0 * share:.0f} %" for name, share in arm["held_by"].items()
         )
+        advice = "hands near each other keep the person's distance at any --scale"
+        if arm["scale"]:
+            advice = (
+                f"try --scale {arm['scale']:.2g}, or start in the middle of the arm's "
+                "range"
+            )
         lines.append(
             f"the arm does not follow the motion of about {arm['motion_mm']:.0f} mm: the wrist is "
             f"up to {arm['error_mm']:.0f} mm off its target, in {100.0 * arm['share']:.0f} % of "
-            f"the samples, held by {reasons}; try --scale {arm['scale']:.2g}, or start in the "
-            "middle of the arm's range"
+            f"the samples, held by {reasons}; {advice}"
         )
     return lines
 
@@ -168,5 +173,6 @@ def _arm(trajectory: Trajectory) -> Values | None:
         "error_mm": 1e3 * errors.max(),
         "motion_mm": 1e3 * wanted.max(),
         "held_by": {name: n / late.sum() for name, n in counted.most_common()},
-        "scale": max(0.05, np.floor(20.0 * scale) / 20.0),
+        # Palms near each other are not scaled.
+        "scale": None if robot.parts else max(0.05, np.floor(20.0 * scale) / 20.0),
     }
