@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +25,7 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.errors import MissingExtraError
+from handmap_qp.errors import DiskFullError, MissingExtraError
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import rotation_from_rpy
@@ -265,6 +267,29 @@ def test_a_full_file_of_a_lerobot_set_is_followed_by_another(
     episodes = episodes_of(tmp_path / "set")
     assert [e["data/chunk_index"] for e in episodes] == [0, 0, 1]
     assert [e["data/file_index"] for e in episodes] == [0, 1, 0]
+
+
+@pytest.mark.parametrize("name", ["robomimic", "egodex"])
+def test_room_for_hdf5_is_checked_before_it_is_written(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """libhdf5 crashes on a full disk, so room for all arrays must have been seen before."""
+    pytest.importorskip("h5py")
+    form, path = FORMATS[name], tmp_path / "take.hdf5"
+    sizes: list[int] = []
+    monkeypatch.setattr(os, "posix_fallocate", lambda *args: sizes.append(args[2]))
+    form.write([hand()], path)
+    before = path.read_bytes()
+    assert sum(sizes) > len(before)
+
+    def full(*args: int) -> None:
+        raise OSError(errno.ENOSPC, "")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(DiskFullError, match="No space left"):
+        form.write([hand()], path)
+    assert path.read_bytes() == before
+    assert [*tmp_path.iterdir()] == [path]
 
 
 def test_a_lerobot_set_is_not_read(tmp_path: Path) -> None:

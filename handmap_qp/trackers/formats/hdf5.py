@@ -209,7 +209,9 @@ class RobomimicFormat(_Hdf5Format):
                 for key in ("name", "side", *WORDS):
                     demo.attrs[key] = getattr(recording, key)
                 for name in known_columns(recording):
-                    demo[f"obs/{name}"] = column(recording, name)
+                    values = column(recording, name)
+                    check_room(file, values.nbytes)
+                    demo[f"obs/{name}"] = values
 
 
 def joint_names(side: Side) -> Names:
@@ -319,6 +321,7 @@ class EgoDexFormat(_Hdf5Format):
                 else:
                     turns[0] = recording.wrist[:, :3, :3]
                 poses = affine(turns, recording.landmarks.swapaxes(0, 1))
+                check_room(file, 2 * poses.nbytes)
                 for name, pose in zip(joint_names(recording.side), poses, strict=True):
                     file[f"transforms/{name}"] = pose
                     file[f"confidences/{name}"] = np.where(recording.valid, given, 0.0)
