@@ -257,7 +257,9 @@ def test_goals_stay_in_the_range_of_the_motors(
 ) -> None:
     drive.go(1.0, command(a=2.5, b=-1.5))
     np.testing.assert_array_equal(drive.motors.q, [-1.0, 2.0])
-    assert capsys.readouterr().err == "handmap: b: the motor goes to -1 rad, not -1.5\n"
+    assert capsys.readouterr().err == (
+        "handmap: b: a command of -1.5 rad is beyond the motor's range: it goes to -1\n"
+    )
 
 
 def test_one_lost_answer_at_the_start_is_nothing() -> None:

@@ -112,7 +112,8 @@ class Loop:
             self._is_clipped = True
             i = beyond.argmax()
             warn(
-                f"{names[i]}: the motor goes to {self._goal[i]:.3g} rad, not {asked[i]:.3g}"
+                f"{names[i]}: a command of {asked[i]:.3g} rad is beyond the motor's range: it goes "
+                f"to {self._goal[i]:.3g}"
             )
         self._span = np.clip(now - self._heard, 1.0 / self._driver.rate, SILENCE)
         self._command, self._angles, self._heard = command, angles, now
