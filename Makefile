@@ -10,6 +10,8 @@ FOLDER := $(VENV)/.folder
 SMALL := $(VENV)/.small
 INSTALLED := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check
+# On a terminal pip shows what it downloads, which takes minutes; a log has no use for it.
+QUIETLY := $(if $(MAKE_TERMOUT),,-qq)
 CONSTRAINTS := .ci/constraints.txt
 # What builds the package, here without the network.
 BUILDERS := cmake editables hatchling nanobind ninja scikit-build-core
@@ -146,9 +148,9 @@ $(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/compile.py $(CORE)
 	    $(PIP) install -qq --constraint $(CONSTRAINTS) pip $(BUILDERS) && \
 	    echo "$(CURDIR)" > $(FOLDER) || exit 1; \
 	fi
-	@echo "Installing into $(VENV) the package with all that it needs: some minutes without a word from pip"
+	@echo "Installing into $(VENV) the package with all that it needs: some minutes"
 	@$(PIP) install -qq --constraint $(CONSTRAINTS) $(BUILDERS)
-	@$(PIP) install -qq --constraint $(CONSTRAINTS) --no-build-isolation --editable $(WANTED)
+	@$(PIP) install $(QUIETLY) --constraint $(CONSTRAINTS) --no-build-isolation --editable $(WANTED)
 	@cat build/core.txt
 	@touch $@
 
