@@ -212,16 +212,17 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
                  options.get<bool>("points_follow_wrist")};
 }
 
-inline void set_detour_rules(Ik& ik, const Fields& hand, const Fields& options) {
+inline void set_fingers(Ik& ik, const Fields& hand) {
+  for (const Indices& own :
+       nb::cast<std::vector<Indices>>(nb::getattr(hand.object("finger_joints"), "tolist")()))
+    ik.fingers.emplace_back(own.begin(), own.end());
+}
+
+inline void set_detour_rules(Ik& ik, const Fields& options) {
   if (!options.get<bool>("takes_detours")) return;
   const Fields rules = module_of("ik.collision");
   const auto number = [&](const char* name) { return rules.get<double>(name); };
-  std::vector<Vector> is_finger;
-  for (const Indices& own :
-       nb::cast<std::vector<Indices>>(nb::getattr(hand.object("finger_joints"), "tolist")()))
-    is_finger.emplace_back(own.begin(), own.end());
-  ik.detour_rules = {is_finger,
-                     number("AWAY"),
+  ik.detour_rules = {number("AWAY"),
                      number("ON_ITS_WAY"),
                      number("_SAMPLE"),
                      number("_AGAIN"),
@@ -326,7 +327,8 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
     ik.tree.parts.push_back(part_of(Fields(nb::borrow(each)), first));
   }
   set_weights(ik, Fields(hand), Fields(options));
-  set_detour_rules(ik, Fields(hand), Fields(options));
+  set_fingers(ik, Fields(hand));
+  set_detour_rules(ik, Fields(options));
   ik.stop_detours();
   set_limits(ik, Fields(nb::getattr(gate, "limits")));
   const nb::object collisions = nb::getattr(gate, "collisions");

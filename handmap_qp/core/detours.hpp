@@ -18,7 +18,7 @@ class Detours {
         rules_(*ik.detour_rules),
         index_(part),
         part_(ik.tree.parts[part]),
-        is_finger_(rules_.is_finger[part]),
+        is_finger_(ik.fingers[part]),
         detour_(ik.detours[part]) {}
 
   void solve(const Goal& goal, double dt, const Vector& margins, double speed, Result& result) {

@@ -5,6 +5,7 @@
 #include <functional>
 #include <iterator>
 #include <memory>
+#include <numeric>
 #include <optional>
 
 #include "guessed_qp.hpp"
@@ -70,9 +71,8 @@ struct Goal {
   std::function<void(const Vector& q, TaskRows& rows)> further;
 };
 
-// The constants of collision.py, by their names there, and which joints are the fingers'.
+// The constants of collision.py, by their names there.
 struct DetourRules {
-  std::vector<Vector> is_finger;  // of each hand, of each joint: see Hand.finger_joints
   double away, on_its_way, sample, again, later, of_point, of_all, pull, reached, moved, grown,
       forgotten;
   int samples, longest;
@@ -109,6 +109,7 @@ class Ik {
   Motion motion;
   std::optional<DetourRules> detour_rules;
   std::vector<Detour> detours;  // of each hand
+  std::vector<Vector> fingers;  // of each hand, of each joint: see Hand.finger_joints
 
   explicit Ik(Tree given)
       : tree(std::move(given)), at(tree), start_(tree), path_end_(tree) {}
@@ -248,7 +249,7 @@ class Ik {
       Vector short_first(n);
       for (int i = 0; i < n; ++i)
         short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
-      shorten(is_inside ? nullptr : &taken_, short_first, dt);
+      shorten(taken_, short_first, dt);
     }
     move(taken_, times_, dt);
   }
@@ -562,7 +563,7 @@ class Ik {
   }
 
   // Find a displacement that is admitted, and the times of the stop behind it; see Gate._shortened.
-  void shorten(const Vector* wanted, const Vector& first, double dt) {
+  void shorten(const Vector& wanted, const Vector& first, double dt) {
     const int n = tree.size;
     Vector brake, left(n), least(n), most(n), clipped(n), base(n), tried(n), times(n), taken(n);
     braking(dt, brake);
@@ -576,38 +577,44 @@ class Ik {
       clipped[i] = clip(first[i], least[i], most[i]);
       base[i] = limits.together[i] ? brake[i] : clipped[i];
     }
-    std::vector<Vector> candidates;
-    if (wanted) {
-      for (int i = 0; i < n; ++i) tried[i] = clip((*wanted)[i], least[i], most[i]);
-      candidates.push_back(tried);
+    std::vector<std::vector<int>> parts;
+    for (const Vector& is_finger : fingers) {
+      parts.emplace_back();
+      for (size_t j = 0; j < is_finger.size(); ++j)
+        if (is_finger[j] != 0.0) parts.back().push_back(tree.joint_columns[j]);
     }
-    for (const double share : kShares) {
-      for (int i = 0; i < n; ++i) tried[i] = base[i] + share * (clipped[i] - base[i]);
-      candidates.push_back(tried);
-    }
-    candidates.push_back(base);
-    for (size_t c = 0; c < candidates.size(); ++c) {
-      const Vector& candidate = candidates[c];
-      limits.stop_times(candidate, dt, times);
-      bool can_all = true;
-      for (int i = 0; i < n; ++i) {
-        const bool can_stop =
-            limits.is_inside(i, motion.q, candidate[i] * (1.0 + 0.5 * times[i] / dt)) &&
-            times[i] <= kLongestStop * (1.0 + 1e-9);
-        const bool brakes = !can_stop && !limits.together[i];
-        taken[i] = brakes ? brake[i] : candidate[i];
-        if (brakes) times[i] = left[i];
-        if (limits.together[i]) can_all &= can_stop;
+    parts.emplace_back(n);
+    std::iota(parts.back().begin(), parts.back().end(), 0);
+    for (const std::vector<int>& own : parts) {
+      for (int i = 0; i < n; ++i) tried[i] = clip(wanted[i], least[i], most[i]);
+      std::vector<Vector> candidates{tried};
+      for (const double share : kShares) {
+        for (int i = 0; i < n; ++i) tried[i] = base[i] + share * (clipped[i] - base[i]);
+        candidates.push_back(tried);
       }
-      if (c + 1 < candidates.size() && can_all && is_clear(taken, times, dt)) {
-        taken_ = taken;
-        times_ = times;
-        return;
+      candidates.push_back(base);
+      bool is_admitted = false;
+      for (size_t c = 0; c < candidates.size() && !is_admitted; ++c) {
+        tried = base;
+        for (const int i : own) tried[i] = candidates[c][i];
+        limits.stop_times(tried, dt, times);
+        bool can_all = true;
+        for (int i = 0; i < n; ++i) {
+          const bool can_stop =
+              limits.is_inside(i, motion.q, tried[i] * (1.0 + 0.5 * times[i] / dt)) &&
+              times[i] <= kLongestStop * (1.0 + 1e-9);
+          const bool brakes = !can_stop && !limits.together[i];
+          taken[i] = brakes ? brake[i] : tried[i];
+          if (brakes) times[i] = left[i];
+          if (limits.together[i]) can_all &= can_stop;
+        }
+        is_admitted = can_all && is_clear(taken, times, dt);
       }
+      // The line of the stop in force was found clear before.
+      for (int i = 0; i < n && !is_admitted; ++i)
+        if (limits.together[i]) times[i] = left[i];
+      for (const int i : own) clipped[i] = taken[i];
     }
-    // The line of the stop in force was found clear before.
-    for (int i = 0; i < n; ++i)
-      if (limits.together[i]) times[i] = left[i];
     taken_ = taken;
     times_ = times;
   }

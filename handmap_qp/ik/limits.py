@@ -37,8 +37,9 @@ The stop that was admitted last stays possible while the hand brakes, for any sa
     x_brake = v (1 - dt / T) dt,    v the last velocity,
 
 ends on the line that was found clear, and needs the time T - dt. Another displacement that is not
-admitted is shortened towards x_brake, and replaced by it at last. Both are within the limits of
-speed and acceleration, so all between are. A hand that starts without an overlap never has one.
+admitted is shortened towards x_brake, the fingers of each hand by themselves, and replaced by it at
+last. Both are within the limits of speed and acceleration, so all between are. A hand that starts
+without an overlap never has one.
 
 Where pairs meet on the line, the QP is solved again, with rows for the points that met (see
 `handmap_qp.ik.collision`), and its displacement is what is admitted or, at last, shortened.
@@ -472,7 +473,7 @@ class Gate:
             self.held_by = int(met.pairs[met.found[:, 0].argmin()])
         if not is_inside or met:
             first = np.fmin(np.fmax(first, lower), upper)
-            taken, times = self._shortened(None if is_inside else taken, first, dt)
+            taken, times = self._shortened(taken, first, dt)
         self._move(taken, times, dt)
         return taken
 
@@ -490,40 +491,44 @@ class Gate:
         share = 1.0 - dt / np.maximum(times, dt)
         return self.motion.velocity * (dt * share), np.maximum(times - dt, 0.0)
 
-    def _shortened(
-        self, wanted: Array | None, first: Array, dt: float
-    ) -> tuple[Array, Array]:
+    def _shortened(self, wanted: Array, first: Array, dt: float) -> tuple[Array, Array]:
         """Return a displacement that is admitted, and the times of the stop behind it.
 
-        Coordinates that stop alone take theirs, or brake. The others take the wanted one, if there
-        is one, or shares of `first`; shape (nv,) each.
+        Coordinates that stop alone take theirs, or brake. The others take the wanted one or shares
+        of `first`; shape (nv,) each. First the fingers of each hand do, while all else brakes: no
+        hand stops for what another one meets. Then all do, with what was found for the fingers.
         """
+        limits = self.limits
         brake, left = self._braking(dt)
         middle = self.motion.velocity * dt
-        change = self.limits.change(dt)
-        together = self.limits.together
+        change = limits.change(dt)
+        together = limits.together
         # From a higher limit, the stop in force may brake harder than the limit allows.
         least = np.minimum(middle - change, brake)
         most = np.maximum(middle + change, brake)
-        first = np.clip(first, least, most)
+        wanted, first = np.clip([wanted, first], least, most)
         base = np.where(together, brake, first)
-        candidates = [base + share * (first - base) for share in _SHARES]
-        if wanted is not None:
-            candidates.insert(0, np.clip(wanted, least, most))
-        for tried in (*candidates, base):
-            times = self.limits.stop_times(tried, dt)
-            can_stop = self.limits.is_inside(
-                self.motion.q, tried * (1.0 + 0.5 * times / dt)
-            )
-            can_stop &= times <= LONGEST_STOP * (1.0 + 1e-9)
-            brakes = ~(can_stop | together)
-            taken = np.where(brakes, brake, tried)
-            times = np.where(brakes, left, times)
-            is_admitted = tried is not base and can_stop[together].all()
-            if is_admitted and not self._met_on(taken, times, dt):
-                return taken, times
-        # The line of the stop in force was found clear before.
-        return taken, np.where(together, left, times)
+        fingers = [self.hand.joint_columns[own] for own in self.hand.finger_joints]
+        for own in (*fingers, slice(None)):
+            shares = [base + share * (first - base) for share in _SHARES]
+            for candidate in (wanted, *shares, base):
+                tried = base.copy()
+                tried[own] = candidate[own]
+                times = limits.stop_times(tried, dt)
+                can_stop = limits.is_inside(
+                    self.motion.q, tried * (1.0 + 0.5 * times / dt)
+                )
+                can_stop &= times <= LONGEST_STOP * (1.0 + 1e-9)
+                brakes = ~(can_stop | together)
+                taken = np.where(brakes, brake, tried)
+                times = np.where(brakes, left, times)
+                if can_stop[together].all() and not self._met_on(taken, times, dt):
+                    break
+            else:
+                # The line of the stop in force was found clear before.
+                times = np.where(together, left, times)
+            first[own] = taken[own]
+        return taken, times
 
     def _met_on(self, displacement: Array, times: Array, dt: float) -> NearPairs | None:
         """Return what meets in a displacement and the stop behind it; None if nothing does."""

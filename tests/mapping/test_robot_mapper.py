@@ -149,6 +149,29 @@ def test_each_hand_takes_the_detours_that_it_takes_alone(
     assert taken.all()
 
 
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_hand_does_not_stop_for_what_the_other_one_meets(
+    pair: Hand, formulation: str
+) -> None:
+    # The left hand of the first ones is stopped, and the right one of the others.
+    for seed in (25, 49):
+        mapper, alone = together_and_alone(pair, formulation)
+        _, wrists = motion(0, apart=1.0)
+        rng = np.random.default_rng(seed)
+        for _ in range(6):
+            q = {
+                side: rng.uniform(human.lower_limits, human.upper_limits)
+                for side, human in HUMANS.items()
+            }
+            step = mapper.map_step(q, wrists, dt=DT)
+            for side, other in alone.items():
+                single = other.map_step(q[side], wrists[side], dt=DT)
+                own = [name.startswith(side) for name in mapper.robot.joint_names]
+                np.testing.assert_allclose(
+                    step.command.q[own], single.command.q[own], rtol=0.0, atol=1e-6
+                )
+
+
 def test_a_robot_with_one_hand_is_a_hand_on_an_arm(g1: Hand) -> None:
     hand = g1.by_side["left"]
     robot = joined("one", hand)
