@@ -38,11 +38,11 @@ Numbers = tuple[float, ...]
 Points = tuple[Vector, ...]
 Short = Annotated[str, Meta(max_length=64)]
 Preset = Short
-Length = Annotated[float, Meta(gt=0, le=1)]
+Length = Annotated[float, Meta(gt=0.0, le=1.0)]
 Gap = Annotated[float, Meta(ge=0.0, le=0.04)]
 Confidence = Annotated[float, Meta(ge=0.0, le=1.0)]
 Side = Literal["right", "left"]
-Duration = Annotated[float, Meta(ge=0, le=3600)]
+Duration = Annotated[float, Meta(ge=0.0, le=3600.0)]
 Matrix = tuple[tuple[float, ...], ...]
 Options = dict[str, Any]
 """Options by name."""
@@ -268,11 +268,11 @@ class Open(Request):
     robot_wrist: Pose | None = None
     restore: bool = False
     is_released: bool = False
-    max_dt: Annotated[float, Meta(ge=0.0001, le=1)] = 1 / 30
+    max_dt: Annotated[float, Meta(ge=0.0001, le=1.0)] = 1 / 30
     time_from: Literal["server", "client"] = "server"
-    watchdog: Annotated[float, Meta(ge=0.01, le=10)] = 0.25
+    watchdog: Annotated[float, Meta(ge=0.01, le=10.0)] = 0.25
     return_after: Duration | None = None
-    return_speed: Annotated[float, Meta(gt=0, le=1)] = 0.1
+    return_speed: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
     resume: Literal["follow", "clutch"] = "follow"
     has_detail: bool = False
     is_shared: bool = False
