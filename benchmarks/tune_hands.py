@@ -19,31 +19,25 @@ from __future__ import annotations
 import argparse
 import os
 import warnings
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from handmap_drive.driver import Driver
 from handmap_drive.motion import Motion
+from handmap_drive.pinches import map_recording
 from handmap_drive.ritual import find_tuning
 from handmap_drive.simulated import Simulated
-from handmap_drive.space import ON_ITS_BACK, Space
+from handmap_drive.space import ON_ITS_BACK, Space, Vector
 from handmap_drive.tuning import Compensated, Tuning, tuned
 
-from handmap_qp import Hand, load_hand, read_recording
-from handmap_qp.apps.offline.comparison import (
-    compare_methods,
-    own_method,
-    prepare_take,
-)
+from handmap_qp import Hand, load_hand
 from handmap_qp.apps.offline.fidelity import CLOSED
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.tables import markdown_table
 from handmap_qp.hands import Names
-from handmap_qp.mapping import default_preset
 
 FLOORS = {
     "gain": 0.0,
@@ -78,16 +72,15 @@ class Motors(Simulated):
     """
 
     effects: Names = ()
-    down = ON_ITS_BACK
     told = -np.inf
 
-    def __init__(self, port: str, joints: Names) -> None:
+    def __init__(self, port: str, joints: Names, down: Vector = ON_ITS_BACK) -> None:
         super().__init__(port, joints)
+        self.space = Space(self._hand, self, down)
         self._chance = np.random.default_rng([1, int(port.rpartition(":")[2])])
         lag = self._chance.uniform(*LAGS, len(self.q)) * self.rate
         self._lag = lag * ("lag" in self.effects)
         self._drive = self._last = self.q
-        self._data = self._hand.model.createData()
         self.sticks = STICKS if "stiction" in self.effects else 1.0
         self.exponent = SOFT if "tendon" in self.effects else 1.0
 
@@ -108,32 +101,20 @@ class Motors(Simulated):
         """See `Simulated`."""
         if {*WEIGHTS}.isdisjoint(self.effects):
             return super().load()
-        hand, model = self._hand, self._hand.model
-        palm = hand.frame_pose("palm", hand.rest)[:3, :3]
-        model.gravity.linear = 9.81 * palm.dot(self.down)
-        q = hand.configuration_vector(self.posture)
-        torque = pin.computeGeneralizedGravity(model, self._data, q)
-        return torque @ hand.joint_motion[:, self._own] / STRONGEST
+        return self.space.weights(self.q + self.encoder) / STRONGEST
 
 
 @lru_cache(maxsize=6)
 def motion_of(hand: Hand, recording: str) -> np.ndarray:
     """Return a recording as it is mapped to a hand, by the turns of a loop [rad], shape (T, n)."""
-    take = prepare_take(read_recording(recording, hand.side), hand.side)
-    method = own_method(default_preset(take.human, hand))
-    (run,) = compare_methods([take], hand, [method]).runs
-    assert run.motion is not None
-    time = take.recording.time
+    time, q = map_recording(hand, recording)
     turns = np.arange(time[0], time[-1], 1.0 / Simulated.rate)
-    return np.array([np.interp(turns, time, q) for q in run.motion.q.T]).T
+    return np.apply_along_axis(partial(np.interp, turns, time), 0, q)
 
 
 def follow(driver: Driver, motors: Simulated, q: np.ndarray) -> tuple[np.ndarray, ...]:
     """Tell motors a motion; return where joints are in truth, and as encoders tell it."""
-    start = motors.q
-    approach = start + np.linspace(0.0, 1.0, round(SETTLED * motors.rate))[:, None] * (
-        q[0] - start
-    )
+    approach = np.linspace(motors.q, q[0], round(SETTLED * motors.rate))
     true, seen = [], []
     for goal in (*approach, *q):
         driver.write(goal, motors.effort)
@@ -144,8 +125,8 @@ def follow(driver: Driver, motors: Simulated, q: np.ndarray) -> tuple[np.ndarray
 
 def pinches(
     meter: GapMeter, asked: np.ndarray, told: np.ndarray, true: np.ndarray
-) -> tuple[int, int]:
-    """Return how many samples have a pinch, and how many of them the hand closes.
+) -> float:
+    """Return the share of samples with a pinch that the hand closes.
 
     Pinches are those of the hand as it is described, `asked`. The hand is compared at the one delay
     at which it is nearest to what it was told.
@@ -156,9 +137,11 @@ def pinches(
         return float(np.mean((true[d:] - told[: T - d]) ** 2))
 
     delay = min(range(round(LAG * Simulated.rate)), key=error)
-    wanted = np.array([*meter.pinches(asked[: T - delay]).values()]) < CLOSED
-    got = np.array([*meter.pinches(true[delay:]).values()]) < CLOSED
-    return int(wanted.sum()), int((wanted & got).sum())
+    wanted, got = (
+        np.array([*meter.pinches(q).values()]) < CLOSED
+        for q in (asked[: T - delay], true[delay:])
+    )
+    return float(got[wanted].mean())
 
 
 def right(tuning: Tuning, motors: Simulated) -> dict[str, float]:
@@ -172,8 +155,7 @@ def right(tuning: Tuning, motors: Simulated) -> dict[str, float]:
         shares[name] = float(np.mean(np.abs(found - true) <= allowed))
     # The range in which it can be used: up to its stops, its limits, and what can be told.
     reached = motors.gain * motors.range + motors.zero
-    low, high = np.clip(reached, motors.range[0], motors.range[1])
-    true = np.clip([low, high], *motors.stops)
+    true = np.clip(np.clip(reached, *motors.range), *motors.stops)
     width = np.ptp(motors.range, axis=0)
     shares["range"] = float(np.mean(np.abs(joints.range - true) <= 0.1 * width))
     return shares
@@ -181,7 +163,8 @@ def right(tuning: Tuning, motors: Simulated) -> dict[str, float]:
 
 def beyond(motors: Simulated, seen: np.ndarray) -> float:
     """Return how far encoders were outside the limits of the hand at most [rad]."""
-    return float(np.maximum(seen - motors.range[1], motors.range[0] - seen).max())
+    low, high = motors.range
+    return float(np.maximum(seen - high, low - seen).max())
 
 
 def measure(hand: Hand, seed: int, files: dict[str, str]) -> dict[str, Any]:
@@ -198,23 +181,20 @@ def measure(hand: Hand, seed: int, files: dict[str, str]) -> dict[str, Any]:
     row["fingers met"] = len(tuning.pinches)
     over = [beyond(motors, motion.log().q)]
     found = Hand(tuned(hand.spec, tuning), mount="fixed")
+    is_down = "gravity" in motors.effects
+    down = PALM_DOWN if is_down else ON_ITS_BACK
     for recording, file in files.items():
-        asked, shares = motion_of(hand, file), []
-        for mapped, is_tuned in ((hand, False), (found, True)):
-            motors = Motors(port, hand.joint_names)
-            weights = np.zeros_like
-            if "gravity" in motors.effects:
-                motors.down = PALM_DOWN
-                weights = Space(hand, motors, PALM_DOWN).weights
-            driver = Compensated(motors, tuning, weights) if is_tuned else motors
+        asked = motion_of(hand, file)
+        for when, mapped in (("before", hand), ("after", found)):
+            driver = motors = Motors(port, hand.joint_names, down)
+            if mapped is found:
+                weights = motors.space.weights if is_down else np.zeros_like
+                driver = Compensated(motors, tuning, weights)
             q = motion_of(mapped, file)
             true, seen = follow(driver, motors, q)
-            wanted, closed = pinches(meter, asked, q, true)
-            shares.append(closed / wanted)
+            row[f"{recording}: {when}"] = pinches(meter, asked, q, true)
             over.append(beyond(motors, seen))
             told.append(motors.told)
-        before, after = shares
-        row |= {f"{recording}: before": before, f"{recording}: after": after}
     row["told beyond limits"] = max(told)
     row["joints beyond: ritual"] = over[0]
     row["as told"], row["compensated"] = max(over[1::2]), max(over[2::2])

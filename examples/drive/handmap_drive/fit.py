@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.optimize import approx_fprime
 
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands import Hand
@@ -48,40 +49,35 @@ def fit_joint(log: Log, i: int, limit: float, weights: Array) -> tuple[float, ..
     raw = log.torque[:, i]
     size = np.abs(raw)
     is_able = size < FULL * limit
-    pulls = np.where(is_able & (size > TORQUE), np.sign(raw), 0.0)
+    pulls = np.sign(raw) * (is_able & (size > TORQUE))
     is_pulled = _is_steady(pulls)
     q = _smooth(log.q[:, i])
-    torque = _smooth(raw)
     speed = np.gradient(q, time)
-    is_fast = np.abs(speed) > _SLOWEST
-    moves = _is_steady(np.where(is_able & is_fast, np.sign(speed), 0.0))
+    side = np.sign(speed)
+    moves = _is_steady(side * (is_able & (np.abs(speed) > _SLOWEST)))
     # In motion, torque is that of weights and friction. Links that weigh next to nothing tell
     # nothing about the motor.
-    loads = np.array([weights, np.sign(speed)]).T
+    loads = np.array([weights, side]).T
     slight = [_WEIGHT * np.sqrt(moves.sum()), 0.0]
     felt = np.append(raw[moves], 0.0)
     held, *_ = np.linalg.lstsq(np.vstack([loads[moves], slight]), felt)
     weight, friction = np.maximum(held, 0.0)
     # Noise of the many samples in motion would hide how torques change at rest.
-    torque = np.where(moves, loads @ (weight, friction), torque)
+    torque = np.where(moves, loads @ (weight, friction), _smooth(raw))
     ones = np.ones_like(q)
     wanted = q[is_pulled]
 
-    def solve(delay: float) -> tuple[float, Array]:
+    def solve(delay: float) -> tuple[float, ...]:
         late = _smooth(np.interp(time - delay, time, told))
         columns = np.array([late, ones, -0.5 * pulls, -torque])
         rows = columns.T[is_pulled]
         found, *_ = np.linalg.lstsq(rows, wanted)
         left = rows @ found - wanted
-        return left @ left, found
+        return left @ left, delay, *found
 
-    def best(delays: Array) -> float:
-        return min(delays.tolist(), key=lambda delay: solve(delay)[0])
-
-    delay = best(np.arange(0.0, _LONGEST, 0.01))
-    near = delay + np.arange(-0.01, 0.01, 0.001)
-    delay = best(np.maximum(near, 0.0))
-    _, (gain, zero, *lag) = solve(delay)
+    _, rough, *_ = min(map(solve, np.arange(0.0, _LONGEST, 0.01)))
+    near = rough + np.arange(-0.01, 0.01, 0.001)
+    _, delay, gain, zero, *lag = min(map(solve, np.maximum(near, 0.0)))
     backlash, stretch = np.maximum(lag, 0.0)
     return gain, zero, delay, backlash, stretch, friction, weight
 
@@ -102,22 +98,18 @@ def fit_encoders(hand: Hand, met: list[tuple[str, Array]]) -> tuple[Array, Array
         What encoders miss [rad], shape (n,), and the gaps that they tell without it [m], (k,).
     """
     meter = GapMeter(hand)
-    n = len(hand.joint_names)
-    nothing = np.zeros(n)
-    steps = np.vstack([nothing, _STEP * np.eye(n)])
-    expected = np.eye(n) / _ERROR
+    nothing = np.zeros(len(hand.joint_names))
 
     def gaps(error: Array) -> Array:
-        rows = [meter.pinches(q + error + steps)[finger] for finger, q in met]
-        return np.reshape(rows, (-1, n + 1))
+        rows = [meter.pinches(q[None] + error)[finger] for finger, q in met]
+        return np.ravel(rows)
+
+    def misses(error: Array) -> Array:
+        return np.append(gaps(error) / _GAP, error / _ERROR)
 
     error = nothing
     for _ in range(_ITERATIONS):
-        values = gaps(error)
-        gap = values[:, 0]
-        slopes = (values[:, 1:].T - gap) / _STEP
-        rows = np.vstack([slopes.T / _GAP, expected])
-        misses = np.append(gap / _GAP, error / _ERROR)
-        change, *_ = np.linalg.lstsq(rows, misses)
+        slopes = approx_fprime(error, misses, _STEP)
+        change, *_ = np.linalg.lstsq(slopes, misses(error))
         error = error - change
-    return error, gaps(nothing)[:, 0]
+    return error, gaps(nothing)

@@ -1,6 +1,7 @@
 """What joints make of their commands: the first part of the ritual of `handmap tune`."""
 
 from collections.abc import Callable
+from itertools import compress
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from .driver import DriverError
 from .fit import FULL, fit_joint
 from .motion import Motion
 from .space import Space
-from .tuning import TORQUE, Joints
+from .tuning import SIDES, TORQUE, Joints
 
 _WIDE = 1.0
 """Speed of motions over the range [rad/s]."""
@@ -30,7 +31,8 @@ _INSIDE = 0.005
 """How far from its stops a joint keeps [rad]."""
 _JAM = 0.2
 """Share of its range that a joint may lack at each end."""
-_SIDES = np.array([[-1.0], [1.0]])
+_PERFECT = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+"""As of `fit_joint`, of a joint that is not moved."""
 
 Tell = Callable[[float, str], object]
 """Is told how much is done [%], and what is."""
@@ -58,10 +60,8 @@ def measure_joints(
         _check(motion, space, i)
     found = np.zeros((len(Joints._fields), len(names)))
     for k, group in enumerate(groups):
-        joints = np.flatnonzero(group)
-        moved = ", ".join(names[i] for i in joints)
-        tell(10.0 + 60.0 * k / len(groups), moved)
-        found[:, joints] = _measure(motion, space, joints, spans)
+        tell(10.0 + 60.0 * k / len(groups), ", ".join(compress(names, group)))
+        found = np.where(group, _measure(motion, space, spans, group), found)
     return Joints(*found)
 
 
@@ -69,7 +69,7 @@ def free_spans(space: Space) -> Array:
     """Return how far each joint alone can go from home to both sides [rad], shape (2, n)."""
     home = space.home
     lines = space.limits - home
-    ends = home + np.apply_along_axis(np.diag, 1, lines)
+    ends = home + lines[..., None] * np.eye(len(home))
     return lines * [[space.is_free(home, end) for end in side] for side in ends]
 
 
@@ -119,10 +119,10 @@ def _check(motion: Motion, space: Space, i: int) -> None:
             raise DriverError(f"{names[i]}: {problem}")
 
 
-def _measure(motion: Motion, space: Space, joints: Array, spans: Array) -> Joints:
-    """Move joints together; return what they do."""
+def _measure(motion: Motion, space: Space, spans: Array, group: Array) -> Joints:
+    """Move a group of joints together; return what they do."""
     home = space.home
-    small = _SMALL * np.isin(np.arange(len(home)), joints)
+    small = _SMALL * group
     motion.go(home + small, APPROACH)
     motion.rest()
     start = motion.count - 1
@@ -134,64 +134,44 @@ def _measure(motion: Motion, space: Space, joints: Array, spans: Array) -> Joint
         motion.go(home + side * small, _FAST)
     motion.go(home, APPROACH)
     motion.rest()
-    rough = _fit(motion, space, start, joints)
+    rough = _fit(motion, space, start, group)
     ends = []
-    for span in _NEARLY * spans[:, joints]:
-        goal = home.copy()
-        goal[joints] += span
-        load = space.weights(goal[None])[0, joints]
-        pulled = rough.command(goal[joints], np.sign(span), load)
-        goal[joints] = np.clip(pulled, *rough.range)
-        motion.go(goal, _WIDE)
+    for span in _NEARLY * spans * group:
+        goal = home + span
+        told = rough.command(goal, np.sign(span), space.weights(goal))
+        motion.go(np.clip(told, *space.limits), _WIDE)
         ends.append(motion.rest())
         motion.go(home, _WIDE)
-    final = _fit(motion, space, start, joints)
+    final = _fit(motion, space, start, group)
     q, torque = np.array(ends).swapaxes(0, 1)
     load = space.weights(q)
-    names = [motion.driver.joint_names[i] for i in joints]
-    lower, upper = _ranges(
-        names, final, q[:, joints], torque[:, joints], load[:, joints]
-    )
+    at_stop = group & final.meet(torque, load)
+    limits = space.limits
+    missing = np.abs(limits - q) / np.ptp(limits, axis=0)
+    for side, i in np.argwhere(at_stop & (missing > _JAM)):
+        name = motion.driver.joint_names[i]
+        way = f"at {q[side, i]:.3g} rad on its way to {limits[side, i]:.3g}"
+        advice = "it jams, or this is another hand"
+        raise DriverError(f"{name}: it stops {way}: {advice}")
+    # To stops, limits, or where commands bring them.
+    reached = final.gain * limits + final.zero - final.lag(SIDES, load)
+    reached = np.where(at_stop, q - SIDES * _INSIDE, reached)
+    lower, upper = np.clip(reached, *limits)
     return final._replace(lower=lower, upper=upper)
 
 
-def _fit(motion: Motion, space: Space, start: int, joints: Array) -> Joints:
+def _fit(motion: Motion, space: Space, start: int, group: Array) -> Joints:
     """Return what `fit_joint` finds of joints that were moved since a turn; ranges are limits."""
     log = motion.log(start)
     weights = space.weights(log.q)
-    found = [fit_joint(log, i, motion.effort, weights[:, i]) for i in joints]
-    *first, weight = np.transpose(found)
+    found = np.tile(_PERFECT, (len(group), 1))
     least, most = _GAINS
-    for i, gain in zip(joints, first[0], strict=True):
+    for i in np.flatnonzero(group):
+        gain, *_ = found[i] = fit_joint(log, i, motion.effort, weights[:, i])
         if not least < gain < most:
             name = motion.driver.joint_names[i]
             problem = f"{name}: it moves {gain:.2g} times as far as it is told"
             advice = "see its ratio, or whether this is another hand"
             raise DriverError(f"{problem}: {advice}")
-    no_error = np.zeros(len(joints))
-    return Joints(*first, *space.limits[:, joints], no_error, weight)
-
-
-def _ranges(
-    names: list[str], found: Joints, q: Array, torque: Array, load: Array
-) -> Array:
-    """Return how far joints can go: to stops, limits, or where commands bring them [rad].
-
-    Args:
-        names: Their names.
-        found: What was found of them, with their limits as ranges.
-        q: Where they were at both ends [rad], shape (2, m).
-        torque: Their torques there, shape (2, m).
-        load: Torques that hold their links there [N m], shape (2, m).
-    """
-    limits = found.range
-    at_stop = found.meet(torque, load)
-    width = np.ptp(limits, axis=0)
-    missing = np.abs(limits - q) / width
-    for side, i in np.argwhere(at_stop & (missing > _JAM)):
-        stop, limit = q[side, i], limits[side, i]
-        problem = f"{names[i]}: it stops at {stop:.3g} rad on its way to {limit:.3g}"
-        raise DriverError(f"{problem}: it jams, or this is another hand")
-    reached = found.gain * limits + found.zero - found.lag(_SIDES, load)
-    ends = np.where(at_stop, q - _SIDES * _INSIDE, reached)
-    return np.clip(ends, *limits)
+    *first, weight = found.T
+    return Joints(*first, *space.limits, np.zeros(len(group)), weight)

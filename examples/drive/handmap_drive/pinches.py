@@ -1,6 +1,7 @@
 """Where fingertips meet the thumb's: the second part of the ritual of `handmap tune`."""
 
 from collections.abc import Iterator
+from functools import partial
 from itertools import islice
 from typing import NamedTuple
 
@@ -51,6 +52,22 @@ class Pinch(NamedTuple):
     ways: list[Array]
 
 
+def map_recording(hand: Hand, name: str) -> tuple[Array, Array]:
+    """Map a recording to a hand by the default preset.
+
+    Args:
+        hand: The hand.
+        name: The recording.
+
+    Returns:
+        Times of its samples [s], shape (T,), and joints [rad], shape (T, n).
+    """
+    recording = read_recording(name, hand.side)
+    take = prepare_take(recording, hand.side)
+    method = own_method(default_preset(take.human, hand))
+    return take.recording.time, method.map_take(take, hand).q
+
+
 def plan_pinches(space: Space, tuning: Tuning, effort: float) -> list[Pinch]:
     """Return pinches of the package's recording, as they are mapped to the hand as it was found.
 
@@ -65,18 +82,13 @@ def plan_pinches(space: Space, tuning: Tuning, effort: float) -> list[Pinch]:
     meter = GapMeter(hand)
     random = np.random.default_rng(0)
     limits = hand.limits[:, space.own]
-    recording = read_recording(DEMO, hand.side)
-    take = prepare_take(recording, hand.side)
-    method = own_method(default_preset(take.human, hand))
-    q = method.map_take(take, hand).q
+    _, q = map_recording(hand, DEMO)
 
-    def ways(finger: str, opened: Array, shut: Array, moves: Array) -> Iterator[Array]:
-        shares = np.linspace(0.0, 1.0 + _BEYOND, 200)[:, None]
+    def ways(finger: str, line: Array, moves: Array) -> Iterator[Array]:
+        opened, *_ = line
         for shift in random.normal(0.0, _SHIFT, (_TRIES, len(moves))):
-            line = opened + shares * (shut - opened) + moves * shift
-            way = np.clip(line, *limits)
-            postures = space.posture(way)
-            gaps = meter.pinches(postures)[finger]
+            way = np.clip(line + moves * shift, *limits)
+            gaps = meter.pinches(space.posture(way))[finger]
             near = np.argmax(gaps < _NEAR)
             if (
                 gaps.min() < -_DEEP
@@ -85,20 +97,21 @@ def plan_pinches(space: Space, tuning: Tuning, effort: float) -> list[Pinch]:
             ):
                 yield way[[0, near, -1]]
 
+    shares = np.linspace(0.0, 1.0 + _BEYOND, 200)[:, None]
     pinches = []
     for finger, gaps in meter.pinches(q).items():
         closed = np.flatnonzero(gaps < CLOSED)
         if not closed.size:
             continue
         end = closed[closed.size // 2]
-        before = np.flatnonzero(gaps[:end] > OPEN)
-        start = before[-1] if before.size else 0
+        start = max(np.flatnonzero(gaps[:end] > OPEN), default=0)
         # Other fingers stay out of the way.
         moves = space.chain(THUMB) | space.chain(finger)
         mapped = q[[start, end]][:, space.own]
         opened, shut = np.where(moves, mapped, space.home)
         if space.is_free(space.home, opened, TUNED):
-            found = islice(ways(finger, opened, shut, moves), _WAYS)
+            line = opened + shares * (shut - opened)
+            found = islice(ways(finger, line, moves), _WAYS)
             pinches.append(Pinch(finger, opened, [*found]))
     return pinches
 
@@ -107,24 +120,23 @@ def meet(
     motion: Motion, space: Space, joints: Joints, pinches: list[Pinch], tell: Tell
 ) -> list[tuple[str, Array]]:
     """Close pinches until both tips feel it; return which met, and all joints there [rad]."""
+
+    def is_pressed(finger: str) -> bool:
+        q, torque = motion.mean(_TURNS)
+        is_more = joints.meet(torque, space.weights(q))
+        # The thumb may meet another finger.
+        return all(is_more[space.chain(each)].any() for each in (THUMB, finger))
+
     met = []
     motion.go(space.home, APPROACH)
     for k, pinch in enumerate(pinches):
         tell(70.0 + 30.0 * k / len(pinches), f"thumb and {pinch.finger}")
-        chains = space.chain(THUMB), space.chain(pinch.finger)
-
-        def is_pressed(chains: tuple[Array, ...] = chains) -> bool:
-            q, torque = motion.mean(_TURNS)
-            is_more = joints.meet(torque, space.weights(q[None])[0])
-            # The thumb may meet another finger.
-            return all(is_more[chain].any() for chain in chains)
-
         motion.go(pinch.opened, _FREE)
         for first, near, beyond in pinch.ways:
             motion.go(first, _FREE)
             motion.go(near, _FREE)
             motion.rest()
-            if motion.go(beyond, _CLOSING, until=is_pressed):
+            if motion.go(beyond, _CLOSING, partial(is_pressed, pinch.finger)):
                 q, _ = motion.rest()
                 met.append((pinch.finger, space.posture(q)))
             motion.go(first, _FREE)
@@ -143,8 +155,7 @@ def with_encoders(
     lower = joints.lower + np.maximum(error, 0.0)
     upper = joints.upper + np.minimum(error, 0.0)
     fingers = np.array([finger for finger, _ in met])
-    off = {}
-    for name, _ in met:
-        mean = gaps[fingers == name].mean()
-        off[name] = round(float(mean), 4)
+    off = {
+        name: round(float(gaps[fingers == name].mean()), 4) for name in fingers.tolist()
+    }
     return joints._replace(encoder=error, lower=lower, upper=upper), off

@@ -7,7 +7,6 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import (
-    Hand,
     Names,
     ShapePairs,
     all_pairs,
@@ -19,7 +18,7 @@ from handmap_qp.ik import solve_by_daqp
 from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.se3 import Array
 from .driver import Health
-from .tuning import Delayed
+from .tuning import SIDES, Delayed
 
 _DELAY = 0.12
 """The longest delay [s]."""
@@ -27,7 +26,6 @@ _COUNT = 2.0 * np.pi / 4096
 """Resolution of encoders [rad]."""
 _NOISE = 0.002
 """Noise of torques, a share of the largest."""
-_SIDES = np.array([[-1.0], [1.0]])
 _NEAR = 0.02
 """Tips that are farther apart do not meet in a turn [m]."""
 
@@ -71,7 +69,9 @@ class Simulated:
         self.joint_names = tuple(n for n in hand.joint_names if n in joints)
         self._own = own = [*map(hand.joint_names.index, self.joint_names)]
         self.range = hand.limits[:, own]
-        self._tips = CollisionLimit(hand, _pinching(hand))
+        shapes, fingers, _ = all_pairs(hand)
+        pinching = paired(shapes, [*compress(pair_ends(shapes), fingers)])
+        self._tips = CollisionLimit(hand, ShapePairs(pinching, ()))
         self._placed = hand.configuration()
         self._random = random = np.random.default_rng(int(seed))
         n = len(own)
@@ -114,8 +114,8 @@ class Simulated:
         half, longest = 0.5 * self.backlash, self.stretch * self.effort
         held = np.where(self._moves, 1.0, self.sticks) * self.friction
         # Joints stand still between these torques.
-        ends = self.load() + _SIDES * held
-        slack = np.where(ends > 0.0, half, -half)
+        ends = self.load() + SIDES * held
+        slack = np.copysign(half, ends)
         least, most = slack + longest * _power(ends / self.effort, self.exponent)
         free = np.clip(self.q, goal - most, goal - least)
         free = np.where(effort > np.abs(ends).max(axis=0), free, self.q)
@@ -143,8 +143,7 @@ class Simulated:
         rows = nearing[:, columns], apart
         lower, upper = self.stops - np.clip(self.q, *self.stops)
         stiffness = np.diag(1.0 / self.stretch)
-        pull = stiffness @ step
-        found = solve_by_daqp(stiffness, -pull, lower, upper, rows)
+        found = solve_by_daqp(stiffness, -step / self.stretch, lower, upper, rows)
         return np.zeros_like(step) if found is None else found
 
     def stop(self) -> None:
@@ -154,12 +153,4 @@ class Simulated:
 
 def _power(values: Array, exponent: float) -> Array:
     """Return powers with the values' signs."""
-    return np.sign(values) * np.abs(values) ** exponent
-
-
-def _pinching(hand: Hand) -> ShapePairs:
-    """Return the pairs of shapes that pinch."""
-    shapes, fingers, _ = all_pairs(hand)
-    ends = [*compress(pair_ends(shapes), fingers)]
-    pinching = tuple(filter(None, fingers))
-    return ShapePairs(paired(shapes, ends), pinching)
+    return np.copysign(np.abs(values) ** exponent, values)

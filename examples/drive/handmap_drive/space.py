@@ -58,13 +58,14 @@ class Space:
         return full
 
     def weights(self, q: Array) -> Array:
-        """Return the torques that hold the hand's links by angles [rad]: [N m], shape (T, n)."""
-        at = map(self.hand.configuration_vector, self.posture(q))
-        torques = [
-            pin.computeGeneralizedGravity(self._weighted, self._data, each).copy()
-            for each in at
-        ]
-        return torques @ self.hand.joint_motion[:, self.own]
+        """Return the torques that hold the hand's links by angles [rad]: [N m], shape (..., n)."""
+
+        def torques(posture: Array) -> Array:
+            at = self.hand.configuration_vector(posture)
+            return pin.computeGeneralizedGravity(self._weighted, self._data, at)
+
+        held = np.apply_along_axis(torques, -1, self.posture(q))
+        return held @ self.hand.joint_motion[:, self.own]
 
     def chain(self, finger: str) -> Array:
         """Return which joints are those of a finger, shape (n,)."""
@@ -73,12 +74,10 @@ class Space:
 
     def is_free(self, start: Array, goal: Array, apart: float = APART) -> bool:
         """Return whether nothing touches on a line, even if joints are ahead by a share of it."""
-        hand = self.hand
         shares = 1.0 + apart * self._sides
-        ends = start + shares * (goal - start)
-        ends = np.clip(ends, *self.limits)
-        columns = hand.joint_columns[self.own]
-        moves = np.zeros((len(ends), len(self._touch.columns)))
-        moves[:, columns] = ends - start
-        at = hand.configuration_vector(self.posture(start))
-        return not any(self._touch.met_on(at, move) for move in moves)
+        ends = np.clip(start + shares * (goal - start), *self.limits)
+        begin = self.posture(start)
+        at = self.hand.configuration_vector(begin)
+        moves = self.posture(ends) - begin
+        order = self.hand.joint_columns.argsort()
+        return not any(self._touch.met_on(at, move) for move in moves[:, order])

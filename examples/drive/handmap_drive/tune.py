@@ -7,7 +7,6 @@ from threading import Event
 from time import monotonic, sleep
 from typing import Annotated, Any
 
-import msgspec
 from msgspec.structs import asdict, replace
 from tyro.conf import Positional
 
@@ -81,17 +80,14 @@ class Tune:
             with stopping(driver) as over, progress("tuning", 100) as tell:
                 motion = Motion(driver, effort, turns(driver.rate, over))
                 tuning = find_tuning(motion, hand, tell)
-        described = load_hand(self.hand).spec
-        spec = replace(tuned(described, tuning), name=self.out.stem)
+        spec = replace(tuned(hand.spec, tuning), name=self.out.stem)
         origin = Detection(spec, (), (f"tuned from {hand.name}",), {})
         write_hand(origin, self.out, by="`handmap tune`")
         files = [self.out]
         if self.picture:
             draw(self.picture, tuning, motion.log())
             files.append(self.picture)
-        print_result(
-            msgspec.to_builtins(tuning), tables(tuning), files, as_json=self.json
-        )
+        print_result(spec.tuning, tables(tuning), files, as_json=self.json)
 
 
 def turns(rate: float, over: Event) -> Iterator[float]:
@@ -125,12 +121,9 @@ def draw(path: Path, tuning: Tuning, log: Log) -> None:
     figure = require("matplotlib.figure", "plot").Figure(
         (3.0 * columns, 2.2 * rows), layout="constrained"
     )
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in grid[len(tuning.joints) :]:
-        axes.set_axis_off()
-    for axes, name, told, q in zip(
-        grid, tuning.joints, log.told.T, log.q.T, strict=False
-    ):
+    lines = zip(tuning.joints, log.told.T, log.q.T, strict=True)
+    for k, (name, told, q) in enumerate(lines, 1):
+        axes = figure.add_subplot(rows, columns, k)
         axes.axline((0.0, 0.0), slope=1.0, color="0.8")
         axes.plot(told, q, linewidth=0.6)
         axes.set_title(name, fontsize=9)

@@ -26,6 +26,8 @@ TORQUE = 0.01
 """Torques below this are none, as shares of the largest."""
 _MEETS = 0.02
 """Torque beyond friction and weights that says that something is in the way."""
+SIDES = np.array([[-1.0], [1.0]])
+"""To the lower and the upper end, shape (2, 1)."""
 _Least = Annotated[float, Meta(ge=0.0)]
 
 
@@ -75,11 +77,6 @@ class Joints(NamedTuple):
     upper: Array
     encoder: Array
     weight: Array
-
-    @property
-    def band(self) -> Array:
-        """How far they lag behind what they are told, without weights [rad]."""
-        return self.lag(1.0, 0.0)
 
     @property
     def range(self) -> Array:
@@ -149,27 +146,31 @@ def tuned(spec: HandSpec, tuning: Tuning, pushed: float = 0.0) -> HandSpec:
         tuning: What was found.
         pushed: Torque by which contacts push joints; both ends keep what they give way by.
     """
-    limits = dict(spec.limits)
-    rest = dict(spec.rest)
-    matched = dict(spec.matched or {})
     names = tuple(tuning.joints)
     joints = tuning.arrays(names)
-    width = joints.upper - joints.lower
     # Commands are ahead by the band, and a push goes through it and the play.
-    way = joints.band + 0.5 * joints.backlash + joints.stretch * pushed
+    way = joints.lag(1.0, 0.0) + 0.5 * joints.backlash + joints.stretch * pushed
+    width = joints.upper - joints.lower
     slack = np.minimum(way * (pushed > 0.0), 0.45 * width)
-    lowest = (joints.lower + slack).tolist()
-    highest = (joints.upper - slack).tolist()
-    for name, lower, upper in zip(names, lowest, highest, strict=True):
+    ends = joints.range - SIDES * slack
+    ranges = dict(zip(names, ends.T.tolist(), strict=True))
+    limits = dict(spec.limits)
+    for name, (lower, upper) in ranges.items():
         limit = limits.get(name, LimitSpec())
         limits[name] = replace(limit, lower=lower, upper=upper)
-        for posture in (rest, matched):
-            if name in posture:
-                kept_in = np.clip(posture[name], lower, upper)
-                posture[name] = float(kept_in)
-    found = msgspec.to_builtins(tuning)
+
+    def inside(posture: dict[str, float]) -> dict[str, float]:
+        return {
+            name: float(np.clip(at, *ranges.get(name, (at, at))))
+            for name, at in posture.items()
+        }
+
     return replace(
-        spec, limits=limits, rest=rest, matched=matched or None, tuning=found
+        spec,
+        limits=limits,
+        rest=inside(spec.rest),
+        matched=spec.matched and inside(spec.matched),
+        tuning=msgspec.to_builtins(tuning),
     )
 
 
@@ -237,16 +238,12 @@ class Compensated:
             step = np.inf
         goal = self._delayed(goal)
         away = goal - self._turn
-        turns = np.abs(away) > STILL
-        self._side = np.where(turns, np.sign(away), self._side)
+        self._side = np.where(np.abs(away) > STILL, np.sign(away), self._side)
         # It goes along, so that the way back begins where the way ended.
-        goes_along = away * self._side > 0.0
-        self._turn = np.where(turns | goes_along, goal, self._turn)
-        load = self._weights(goal[None])[0]
-        pulled = self._joints.command(goal, self._side, load)
+        self._turn = np.where(away * self._side > 0.0, goal, self._turn)
+        pulled = self._joints.command(goal, self._side, self._weights(goal))
         told = np.clip(pulled, *self._driver.range)
-        change = np.clip(told - self._told, -step, step)
-        self._told = self._told + change
+        self._told = np.clip(told, self._told - step, self._told + step)
         return self._told
 
     def stop(self) -> None:
