@@ -55,9 +55,12 @@ EFFECTS = *WEIGHTS, "stiction", "tendon", "lag", "jitter"
 PALM_DOWN = 0.0, 0.0, -1.0
 STRONGEST = 0.6
 """Largest torque of a motor, for the weights of links [N m]."""
-STICKS, SOFT, LATE = 1.4, 0.7, 0.2
-"""Friction at rest by that in motion; torque to the power of which tendons are longer; share of
-commands that come a turn late."""
+STICKS = 1.4
+"""Friction at rest by that in motion."""
+SOFT = 0.7
+"""Power of the torque by which tendons are longer."""
+LATE = 0.2
+"""Share of commands that come a turn late."""
 LAGS = 0.01, 0.03
 """Time constants of motors, least and largest [s]."""
 SETTLED = 1.0
@@ -107,7 +110,8 @@ class Motors(Simulated):
 @lru_cache(maxsize=6)
 def motion_of(hand: Hand, recording: str) -> np.ndarray:
     """Return a recording as it is mapped to a hand, by the turns of a loop [rad], shape (T, n)."""
-    time, q = map_recording(hand, recording)
+    file = Path(os.environ["HANDMAP_RECORDINGS"]) / f"{recording}.npz"
+    time, q = map_recording(hand, str(file))
     turns = np.arange(time[0], time[-1], 1.0 / Simulated.rate)
     return np.apply_along_axis(partial(np.interp, turns, time), 0, q)
 
@@ -115,12 +119,12 @@ def motion_of(hand: Hand, recording: str) -> np.ndarray:
 def follow(driver: Driver, motors: Simulated, q: np.ndarray) -> tuple[np.ndarray, ...]:
     """Tell motors a motion; return where joints are in truth, and as encoders tell it."""
     approach = np.linspace(motors.q, q[0], round(SETTLED * motors.rate))
-    true, seen = [], []
+    rows = []
     for goal in (*approach, *q):
         driver.write(goal, motors.effort)
-        true.append(motors.posture)
-        seen.append(motors.q)
-    return np.array(true)[len(approach) :], np.array(seen)
+        rows.append((motors.posture, motors.q))
+    true, seen = map(np.array, zip(*rows, strict=True))
+    return true[len(approach) :], seen
 
 
 def pinches(
@@ -152,12 +156,12 @@ def right(tuning: Tuning, motors: Simulated) -> dict[str, float]:
         true = getattr(motors, name)
         found = getattr(joints, name)
         allowed = np.maximum(0.1 * np.abs(true), floor)
-        shares[name] = float(np.mean(np.abs(found - true) <= allowed))
+        shares[f"{name} right"] = float(np.mean(np.abs(found - true) <= allowed))
     # The range in which it can be used: up to its stops, its limits, and what can be told.
     reached = motors.gain * motors.range + motors.zero
     true = np.clip(np.clip(reached, *motors.range), *motors.stops)
     width = np.ptp(motors.range, axis=0)
-    shares["range"] = float(np.mean(np.abs(joints.range - true) <= 0.1 * width))
+    shares["range right"] = float(np.mean(np.abs(joints.range - true) <= 0.1 * width))
     return shares
 
 
@@ -167,7 +171,7 @@ def beyond(motors: Simulated, seen: np.ndarray) -> float:
     return float(np.maximum(seen - high, low - seen).max())
 
 
-def measure(hand: Hand, seed: int, files: dict[str, str]) -> dict[str, Any]:
+def measure(hand: Hand, seed: int) -> dict[str, Any]:
     """Return a row about a hand with hidden parameters."""
     port = f"{hand.name}:{seed}"
     motors = Motors(port, hand.joint_names)
@@ -177,27 +181,28 @@ def measure(hand: Hand, seed: int, files: dict[str, str]) -> dict[str, Any]:
     told = [motors.told]
     row: dict[str, Any] = {"hand": hand.name, "seed": seed}
     row["ritual [s]"] = motion.count / motors.rate
-    row |= {f"{name} right": share for name, share in right(tuning, motors).items()}
+    row |= right(tuning, motors)
     row["fingers met"] = len(tuning.pinches)
     over = [beyond(motors, motion.log().q)]
     found = Hand(tuned(hand.spec, tuning), mount="fixed")
     is_down = "gravity" in motors.effects
     down = PALM_DOWN if is_down else ON_ITS_BACK
-    for recording, file in files.items():
-        asked = motion_of(hand, file)
+    for recording in RECORDINGS:
+        asked = motion_of(hand, recording)
         for when, mapped in (("before", hand), ("after", found)):
             driver = motors = Motors(port, hand.joint_names, down)
             if mapped is found:
                 weights = motors.space.weights if is_down else np.zeros_like
                 driver = Compensated(motors, tuning, weights)
-            q = motion_of(mapped, file)
+            q = motion_of(mapped, recording)
             true, seen = follow(driver, motors, q)
             row[f"{recording}: {when}"] = pinches(meter, asked, q, true)
             over.append(beyond(motors, seen))
             told.append(motors.told)
     row["told beyond limits"] = max(told)
     row["joints beyond: ritual"] = over[0]
-    row["as told"], row["compensated"] = max(over[1::2]), max(over[2::2])
+    row["as told"] = max(over[1::2])
+    row["compensated"] = max(over[2::2])
     return row
 
 
@@ -211,13 +216,11 @@ def main() -> None:
     given = parser.parse_args()
     Motors.effects = tuple(given.effects)
     warnings.simplefilter("ignore")
-    folder = Path(os.environ["HANDMAP_RECORDINGS"])
     rows = []
     for name in given.hands:
         hand = load_hand(name, mount="fixed")
-        files = {r: str(folder / f"{r}.npz") for r in RECORDINGS}
         for seed in given.seeds:
-            rows.append(measure(hand, seed, files))
+            rows.append(measure(hand, seed))
             print(rows[-1], flush=True)
     print(markdown_table(rows))
     before, after = (

@@ -24,7 +24,7 @@ from handmap_qp.errors import expect, warn
 from handmap_qp.hands import load_hand
 from .drive import HOTTEST, Loop
 from .driver import Driver
-from .running import effort_of, find_driver, stopping
+from .running import Effort, MotorsFile, effort_of, find_driver, stopping
 from .space import Space, Vector
 from .tuning import Compensated, read_tuning
 
@@ -108,12 +108,10 @@ class Drive:
     driver: str
     port: str
     source: Annotated[str, arg(name="from", metavar="HOST[:PORT]")] = "127.0.0.1"
-    motors: Annotated[Path | None, hinted("MOTORS.yaml", "(default: the driver's)")] = (
-        None
-    )
+    motors: MotorsFile = None
     tuning: Annotated[Path | None, hinted("HAND.yaml")] = None
     down: Annotated[Vector | None, hinted("X Y Z", "(default: not known)")] = None
-    effort: Annotated[float | None, hinted("SHARE", "(default: the table's)")] = None
+    effort: Effort = None
     temperature: float = HOTTEST
     deadman: bool = True
     keys: KeyFiles = None

@@ -25,8 +25,10 @@ _WEIGHT = 0.0005
 _ITERATIONS = 5
 _STEP = 1e-4
 """Change of a joint from which gaps' slopes are found [rad]."""
-_ERROR, _GAP = 0.03, 0.0003
-"""Errors of encoders [rad] and of gaps [m] that are expected."""
+_ERROR = 0.03
+"""Errors of encoders that are expected [rad]."""
+_GAP = 0.0003
+"""Errors of gaps that are expected [m]."""
 
 
 def fit_joint(log: Log, i: int, limit: float, weights: Array) -> tuple[float, ...]:
@@ -47,9 +49,8 @@ def fit_joint(log: Log, i: int, limit: float, weights: Array) -> tuple[float, ..
     time = log.time
     told = log.told[:, i]
     raw = log.torque[:, i]
-    size = np.abs(raw)
-    is_able = size < FULL * limit
-    pulls = np.sign(raw) * (is_able & (size > TORQUE))
+    is_able = np.abs(raw) < FULL * limit
+    pulls = np.sign(raw) * (is_able & (np.abs(raw) > TORQUE))
     is_pulled = _is_steady(pulls)
     q = _smooth(log.q[:, i])
     speed = np.gradient(q, time)

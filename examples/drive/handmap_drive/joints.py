@@ -15,8 +15,10 @@ from .tuning import SIDES, TORQUE, Joints
 
 _WIDE = 1.0
 """Speed of motions over the range [rad/s]."""
-_SLOW, _FAST = 0.08, 2.0
-"""Speeds of the motions through the play, and for the delay [rad/s]."""
+_SLOW = 0.08
+"""Speed of motions through the play [rad/s]."""
+_FAST = 2.0
+"""Speed of motions for the delay [rad/s]."""
 _SMALL = 0.15
 """Amplitude of small motions [rad]."""
 _BACK = 0.2
@@ -99,8 +101,7 @@ def _check(motion: Motion, space: Space, i: int) -> None:
     log = motion.log(start)
     moved = np.ptp(log.q, axis=0)
     pulled = np.abs(log.torque[:, i]).max()
-    told, q = log.told[:, i], log.q[:, i]
-    follows = np.cov(told, q)[0, 1]
+    follows = np.cov(log.told[:, i], log.q[:, i])[0, 1]
     most = moved.argmax()
     is_still = moved[most] < _MOVES
     is_weak = pulled < TORQUE

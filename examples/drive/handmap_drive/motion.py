@@ -47,7 +47,9 @@ class Motion:
     """
 
     def __init__(self, driver: Driver, effort: float, times: Iterator[float]) -> None:
-        self.driver, self.effort, self._times = driver, effort, times
+        self.driver = driver
+        self.effort = effort
+        self._times = times
         self._rows: list[tuple[float, Array, Array, Array]] = []
 
     def start(self, command: Callable[[Array], Array] = lambda goal: goal) -> None:

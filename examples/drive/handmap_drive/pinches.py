@@ -21,8 +21,10 @@ from .motion import Motion
 from .space import EXACT, TUNED, Space
 from .tuning import Joints, Tuning, tuned
 
-_WAYS, _TRIES = 6, 40
-"""Ways to close each pinch, and shifts of its joints that are tried for them."""
+_WAYS = 6
+"""Ways to close each pinch."""
+_TRIES = 40
+"""Shifts of its joints that are tried for them."""
 _SHIFT = 0.12
 """Standard deviation of the shifts [rad]."""
 _DEEP = 0.008
@@ -31,8 +33,10 @@ _NEAR = 0.008
 """Gap from which on fingers close slowly [m]."""
 _BEYOND = 0.8
 """How much farther than to the closed pinch fingers go until they meet, a share of the way."""
-_FREE, _CLOSING = 2.0, 0.2
-"""Speeds of fingers on free ways, and where they are going to meet [rad/s]."""
+_FREE = 2.0
+"""Speed of fingers on free ways [rad/s]."""
+_CLOSING = 0.2
+"""Speed of fingers that are going to meet [rad/s]."""
 _TURNS = 5
 """Turns over which torques count."""
 
@@ -129,18 +133,18 @@ def meet(
 
     met = []
     motion.go(space.home, APPROACH)
-    for k, pinch in enumerate(pinches):
-        tell(70.0 + 30.0 * k / len(pinches), f"thumb and {pinch.finger}")
-        motion.go(pinch.opened, _FREE)
-        for first, near, beyond in pinch.ways:
+    for k, (finger, opened, ways) in enumerate(pinches):
+        tell(70.0 + 30.0 * k / len(pinches), f"thumb and {finger}")
+        motion.go(opened, _FREE)
+        for first, near, beyond in ways:
             motion.go(first, _FREE)
             motion.go(near, _FREE)
             motion.rest()
-            if motion.go(beyond, _CLOSING, partial(is_pressed, pinch.finger)):
+            if motion.go(beyond, _CLOSING, partial(is_pressed, finger)):
                 q, _ = motion.rest()
-                met.append((pinch.finger, space.posture(q)))
+                met.append((finger, space.posture(q)))
             motion.go(first, _FREE)
-            motion.go(pinch.opened, _FREE)
+            motion.go(opened, _FREE)
         motion.go(space.home, _FREE)
     return met
 

@@ -32,10 +32,9 @@ def find_tuning(motion: Motion, hand: Hand, tell: Tell = lambda *_: None) -> Tun
     groups = free_groups(space, spans)
     # Not before: while this was planned, the hand may have been moved.
     motion.start()
-    start = np.clip(motion.goal, *space.limits)
     check_places(motion.goal, driver.joint_names, space.limits)
     expect(
-        space.is_free(start, space.home, EXACT),
+        space.is_free(np.clip(motion.goal, *space.limits), space.home, EXACT),
         "HAND",
         "fingers whose way to the open hand is free",
         advice="open the hand while it has no torque",

@@ -5,12 +5,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from signal import SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP, signal
 from threading import Event
+from typing import Annotated
 
+from handmap_qp.apps.arguments import hinted
 from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands import Names
 from . import DRIVERS
 from .driver import Driver, DriverError
 
+MotorsFile = Annotated[Path | None, hinted("MOTORS.yaml", "(default: the driver's)")]
+Effort = Annotated[float | None, hinted("SHARE", "(default: the driver's)")]
 _ENDING = SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGTSTP
 """Signals that end a drive. Ctrl-Z, too: it would leave motors alone with their last goal."""
 

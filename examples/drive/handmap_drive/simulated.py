@@ -111,7 +111,8 @@ class Simulated:
     def write(self, q: Array, effort: float) -> None:
         """See `Driver`."""
         goal = self.turned(q)
-        half, longest = 0.5 * self.backlash, self.stretch * self.effort
+        half = 0.5 * self.backlash
+        longest = self.stretch * self.effort
         held = np.where(self._moves, 1.0, self.sticks) * self.friction
         # Joints stand still between these torques.
         ends = self.load() + SIDES * held
@@ -120,7 +121,8 @@ class Simulated:
         free = np.clip(self.q, goal - most, goal - least)
         free = np.where(effort > np.abs(ends).max(axis=0), free, self.q)
         step = self._allowed(free - self.q)
-        self.q, self._moves = self.q + step, step != 0.0
+        self.q = self.q + step
+        self._moves = step != 0.0
         pull = goal - self.q
         tight = pull - np.clip(pull, -half, half)
         torque = self.effort * _power(tight / longest, 1.0 / self.exponent)

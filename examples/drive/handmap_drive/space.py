@@ -12,8 +12,10 @@ APART, TUNED, EXACT = 0.1, 0.03, 0.0
 """Share of a line by which a joint may be ahead of others: at first, once tuned, and never."""
 Vector = tuple[float, float, float]
 ON_ITS_BACK: Vector = 0.0, 0.0, 1.0
-_HOME, _LEAST = 0.15, 0.2
-"""What home keeps from the ends of a range: a share of it, and at least this much [rad]."""
+_HOME = 0.15
+"""What home keeps from the ends of a range, a share of it."""
+_LEAST = 0.2
+"""What it keeps at least [rad]."""
 
 
 class Space:
@@ -34,8 +36,7 @@ class Space:
     def __init__(self, hand: Hand, driver: Driver, down: Vector = ON_ITS_BACK) -> None:
         self.hand = hand
         self.own = own = [*map(hand.joint_names.index, driver.joint_names)]
-        limits = hand.limits[:, own]
-        self.limits = np.clip(limits, *driver.range)
+        self.limits = np.clip(hand.limits[:, own], *driver.range)
         low, high = self.limits
         width = high - low
         kept = np.clip(_HOME * width, _LEAST, 0.5 * width)
@@ -52,8 +53,7 @@ class Space:
 
     def posture(self, q: Array) -> Array:
         """Return all joints of the hand, those without a motor at rest [rad], shape (..., n)."""
-        leading = q.shape[:-1]
-        full = np.tile(self.hand.rest, (*leading, 1))
+        full = np.tile(self.hand.rest, (*q.shape[:-1], 1))
         full[..., self.own] = q
         return full
 

@@ -21,7 +21,7 @@ from handmap_qp.hands import load_hand
 from handmap_qp.output_files import check_output
 from .motion import Log, Motion
 from .ritual import find_tuning
-from .running import effort_of, find_driver, stopping
+from .running import Effort, MotorsFile, effort_of, find_driver, stopping
 from .tuning import Tuning, tuned
 
 
@@ -57,10 +57,8 @@ class Tune:
     driver: str
     port: str
     out: Annotated[Path, hinted("FILE.yaml", "(required)")]
-    motors: Annotated[Path | None, hinted("MOTORS.yaml", "(default: the driver's)")] = (
-        None
-    )
-    effort: Annotated[float | None, hinted("SHARE", "(default: the driver's)")] = None
+    motors: MotorsFile = None
+    effort: Effort = None
     picture: Annotated[Path | None, hinted("FILE.png")] = None
     overwrite: bool = False
     json: bool = False
@@ -83,10 +81,9 @@ class Tune:
         spec = replace(tuned(hand.spec, tuning), name=self.out.stem)
         origin = Detection(spec, (), (f"tuned from {hand.name}",), {})
         write_hand(origin, self.out, by="`handmap tune`")
-        files = [self.out]
         if self.picture:
             draw(self.picture, tuning, motion.log())
-            files.append(self.picture)
+        files = filter(None, (self.out, self.picture))
         print_result(spec.tuning, tables(tuning), files, as_json=self.json)
 
 

@@ -154,10 +154,10 @@ def tuned(spec: HandSpec, tuning: Tuning, pushed: float = 0.0) -> HandSpec:
     slack = np.minimum(way * (pushed > 0.0), 0.45 * width)
     ends = joints.range - SIDES * slack
     ranges = dict(zip(names, ends.T.tolist(), strict=True))
-    limits = dict(spec.limits)
-    for name, (lower, upper) in ranges.items():
-        limit = limits.get(name, LimitSpec())
-        limits[name] = replace(limit, lower=lower, upper=upper)
+    limits = {
+        name: replace(spec.limits.get(name, LimitSpec()), lower=lower, upper=upper)
+        for name, (lower, upper) in ranges.items()
+    }
 
     def inside(posture: dict[str, float]) -> dict[str, float]:
         return {
@@ -167,7 +167,7 @@ def tuned(spec: HandSpec, tuning: Tuning, pushed: float = 0.0) -> HandSpec:
 
     return replace(
         spec,
-        limits=limits,
+        limits={**spec.limits, **limits},
         rest=inside(spec.rest),
         matched=spec.matched and inside(spec.matched),
         tuning=msgspec.to_builtins(tuning),
