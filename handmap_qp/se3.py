@@ -297,6 +297,14 @@ def _measure(poses: Array) -> tuple[Array, ...]:
     return is_pose, is_placed, defects, volumes
 
 
+def is_real(value: Any) -> bool:
+    """Return whether a value is one finite real number; False for texts, arrays and None."""
+    return (
+        isinstance(value, int | float | np.integer | np.floating)
+        and abs(value) < math.inf
+    )
+
+
 def as_floats(
     value: Any,
     name: str,

@@ -78,7 +78,7 @@ def service_address(name: str, host: str) -> str:
 
     Args:
         name: Name of the argument, for the error.
-        host: `HOST`, `HOST:PORT` or `[IPv6]:PORT`, also after `tcp://`.
+        host: `HOST`, `HOST:PORT`, `IPv6` or `[IPv6]:PORT`, also after `tcp://`.
 
     Raises:
         InvalidInputError: If there is no such host or port.
@@ -86,7 +86,7 @@ def service_address(name: str, host: str) -> str:
     text = host.removeprefix("tcp://")
     place, _, port = (
         text.rpartition(":")
-        if ":" in text.rpartition("]")[2]
+        if ":" in text.rpartition("]")[2] and not _address(text)
         else (text, "", str(REQUESTS_PORT))
     )
     with naming(name, f"unknown host {place!r}", value=host):

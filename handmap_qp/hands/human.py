@@ -81,9 +81,9 @@ class HumanLengths(ArrayStruct, frozen=True):
             [m].
 
     Raises:
-        InvalidInputError: On a wrong shape, a number that is not finite, a bone that is not longer
-            than 0, a finger whose MCP joint is not distal of the wrist, an index finger that is
-            not at the -x side of the little one, or a roll that is too large.
+        InvalidInputError: On a wrong shape, a number that is not finite, a bone that is shorter
+            than 0.1 mm or longer than 1 m, a finger whose MCP joint is not distal of the wrist, an
+            index finger that is not at the -x side of the little one, or a roll that is too large.
     """
 
     bases: Array
@@ -98,18 +98,38 @@ class HumanLengths(ArrayStruct, frozen=True):
         bases = self.bases
         segments = self.segments
         rolls = self.rolls
-        bone = segments.min()
-        whole = "bones that are all longer than 0"
-        expect(bone > 0.0, "segments", whole, value=segments, got=f"{bone:.6g} m")
+        shortest = segments.min()
+        longest = np.abs((bases, segments)).max()
+        expect(
+            1e-4 <= shortest <= longest <= 1.0,
+            "segments",
+            "bones of 0.1 mm to 1 m",
+            value=segments,
+            got=f"{shortest:.6g} to {longest:.6g} m",
+        )
         knuckle = bases[1:, 1].min()
-        distal = "MCP joints distal (+y) of the wrist"
-        expect(knuckle > 0.0, "bases", distal, value=bases, got=f"y = {knuckle:.6g} m")
-        is_right = bases[1, 0] < bases[4, 0]
-        right = "a right hand, with the index finger at the -x side of the little one"
-        expect(is_right, "bases", right, value=bases, got="a left one: mirror it")
+        expect(
+            knuckle > 0.0,
+            "bases",
+            "MCP joints distal (+y) of the wrist",
+            value=bases,
+            got=f"y = {knuckle:.6g} m",
+        )
+        expect(
+            bases[1, 0] < bases[4, 0],
+            "bases",
+            "a right hand, with the index finger at the -x side of the little one",
+            value=bases,
+            got="a left one: mirror it",
+        )
         roll = np.abs(rolls).max()
-        small = "angles within 45 degrees of 0"
-        expect(roll <= LARGEST_ROLL, "rolls", small, value=rolls, got=f"{roll:.3g} rad")
+        expect(
+            roll <= LARGEST_ROLL,
+            "rolls",
+            "angles within 45 degrees of 0",
+            value=rolls,
+            got=f"{roll:.3g} rad",
+        )
 
     def palm(self, side: Side) -> Array:
         """Return wrist and knuckles of a hand of a side in its palm frame [m], shape (5, 3)."""
@@ -140,7 +160,7 @@ class HumanLengths(ArrayStruct, frozen=True):
                 glove trackers report them.
 
         Raises:
-            InvalidInputError: If a length is not a number > 0.
+            InvalidInputError: If a length is not one from 1 mm to 1 m.
         """
         length = _checked_length(hand_length, "hand_length")
         breadth = _BREADTH_OVER_LENGTH * length
@@ -261,7 +281,7 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
 
 def _checked_length(value: float, name: str) -> float:
     length = float(as_floats(value, name, shape=()))
-    expect(0.0 < length < math.inf, name, "a length > 0 in metres", value=value)
+    expect(1e-3 <= length <= 1.0, name, "0.001 to 1, in metres", value=value)
     return length
 
 

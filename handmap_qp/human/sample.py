@@ -19,7 +19,14 @@ import numpy as np
 from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands import FINGERS, Hand, Names, Side
-from handmap_qp.se3 import Array, as_floats, check_pose, frozen, transform_points
+from handmap_qp.se3 import (
+    Array,
+    as_floats,
+    check_pose,
+    frozen,
+    is_real,
+    transform_points,
+)
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
@@ -87,9 +94,7 @@ class HumanSample:
 
     def __post_init__(self) -> None:
         """Check the values, and replace arrays by read-only copies."""
-        is_number = isinstance(self.time, int | float | np.number)
-        is_finite = is_number and math.isfinite(self.time)
-        expect(is_finite, "time", "a finite instant", value=self.time)
+        expect(is_real(self.time), "time", "a finite instant", value=self.time)
         check_side(self.side)
         landmarks = as_floats(
             self.landmarks, "landmarks", shape=(LANDMARK_COUNT, 3), is_finite=self.valid
@@ -99,7 +104,12 @@ class HumanSample:
             wrist = check_pose(self.wrist, "wrist").copy()
             object.__setattr__(self, "wrist", frozen(wrist))
         share = self.confidence
-        expect(0.0 <= share <= 1.0, "confidence", "a number from 0 to 1", value=share)
+        expect(
+            is_real(share) and 0.0 <= share <= 1.0,
+            "confidence",
+            "a number from 0 to 1",
+            value=share,
+        )
 
 
 def check_side(side: Any) -> None:

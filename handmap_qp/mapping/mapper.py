@@ -32,6 +32,7 @@ from handmap_qp.se3 import (
     as_points,
     check_pose,
     inverse_pose,
+    is_real,
     rigid_fit,
     transform_points,
 )
@@ -703,6 +704,6 @@ def check_dt(dt: float) -> float:
     Raises:
         InvalidInputError: With the argument `dt`.
     """
-    if not (isinstance(dt, int | float) and 0.0 < dt < np.inf):
+    if not (is_real(dt) and dt > 0.0):
         raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
     return dt

@@ -350,7 +350,7 @@ def test_left_hand_is_the_scaled_right_hand_mirrored() -> None:
         ({"bases": DEFAULT.bases * [-1, 1, 1]}, "a left one: mirror it"),
         ({"bases": DEFAULT.bases * [1, -1, 1]}, "distal"),
         ({"bases": "wide"}, "bases: expected finite numbers"),
-        ({"segments": np.zeros((5, 3))}, "bones that are all longer than 0"),
+        ({"segments": np.zeros((5, 3))}, "bones of 0.1 mm to 1 m"),
         ({"segments": np.full((5, 3), np.inf)}, "segments: expected finite"),
         ({"segments": np.ones((3, 5))}, "segments: expected finite numbers of shape"),
         ({"rolls": np.zeros(4)}, "rolls: expected finite numbers of shape"),
@@ -366,7 +366,17 @@ def test_bad_lengths(change: dict[str, Any], message: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "lengths", [(0.0,), (-0.19,), (np.nan,), (np.inf,), (0.19, 0.0), (0.19, np.nan)]
+    "lengths",
+    [
+        (0.0,),
+        (1e-320,),
+        (190.0,),
+        (-0.19,),
+        (np.nan,),
+        (np.inf,),
+        (0.19, 0.0),
+        (0.19, np.nan),
+    ],
 )
 def test_bad_hand_length(lengths: tuple[float, ...]) -> None:
     with pytest.raises(InvalidInputError, match="metres"):

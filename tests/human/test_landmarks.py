@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from handmap_qp import (
     Hand,
     HumanLengths,
+    HumanSample,
     InvalidInputError,
     Recording,
     load_hand,
@@ -313,3 +314,15 @@ def test_a_first_sample_of_any_posture_is_fitted_exactly(seed: int) -> None:
     q, pose = LandmarkFitter("right").fit(landmarks)
     assert errors_of(hand, q, pose, landmarks).max() < 1e-3
     np.testing.assert_allclose(pose, np.eye(4), atol=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [None, "1", [0.5], np.array([0.5]), 1j])
+@pytest.mark.parametrize("name", ["time", "confidence"])
+def test_a_sample_has_numbers_for_time_and_confidence(name: str, wrong: Any) -> None:
+    landmarks = np.zeros((21, 3))
+    single: dict[str, Any] = {"time": np.float32(1.0), "confidence": np.float32(0.5)}
+    HumanSample(side="right", landmarks=landmarks, **single)
+    values: dict[str, Any] = {"time": 0.0, name: wrong}
+    with pytest.raises(InvalidInputError) as error:
+        HumanSample(side="right", landmarks=landmarks, **values)
+    assert error.value.argument == name

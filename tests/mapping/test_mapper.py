@@ -319,6 +319,7 @@ def test_a_fixed_wrist_takes_no_rigid_part() -> None:
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_time_step_must_be_positive(dt: float) -> None:
+    HandMapper(HUMAN, THREE, "paper", dt=np.float32(0.01))  # ty: ignore[invalid-argument-type]
     with pytest.raises(InvalidInputError):
         HandMapper(HUMAN, THREE, "paper").map_step(HUMAN.rest, np.eye(4), dt=dt)
 

@@ -6,6 +6,7 @@ import asyncio
 import io
 import json
 import logging
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,13 +26,14 @@ from service_tools import (
     streamed,
 )
 
-from handmap_qp.apps.service.dispatch import Dispatcher
+from handmap_qp.apps.service.dispatch import Dispatcher, decode_request
 from handmap_qp.apps.service.logs import JsonLines, Metrics, log
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.sessions import LEASE, Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore, Record
-from handmap_qp.client.messages import PROTOCOL, Command, Request, Status
+from handmap_qp.apps.service.websocket import _from_json
+from handmap_qp.client.messages import PROTOCOL, Command, Error, Request, Status
 
 
 class Desk:
@@ -221,3 +223,33 @@ def test_postures_are_noted_at_each_command_only_with_a_file(
         assert found is not None
         assert found.q == tuple(last["q"])
         here.sessions.close()
+
+
+@pytest.mark.parametrize(
+    ("message", "field", "said"),
+    [
+        (
+            '{"type": "step", "seq": 1, "protocol": 2, "hands": {"middle": {}}}',
+            "hands",
+            "enum value 'middle'",
+        ),
+        ('{"type": "configure", "ik": {"": ', "", "data was truncated"),
+        ('{"type": "status", "seq": NaN}', "", "JSON is malformed"),
+        (
+            '{"type": "stop", "seq": 1, "protocol": 1}',
+            "protocol",
+            "expected version 2, got 1",
+        ),
+        (
+            '{"type": "status", "seq": 1, "protocol": 3}',
+            "protocol",
+            "version 1 or 2, got 3",
+        ),
+    ],
+)
+def test_an_answer_says_what_was_wrong(message: str, field: str, said: str) -> None:
+    reply = decode_request(_from_json(message))
+    assert isinstance(reply, Error)
+    assert reply.field == field
+    assert re.search(said, reply.message)
+    assert "MessagePack" not in reply.message

@@ -39,7 +39,7 @@ from service_tools import (
 from zmq.auth import load_certificate
 
 from handmap_qp import cli
-from handmap_qp.apps.addresses import bare_host
+from handmap_qp.apps.addresses import bare_host, service_address
 from handmap_qp.apps.service import logs
 from handmap_qp.apps.service import server as server_module
 from handmap_qp.apps.service.cli import SCHEMAS
@@ -100,7 +100,7 @@ def test_a_file_that_is_no_key_is_to_be_deleted_first(
     ):
         read_server_keys(tmp_path)
     make_keys(tmp_path, [])
-    assert len(read_server_keys(tmp_path).secret) == 40
+    assert len(read_server_keys(tmp_path)[1]) == 40
 
 
 def test_a_client_that_was_shut_out_is_admitted_again(
@@ -571,3 +571,16 @@ def test_other_processes_cannot_pass_by_the_gate() -> None:
     with serving() as server:
         command = [sys.executable, "-c", code, server._gate.inner]
         assert subprocess.check_output(command, timeout=PATIENCE) == b"0\n"
+
+
+@pytest.mark.parametrize(
+    ("host", "address"),
+    [
+        ("::1", "tcp://::1:5570"),
+        ("[::1]", "tcp://[::1]:5570"),
+        ("[::1]:99", "tcp://[::1]:99"),
+        ("127.0.0.1:99", "tcp://127.0.0.1:99"),
+    ],
+)
+def test_a_service_may_be_at_an_address_of_ipv6(host: str, address: str) -> None:
+    assert service_address("to", host) == address

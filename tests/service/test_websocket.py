@@ -217,7 +217,8 @@ def test_pages_from_elsewhere_may_not_connect(
 
 def test_a_token_is_asked_for(tmp_path: Path) -> None:
     with serving(**WEB, web_token_file=token_file(tmp_path, TOKEN)) as server:
-        for headers in ({}, {"Authorization": "Bearer something-else-altogether"}):
+        others = "Bearer something-else-altogether", "Bearer \u00fc"
+        for headers in ({}, *({"Authorization": other} for other in others)):
             with pytest.raises(InvalidStatus) as raised:
                 run(nothing, server, additional_headers=headers)
             assert raised.value.response.status_code == 401

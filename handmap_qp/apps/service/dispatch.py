@@ -71,6 +71,8 @@ class _Head(msgspec.Struct):
         return self.seq if type(self.seq) is int and 0 <= self.seq <= 2**53 else 0
 
 
+NO_VALUE = b"\xc1"
+"""The byte that begins no value in msgpack."""
 # Invalid UTF-8 and excessive nesting raise errors other than msgspec's.
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
 _decode = msgspec.msgpack.Decoder(AnyRequest).decode
@@ -99,14 +101,19 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
         message, path = _explain(error)
         return Error(seq=head.number, code="invalid", message=message, field=path)
     except _UNREADABLE as error:
-        return Error(code="invalid", message=f"not a message: {error}"[:200])
+        # A transport that could not read a message says why behind that byte.
+        why = str(error)
+        if payload.startswith(NO_VALUE):
+            why = payload[1:].decode(errors="replace")
+        return Error(code="invalid", message=f"not a message: {why}"[:200])
     is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
     if not request or is_newer:
+        wanted = [_STOP_PROTOCOL] if is_newer else known
         return Error(
             seq=head.number,
             code="protocol",
             field="protocol",
-            message=f"expected version {' or '.join(map(str, known))}, got {head.protocol}",
+            message=f"expected version {' or '.join(map(str, wanted))}, got {head.protocol}",
             protocols=known,
         )
     for place, message in _wrong_poses(request):
@@ -119,7 +126,10 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
 
     msgspec only has a text, such as "Expected `float`, got `str` - at `$.q[1]`".
     """
-    message, *places = str(error).rsplit(" - at `$", 1)
+    # That of a key is "- at `key` in `$.hands`".
+    message, *places = (
+        str(error).replace(" - at `key` in `$", " - at `$").rsplit(" - at `$", 1)
+    )
     path = "".join(places).rstrip("`").lstrip(".")
     if not path:
         path = "".join(re.findall(r"field `(\w+)`$", message))
@@ -295,8 +305,11 @@ class Dispatcher:
         """Subscribe a connection to the stream of a session, as everyone may."""
         self.sessions.named(request.name)
         if not subscribe:
-            message = "connect a SUB socket to the stream's port instead"
-            raise RefusedError("invalid", message, field="type")
+            raise RefusedError(
+                "invalid",
+                "connect a SUB socket to the stream's port instead",
+                field="type",
+            )
         subscribe(request.name)
 
     def _answer(self, request: AnyRequest, payload: bytes) -> AnyReply | None:
@@ -308,8 +321,12 @@ class Dispatcher:
         session = self.sessions.find(request.session)
         if request.seq == session.seq and payload == session.payload:
             return session.answer
-        message = f"expected a number above {session.seq}, got {request.seq}"
-        refuse_if(request.seq <= session.seq, message, "seq", "stale")
+        refuse_if(
+            request.seq <= session.seq,
+            f"expected a number above {session.seq}, got {request.seq}",
+            "seq",
+            "stale",
+        )
         session.seq = request.seq
         session.payload = payload
         session.answer = self._attempt(self._act, request, session)

@@ -9,7 +9,6 @@ from collections.abc import KeysView, Sequence
 from contextlib import suppress
 from logging import INFO, WARNING
 from pathlib import Path
-from typing import NamedTuple
 
 from zmq.auth import create_certificates, load_certificate
 
@@ -19,13 +18,6 @@ from .logs import Throttle, report
 
 _KEY_LENGTH = 40
 """Length of a key as Z85."""
-
-
-class ServerKeys(NamedTuple):
-    """The public and the secret key of a server, Z85."""
-
-    public: bytes
-    secret: bytes
 
 
 class ClientKeys:
@@ -122,8 +114,8 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
     return written
 
 
-def read_server_keys(folder: Path) -> ServerKeys:
-    """Read the server's keys.
+def read_server_keys(folder: Path) -> tuple[bytes, bytes]:
+    """Read the server's public and secret key, Z85.
 
     Raises:
         InvalidInputError: If they do not exist, or others can read them.
@@ -141,7 +133,7 @@ def read_server_keys(folder: Path) -> ServerKeys:
     with suppress(ValueError, IndexError):
         public, secret = load_certificate(file)
         if secret and len(public) == len(secret) == _KEY_LENGTH:
-            return ServerKeys(public, secret)
+            return public, secret
     raise InvalidInputError(
         argument=str(file),
         expected="a server's secret key",

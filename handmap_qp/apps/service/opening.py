@@ -89,7 +89,6 @@ MOST_ITERATIONS = 20
 _CACHED_HANDS = 32
 _PERIOD = 1.0 / 60.0
 """Usual time between the samples [s]; gaps are medians over 0.1 s."""
-_LONGEST_BONE = 1.0
 _LONGEST_MESSAGE = 400
 _FIELDS = {"human_q": "q", "wrist_pose": "wrist", "method": "preset"} | {
     name: name for name in (*Open.__struct_fields__, *Step.__struct_fields__)
@@ -354,9 +353,6 @@ def _human_lengths(request: Open) -> HumanLengths | None:
     if given is None:
         return None if length is None else HumanLengths.from_hand_length(length)
     refuse_if(length is not None, "give hand_length or lengths, not both", "lengths")
-    bones = np.linalg.norm((given.bases, given.segments), axis=2)
-    is_hand = ((bones > 0.0) & (bones < _LONGEST_BONE)).all()
-    refuse_if(not is_hand, "expected lengths between 0 and 1 m", "lengths")
     return HumanLengths(*structs.astuple(given))
 
 

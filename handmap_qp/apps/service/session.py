@@ -469,8 +469,7 @@ class Session:
             self._following = FollowingCheck(self.robot, *limits)
         q = np.array(request.measured_q)
         with naming_field("measured_q"):
-            is_driver = isinstance(request, Measured)
-            self._following.measure(q, now, goes_on=is_driver)
+            self._following.measure(q, now, goes_on=isinstance(request, Measured))
         self._measured = np.clip(q, *self.robot.limits)
 
     def configure(self, request: Configure) -> None:
@@ -479,8 +478,9 @@ class Session:
         Raises:
             RefusedError: With the option at fault. The session is then unchanged.
         """
-        preset = self._hands.choice.preset
-        self._choose(self._hands, reopened(self.request, preset, request))
+        self._choose(
+            self._hands, reopened(self.request, self._hands.choice.preset, request)
+        )
 
     def reset(self, request: Reset, now: float) -> None:
         """Start again.
@@ -514,9 +514,11 @@ class Session:
                 q, _ = check_joints(
                     self.robot, request.robot_q, "robot_q", START_TOLERANCE
                 )
-        is_moved = request.robot_wrist is not None and not self.robot.is_floating
-        message = f"{self.robot.name} has a fixed wrist: leave it out"
-        refuse_if(is_moved, message, "robot_wrist")
+        refuse_if(
+            request.robot_wrist is not None and not self.robot.is_floating,
+            f"{self.robot.name} has a fixed wrist: leave it out",
+            "robot_wrist",
+        )
         return q, wrist if request.robot_wrist is None else request.robot_wrist.matrix
 
     def _place(
@@ -549,8 +551,11 @@ class Session:
 
     def _prepare_to_engage(self) -> None:
         """Refuse while a stop is in force; go on from where a robot is that did not follow."""
-        message = f"the robot was stopped: clear the stop {self._stop} first"
-        refuse_if(self._state.is_stopped, message, code="stopped")
+        refuse_if(
+            self._state.is_stopped,
+            f"the robot was stopped: clear the stop {self._stop} first",
+            code="stopped",
+        )
         if self._is_lost:
             self._is_lost = False
             self._be_where_measured()
@@ -640,8 +645,8 @@ class Session:
             self._reset_mapper()
         mapper = self._hands.mapper
         motion = self._commanded.motion
-        is_led = motion is mapper.motion
-        is_led = is_led or all(map(np.array_equal, motion, mapper.motion))
+        former = mapper.motion
+        is_led = motion is former or all(map(np.array_equal, motion, former))
         if not (self._is_slewing or is_led):
             # It may have braked meanwhile, or a sample was refused half-way.
             mapper.motion = motion

@@ -119,8 +119,12 @@ class Sessions:
         if session := self.by_secret.get(secret):
             session.last_request = self.clock()
             return session
-        is_taken = self._ended.get(secret) == "taken"
-        refuse_if(is_taken, "another client took this session over", "session", "taken")
+        refuse_if(
+            self._ended.get(secret) == "taken",
+            "another client took this session over",
+            "session",
+            "taken",
+        )
         raise RefusedError("no_session", "no such session; open one", field="session")
 
     def named(self, name: str) -> Session:
@@ -269,10 +273,17 @@ class Sessions:
             "time_from",
             "denied",
         )
-        opening = f"session {name!r} is being opened"
-        refuse_if(name in self._opening.values(), opening, "name", "busy")
-        opening = "a session with this secret is being opened"
-        refuse_if(request.session in self._opening, opening, code="busy")
+        refuse_if(
+            name in self._opening.values(),
+            f"session {name!r} is being opened",
+            "name",
+            "busy",
+        )
+        refuse_if(
+            request.session in self._opening,
+            "a session with this secret is being opened",
+            code="busy",
+        )
         refuse_if(
             last and not request.restore,
             f"session {name!r} exists: restore=true takes it over",
@@ -292,8 +303,9 @@ class Sessions:
 
     def _find_named(self, name: str | None) -> Session | None:
         """Return the open session of a name, if there is one."""
-        named = (each for each in self.by_secret.values() if each.name == name)
-        return next(named, None)
+        return next(
+            (each for each in self.by_secret.values() if each.name == name), None
+        )
 
     def _check_owner(self, request: Open, by: Caller) -> None:
         """Refuse a name to a client that must not have it, or must not yet."""

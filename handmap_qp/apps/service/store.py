@@ -136,8 +136,11 @@ class PostureStore:
         """
         record = self.records.get(name)
         if record and (record.robot != robot or len(record.q) != joints):
-            message = f"the last session {name!r} moved {record.robot}, not {robot}"
-            raise RefusedError("invalid", message, field="restore")
+            raise RefusedError(
+                "invalid",
+                f"the last session {name!r} moved {record.robot}, not {robot}",
+                field="restore",
+            )
         return record
 
     def close(self) -> None:

@@ -31,7 +31,7 @@ from websockets.typing import Subprotocol
 
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import InvalidInputError
-from .dispatch import Dispatcher
+from .dispatch import NO_VALUE, Dispatcher
 from .logs import report, websocket_log
 from .pages import page_response
 from .safety import Bucket
@@ -118,7 +118,9 @@ class WebSocketTransport:
                 for each in offered
             ]
             token = self.token.encode()
-            is_admitted = any(hmac.compare_digest(v.encode(), token) for v in given)
+            is_admitted = any(
+                hmac.compare_digest(v.encode(errors="replace"), token) for v in given
+            )
             refusal = http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n"
         else:
             is_admitted = all(
@@ -272,12 +274,11 @@ def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
 
 
 def _from_json(message: str) -> bytes:
-    """Return a message as msgpack; what is not JSON becomes what is not msgpack either."""
+    """Return a message as msgpack; what is not JSON becomes the reason, behind `NO_VALUE`."""
     try:
         return msgspec.msgpack.encode(msgspec.json.decode(message))
-    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):
-        # The byte that begins no value in msgpack.
-        return b"\xc1"
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
+        return NO_VALUE + str(error).encode()
 
 
 def _as_json(payload: bytes) -> str:
