@@ -116,6 +116,8 @@ class Score:
         }
         for source in SOURCES:
             about[f"poses: {source.name}"] = f"{source.licence}, {source.credit}"
+        if not self.peers:
+            about["peers"] = "not run; `make peers` in a checkout, then --peers"
         wanted = self._wanted(HANDS[: amount.hands], about)
         make_folder(self.out, "--out")
         scores = []
@@ -172,15 +174,11 @@ class Score:
 
 def mappings_of(request: Compare, about: Values) -> list[ComparedMethod]:
     """Return the mappings of a hand, and write down why peers are left out."""
-    if not request.peers:
-        about["peers"] = "not run; `make peers` in a checkout, then --peers"
-        return methods_of(request)
     try:
         return methods_of(request)
     except OutsideError as error:
-        about[f"peers on {request.robot}"] = f"left out: {error}"
-        known = own_methods()
-        own = [name for name in request.methods if base_name(name) in known]
+        own = [name for name in request.methods if base_name(name) in own_methods()]
         if request.methods and not own:
             raise
+        about[f"peers on {request.robot}"] = f"left out: {error}"
         return methods_of(replace(request, methods=tuple(own), peers=False))

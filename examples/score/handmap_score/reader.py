@@ -15,18 +15,19 @@ _ALIKE = 99.0
 """Gestures nearer than this percentile of one shown twice are the same gesture to the reader."""
 
 
-def signs(hand: HandTrace, fingers: Names) -> Array:
-    """Return what a reader looks at of k fingers, shape (T, 9 k).
+def signs(hand: HandTrace) -> Array:
+    """Return what a reader looks at of a hand with k fingers, shape (T, 9 k).
 
     In palm axes: the vectors from knuckle to tip and from the first finger's tip (the thumb's, if
     there is one) to every tip, both as a share of the straight finger's length, and the directions
     of the last bones.
     """
-    chosen = [hand.names.index(name) for name in fingers]
-    knuckle, middle, tip = np.moveaxis(hand.local[:, chosen], 2, 0)
-    spans = np.array([tip - knuckle, tip - tip[:, :1]]) / hand.reach[chosen, None]
-    seen = np.array([*spans, unit(tip - middle)])
-    return seen.swapaxes(0, 1).reshape(len(tip), -1)
+    knuckle, middle, tip = np.moveaxis(hand.local, 2, 0)
+    reach = hand.reach[:, None]
+    from_knuckle = (tip - knuckle) / reach
+    from_first = (tip - tip[:, :1]) / reach
+    seen = np.hstack([from_knuckle, from_first, unit(tip - middle)])
+    return seen.reshape(len(tip), -1)
 
 
 class Reader:
@@ -48,8 +49,8 @@ class Reader:
 
     def __init__(self, source: Source, side: Side, fingers: Names) -> None:
         self._names = names = read_gestures(source).names
-        self._fingers = fingers
-        seen = signs(people(source, side), fingers)
+        shown = people(source, side)
+        seen = signs(shown.part(np.arange(len(shown.points)), fingers))
         rounds = seen.reshape(-1, len(names), seen.shape[1])
         self._means = rounds.mean(axis=0)
         changes = lengths(np.diff(rounds, axis=0))
@@ -67,14 +68,14 @@ class Reader:
         What all of them have in common, such as a thumb that is set elsewhere, is overlooked.
 
         Args:
-            hand: The hand, a sample for each time that it shows one.
+            hand: The reader's fingers of a hand, a sample for each time that it shows one.
             shown: What it means to show in each.
 
         Returns:
             What each is taken for: the gesture itself if one that counts as the same.
         """
         wanted = [self._names.index(name) for name in shown]
-        seen = signs(hand, self._fingers)
+        seen = signs(hand)
         seen += (self._means[wanted] - seen).mean(axis=0)
         named = cdist(seen, self._means).argmin(axis=1)
         is_right = self.same[wanted, named]
