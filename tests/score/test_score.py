@@ -18,8 +18,17 @@ from handmap_score.gestures import (
     perform,
     read_gestures,
 )
+from handmap_score.pages import votes_page
 from handmap_score.reader import Reader
-from handmap_score.scoring import LEVEL, HandScore, parts_of, rank, score_hand, score_of
+from handmap_score.scoring import (
+    LEVEL,
+    HandScore,
+    Ranking,
+    parts_of,
+    rank,
+    score_hand,
+    score_of,
+)
 from patience import wait_until
 from scipy.stats import norm, ttest_rel
 
@@ -149,7 +158,8 @@ def test_perfect_robot_is_read_and_a_still_one_is_not(
         f"refuse on {source.name}, seed 4: not today" for source in SOURCES
     ]
     assert scored.ranking == rank(np.array([first.scores, second.scores]))
-    assert scored.ranking.agreeing == 2
+    # Without one of two seeds, nothing is told apart.
+    assert (scored.ranking.apart, scored.ranking.agreeing) == (0, 0)
     # The pictures' joints are those of the mappings in their order.
     for row in scored.sheet:
         np.testing.assert_array_equal(row.q[1], human.rest)
@@ -184,8 +194,11 @@ def test_hand_without_a_thumb_is_read_too() -> None:
 def test_places_are_shared_unless_seeds_tell_mappings_apart() -> None:
     rng = np.random.default_rng(0)
     means = np.array([90.0, 89.9, 60.0, 20.1, 20.0])[:, None]
-    ranking = rank(means + rng.normal(0.0, 1.0, (5, 6)))
-    assert (ranking.places, ranking.agreeing) == ([1, 1, 3, 4, 4], 6)
+    scores = means + rng.normal(0.0, 1.0, (5, 6))
+    # Without any of six seeds, eight pairs are apart.
+    assert rank(scores) == Ranking([1, 1, 3, 4, 4], 48, 48)
+    # Places are those of the mappings as they are given.
+    assert rank(scores[[4, 2, 0, 3, 1]]) == Ranking([4, 3, 1, 4, 1], 48, 48)
     # What seeds have in common tells nothing: mappings are paired.
     hard = 30.0 * rng.normal(size=6)
     assert rank(np.array([hard, hard - rng.uniform(1.0, 2.0, 6)])).places == [1, 2]
@@ -194,11 +207,13 @@ def test_places_are_shared_unless_seeds_tell_mappings_apart() -> None:
         pair = np.array([rng.normal(gap, 1.0, 5), rng.normal(0.0, 1.0, 5)])
         is_better = ttest_rel(*pair, alternative="greater").pvalue < LEVEL
         assert rank(pair).places == [1, 1 + is_better]
-    # A seed that turns round what the others say does not agree.
+    # A seed does not agree with itself: without it, the other one tells nothing apart.
+    assert rank(np.array([[2.0, 2.0], [1.0, 1.0]])) == Ranking([1, 2], 0, 0)
+    # A seed that turns round what the others say does not agree, in one of three pairs.
     turned = np.array([[10.0], [0.0], [-50.0]]).repeat(20, axis=1)
     turned[:2, 0] = 0.0, 1.0
-    assert (rank(turned).places, rank(turned).agreeing) == ([1, 2, 3], 19)
-    assert rank(means).places == [1] * 5
+    assert rank(turned) == Ranking([1, 2, 3], 60, 59)
+    assert rank(means) == Ranking([1] * 5, 0, 0)
 
 
 def test_columns_are_those_of_compare(human: Hand) -> None:
@@ -269,7 +284,7 @@ def test_page_has_gestures_with_source_and_licence(written: Path) -> None:
         assert f'"source":"{source.name}, {source.licence}"' in page
     assert "http" not in page.replace("https://github.com", "")
     # Pictures of every third gesture.
-    assert page.count("data:image/webp;base64,") == 24 * 2
+    assert page.count('"UklGR') == 24 * 2
     assert results["about"]["seeds"] == [3]
     methods = [row["method"] for row in hand["mappings"]]
     assert {*methods} == {"paper", "object"}
@@ -287,9 +302,9 @@ def test_pages_in_a_browser(written: Path) -> None:
         browser.wait_for("document.querySelectorAll('#gestures tr').length == 25")
         text = browser.evaluate("document.body.innerText")
         assert "asl " in text
-        assert (
-            "In 1 of 1 seeds, no mapping scores more than one of a better place" in text
-        )
+        assert "of 0 pairs that the others place apart, 0 do not turn round" in text
+        assert browser.evaluate("document.images[0].decode().then(() => 1)") == 1
+        assert browser.evaluate("document.images.length") == 24 * 2
         assert "Stewart Smith" in text
         browser.open(f"file://{written}/votes.html")
         browser.wait_for("document.getElementById('progress')?.textContent")
@@ -318,6 +333,28 @@ def test_pages_in_a_browser(written: Path) -> None:
         assert [row["agrees"] for row in rows] == [True, True, False, ""]
         assert browser.evaluate("csv(rows()).split('\\n').length") == 5
         assert browser.errors == []
+
+
+def test_votes_show_the_mappings_that_they_name(
+    scored: HandScore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = {}
+
+    def remember(columns, rows, *, side) -> np.ndarray:
+        drawn.update((row.label, row.q) for row in rows)
+        return np.full((len(rows), 3, 2, 4, 4, 3), 0.5)
+
+    monkeypatch.setattr("handmap_score.pages.pose_pictures", remember)
+    page = votes_page([scored], 5)
+    asked = json.loads(page.partition("PAIRS = ")[2].partition(";\n")[0])
+    assert len(asked) == 5
+    methods = [mapping.method for mapping in scored.mappings]
+    ends = {row.label: row.q for row in scored.sheet}
+    for pair in asked:
+        own = [methods.index(method) for method in pair["mappings"]]
+        assert pair["scores"] == [scored.mappings[i].score for i in own]
+        shown = [ends[pair["gesture"]][i] for i in own]
+        np.testing.assert_array_equal(drawn[pair["gesture"]], shown)
 
 
 def refused(command: cli.Score, argument: str) -> None:

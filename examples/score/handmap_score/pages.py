@@ -1,7 +1,7 @@
 """What `handmap score` writes: numbers as JSON, the page of the score, and the page for votes."""
 
-import base64
 import io
+from operator import itemgetter, or_
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -15,7 +15,7 @@ from handmap_qp.apps.offline.metrics import METRICS
 from handmap_qp.apps.tables import Row, rows_of
 from handmap_qp.hands import FINGERS, Hand, Values
 from handmap_qp.se3 import Array
-from .scoring import PARTS, READ, HandScore, rank
+from .scoring import PARTS, READ, HandScore, Ranking, rank
 
 _LABELS = {
     **{key: key for key in (*PARTS, *READ)},
@@ -30,19 +30,18 @@ def results_of(hands: list[HandScore], about: Values) -> Values:
     found = {hand.robot.name: vars(hand).copy() for hand in hands}
     for hand in found.values():
         del hand["robot"], hand["sheet"]
-    rows, agreeing = overview(hands)
-    document = {"about": about, "overview": rows, "agreeing": agreeing, "hands": found}
+    rows, ranking = overview(hands)
+    document = {"about": about, "overview": rows, "ranking": ranking, "hands": found}
     return msgspec.json.decode(msgspec.json.encode(document, enc_hook=np.generic.item))
 
 
-def overview(hands: list[HandScore]) -> tuple[list[Row], int]:
-    """Return a row for each mapping that ran on all hands, best first, and how many seeds agree."""
+def overview(hands: list[HandScore]) -> tuple[list[Row], Ranking]:
+    """Return a row for each mapping that ran on all hands, best first, and their ranking."""
     by_hand = [{one.method: one.scores for one in hand.mappings} for hand in hands]
-    ran = [*set.intersection(*map(set, by_hand))]
+    ran = [name for name in by_hand[0] if all(name in own for own in by_hand)]
     if not ran:
-        return [], 0
-    ran.sort(key=lambda method: -np.mean([own[method] for own in by_hand]))
-    scores = np.array([[own[method] for method in ran] for own in by_hand])
+        return [], Ranking([], 0, 0)
+    scores = np.array([[own[name] for name in ran] for own in by_hand])
     seeds = scores.mean(axis=0)
     ranking = rank(seeds)
     columns = {
@@ -53,7 +52,9 @@ def overview(hands: list[HandScore]) -> tuple[list[Row], int]:
     }
     names = [hand.robot.name for hand in hands]
     columns |= zip(names, scores.mean(axis=2), strict=True)
-    return rows_of(columns), ranking.agreeing
+    rows = rows_of(columns)
+    rows.sort(key=itemgetter("score"), reverse=True)
+    return rows, ranking
 
 
 def score_page(hands: list[HandScore], results: Values, every: int) -> str:
@@ -69,11 +70,8 @@ def score_page(hands: list[HandScore], results: Values, every: int) -> str:
         rows[0]._replace(q=tuple(row.q[0] for row in rows))
         for rows in zip(*(hand.sheet[::every] for hand in ran), strict=True)
     ]
-    page = {
-        "labels": _LABELS,
-        "titles": [f"{hand.robot.name}: {hand.mappings[0].method}" for hand in ran],
-        "gestures": _drawn([hand.robot for hand in ran], rows) if ran else [],
-    }
+    gestures = _drawn([hand.robot for hand in ran], rows) if ran else []
+    page = {"labels": _LABELS, "gestures": gestures}
     return _page("score.html", results | page)
 
 
@@ -87,19 +85,20 @@ def votes_page(hands: list[HandScore], count: int) -> str:
     for hand in hands:
         if len(hand.mappings) < 2:
             continue
-        rows = random.sample(hand.sheet, count)
-        pairs = [random.sample(range(len(hand.mappings)), 2) for _ in rows]
-        chosen = [
-            row._replace(q=tuple(row.q[i] for i in pair))
-            for row, pair in zip(rows, pairs, strict=True)
-        ]
-        drawn = _drawn([hand.robot] * 2, chosen)
-        for question, pair in zip(drawn, pairs, strict=True):
-            both = [hand.mappings[i] for i in pair]
-            question["hand"] = hand.robot.name
-            question["mappings"] = [mapping.method for mapping in both]
-            question["scores"] = [mapping.score for mapping in both]
-        asked += drawn
+        questions, rows = [], []
+        for row in random.sample(hand.sheet, count):
+            shown = [*zip(hand.mappings, row.q, strict=True)]
+            (a, one), (b, other) = random.sample(shown, 2)
+            rows.append(row._replace(q=(one, other)))
+            questions.append(
+                {
+                    "hand": hand.robot.name,
+                    "mappings": [a.method, b.method],
+                    "scores": [a.score, b.score],
+                }
+            )
+        drawn = _drawn([hand.robot] * 2, rows)
+        asked += map(or_, drawn, questions)
     random.shuffle(asked)
     return _page("votes.html", asked)
 
@@ -109,18 +108,17 @@ def _drawn(robots: list[Hand], rows: list[SheetRow]) -> list[Values]:
     columns = [("", robot) for robot in robots]
     pictures = pose_pictures(columns, rows, side=robots[0].side)
     return [
-        {"gesture": row.label, "source": row.note, "pictures": [*map(_image, drawn)]}
+        {"gesture": row.label, "source": row.note, "pictures": [*map(_webp, drawn)]}
         for row, drawn in zip(rows, pictures, strict=True)
     ]
 
 
-def _image(views: Array) -> str:
-    """Return pictures side by side, shape (views, height, width, 3), as the address of one."""
+def _webp(views: Array) -> bytes:
+    """Return pictures side by side, shape (views, height, width, 3), as a file."""
     pixels = 255.0 * np.hstack([*views]).clip(0.0, 1.0)
     file = io.BytesIO()
     Image.fromarray(pixels.astype(np.uint8)).save(file, "webp")
-    packed = base64.b64encode(file.getvalue())
-    return f"data:image/webp;base64,{packed.decode()}"
+    return file.getvalue()
 
 
 def _page(name: str, shown: Any) -> str:

@@ -17,7 +17,7 @@ from handmap_qp.apps.offline.comparison import (
 )
 from handmap_qp.apps.offline.hand_trace import trace_robot
 from handmap_qp.apps.offline.metrics import mean_values
-from handmap_qp.hands import FINGERS, Hand, Names, Values, find_fingers
+from handmap_qp.hands import Hand, Names, Values, find_fingers
 from handmap_qp.se3 import Array
 from .gestures import SOURCES, Performance, perform
 from .reader import Reader
@@ -65,10 +65,12 @@ class Ranking:
 
     Attributes:
         places: Place of each mapping: the number of those above its own place, plus 1.
-        agreeing: In how many seeds no mapping scores more than one of a better place.
+        apart: Pairs of mappings that have different places without a seed, added up over the seeds.
+        agreeing: How many of these pairs do not score the other way round in the seed left out.
     """
 
     places: list[int]
+    apart: int
     agreeing: int
 
 
@@ -94,39 +96,47 @@ class HandScore:
 
 
 def rank(scores: Array) -> Ranking:
-    """Rank mappings by their scores in the same seeds, best mean first, shape (mappings, seeds).
+    """Rank mappings by their scores in the same seeds, shape (mappings, seeds)."""
+    held = []
+    for i, left_out in enumerate(scores.T):
+        places = _places(np.delete(scores, i, axis=1))
+        above, below = np.nonzero(np.less.outer(places, places))
+        held += (left_out[above] >= left_out[below]).tolist()
+    return Ranking(_places(scores).tolist(), len(held), sum(held))
 
-    Neighbours share a place unless the upper one is better by a paired t-test over the seeds
-    (Student 1908), one-sided at `LEVEL`. One seed tells none apart.
+
+def _places(scores: Array) -> Array:
+    """Return the places of mappings by their scores, shape (mappings, seeds).
+
+    Neighbours in the order of means share a place unless the upper one is better by a paired t-test
+    over the seeds (Student 1908), one-sided at `LEVEL`. One seed tells none apart.
     """
     count, seeds = scores.shape
-    gaps = scores[:-1] - scores[1:]
+    if seeds < 2:
+        return np.ones(count, int)
+    order = np.argsort(-scores.mean(axis=1), stable=True)
+    gaps = -np.diff(scores[order], axis=0)
     bound = t.isf(LEVEL, seeds - 1) * gaps.std(axis=1)
     is_apart = gaps.mean(axis=1) * np.sqrt(seeds - 1) > bound
     places = np.arange(1, count + 1)
     places[1:][~is_apart] = 1
-    places = np.maximum.accumulate(places)
-    is_above = np.less.outer(places, places)
-    agrees = (scores[:, None] >= scores)[is_above].all(axis=0)
-    return Ranking(places.tolist(), int(agrees.sum()))
+    return np.maximum.accumulate(places)[order.argsort()]
 
 
 def parts_of(values: Values) -> Array:
     """Return the parts of a score in the order of `PARTS`, shape (2, 3); see `FORMULA`."""
     read, people, chance = (values[key] for key in READ)
-    no_false = max(0.0, 1.0 - 10.0 * values["pinch_false"])
     # A hand that stands still has no lag: it never comes.
-    lag = np.nan_to_num(values["latency_ms"], nan=np.inf)
-    no_lag = max(0.0, 1.0 - abs(lag) / 150.0)
+    in_time = np.nan_to_num(1.0 - abs(values["latency_ms"]) / 150.0)
     meant = [
         1.0 - values["finger_direction_deg"] / 45.0,
-        values["pinch_closed"] * no_false,
+        values["pinch_closed"] * (1.0 - 10.0 * values["pinch_false"]),
         (read - chance) / (people - chance),
     ]
     moves = [
         1.0 - values["self_penetration"],
         1.0 / np.nanmax([1.0, values["jerk_ratio"], values["speed_ratio"]]),
-        (1.0 - values["outside_limits"]) * no_lag,
+        in_time * (1.0 - values["outside_limits"]),
     ]
     return np.maximum(0.0, [meant, moves])
 
@@ -200,7 +210,7 @@ def _scored(
         shown, read, people, chance = [], [], [], []
         for motion, show, reader in zip(motions, each, readers, strict=True):
             robot = trace_robot(motion.robot, motion.q[show.samples])
-            person = show.take.trace.part(show.samples, FINGERS)
+            person = show.take.trace.part(show.samples, robot.names)
             shown += show.shown
             read += reader.read(robot, show.shown)
             people += reader.read(person, show.shown)
@@ -221,7 +231,7 @@ def _scored(
 def _columns(runs: list[Run]) -> Values:
     """Return means over runs: the columns of `handmap compare`, and directions by finger."""
     values = mean_values([run.values for run in runs])
-    fingers = [run.fingers for run in runs if run.fingers]
+    fingers = [run.fingers or {} for run in runs]
     for name in fingers[0]:
         values[name] = fmean(each[name]["direction_deg"] for each in fingers)
     return values
