@@ -21,7 +21,7 @@ from scipy.stats import spearmanr
 
 from handmap_qp.apps.tables import rows_of
 from handmap_qp.errors import expect
-from handmap_qp.hands import THUMB, Hand, Values
+from handmap_qp.hands import THUMB, Hand, PalmKinematics, Values, find_fingers
 from handmap_qp.mapping import MotionEstimator, polar
 from handmap_qp.se3 import (
     Array,
@@ -38,7 +38,6 @@ from .hand_trace import (
     ByFinger,
     HandTrace,
     angles_between,
-    trace_robot,
 )
 from .metrics import mean_values
 from .surface_gaps import GapMeter
@@ -352,8 +351,10 @@ def sample_workspace(hand: Hand, *, count: int = 20_000) -> ByFinger:
     They are in the palm frame, by finger [m], shape (count, 3) each.
     """
     q = np.random.default_rng(42).uniform(*hand.limits, (count, *hand.zero.shape))
-    # Wherever the wrist is, they are the same.
-    return _tips_by_finger(trace_robot(hand, q, np.eye(4)[None]))
+    fingers = find_fingers(hand)
+    places = [finger.tip for finger in fingers.values()]
+    tips = PalmKinematics(hand).points(q, places)
+    return dict(zip(fingers, tips.swapaxes(0, 1), strict=True))
 
 
 def _tips_by_finger(hand: HandTrace) -> ByFinger:
