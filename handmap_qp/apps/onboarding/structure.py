@@ -250,8 +250,12 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
 
 def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
     """Return the chains of the branches of a body that could be fingers; none of a single one."""
+    starts = robot.below(body)
+    # Most bodies of an arm have one: its surfaces need not be read.
+    if len(starts) < 2:
+        return []
     branches = []
-    for start in robot.below(body):
+    for start in starts:
         branch = [RobotFinger(robot, leaf, body) for leaf in robot.leaves(start)]
         first, *more = branch[0].joint_names
         is_wheel = first in robot.endless and not more
