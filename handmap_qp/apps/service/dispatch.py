@@ -101,10 +101,7 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
         message, path = _explain(error)
         return Error(seq=head.number, code="invalid", message=message, field=path)
     except _UNREADABLE as error:
-        # A transport that could not read a message says why behind that byte.
-        why = str(error)
-        if payload.startswith(NO_VALUE):
-            why = payload[1:].decode(errors="replace")
+        why = _why_unreadable(payload) or error
         return Error(code="invalid", message=f"not a message: {why}"[:200])
     is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
     if not request or is_newer:
@@ -119,6 +116,13 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
     for place, message in _wrong_poses(request):
         return Error(seq=request.seq, code="invalid", message=message, field=place)
     return request
+
+
+def _why_unreadable(payload: bytes) -> str:
+    """Return what a transport that could not read a message says behind `NO_VALUE`, or nothing."""
+    if payload.startswith(NO_VALUE):
+        return payload[1:].decode(errors="replace")
+    return ""
 
 
 def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
