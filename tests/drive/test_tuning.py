@@ -182,6 +182,9 @@ def test_all_parameters_of_a_hand_are_found(
         true = getattr(motors, name)
         error = np.abs([getattr(joint, name) for joint in joints] - true)
         assert (error <= np.maximum(0.1 * true, floor)).mean() > 0.9, name
+    # Joints go along .98 of each line, where a stop may not be met yet.
+    lower, upper = tuning.arrays(motors.joint_names).range - motors.stops
+    assert np.maximum(upper, -lower).max() < 0.03
     assert motion.count / RATE < 120.0
 
 
