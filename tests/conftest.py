@@ -35,14 +35,18 @@ TESTS = Path(__file__).resolve().parent
 IS_PURE = os.environ.get("HANDMAP_PURE", "") not in ("", "0")
 
 # Folders of what is the same with and without the compiled core: commands, files, pages, pictures,
-# protocols and processes; each with the files of those tests that do depend on it. The Python path
-# runs these alone, and of the other folders all that is not marked `same_on_both`.
+# protocols, processes, and hands, which it is made of; each with the files of those tests that do
+# depend on it. The Python path runs these alone, and of the other folders all that is not marked
+# `same_on_both`.
 SAME_ON_BOTH = {
     "core": {"test_cli.py", "test_demo.py", "test_motion_quality.py"},
     "datasets": {"test_core.py"},
     "drawing": set(),
     "drive": set(),
+    "grasp": set(),
     "hamer": set(),
+    "hands": {"test_collision_shapes.py", "test_compose.py", "test_every_hand.py"},
+    "human": {"test_landmarks.py", "test_person.py"},
     "live": {"test_faulty_replay.py", "test_service.py"},
     "offline": {
         "test_faults.py",

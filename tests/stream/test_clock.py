@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from handmap_qp.stream.guard import GAP, LONGEST_STEP, RateCheck, SampleClock
 
+pytestmark = pytest.mark.same_on_both
+
 PERIOD = 0.01
 
 

@@ -11,6 +11,8 @@ from pinocchio import exp3
 
 from handmap_qp.stream.guard import change_between, first_track
 
+pytestmark = pytest.mark.same_on_both
+
 
 @given(
     steps=st.tuples(st.floats(0.005, 0.05), st.floats(0.005, 0.05)),
