@@ -103,9 +103,10 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
     except _UNREADABLE as error:
         why = _why_unreadable(payload) or error
         return Error(code="invalid", message=f"not a message: {why}"[:200])
-    is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
-    if not request or is_newer:
-        wanted = [_STOP_PROTOCOL] if is_newer else known
+    wanted = known
+    if isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL:
+        request, wanted = None, [_STOP_PROTOCOL]
+    if not request:
         return Error(
             seq=head.number,
             code="protocol",
