@@ -395,9 +395,10 @@ class Bucket:
 
     def take(self) -> bool:
         """Count an event; return whether it is allowed."""
-        is_allowed = self.charge(0.0) >= 1.0
-        self._left -= is_allowed
-        return is_allowed
+        if self.charge(0.0) < 1.0:
+            return False
+        self._left -= 1.0
+        return True
 
     def charge(self, count: float) -> float:
         """Count events that have happened; return how many are left, negative for a debt.
