@@ -201,7 +201,8 @@ def test_motors_move_only_while_the_space_bar_is_held(chain: Chain) -> None:
 def test_a_port_that_is_gone_ends_it_with_one_line(chain: Chain) -> None:
     chain.start("--no-deadman")
     chain.wait_for(torque=True)
-    time.sleep(0.3)
+    start = chain.emulator.order()["angle"]
+    wait_until(lambda: np.ptp((chain.emulator.order()["angle"], start), 0).max() > 0.05)
     chain.emulator.order(unplug=True)
     code, out, err = chain.end()
     assert code == 2

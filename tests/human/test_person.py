@@ -103,7 +103,11 @@ BAD = {
     ),
     "roll in degrees": ("fingers.little.roll", 15, "fingers.*.roll"),
     "left hand": ("fingers.index.base", [0.09, 0.09, 0.0], "fingers.*.base"),
-    "hand in millimetres": ("fingers.middle.bones", [45.0, 28.0, 25.0], "fingers"),
+    "hand in millimetres": (
+        "fingers.middle.bones",
+        [45.0, 28.0, 25.0],
+        "fingers.*.bones",
+    ),
     "unknown key": ("age", 40, "person"),
 }
 

@@ -16,6 +16,7 @@ import pytest
 import yaml
 
 from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
+from handmap_qp.apps.drawing import scene
 from handmap_qp.apps.onboarding import picture
 from handmap_qp.apps.onboarding.check import check_hand, check_speeds
 from handmap_qp.apps.onboarding.cli import HandsCheck, HandsInit
@@ -348,11 +349,16 @@ def assert_halves_show_something(path: Path) -> None:
         assert 0.02 < (half.min(axis=2) < 0.9).mean() < 0.6
 
 
+@pytest.fixture
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw a quarter of the pixels."""
+    for module in (picture, scene):
+        monkeypatch.setattr(module, "PANEL", (380, 410))
+
+
 @pytest.mark.slow
-def test_a_picture_is_drawn_without_shapes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(picture, "_PANEL", (380, 410))
+@pytest.mark.usefixtures("small_pictures")
+def test_a_picture_is_drawn_without_shapes(tmp_path: Path) -> None:
     text = "\n".join(
         line
         for line in (DATA / "chained_mimics.urdf").read_text().splitlines()
@@ -370,12 +376,10 @@ def test_pictures_lie_beside_their_descriptions(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("small_pictures")
 def test_init_and_check_commands(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(picture, "_PANEL", (380, 410))
     out = tmp_path / "new" / "hand.yaml"
     HandsInit(
         urdf=urdf_directory() / "three_finger" / "hand.urdf",
