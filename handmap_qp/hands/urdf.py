@@ -82,7 +82,7 @@ def parse_urdf(text: str | bytes) -> Element:
     for element in [*robot.iter()]:
         # Of a link with half of one, Pinocchio's parser would drop the shapes too.
         for inertial in element.findall("inertial"):
-            if inertial.find("inertia") is None:
+            if inertial not in element.findall("inertial[mass][inertia]"):
                 element.remove(inertial)
         if element.tag.startswith("xacro:"):
             message = "the file is xacro, not URDF: convert it with `xacro FILE.xacro > FILE.urdf`"
@@ -118,8 +118,7 @@ def get_numbers(
             key=f"<{element.tag} {key}>",
             value=text,
         )
-    may_be_infinite = element.tag == "limit"
-    faults = np.isnan(numbers) if may_be_infinite else ~np.isfinite(numbers)
+    faults = np.isnan(numbers) if element.tag == "limit" else ~np.isfinite(numbers)
     if faults.any():
         raise HandError(
             f"<{element.tag} {key}={text!r}> is not a finite number", value=text

@@ -180,10 +180,17 @@ def test_a_lost_mesh_has_the_visual_shape_of_its_link(tmp_path: Path) -> None:
     assert palm.geometry.radius == pytest.approx(0.03)
 
 
-def test_a_link_without_an_inertia_keeps_its_shapes(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    "given",
+    [
+        '<mass value="1"/>',
+        '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>',
+    ],
+)
+def test_a_link_with_half_an_inertial_keeps_its_shapes(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], given: str
 ) -> None:
-    half = '<link name="palm"><inertial><mass value="1"/></inertial>'
+    half = f'<link name="palm"><inertial>{given}</inertial>'
     box = '<box size="0.1 0.1 0.1"/>'
     text = FINGER.replace('<link name="palm">', half)
     text = text.replace('<mesh filename="{mesh}"/>', box)
