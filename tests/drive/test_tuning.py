@@ -543,6 +543,9 @@ def test_the_hand_is_written_and_read_again(
     np.testing.assert_allclose(up + down, 2.0 * without, atol=1e-12)
     assert ((up - without) * held >= 0.0).all()
     assert (np.abs(up - without) >= np.abs(stretch * held / gain) - 1e-12).all()
+    # Motors of another hand are told so before weights are asked for.
+    with pytest.raises(InvalidInputError, match="--tuning: expected a hand with"):
+        compensated(Played(JOINT, STIFF), out, (0.0, 0.0, 1.0))
     # `handmap hands edit` keeps it.
     write_hand(open_description(out), tmp_path / "again.yaml")
     assert read_tuning(tmp_path / "again.yaml") == found[2]

@@ -66,11 +66,11 @@ def compensated(driver: Driver, file: Path, down: Vector | None) -> Compensated:
     Raises:
         HandmapError: If the file is not that of a tuned hand with these motors.
     """
-    tuning = read_tuning(file)
-    if not down:
-        return Compensated(driver, tuning)
-    space = Space(load_hand(file, mount="fixed"), driver, down)
-    return Compensated(driver, tuning, space.weights)
+    motors = Compensated(driver, read_tuning(file))
+    if down:
+        hand = load_hand(file, mount="fixed")
+        motors.weights = Space(hand, driver, down).weights
+    return motors
 
 
 @dataclass(frozen=True)

@@ -195,7 +195,7 @@ class Compensated:
         tuning: Tuning,
         weights: Callable[[Array], Array] = np.zeros_like,
     ) -> None:
-        self._weights = weights
+        self.weights = weights
         self._driver = driver
         self.joint_names: Names = driver.joint_names
         expect(
@@ -241,7 +241,7 @@ class Compensated:
         self._side = np.where(np.abs(away) > STILL, np.sign(away), self._side)
         # It goes along, so that the way back begins where the way ended.
         self._turn = np.where(away * self._side > 0.0, goal, self._turn)
-        pulled = self._joints.command(goal, self._side, self._weights(goal))
+        pulled = self._joints.command(goal, self._side, self.weights(goal))
         told = np.clip(pulled, *self._driver.range)
         self._told = np.clip(told, self._told - step, self._told + step)
         return self._told
