@@ -366,7 +366,7 @@ class Follower:
             samples: The samples, as of `sample_columns`.
             progress: Called with the number of samples done.
         """
-        self._guard.check_side(samples)
+        self._guard.check_side(samples, Recording)
         count = len(samples)
         table = StepTable(self.mapper.robot, count)
         i = 0

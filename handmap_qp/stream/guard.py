@@ -427,10 +427,11 @@ class StreamGuard(Compiled):
             return verdict
         return verdict._replace(rule="unproven")
 
-    def check_side(self, samples: HumanSample | Recording) -> None:
-        """Reject samples of the other hand, and what is none."""
-        if not isinstance(samples, HumanSample | Recording):
-            expect(False, "sample", "a HumanSample or a Recording", value=samples)
+    def check_side(
+        self, samples: HumanSample | Recording, kind: type = HumanSample
+    ) -> None:
+        """Reject samples of the other hand, and what is not of their kind."""
+        expect(isinstance(samples, kind), "sample", f"a {kind.__name__}", value=samples)
         if samples.side != self._side:
             expect(
                 False,

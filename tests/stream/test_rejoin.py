@@ -19,6 +19,7 @@ from handmap_qp import (
     InvalidInputError,
     InvalidOptionsError,
     load_hand,
+    read_recording,
 )
 from handmap_qp.human.sample import UNPROVEN_SPEED, HumanSample
 from handmap_qp.mapping.method import HumanPose, MapStep
@@ -231,8 +232,16 @@ def test_another_way_back_is_an_error() -> None:
     wrong: Any = "x"
     with pytest.raises(InvalidInputError, match="smoothing: expected a Smoothing"):
         Follower(HandMapper(HUMAN, ROBOT), smoothing=wrong)
-    with pytest.raises(InvalidInputError, match="sample: expected a HumanSample"):
-        Follower(HandMapper(HUMAN, ROBOT)).map_sample(wrong)
+    # A recording in place of a sample, too: it left times of all samples in the guard.
+    recording: Any = read_recording("demo", "right")
+    sample: Any = recording.sample(0)
+    follower = Follower(HandMapper(HUMAN, ROBOT))
+    for other in (wrong, recording):
+        with pytest.raises(InvalidInputError, match="sample: expected a HumanSample"):
+            follower.map_sample(other)
+    with pytest.raises(InvalidInputError, match="sample: expected a Recording"):
+        follower.map_samples(sample)
+    assert not follower.map_sample(sample).is_held
 
 
 @pytest.mark.parametrize("max_acceleration", [None, 60.0])
