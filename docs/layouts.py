@@ -34,10 +34,10 @@ def page(layout: Layout) -> str:
     lines = [f"# {layout.name}", "", f"{layout.title}.", READ.format(name=layout.name)]
     lines += [f"![{layout.name}](../images/layout_{layout.name}.png)", ""]
     lines += [
-        "Blue dots are landmarks, grey ones are not read. Arrows are the axes of the wrist's"
+        "Blue points are landmarks, grey ones are not read. Arrows are the axes of the wrist's"
     ]
     lines += [
-        "pose: x red, y green, z blue. Numbers of angles stand at the joints that they turn.",
+        "pose: x red, y green, z blue. Lines lead from numbers of angles to the joints they turn.",
         "",
     ]
     facts = {
