@@ -15,7 +15,6 @@ PANEL = (760, 820)
 # Radius of a marked point, in lengths of the hand.
 _MARK = 0.022
 _ELEVATION = 12.0
-# Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
 _BOX = {
     "facecolor": "white",
     "alpha": 0.75,
