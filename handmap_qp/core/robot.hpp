@@ -80,10 +80,7 @@ class RobotMover {
       const Fields palm(hand.object("palm_frame"));
       hands_.push_back({palm.get<int>("parentJoint") - 1, palm.pose("placement.homogeneous")});
     }
-    const nb::object own = nb::getattr(robot, "finger_joints");
-    for (size_t k = 0; k < hands_.size(); ++k) {
-      hands_[k].is_finger = indices_of(own[nb::int_(k)]);
-      if (k >= pinching.size()) continue;
+    for (size_t k = 0; k < pinching.size(); ++k) {
       hands_[k].pinching = indices_of(nb::borrow(pinching[k])[nb::int_(0)]);
       hands_[k].among_own = indices_of(nb::borrow(pinching[k])[nb::int_(1)]);
     }
@@ -175,7 +172,7 @@ class RobotMover {
   struct RobotHand {
     int palm_joint;
     Pose palm;  // on that joint
-    Indices is_finger = {}, pinching = {}, among_own = {};  // is_finger: see Hand.finger_joints
+    Indices pinching = {}, among_own = {};
   };
 
   using Moved = std::pair<nb::object, std::vector<nb::object>>;
@@ -236,7 +233,7 @@ class RobotMover {
         turn(*palm, k, smoothstep(times[k] / turns_in_));
       }
       for (size_t i = 0; i < rest_.size(); ++i)
-        if (hands_[k].is_finger[i]) wanted_rest_[i] = asks[k]->map->rest[i];
+        if (ik_.fingers[k][i] != 0.0) wanted_rest_[i] = asks[k]->map->rest[i];
       // Others never change.
       for (size_t i = 0; i < hands_[k].pinching.size(); ++i)
         margins_.at(hands_[k].pinching[i]) =
