@@ -618,9 +618,8 @@ class JointReader(Compiled):
         wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         angles, excess = check_joints(human, q, "human_q", self.tolerance)
         self._placed.place(human.configuration_vector(angles))
-        points = transform_points(wrist, self._placed.points)
         outside = tuple(compress(human.joint_names, excess > 0.0))
-        return HumanPose(points, wrist), outside
+        return HumanPose(transform_points(wrist, self._placed.points), wrist), outside
 
 
 class _Reference(NamedTuple):

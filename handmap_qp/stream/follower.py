@@ -374,9 +374,8 @@ class Follower:
             # That about a sample which the core has judged, and leaves to the return here.
             verdict = None
             if cores := self._cores():
-                last = min(count, i + _RUN)
                 i, verdict, seen = self.mapper.core.run(
-                    *cores, samples, i, last, table.rows
+                    *cores, samples, i, min(count, i + _RUN), table.rows
                 )
                 if seen:
                     self._return = self._return._replace(seen=seen)

@@ -431,7 +431,8 @@ class StreamGuard(Compiled):
         self, samples: HumanSample | Recording, kind: type = HumanSample
     ) -> None:
         """Reject samples of the other hand, and what is not of their kind."""
-        expect(isinstance(samples, kind), "sample", f"a {kind.__name__}", value=samples)
+        if not isinstance(samples, kind):
+            expect(False, "sample", f"a {kind.__name__}", value=samples)
         if samples.side != self._side:
             expect(
                 False,
