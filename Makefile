@@ -64,12 +64,11 @@ pure: $(INSTALLED) ## Run the tests that may differ on the Python path, without 
 fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute
 	@$(BIN)/python -m pytest -m 'not slow' $(ARGS)
 
-lint: $(INSTALLED) ## Check style (ruff), types (ty), who imports whom (import-linter), and the budget of sizes
+lint: $(INSTALLED) ## Check style (ruff), types (ty), and who imports whom (import-linter)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ty check --error-on-warning --python $(BIN)/python
 	@$(BIN)/lint-imports --no-cache
-	@$(BIN)/python .ci/house.py
 
 docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict

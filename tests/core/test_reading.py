@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "reading.md").read_text(encoding="utf-8")
-ROWS = re.findall(r"^\| `([\w/]+\.py)` \| (\d+) \| (.*) \|$", PAGE, flags=re.MULTILINE)
+ROWS = re.findall(r"^\| `([\w/]+\.py)` \| (.*) \|$", PAGE, flags=re.MULTILINE)
 
 
 def names_of(file: Path) -> set[str]:
@@ -27,21 +27,18 @@ def names_of(file: Path) -> set[str]:
     return names
 
 
-@pytest.mark.parametrize(("name", "lines", "text"), ROWS, ids=[row[0] for row in ROWS])
-def test_every_file_has_what_the_page_says(name: str, lines: str, text: str) -> None:
+@pytest.mark.parametrize(("name", "text"), ROWS, ids=[row[0] for row in ROWS])
+def test_every_file_has_what_the_page_says(name: str, text: str) -> None:
     file = ROOT / "handmap_qp" / name
-    # The page says how long it takes to read.
-    assert int(lines) == pytest.approx(len(file.read_text().splitlines()), rel=0.1)
     named = re.findall(r"`([A-Za-z_.]+)`", text)
     assert named
     assert set(named) <= names_of(file)
 
 
 def test_names_in_the_text_are_those_of_the_files() -> None:
-    known = set().union(*(names_of(ROOT / "handmap_qp" / name) for name, _, _ in ROWS))
+    known = set().union(*(names_of(ROOT / "handmap_qp" / name) for name, _ in ROWS))
     known |= {name.split(".")[-1] for name in known}
     prose = "\n".join(line for line in PAGE.splitlines() if not line.startswith("|"))
     named = set(re.findall(r"`([A-Z]\w+(?:\.\w+)?)`", prose)) - {"HandSpec"}
     assert named <= known
     assert len(ROWS) > 20
-    assert sum(int(lines) for _, lines, _ in ROWS) < 12_000
