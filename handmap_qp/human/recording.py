@@ -131,8 +131,7 @@ class Recording:
         """
         if fps is None:
             return self
-        expect(fps > 0.0, "fps", "a rate > 0", value=fps)
-        return replace(self, time=np.arange(len(self)) / fps)
+        return replace(self, time=regular_time(len(self), fps))
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield the samples, as of `sample`."""
@@ -176,6 +175,16 @@ class HumanMotion:
     q: Array
     wrist: Array
     valid: Array
+
+
+def regular_time(count: int, fps: float) -> Array:
+    """Return instants at a constant rate, from 0 on [s], shape (count,).
+
+    Raises:
+        InvalidInputError: If there is no such rate.
+    """
+    expect(0.0 < fps < np.inf, "fps", "a rate > 0", value=fps)
+    return np.arange(count) / fps
 
 
 def axis_direction(axis: str) -> Array:

@@ -20,7 +20,7 @@ pytest.importorskip("rosbags")
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-ONE_WAY = ("lerobot", "dexycb", "arctic", "grab", "hot3d")
+ONE_WAY = ("lerobot", "npy", "dexycb", "arctic", "grab", "hot3d")
 NAMES = [name for name in FORMATS.own if name not in ONE_WAY]
 
 

@@ -693,10 +693,10 @@ def test_data_sets_are_not_written(
 
 
 @pytest.mark.usefixtures("_alone")
-def test_other_files_of_arctic_are_of_no_form(tmp_path: Path) -> None:
+def test_other_files_of_arctic_are_no_landmarks(tmp_path: Path) -> None:
     write_arctic(tmp_path, hands_of(), poses_of(5))
     words = refused(tmp_path / "box_grab_01.object.npy")
-    assert "is an array without a time and a side" in words
+    assert "expected landmarks of one hand" in words
 
 
 # Commands
