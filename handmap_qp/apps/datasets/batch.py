@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,7 +18,7 @@ from tyro.conf import Positional, arg
 from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect, warn
-from handmap_qp.hands import Names, load_whole
+from handmap_qp.hands import Names, hand_sides, load_whole
 from handmap_qp.output_files import make_folder
 from handmap_qp.trackers import first_of
 from .assemble import assemble
@@ -136,7 +137,7 @@ class Batch:
         rate = "a rate of at most 1000 per second, and > 0"
         expect(0.0 < self.fps <= 1000.0, "--fps", rate, value=self.fps)
         robots: dict[str, str] = {}
-        for name in self.robot:
+        for name in self._robots():
             robot = load_whole(name, self.arguments.robot_points)
             side = BOTH if robot.parts else robot.side
             got = f"{robots.get(side)} and {name}, both {side}"
@@ -153,6 +154,11 @@ class Batch:
             self.arguments, smooth=self.arguments.smooth or self.look_ahead
         )
         return JobOptions(robots, arguments, self.look_ahead)
+
+    def _robots(self) -> list[str]:
+        """Return the robots' names; a family of hands, such as `allegro`, is its hands."""
+        named = [hand_sides(name).values() or [name] for name in self.robot]
+        return [*chain.from_iterable(named)]
 
     def _engine(self) -> Engine:
         workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers

@@ -14,7 +14,7 @@ from handmap_qp.apps import live
 from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
 from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
-from handmap_qp.hands import Values, load_hand
+from handmap_qp.hands import Values, load_hand, sided_name
 from handmap_qp.human import read_person
 from handmap_qp.trackers import read_recording
 from .mediapipe_source import MediapipeSource, environment_python, install_environment
@@ -139,9 +139,10 @@ class TrackReplay:
     def run(self) -> None:
         """Replay the recording until its end or Ctrl-C."""
         self.target.check()
+        robot = sided_name(self.target.robot or "", "right")
         side = None
         with suppress(HandmapError):  # the service may have hands that are not here
-            side = load_hand(self.target.robot or "").side
+            side = load_hand(robot).side
         recording = read_recording(self.recording, side)
         self.target.lead(Replay(recording, speed=self.speed, loop=self.loop))
 

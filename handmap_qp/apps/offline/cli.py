@@ -113,7 +113,10 @@ class Map:
         )
         if self.robot is not None:
             return [read_robot(self.robot, self.recordings, self)]
-        robots = [self.arguments.load_robot(name) for name in self.robots or ()]
+        robots = [
+            self.arguments.load_robot(name, side)
+            for name, side in zip(self.robots or (), SIDES, strict=False)
+        ]
         for robot, side in zip(robots, SIDES, strict=True):
             expect(
                 robot.side == side,

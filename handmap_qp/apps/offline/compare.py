@@ -1,7 +1,7 @@
 """`handmap compare`: from the words of the command line to tables, JSON and pictures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from operator import itemgetter
 from pathlib import Path
@@ -25,7 +25,7 @@ from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect, warn
-from handmap_qp.hands import Hand, Names, Values, load_hand
+from handmap_qp.hands import Hand, Names, Values, hand_sides, load_hand, sided_name
 from handmap_qp.human import read_person
 from handmap_qp.output_files import make_folder, writing
 from .comparison import (
@@ -121,8 +121,11 @@ class Compare:
             HandmapError: If a recording, hand, method or folder cannot be used; before any mapping.
         """
         expect(self.recordings, "RECORDING", "at least one file", got="none")
-        robot = load_hand(self.robot)
-        methods = methods_of(self)
+        name = self.robot
+        if hand_sides(name):
+            name = sided_name(name, self.inputs.side_of(self.recordings[0]))
+        robot = load_hand(name)
+        methods = methods_of(replace(self, robot=name))
         if self.out:
             require_matplotlib()
             make_folder(self.out, "--out")

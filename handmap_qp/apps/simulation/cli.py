@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from handmap_qp.apps.arguments import HandName, Recordings, hinted
+from handmap_qp.apps.arguments import HandName, InputArguments, Recordings, hinted
 from handmap_qp.apps.offline.comparison import own_methods
 from handmap_qp.apps.tables import print_result, progress
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Names, Values, is_robot, load_whole
+from handmap_qp.hands import Names, Values, hand_sides, is_robot, load_whole, sided_name
 from handmap_qp.human import axis_direction
 from handmap_qp.mapping import parse_object
 from handmap_qp.output_files import check_output
@@ -165,8 +165,11 @@ class Simulate:
 
     def _simulate(self, trials: list[PinchTrial]) -> Outcomes:
         """Pinch every object by every mapping."""
-        methods = chosen_methods(self.methods, self.peers, self.robot)
-        robot = load_whole(self.robot)
+        name = self.robot
+        if hand_sides(name) and self.recordings:
+            name = sided_name(name, InputArguments().side_of(self.recordings[0]))
+        methods = chosen_methods(self.methods, self.peers, name)
+        robot = load_whole(name)
         outcomes: Outcomes = {}
         physics = self._physics()
         mapped, window = map_pinch(methods, robot, self.recordings)
