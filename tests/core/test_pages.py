@@ -11,12 +11,13 @@ import sysconfig
 from contextlib import nullcontext, suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import Browser, find_chromium
 from service_tools import address_of, serving
 
 import handmap_qp
-from handmap_qp import cli
+from handmap_qp import cli, read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -65,6 +66,9 @@ def test_python_code_runs(
     # Later blocks of a page may use names of earlier ones.
     code = "\n".join(code_of(page))
     monkeypatch.chdir(tmp_path)
+    # The reader's own recording.
+    recording = read_recording("demo", "right").part(slice(0, 60))
+    np.savez("hand.npz", landmarks=recording.landmarks)
     with serving() if "Client()" in code else nullcontext() as server:
         if server is not None:
             code = code.replace("Client()", f"Client({address_of(server)!r})")
