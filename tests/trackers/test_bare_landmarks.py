@@ -343,3 +343,21 @@ def test_a_recording_of_a_plain_array_moves_a_robot(tmp_path: Path) -> None:
         if seen
     ]
     assert np.ptp(q, axis=0).max() > 0.1
+
+
+def test_a_replay_takes_side_and_rate(tmp_path: Path) -> None:
+    path = save(tmp_path / "x.npy", points=LANDMARKS)
+    out = tmp_path / "out.npz"
+    words = ["track", "replay", str(path), "--speed", "100", "--record", str(out)]
+    assert main(words) == 2
+    assert main([*words, *OPTIONS]) == 0
+    assert read_recording(out).side == "right"
+
+
+def test_a_simulation_takes_side_and_rate(tmp_path: Path) -> None:
+    path = tmp_path / "x.npy"
+    np.save(path, read_recording("pinch", "right").landmarks)
+    out = tmp_path / "out.npz"
+    words = ["simulate", str(path), "--robot", "allegro", "--out", str(out)]
+    assert main([*words, *OPTIONS]) == 0
+    assert out.is_file()

@@ -52,7 +52,8 @@ class Batch:
 
     Attributes:
         inputs: Files, data sets, or folders of them; forms as of `handmap convert --help`.
-        robot: Robot hand; for both human hands a left and a right one, or a robot with both
+        robot: Robot hand; for both human hands a left and a right one (or `allegro` for the two of
+            a family), or a robot with both
             (`handmap robots list`), which needs files with both. Recordings of a hand without a
             robot fail.
         out: Folder to write to.

@@ -57,8 +57,9 @@ class Map:
     Attributes:
         recordings: Recording of a human hand, or one of each hand: files as of `handmap convert`.
             `FILE::NAME` is one recording of several in a file; `demo` comes with the package.
-        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml. Or a robot
-            with both hands: a name of `handmap robots list`, or the path of its robot.yaml.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
+            is the Allegro of the recording's side. Or a robot with both hands: a name of
+            `handmap robots list`, or the path of its robot.yaml.
         robots: A left and a right robot hand, for recordings of both human hands.
         out: File to write; with --robots the folder.
         mirror: Map the mirror image of a recording of the other hand.

@@ -86,7 +86,8 @@ class Compare:
     Attributes:
         recordings: Recordings of a human hand, as of `handmap map`. The tracker's wrist poses are
             used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
-        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
+            is the Allegro of the first recording's side.
         methods: Methods to run: presets and other mappings by name, with +smooth for smoother
             motion, with +look-ahead for smoothing with the future too. Peers may be named too,
             such as dex-vector; then --peers runs those only.
