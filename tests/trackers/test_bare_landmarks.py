@@ -169,6 +169,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         "landmarks: expected landmarks of one hand, shape (T, 21, 3), got shape "
         "(90, 2, 21, 3): save those of each hand as left_landmarks and right_landmarks",
     ),
+    "two hands and no side": ({"landmarks": PAIR}, {}, "landmarks of one hand"),
     "one sample": (
         {"landmarks": LANDMARKS[0]},
         {"side": "right", "fps": FPS},

@@ -85,22 +85,16 @@ class NpzFormat(RecordingFormat):
     def entries(self, path: Path) -> Sequence[Entry]:
         """List the one hand, or both."""
         names = member_names(path)
-        arrays = {
-            side: array
-            for side in SIDES
-            if (array := _landmark_array(names, f"{side}_"))
-        }
-        entries = {side: side for side in arrays}
-        if not arrays:
-            array = _needed_landmark_array(names)
-            side = self._side_of(path, names)
-            arrays = {side: array}
-            entries = {side: ""}
-        headers = read_archive(path, set(arrays.values()), _read_header)
-        return [
-            Entry(entries[side], side, _count_samples(headers[array], array))
+        arrays = {side: _landmark_array(names, f"{side}_") for side in SIDES}
+        sided = [
+            Entry(side, side, _samples_in(path, array))
             for side, array in arrays.items()
+            if array
         ]
+        if sided:
+            return sided
+        count = _samples_in(path, _needed_landmark_array(names))
+        return [Entry("", self._side_of(path, names), count)]
 
     def _side_of(self, path: Path, names: Container[str]) -> Side:
         """Return the side that a file of one hand names, or the user's."""
@@ -214,6 +208,12 @@ def _needed_landmark_array(names: set[str]) -> str:
         problem = f"has {array!r} and {other!r}, of HaMeR or WiLoR"
         raise InvalidInputError(problem, advice=_READ_VIDEO)
     return array
+
+
+def _samples_in(path: Path, array: str) -> int:
+    """Return how many samples an array of landmarks of an archive has, without reading them."""
+    headers = read_archive(path, {array}, _read_header)
+    return _count_samples(headers[array], array)
 
 
 def _read_header(stream: IO[bytes]) -> _Header:
