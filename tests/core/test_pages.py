@@ -185,7 +185,8 @@ def test_the_site_is_complete_and_asks_no_other_host(site: Path) -> None:
     described = set(re.findall(r'id="handmap_qp\.(?:\w+\.)*(\w+)"', html))
     assert {*handmap_qp.__all__} - {"__version__"} <= described
     # Those that a base class has belong to the reference, too.
-    for name, member in vars(Mover).items() | vars(handmap_qp.HandMapper).items():
+    members = vars(Mover) | vars(handmap_qp.HandMapper)
+    for name, member in members.items():
         if not name.startswith("_") and callable(member):
             assert f'id="handmap_qp.HandMapper.{name}"' in html, name
 
