@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from handmap_qp import HandMapper, InvalidInputError, RecordingError, load_hand
 from handmap_qp.cli import main
@@ -362,3 +364,33 @@ def test_a_simulation_takes_side_and_rate(tmp_path: Path) -> None:
     words = ["simulate", str(path), "--robot", "allegro", "--out", str(out)]
     assert main([*words, *OPTIONS]) == 0
     assert out.is_file()
+
+
+@given(st.data())
+def test_a_damaged_array_is_read_or_refused_in_one_line(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.mktemp("damaged") / "x.npy"
+    np.save(path, LANDMARKS[:4].astype(np.float32))
+    content = bytearray(path.read_bytes())
+    # The header is what decides, so most damages are there.
+    last = data.draw(st.sampled_from([127, len(content) - 1]))
+    for _ in range(data.draw(st.integers(1, 4))):
+        content[data.draw(st.integers(0, last))] = data.draw(st.integers(0, 255))
+    del content[data.draw(st.integers(len(content) // 2, len(content))) :]
+    path.write_bytes(bytes(content))
+    problems = []
+    try:
+        read_recording(path, "right", fps=FPS)
+    except RecordingError as error:
+        problems.append(str(error))
+    assert not any("\n" in problem for problem in problems)
+
+
+def test_a_header_that_asks_for_more_than_there_is_is_refused(tmp_path: Path) -> None:
+    header = {"descr": "<f8", "fortran_order": False, "shape": (1 << 40, 21, 3)}
+    path = tmp_path / "x.npy"
+    with path.open("wb") as stream:
+        np.lib.format.write_array_header_1_0(stream, header)
+    with pytest.raises(RecordingError):
+        read_recording(path, "right", fps=FPS)

@@ -311,7 +311,13 @@ def save_npz(path: Path, arrays: Arrays) -> None:
 @contextmanager
 def _opened_array(file: Path) -> Iterator[IO[bytes]]:
     """Yield the stream of an `.npy` file; errors become `RecordingError`."""
-    with reading(file, "is not a plain array"), file.open("rb") as stream:
+    with (
+        reading(file, "is not a plain array"),
+        file.open("rb") as stream,
+        warnings.catch_warnings(),
+    ):
+        # numpy warns of headers that Python 2 wrote.
+        warnings.simplefilter("ignore")
         yield stream
 
 
