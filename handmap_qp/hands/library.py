@@ -179,7 +179,8 @@ def _of_side(hand: str | Path | HandSpec, side: Side) -> str | Path | HandSpec:
             argument="side",
             advice=f"leave it out, or name {partner}",
         )
-    return sided_name(hand, side)
+    # A hand is meant, so a robot of the same name, such as `g1`, is not.
+    return hand if Path(hand).exists() else sided_name(hand, side, hand_files())
 
 
 def _load(

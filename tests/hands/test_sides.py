@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from handmap_qp.apps.service.opening import HandCache
 from handmap_qp.cli import main
 from handmap_qp.errors import RefusedError, did_you_mean
 from handmap_qp.hands import SIDES, Side, hand_files, hand_sides
+from handmap_qp.trackers import read_recording, write_recordings
 
 FAMILIES = sorted(
     name.removesuffix("_right")
@@ -32,6 +34,8 @@ def test_every_family_has_both_sides(family: str) -> None:
 def test_a_family_and_a_side_are_a_hand(side: Side) -> None:
     assert load_hand("allegro", side=side).name == f"allegro_{side}"
     assert load_hand("human", side=side).side == side
+    # Among hands, the name of a robot with two hands is that of a family.
+    assert load_hand("g1", side=side).name == f"g1_{side}"
     # A name that says its side keeps it.
     assert load_hand(f"allegro_{side}", side=side).side == side
     # A hand that exists once has no other side.
@@ -125,6 +129,30 @@ def test_a_robot_with_both_hands_is_no_family(
     out = ["--out", str(tmp_path / "out.npz"), "--json"]
     assert main(["map", "pinch", "--robot", "g1", *out]) == 0
     assert json.loads(capsys.readouterr().out)["robot"] == "g1"
+
+
+def test_a_comparison_takes_the_hand_of_the_recordings_side(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "short.npz"
+    recording = read_recording("demo", "left").part(slice(0, 120))
+    write_recordings([recording], file)
+    words = ["compare", str(file), "--robot", "allegro", "--json"]
+    assert main([*words, "--methods", "paper"]) == 0
+    assert json.loads(capsys.readouterr().out)["robot"] == "allegro_left"
+
+
+def test_a_batch_takes_both_hands_of_a_family(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "both.npz"
+    hands = [read_recording("demo", side).part(slice(0, 30)) for side in SIDES]
+    write_recordings(hands, file)
+    out = tmp_path / "out"
+    words = ["batch", str(file), "--robot", "allegro", "--workers", "0", "--json"]
+    assert main([*words, "--out", str(out)]) == 0
+    text = "".join(line.read_text("utf-8") for line in out.glob("manifest*.jsonl"))
+    assert {"allegro_left", "allegro_right"} <= {*re.findall(r"allegro_\w+", text)}
 
 
 def test_a_session_takes_the_hand_of_its_side() -> None:
