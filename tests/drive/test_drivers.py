@@ -221,7 +221,8 @@ def test_registers_of_an_inspire_hand_are_those_of_the_manual() -> None:
         1498,
         1522,
     )
-    assert inspire.FORMS == {1546: "<i2", 1582: "<i2", 1606: "u1", 1618: "u1"}
+    words, data = {1522: "<i2", 1546: "<i2", 1582: "<i2"}, {1606: "u1", 1618: "u1"}
+    assert words | data == inspire.FORMS
     assert inspire.HOLD == 0xFFFF
 
 
@@ -523,7 +524,7 @@ WRONG_MOTORS: list[Any] = [
             )
             for text, *motors in WRONG_MOTORS
         ],
-        ("dynamixel", {"rate": 0}, r"Expected `float` > 0.0 - at `\$\.rate`"),
+        ("dynamixel", {"rate": 0}, r"Expected `float` >= 5.0 - at `\$\.rate`"),
         ("dynamixel", {"speed": -8.0}, r"Expected `float` > 0.0 - at `\$\.speed`"),
         ("dynamixel", {"effort": 1.5}, r"Expected `float` <= 1.0 - at `\$\.effort`"),
         ("dynamixel", {"full": 0}, r"Expected `int` >= 1 - at `\$\.full`"),

@@ -8,7 +8,6 @@ from unittest.mock import Mock, patch
 import numpy as np
 import pytest
 from handmap_drive.drive import (
-    APPROACH,
     HEARTBEAT,
     HOLDING,
     LOST,
@@ -17,6 +16,7 @@ from handmap_drive.drive import (
     Loop,
 )
 from handmap_drive.driver import DriverError, Health
+from handmap_drive.gate import APPROACH
 
 from handmap_qp.client import Command
 from handmap_qp.errors import InvalidInputError
