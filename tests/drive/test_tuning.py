@@ -20,7 +20,7 @@ from handmap_drive.cli import compensated
 from handmap_drive.drive import Loop
 from handmap_drive.driver import DriverError, Health
 from handmap_drive.fit import fit_encoders, fit_joint
-from handmap_drive.gate import Gate
+from handmap_drive.gate import APPROACH, Gate
 from handmap_drive.motion import Log, Motion
 from handmap_drive.pinches import plan_pinches
 from handmap_drive.ritual import find_tuning
@@ -28,6 +28,7 @@ from handmap_drive.running import stopping
 from handmap_drive.simulated import Simulated
 from handmap_drive.space import Space
 from handmap_drive.tuning import (
+    BOUNDS,
     STILL,
     Compensated,
     Joint,
@@ -588,3 +589,103 @@ def test_a_hand_that_is_not_tuned_is_refused(tmp_path: Path) -> None:
     write_hand(open_description(Path(HAND)), file)
     with pytest.raises(HandError, match=r"tuning: .*joints.*: run `handmap tune`"):
         read_tuning(file)
+
+
+LIES: list[tuple[str, float, str]] = [
+    ("gain", 0.02, "0.5 to 1.6"),
+    ("gain", -1.0, "0.5 to 1.6"),
+    ("gain", np.nan, "0.5 to 1.6"),
+    ("zero", -1.5, "-0.5 to 0.5"),
+    ("delay", 1e6, "0 to 0.25"),
+    ("delay", -0.1, "0 to 0.25"),
+    ("backlash", 2.0, "0 to 0.5"),
+    ("stretch", np.inf, "0 to 5"),
+    ("friction", 2.0, "0 to 1"),
+    ("lower", -1e9, "-10 to 10"),
+    ("upper", 1e9, "-10 to 10"),
+    ("encoder", 1.0, "-0.5 to 0.5"),
+    ("weight", 1e9, "0 to 100"),
+    ("lower", 1.0, "at most upper"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "text"), LIES)
+def test_a_number_that_no_joint_has_is_neither_written_nor_read(
+    name: str, value: float, text: str, tmp_path: Path
+) -> None:
+    wrong = msgspec.structs.replace(JOINT, **{name: value})
+    expected = f"tuning.joints.b.{name}: expected {text}"
+    with pytest.raises(InvalidInputError) as raised:
+        Tuning({"a": STIFF, "b": wrong})
+    assert str(raised.value).startswith(expected)
+    rows = msgspec.structs.astuple(wrong)
+    arrays = (
+        Tuning({"b": JOINT})
+        .arrays(("b",))
+        ._replace(
+            **dict(
+                zip(
+                    type(PAIR.arrays(("b",)))._fields,
+                    np.array(rows)[:, None],
+                    strict=True,
+                )
+            )
+        )
+    )
+    with pytest.raises(InvalidInputError) as raised:
+        Tuning.of(("b",), arrays, {})
+    assert str(raised.value).startswith(expected)
+    file = tmp_path / "hand.yaml"
+    write_hand(open_description(Path(HAND)), file)
+    joint = msgspec.to_builtins(JOINT) | {name: value}
+    tuning = msgspec.yaml.encode({"tuning": {"joints": {"b": joint}}}).decode()
+    file.write_text(f"{file.read_text()}\n{tuning}")
+    if not np.isfinite(value):
+        # YAML of a number that is not finite is refused by each hand.yaml.
+        with pytest.raises(HandError):
+            read_tuning(file)
+        return
+    with pytest.raises(HandError) as refused:
+        read_tuning(file)
+    said = str(refused.value)
+    assert expected in said
+    assert "\n" not in said
+
+
+def test_the_bounds_are_those_of_all_fields() -> None:
+    assert [*BOUNDS] == [*Joint.__struct_fields__]
+
+
+@pytest.mark.parametrize("gain", BOUNDS["gain"])
+@pytest.mark.parametrize("zero", BOUNDS["zero"])
+def test_a_tuning_that_lies_moves_no_motor_faster_than_the_approach(
+    gain: float, zero: float
+) -> None:
+    plain = Joint(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 2.0)
+    lie = msgspec.structs.replace(
+        plain, gain=gain, zero=zero, backlash=0.5, stretch=5.0, friction=1.0
+    )
+    motors = Played(plain, plain)
+    joints = Compensated(motors, Tuning({"b": lie, "a": lie}))
+    fields: dict[str, Any] = {"seq": 1, "name": "lab", "time": 0.0, "wrist": None}
+    fields |= {"joint_names": ("a", "b"), "server_time": 0.0}
+    here = Command(q=(0.3, 0.2), status="converged", **fields)
+    stopped = Command(q=(0.3, 0.2), status="stopped", **fields)
+    with patch("handmap_drive.drive.monotonic", return_value=0.0):
+        loop = Loop(motors, here, 0.1, 60.0, joints)
+    way = [motors.q]
+    now = 0.0
+    for _ in range(3):
+        for heard in [here] * 20 + [stopped] * 3:
+            now += 1.0 / RATE
+            loop.hear(heard, now)
+            count = len(motors.written)
+            loop.turn(now)
+            way += motors.written[count:]
+        # Without torque it is pushed.
+        motors.q = motors.q + 0.1
+        way = [*way, motors.q]
+    steps = np.abs(np.diff(np.array(way), axis=0)).max(axis=1)
+    pushes = np.isclose(steps, 0.1)
+    assert pushes.sum() == 3
+    assert steps[~pushes].max() <= APPROACH / RATE + 1e-12

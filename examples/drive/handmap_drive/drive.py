@@ -297,6 +297,8 @@ class Loop:
         check_places(self._q, self._driver.joint_names, self._joints.range)
         self._joints.restart(self._q)
         self._expected = self._q
+        # The way from a command before the stop is not one that joints are on.
+        self._from = self._goal
 
     def _path(self, now: float) -> np.ndarray:
         """Return the way between the last two commands at a time, one interval late."""

@@ -13,6 +13,8 @@ APPROACH = 0.5
 """Speed of goals until they meet their targets [rad/s]."""
 NEAR = 0.05
 """Distance from its target at which the approach of a motor ends [rad]."""
+_ACCELERATION = 20.0
+"""How quickly the limit of the speed grows after the approach [rad/s^2]."""
 _TURNS = 2.0
 """Longest time between two goals that counts for their speed, in turns of the loop."""
 
@@ -21,8 +23,8 @@ class Gate:
     """Writes goals of motors, and reads the motors.
 
     Goals begin where the motors are: at first, after each stop, and until a motor has torque. From
-    there each goal moves towards its target, at most at `APPROACH` until it is near, then at most
-    at the driver's speed. The time between two writes counts, up to two turns.
+    there each goal moves towards its target, at most at `APPROACH` until it is near. Then the limit
+    of its speed grows to that of the driver. The time between two writes counts, up to two turns.
 
     All angles are those that motors are told and tell. A calibration that is wrong can only make
     the targets wrong.
@@ -45,6 +47,8 @@ class Gate:
         self.goal: Array = self.measured
         self.is_near = np.zeros(count, bool)
         self.lost: Names = ()
+        self._slowest = min(APPROACH, driver.speed)
+        self._speed = np.full(count, self._slowest)
         self._has_torque = np.zeros(count, bool)
         # Time of the last write since the last stop [s].
         self._written: float | None = None
@@ -103,11 +107,14 @@ class Gate:
         driver = self.driver
         turn = 1.0 / driver.rate
         elapsed = turn if self._written is None else now - self._written
+        dt = np.clip(elapsed, 0.0, _TURNS * turn)
         away = np.clip(target, *driver.range) - self.goal
-        self.is_near = self.is_near | (np.abs(away) < NEAR)
-        speed = np.where(self.is_near, driver.speed, min(APPROACH, driver.speed))
-        step = speed * np.clip(elapsed, 0.0, _TURNS * turn)
+        # A joint without torque may fall past its target.
+        self.is_near = self.is_near | (self._has_torque & (np.abs(away) < NEAR))
+        step = self._speed * dt
         self.goal = self.goal + np.clip(away, -step, step)
+        grown = np.minimum(self._speed + _ACCELERATION * dt, driver.speed)
+        self._speed = np.where(self.is_near, grown, self._slowest)
         self._written = now
         driver.write(self.goal, effort)
         return self.goal
@@ -117,6 +124,7 @@ class Gate:
         self.driver.stop()
         self.lost = ()
         self.is_near = np.zeros_like(self.is_near)
+        self._speed = np.full_like(self._speed, self._slowest)
         self._has_torque = np.zeros_like(self._has_torque)
         self._written = None
         self.goal = np.full_like(self.goal, np.nan)

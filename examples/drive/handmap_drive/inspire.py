@@ -42,6 +42,8 @@ FAULTS = dict(
 """Bits of `ERROR`."""
 _PATIENCE = 0.05
 """Longest wait for an answer [s]."""
+_UNKNOWN = -1
+"""Force of a hand that did not answer to the last one."""
 _OTHERS = FORCE_ACT, ERROR, TEMPERATURE
 """Registers that are read in turns, one in each."""
 
@@ -117,18 +119,35 @@ class Inspire(TableDriver):
             if not self._is_marked:
                 self._put(SPEED_SET, MARK)
                 self._is_marked = True
-                self._force = -1
+                self._force = _UNKNOWN
+            if self._force == _UNKNOWN:
+                self._set_force(0)
+            if self._force == 0:
+                # The hand has the goal of the stop, which may be far from where it sagged to.
+                self._put(ANGLE_SET, goal)
+                self._set_force(force)
+                return
             if force != self._force:
-                self._put(FORCE_SET, force)
-                self._force = force
+                self._set_force(force)
             self._put(ANGLE_SET, goal)
 
     def stop(self) -> None:
         """Hold where the motors are, with the least force."""
-        self._force = -1
-        for at, value in ((ANGLE_SET, HOLD), (FORCE_SET, 0)):
-            with suppress(DriverError):
-                self._put(at, value)
+        self._force = _UNKNOWN
+        with suppress(DriverError):
+            self._put(ANGLE_SET, HOLD)
+        with suppress(DriverError):
+            self._set_force(0)
+
+    def _set_force(self, force: int) -> None:
+        """Write the limit of the force of all motors.
+
+        Raises:
+            DriverError: If there is no answer; the hand may have the old one, or this one.
+        """
+        self._force = _UNKNOWN
+        self._put(FORCE_SET, force)
+        self._force = force
 
     def _get(self, at: int) -> np.ndarray:
         """Read a field of the table's motors."""
