@@ -374,8 +374,8 @@ def test_a_motor_that_is_reset_is_a_stop_and_an_approach(
         session.follow()
         judge(session)
         assert session.loop.summary()["stops"] == 1
-        if kind == "dynamixel":
-            memory = wire.motors.memory  # ty: ignore[unresolved-attribute]
+        if isinstance(wire.motors, Dynamixel):
+            memory = wire.motors.memory
             assert (memory[:, 84:86].view("<u2") == 600).all()
             assert (memory[:, 80:82].view("<u2") == 200).all()
 
@@ -402,7 +402,7 @@ def afflict(session: Session, random: Random, least: float) -> None:
             session.shift = random.uniform(-0.3, 0.3)
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_faults_keep_the_promises(kind: str, seed: int, tmp_path: Path) -> None:
     random = Random(seed)

@@ -83,6 +83,7 @@ class Inspire(TableDriver):
         for at, value in ((FORCE_SET, 0), (ANGLE_SET, HOLD), (SPEED_SET, MARK)):
             insisting(self._put, at, value)
         self._force = 0
+        self._has_force = False
         self._is_marked = True
         # A hand that does not tell its speed cannot show that it was reset.
         self._has_mark = bool((insisting(self._get, SPEED_SET) == MARK).all())
@@ -95,6 +96,8 @@ class Inspire(TableDriver):
         """See `Driver`; torques and health are of one of the last three calls."""
         angle = self._get(ANGLE_ACT)
         unpowered = self._find_reset()
+        if not self._has_force:
+            unpowered = self.joint_names
         at = next(self._next)
         self._seen[at] = self._get(at)
         force, error, temperature = self._seen.values()
@@ -107,7 +110,9 @@ class Inspire(TableDriver):
         if not self._has_mark:
             return ()
         is_reset = self._get(SPEED_SET) != MARK
-        self._is_marked = self._is_marked and not is_reset.any()
+        if is_reset.any():
+            self._is_marked = False
+            self._has_force = False
         return tuple(compress(self.joint_names, is_reset))
 
     def write(self, q: np.ndarray, effort: float) -> None:
@@ -119,13 +124,12 @@ class Inspire(TableDriver):
             if not self._is_marked:
                 self._put(SPEED_SET, MARK)
                 self._is_marked = True
-                self._force = _UNKNOWN
-            if self._force == _UNKNOWN:
-                self._set_force(0)
-            if self._force == 0:
+            if not self._has_force:
                 # The hand has the goal of the stop, which may be far from where it sagged to.
+                self._set_force(0)
                 self._put(ANGLE_SET, goal)
                 self._set_force(force)
+                self._has_force = True
                 return
             if force != self._force:
                 self._set_force(force)
@@ -133,7 +137,7 @@ class Inspire(TableDriver):
 
     def stop(self) -> None:
         """Hold where the motors are, with the least force."""
-        self._force = _UNKNOWN
+        self._has_force = False
         with suppress(DriverError):
             self._put(ANGLE_SET, HOLD)
         with suppress(DriverError):

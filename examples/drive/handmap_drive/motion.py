@@ -96,7 +96,11 @@ class Motion:
         """
         now = next(self._times)
         self.goal = goal
-        told = self._gate.write(self._joints.command(goal), self.effort, now)
+        target = self._joints.command(goal)
+        # Motors that were not read keep their goals: they may have been reset.
+        if not self._lost:
+            self._gate.write(target, self.effort, now)
+        told = self._gate.goal
         try:
             q, torque, health = self._gate.read()
         except DriverError:
