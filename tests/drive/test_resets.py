@@ -402,6 +402,7 @@ def afflict(session: Session, random: Random, least: float) -> None:
             session.shift = random.uniform(-0.3, 0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_faults_keep_the_promises(kind: str, seed: int, tmp_path: Path) -> None:

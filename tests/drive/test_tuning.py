@@ -495,6 +495,38 @@ def test_lost_answers_are_met_and_silence_is_not() -> None:
         motion.go(motion.goal + 0.6, 1.0)
 
 
+def test_the_ritual_writes_nothing_to_motors_that_were_not_read() -> None:
+    motors = Played(JOINT, STIFF)
+    motion = Motion(motors, 0.1, (k / RATE for k in count()))
+    motion.start()
+    with patch.object(Played, "read", side_effect=DriverError("no answer")):
+        motion.go(motion.goal + 0.2, 1.0)
+    # The first one, after which the answer is missing.
+    assert len(motors.written) == 1
+    # From there, no faster than before.
+    start = motors.written[0]
+    motion.go(motion.goal, 1.0)
+    motion.go(motion.goal + 0.1, 1.0)
+    steps = np.abs(np.diff([start, *motors.written[1:]], axis=0))
+    assert steps.max() <= 2.0 * motors.speed / RATE
+
+
+def test_a_motor_that_loses_its_torque_ends_the_ritual() -> None:
+    motors = Played(JOINT, STIFF)
+    motion = Motion(motors, 0.1, (k / RATE for k in count()))
+    motion.start()
+    motion.go(motion.goal + 0.1, 1.0)
+    written = len(motors.written)
+    health = Health(np.full(2, 30.0), (), ("a",))
+    answer = (motors.q, np.zeros(2), health)
+    with (
+        patch.object(Played, "read", return_value=answer),
+        pytest.raises(DriverError, match="a: torque lost"),
+    ):
+        motion.go(motion.goal + 0.1, 1.0)
+    assert len(motors.written) == written + 1
+
+
 def at_once(rate: float, _: object) -> Iterator[float]:
     return (k / rate for k in count())
 
