@@ -8,7 +8,7 @@ from random import Random
 import numpy as np
 import pytest
 from handmap_drive.driver import DriverError, Health
-from handmap_drive.gate import APPROACH, NEAR, Gate
+from handmap_drive.gate import APPROACH, Gate
 
 from handmap_qp.errors import InvalidInputError
 
@@ -80,21 +80,23 @@ def test_goals_begin_where_motors_are_and_approach(motors: Motors, gate: Gate) -
     start = motors.q
     go(gate, 1.5, 100)
     assert speeds([start, *motors.written]).max() == pytest.approx(APPROACH)
-    assert not gate.is_near.any()
+    assert not gate.has_met.any()
     go(gate, 1.5, 300, start=1.0)
-    assert gate.is_near.all()
+    assert gate.has_met.all()
     np.testing.assert_array_equal(motors.q, 1.5)
 
 
 def test_the_limit_grows_after_the_approach(motors: Motors, gate: Gate) -> None:
-    now = go(gate, 0.0, 60)
-    assert gate.is_near.all()
+    now = go(gate, 0.0, 21)
+    assert gate.has_met.all()
+    assert speeds(motors.written).max() <= APPROACH + 1e-9
     count = len(motors.written)
     go(gate, 2.0, 100, start=now)
     grown = speeds(motors.written[count - 1 :])[:, 0]
     assert grown.max() == pytest.approx(SPEED)
-    # A step of the distance at which the approach ends would be 5 rad/s at once.
-    assert speeds(motors.written[:60]).max() < APPROACH + NEAR * RATE / 2.0
+    # By 20 rad/s^2.
+    assert np.diff(grown).max() <= 0.2 + 1e-9
+    assert grown[0] <= APPROACH + 0.5
 
 
 def test_motors_slower_than_the_approach_keep_their_speed(motors: Motors) -> None:
@@ -179,7 +181,7 @@ def test_goals_wait_where_motors_are_until_they_have_torque(
     np.testing.assert_allclose(ahead, APPROACH * TURN)
     assert gate.lost == ()
     now = go(gate, float(motors.q[0]), 5, start=now)
-    assert not gate.is_near.any()
+    assert not gate.has_met.any()
     motors.lose()
     start = motors.q
     count = len(motors.written)

@@ -350,7 +350,7 @@ def judge(session: Session) -> None:
         speed = np.where(is_near, SPEED, PROMISED)
         allowed = speed * (event.time - written + 2.0 * turn) + resolution
         assert (moved <= allowed)[is_on & was_on & ~stays].all(), (event, before)
-        is_near |= is_on & (np.abs(goal - target) < 0.1)
+        is_near |= is_on & (np.abs(goal - target) < 0.03)
         written = np.where((moved > 0.0) | ~was_on, event.time, written)
         # What is given between two looks is seen in the second one.
         bare_since = min(bare_since, event.time) if event.is_bare else np.inf

@@ -13,7 +13,7 @@ from handmap_qp.client import Client, Command
 from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Values
 from .driver import Driver, DriverError, check_places, insisting
-from .gate import NEAR, Gate
+from .gate import Gate
 from .joint_map import Direct, JointMap
 
 SILENCE = 0.08
@@ -30,6 +30,8 @@ HOLDING = 0.3
 """Share of the limit of torque that is left while motors only hold."""
 HOTTEST = 60.0
 """Largest temperature of a motor, unless the user gives another one [degrees Celsius]."""
+_BEYOND = 0.05
+"""How far beyond the range of its motor a command is reported [rad]."""
 _LOGGED = 10_000
 """Turns of which the summary is: the last minutes."""
 
@@ -193,7 +195,7 @@ class Loop:
         """Warn once of a command that is beyond the range of a joint."""
         beyond = np.abs(asked - self._goal)
         i = beyond.argmax()
-        if self._is_clipped or beyond[i] <= NEAR:
+        if self._is_clipped or beyond[i] <= _BEYOND:
             return
         self._is_clipped = True
         warn(
@@ -281,7 +283,7 @@ class Loop:
         patience = SILENCE + HEARTBEAT * ("watchdog" in self._command.flags)
         is_silent = now - self._heard >= patience
         changes: list[Change] = ["clear", "silence" if is_silent else "command"]
-        if self._gate.is_near.all():
+        if self._gate.has_met.all():
             changes.append("arrival")
         state = self.state
         for change in changes:

@@ -11,8 +11,6 @@ from .driver import Driver, DriverError, Health
 
 APPROACH = 0.5
 """Speed of goals until they meet their targets [rad/s]."""
-NEAR = 0.05
-"""Distance from its target at which the approach of a motor ends [rad]."""
 _ACCELERATION = 20.0
 """How quickly the limit of the speed grows after the approach [rad/s^2]."""
 _TURNS = 2.0
@@ -23,7 +21,7 @@ class Gate:
     """Writes goals of motors, and reads the motors.
 
     Goals begin where the motors are: at first, after each stop, and until a motor has torque. From
-    there each goal moves towards its target, at most at `APPROACH` until it is near. Then the limit
+    there each goal moves towards its target, at most at `APPROACH` until it meets it. Then the limit
     of its speed grows to that of the driver. The time between two writes counts, up to two turns.
 
     All angles are those that motors are told and tell. A calibration that is wrong can only make
@@ -36,7 +34,7 @@ class Gate:
         driver: As given.
         measured: Where the motors were read last [rad], shape (n,); not finite before `read`.
         goal: The last goal written, or `measured` for motors without torque [rad], shape (n,).
-        is_near: Whether the approach of each motor is over, shape (n,).
+        has_met: Whether the approach of each motor is over, shape (n,).
         lost: Joints whose motor had torque, and has none although it was not stopped.
     """
 
@@ -45,7 +43,9 @@ class Gate:
         self.driver = driver
         self.measured: Array = np.full(count, np.nan)
         self.goal: Array = self.measured
-        self.is_near = np.zeros(count, bool)
+        self.has_met = np.zeros(count, bool)
+        # From goals to their targets, before the last step.
+        self._away = np.zeros(count)
         self.lost: Names = ()
         self._slowest = min(APPROACH, driver.speed)
         self._speed = np.full(count, self._slowest)
@@ -109,12 +109,15 @@ class Gate:
         elapsed = turn if self._written is None else now - self._written
         dt = np.clip(elapsed, 0.0, _TURNS * turn)
         away = np.clip(target, *driver.range) - self.goal
-        # A joint without torque may fall past its target.
-        self.is_near = self.is_near | (self._has_torque & (np.abs(away) < NEAR))
         step = self._speed * dt
+        # It is in reach, or has come past the goal.
+        meets = (np.abs(away) <= step) | (away * self._away < 0.0)
+        self._away = away
+        # A joint without torque may fall past its target.
+        self.has_met = self.has_met | (self._has_torque & meets)
         self.goal = self.goal + np.clip(away, -step, step)
         grown = np.minimum(self._speed + _ACCELERATION * dt, driver.speed)
-        self._speed = np.where(self.is_near, grown, self._slowest)
+        self._speed = np.where(self.has_met, grown, self._slowest)
         self._written = now
         driver.write(self.goal, effort)
         return self.goal
@@ -123,7 +126,8 @@ class Gate:
         """Take the torque away, and begin where the motors are read next."""
         self.driver.stop()
         self.lost = ()
-        self.is_near = np.zeros_like(self.is_near)
+        self.has_met = np.zeros_like(self.has_met)
+        self._away = np.zeros_like(self._away)
         self._speed = np.full_like(self._speed, self._slowest)
         self._has_torque = np.zeros_like(self._has_torque)
         self._written = None
