@@ -21,8 +21,8 @@ class Gate:
     """Writes goals of motors, and reads the motors.
 
     Goals begin where the motors are: at first, after each stop, and until a motor has torque. From
-    there each goal moves towards its target, at most at `APPROACH` until it meets it. Then the limit
-    of its speed grows to that of the driver. The time between two writes counts, up to two turns.
+    there each goal moves at most at `APPROACH` until it meets its target. Then the limit of its
+    speed grows to that of the driver. The time between two writes counts, up to two turns.
 
     All angles are those that motors are told and tell. A calibration that is wrong can only make
     the targets wrong.
