@@ -267,7 +267,7 @@ def build_recording(
         object_pose: As `wrist`, of an object.
         confidence: As of `Recording`; an array of NaN counts as none.
         name: As of `Recording`; `entry_stem` if empty.
-        words: Those of `WORDS`.
+        words: Those of `WORDS`, and `time_source`.
 
     Raises:
         RecordingError: If `Recording` does not take them.

@@ -86,12 +86,14 @@ class HandModelFormat(RecordingFormat):
             model = self.model_of(entry.side)
             joints = _joints_of_parameters(model, arrays, entry.samples)
         time = arrays.get("time")
+        time_source = ""
         if time is None:
             if "fps" not in arrays:
                 raise InvalidInputError("has neither 'time' nor 'fps'")
             fps = as_floats(arrays["fps"], "fps", shape=(), is_finite=True)
             expect(fps > 0.0, "fps", "a rate > 0", value=fps)
             time = np.arange(len(joints)) / fps
+            time_source = f"{fps:g} samples/s, as the file or its format says"
         return build_recording(
             path,
             entry,
@@ -99,6 +101,7 @@ class HandModelFormat(RecordingFormat):
             joints[:, FROM_MANO],
             valid=arrays.get("valid"),
             source=self.name.upper(),
+            time_source=time_source,
             object_pose=arrays.get("object_pose"),
             object_shape=str(arrays.get("object_shape", "")),
         )
