@@ -210,6 +210,20 @@ def _time(arrays: Arrays, layout: Layout) -> Array:
     for name, unit in units.items():
         values = arrays.get(name, np.array(0.0))
         if values.ndim == 1 and values.dtype.kind in "fiu":
-            # Nanoseconds since 1970 need more digits than a float has.
-            return (values - values[:1]).astype(float) * unit
+            return _since_first(values) * unit
     raise InvalidInputError(f"has no time; expected one of {', '.join(units)}")
+
+
+def _since_first(stamps: Array) -> Array:
+    """Return stamps (T,) of a clock since the first one.
+
+    Counters of whole numbers may wrap around. A stamp earlier than the one before it stays earlier,
+    also where the numbers have no sign.
+    """
+    if stamps.dtype.kind == "f":
+        return (stamps - stamps[:1]).astype(float)
+    # The difference of two counts is right modulo its width, so the nearer one is meant. Whole
+    # numbers are added because nanoseconds since 1970 have more digits than a float.
+    steps = np.diff(stamps, prepend=stamps[:1])
+    signed = steps.view(f"i{stamps.dtype.itemsize}")
+    return np.cumsum(signed, dtype=np.int64).astype(float)
