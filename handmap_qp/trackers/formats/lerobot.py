@@ -26,6 +26,7 @@ from handmap_qp.se3 import Array, Arrays
 from .base import COLUMNS, WORDS, Entry, RecordingFormat, column, known_columns
 
 VERSION = "v3.0"
+_SAME_RATE = 1.1  # largest ratio of the rates of recordings in one set
 DATA_FILE_SIZE = 100 * 2**20
 """Size from which a new data file is begun [bytes in memory]."""
 CHUNK_FILES = 1000
@@ -95,14 +96,34 @@ class LeRobotFormat(RecordingFormat):
             )
             for field in fields
         }
-        steps = np.concatenate([recording.steps for recording in recordings])
-        fps = max(1, round(1.0 / np.median(steps)))
+        fps = _common_rate(recordings)
         kind = "human_hand"
         with writing_set(path, fps=fps, features=features, robot_type=kind) as writer:
             for own in recordings:
                 columns = {f"observation.{name}": column(own, name) for name in fields}
                 about = {key: getattr(own, key) for key in ("name", "side", *WORDS)}
                 writer.add(columns, own.task or f"{own.side} human hand", about)
+
+
+def _common_rate(recordings: Sequence[Recording]) -> int:
+    """Return the frames per second of recordings that have the same rate.
+
+    LeRobot's time stamp is the frame over one rate of the whole set, so recordings of other rates
+    would run too fast or too slow in it.
+
+    Raises:
+        InvalidInputError: If rates differ.
+    """
+    rates = [1.0 / np.median(recording.steps) for recording in recordings]
+    slowest, fastest = min(rates), max(rates)
+    expect(
+        fastest <= _SAME_RATE * slowest,
+        "recordings",
+        "recordings of one rate",
+        got=f"{slowest:.3g} to {fastest:.3g} samples/s",
+        advice="write a set for each rate",
+    )
+    return max(1, round(np.median(rates)))
 
 
 @contextmanager
