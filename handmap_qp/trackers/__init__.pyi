@@ -1,3 +1,8 @@
+from .file_evidence import STILL_TRAVEL as STILL_TRAVEL
+from .file_evidence import STILL_TURN as STILL_TURN
+from .file_evidence import RecordingFacts as RecordingFacts
+from .file_evidence import hints as hints
+from .file_evidence import recording_facts as recording_facts
 from .formats import DEMO as DEMO
 from .formats import FORMATS as FORMATS
 from .formats import SEPARATOR as SEPARATOR
@@ -30,8 +35,3 @@ from .layouts.tables import load_layout as load_layout
 from .layouts.tables import table_text as table_text
 from .plausibility import InputCheck as InputCheck
 from .plausibility import check_recording as check_recording
-from .recording_facts import STILL_TRAVEL as STILL_TRAVEL
-from .recording_facts import STILL_TURN as STILL_TURN
-from .recording_facts import RecordingFacts as RecordingFacts
-from .recording_facts import hints as hints
-from .recording_facts import recording_facts as recording_facts

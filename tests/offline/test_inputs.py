@@ -34,7 +34,7 @@ def test_numbered_samples_have_no_rate_of_their_own() -> None:
 
 @pytest.mark.parametrize("given", [{"fps": 25.0}, {"time": np.arange(90) / 25.0}])
 def test_a_rate_that_a_file_declares_is_no_time_stamp(
-    tmp_path: Path, given: dict[str, object]
+    tmp_path: Path, given: dict[str, float | np.ndarray]
 ) -> None:
     file = tmp_path / "joints.npz"
     joints = read_recording("demo", "right").landmarks[:90]

@@ -68,7 +68,7 @@ class RecordingFacts(NamedTuple):
         time_source: Where its instants are from; empty for the stamps of its tracker.
         rate: Samples in a second, by the median step [1/s]; NaN of a single sample.
         steps: Short and long steps, the 5th and 95th percentile [s]; NaN of a single sample.
-        rounding: What instants are rounded to by single precision [s]; 0 if they are not.
+        rounding: What instants were rounded to by single or half precision [s]; 0 if they were not.
         frequency: Frequency below which half of the power of the fingertips' speed in the palm lies
             [Hz]; NaN where they hardly move, or in less than 32 samples without a gap.
         palm_turn: How far the palm turns from its first direction [rad].
@@ -157,15 +157,17 @@ def _rate(time: Array) -> tuple[float, tuple[float, float]]:
 
 
 def _rounding(time: Array) -> float:
-    """Return what instants are rounded to [s] if they are numbers of single precision, else 0."""
-    single = time.astype(np.float32)
-    largest = np.abs(single).max()
-    if not np.isfinite(largest) or (single != time).any():
-        return 0.0
-    rounding = float(np.spacing(largest))
-    # Whole multiples of a coarser step, such as 0.25 s, are no sign of rounding.
-    is_coarser = (np.mod(time, 2.0 * rounding) == 0.0).all()
-    return 0.0 if is_coarser else rounding
+    """Return what instants were rounded to [s] by a type of few digits; 0 if they were not."""
+    for kind in (np.float16, np.float32):
+        with np.errstate(over="ignore"):
+            short = time.astype(kind)
+        if not (short == time).all():
+            continue
+        rounding = float(np.spacing(np.abs(short).max()))
+        # Whole multiples of a coarser step, such as 0.25 s, are no sign of rounding.
+        is_coarser = bool((np.mod(time, 2.0 * rounding) == 0.0).all())
+        return 0.0 if is_coarser else rounding
+    return 0.0
 
 
 def _finger_frequency(time: Array, landmarks: Array, palms: Array) -> float:
@@ -232,12 +234,12 @@ def _unusual_time(facts: RecordingFacts) -> str:
 
 
 def _rounded_time(facts: RecordingFacts) -> str:
-    """Name instants that single precision has rounded."""
+    """Name instants that a type of few digits has rounded."""
     if not facts.rounding * facts.rate > COARSE_STEP:
         return ""
     return (
-        f"instants are rounded to {1e3 * facts.rounding:.2g} ms, because they were stored in "
-        "single precision: store them in double precision, or from the first sample on"
+        f"instants are rounded to {1e3 * facts.rounding:.2g} ms, because they were stored "
+        "in a type of few digits: store them in double precision, or from the first sample on"
     )
 
 

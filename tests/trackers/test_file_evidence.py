@@ -15,7 +15,7 @@ import pytest
 
 from handmap_qp import Recording, read_recording
 from handmap_qp.se3 import lengths
-from handmap_qp.trackers.recording_facts import (
+from handmap_qp.trackers.file_evidence import (
     USUAL_FREQUENCY,
     hints,
     recording_facts,
@@ -169,18 +169,27 @@ def test_a_hand_that_slowly_changes_its_size_is_named(
         assert facts.size_change == pytest.approx(end, rel=0.15)
 
 
-def test_instants_that_single_precision_has_rounded_are_named(model: Recording) -> None:
-    late = 1e5 + model.time
-    rounded = np.unique(late.astype(np.float32)).astype(float)
+@pytest.mark.parametrize(
+    ("kind", "start", "rounding"),
+    [(np.float32, 1e5, 2.0**-7), (np.float16, 8.0, 2.0**-6)],
+)
+def test_instants_that_a_type_of_few_digits_has_rounded_are_named(
+    model: Recording, kind: type[np.floating], start: float, rounding: float
+) -> None:
+    late = start + model.time
+    rounded = np.unique(late.astype(kind)).astype(float)
     part = replace(model.part(slice(len(rounded))), time=rounded)
     facts = recording_facts(part)
-    assert facts.rounding == pytest.approx(2.0**-7)
-    assert "single precision" in hints(facts)[0]
-    # In double precision, and at instants that single precision holds exactly.
-    assert recording_facts(replace(model, time=late)).rounding == 0.0
-    assert (
-        hints(recording_facts(replace(model, time=np.arange(len(model)) / 64.0))) == []
-    )
+    assert facts.rounding == pytest.approx(rounding)
+    assert "store them in double precision" in hints(facts)[0]
+
+
+def test_exact_instants_are_not_rounded_ones(model: Recording) -> None:
+    late = replace(model, time=1e5 + model.time)
+    assert recording_facts(late).rounding == 0.0
+    # Steps of 1/64 s have few digits.
+    exact = replace(model, time=np.arange(len(model)) / 64.0)
+    assert hints(recording_facts(exact)) == []
 
 
 def test_a_short_recording_says_nothing(model: Recording) -> None:
