@@ -38,7 +38,10 @@ USUAL_RATE = (12.0, 250.0)
 CENTRAL_FREQUENCY = (1.0, 4.0)
 """Frequencies [Hz] beyond which an unusual rate is named: two weak signs that agree."""
 USUAL_GROWTH = 1.16
-"""Largest over smallest size of the hand in tenths of a recording; at most 1.06 in recordings."""
+"""Usual change of the hand's size, as a ratio (`RecordingFacts.growth`).
+
+At most 1.11 in recordings of 4 s and more: video takes the hand for larger or smaller for a second.
+"""
 COARSE_STEP = 0.05
 """Rounding of instants, in usual steps, from which speeds suffer."""
 STILL_TURN = math.radians(3.0)
@@ -54,9 +57,12 @@ _SPECTRUM = 2048  # points of the transform: zeros are appended
 _BREAK = 2.5  # usual steps without a sample, after which a new stretch begins
 _NOISE = 2.0  # what is taken for noise, over the floor of the spectrum of positions
 _LEAST_SIGNAL = 0.2  # of the power of speed; below it, fingers hardly move
-_TENTHS = 10
-_LEAST_PART = 8  # samples of a tenth of which the size is measured
-_BLOCK = 8  # samples over which directions are averaged, so that noise is no turn
+_LEAST_SIZED = 120  # samples of which a change of size can be told: 4 s of video
+_MOST_PARTS, _LEAST_PART = (
+    10,
+    48,
+)  # parts of which sizes are compared, and samples of each
+_BLOCK = 8  # samples over which directions and sizes are averaged, so that noise is no change
 _LEAST_REPEATS = 16  # samples that must be the same before that says anything
 _MOST = 95.0  # percentile of turns and travels, so that outliers do not count
 
@@ -78,9 +84,10 @@ class RecordingFacts(NamedTuple):
         wrist_travel: How far they travel [m]; 0 if there are none.
         is_turn_constant: Whether all wrist poses have exactly one orientation.
         is_place_constant: Whether all wrist poses have exactly one position.
-        growth: Largest over smallest size of the hand, in tenths of the recording; NaN if it is too
-            short.
-        size_change: Size at the end over that at the start, likewise.
+        growth: Largest over smallest size of the hand, of up to ten parts of the recording or of
+            `trend`; NaN of less than 120 samples.
+        trend: Size at the end over that at the start, by a straight line through the logarithms;
+            NaN likewise.
     """
 
     time_source: str
@@ -96,7 +103,7 @@ class RecordingFacts(NamedTuple):
     is_turn_constant: bool
     is_place_constant: bool
     growth: float
-    size_change: float
+    trend: float
 
 
 def recording_facts(recording: Recording) -> RecordingFacts:
@@ -114,7 +121,7 @@ def recording_facts(recording: Recording) -> RecordingFacts:
     turns, places = wrist[:, :3, :3], wrist[:, :3, 3]
     may_repeat = has_wrist and len(wrist) >= _LEAST_REPEATS
     rate, steps = _rate(recording.time)
-    growth, size_change = _sizes(landmarks)
+    growth, trend = _sizes(landmarks)
     return RecordingFacts(
         time_source=recording.time_source,
         rate=rate,
@@ -129,7 +136,7 @@ def recording_facts(recording: Recording) -> RecordingFacts:
         is_turn_constant=may_repeat and _repeats(turns),
         is_place_constant=may_repeat and _repeats(places),
         growth=growth,
-        size_change=size_change,
+        trend=trend,
     )
 
 
@@ -291,20 +298,29 @@ def _unmeasured_wrist(facts: RecordingFacts) -> str:
 
 
 def _sizes(landmarks: Array) -> tuple[float, float]:
-    """Return largest over smallest size in tenths of a recording, and last over first one."""
-    if len(landmarks) < _TENTHS * _LEAST_PART:
+    """Return `RecordingFacts.growth` and `RecordingFacts.trend`."""
+    count = len(landmarks)
+    if count < _LEAST_SIZED:
         return math.nan, math.nan
-    tenths = np.array_split(landmarks, _TENTHS)
-    sizes = np.array([log_size(own_distances(tenth)) for tenth in tenths])
-    return math.exp(np.ptp(sizes)), math.exp(sizes[-1] - sizes[0])
+    parts = _log_sizes(landmarks, min(_MOST_PARTS, count // _LEAST_PART))
+    steps = _log_sizes(landmarks, count // _BLOCK)
+    places = (np.arange(len(steps)) + 0.5) / len(steps)
+    trend = float(np.polyfit(places, steps, 1)[0])
+    return math.exp(max(np.ptp(parts), abs(trend))), math.exp(trend)
+
+
+def _log_sizes(landmarks: Array, count: int) -> Array:
+    """Return the logarithm of the hand's size in so many equal parts of a recording."""
+    parts = np.array_split(landmarks, count)
+    return np.array([log_size(own_distances(part)) for part in parts])
 
 
 def _changed_size(facts: RecordingFacts) -> str:
-    """Name a hand that has not the same size in all parts of the recording."""
+    """Name a hand that has not one size."""
     if not facts.growth > USUAL_GROWTH:
         return ""
     return (
-        f"the hand is {facts.growth:.2f} times as large in one tenth of the recording as in "
-        f"another, and {facts.size_change:.2f} times at the end as at the start, and bones keep "
-        "their lengths: check the tracker's scale, or record each person apart"
+        f"the size of the hand changes by {100.0 * (facts.growth - 1.0):.0f} % within the "
+        "recording, and bones keep their lengths: check the tracker's scale, or record each person "
+        "apart"
     )

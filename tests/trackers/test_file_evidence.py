@@ -166,7 +166,26 @@ def test_a_hand_that_slowly_changes_its_size_is_named(
         (hint,) = hints(recording_facts(grown(recording, end)))
         assert "bones keep" in hint, recording.name
         facts = recording_facts(grown(recording, end))
-        assert facts.size_change == pytest.approx(end, rel=0.15)
+        assert facts.trend == pytest.approx(end, rel=0.1)
+
+
+def test_a_hand_that_grows_and_shrinks_again_is_named(model: Recording) -> None:
+    sizes = 1.0 + 0.4 * np.sin(np.linspace(0.0, np.pi, len(model)))[:, None, None]
+    wrist = model.landmarks[:, :1]
+    changed = replace(model, landmarks=wrist + sizes * (model.landmarks - wrist))
+    facts = recording_facts(changed)
+    assert facts.trend == pytest.approx(1.0, abs=0.05)
+    assert "bones keep" in hints(facts)[0]
+
+
+def test_no_part_of_four_seconds_of_a_person_changes_its_size(
+    real: list[Recording],
+) -> None:
+    for recording in real:
+        for start in np.arange(recording.time[0], recording.time[-1] - 4.0):
+            inside = (recording.time >= start) & (recording.time < start + 4.0)
+            facts = recording_facts(recording.part(inside))
+            assert hints(facts) == [], (recording.name, start)
 
 
 @pytest.mark.parametrize(
