@@ -20,7 +20,7 @@ import common
 
 # isort: split
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -264,7 +264,7 @@ def read_file(take: lies.Take) -> str:
 
 
 def measure_files(
-    groups: dict[str, Sequence[lies.Take]],
+    groups: Mapping[str, Sequence[lies.Take]],
 ) -> list[dict[str, Any]]:
     """Return for each mistake in whole files how many are found, with intervals at 95 %."""
     rows = []

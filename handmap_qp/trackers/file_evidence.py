@@ -22,7 +22,7 @@ import numpy as np
 
 from handmap_qp.human import Recording
 from handmap_qp.se3 import Array, lengths, nearest_rotation
-from .hand_geometry import log_size, own_distances
+from .hand_geometry import BONES, log_size, own_distances
 from .wrist_axes import palm_axes
 
 # -- limits of what is usual
@@ -57,6 +57,7 @@ _SPECTRUM = 2048  # points of the transform: zeros are appended
 _BREAK = 2.5  # usual steps without a sample, after which a new stretch begins
 _NOISE = 2.0  # what is taken for noise, over the floor of the spectrum of positions
 _LEAST_SIGNAL = 0.2  # of the power of speed; below it, fingers hardly move
+_LOOSE = 0.01  # by which a bone may differ from its usual length, and half of that [m]
 _LEAST_SIZED = 120  # samples of which a change of size can be told: 4 s of video
 _MOST_PARTS, _LEAST_PART = (
     10,
@@ -110,9 +111,13 @@ def recording_facts(recording: Recording) -> RecordingFacts:
     """Measure what a recording shows of its time, its wrist and the size of its hand.
 
     Args:
-        recording: The recording; samples that are not valid do not count.
+        recording: The recording; samples that are not valid do not count, nor do those in which a
+            bone has another length than usual, because the guard holds the robot in them.
     """
-    seen = recording.valid
+    seen = recording.valid.copy()
+    is_usual = _has_usual_bones(recording.landmarks[seen])
+    # Where nothing keeps its length, no sample is better than another.
+    seen[seen] = is_usual | ~is_usual.any()
     time = recording.time[seen]
     landmarks = recording.landmarks[seen]
     palms = palm_axes(landmarks, 1.0 if recording.side == "right" else -1.0)
@@ -149,6 +154,16 @@ def hints(facts: RecordingFacts) -> list[str]:
         _changed_size(facts),
     ]
     return [line for line in found if line]
+
+
+def _has_usual_bones(landmarks: Array) -> Array:
+    """Tell which samples (T, 21, 3) have bones of about the usual lengths, shape (T,)."""
+    starts, ends = np.transpose(BONES)
+    # One landmark that overflows must not become a warning.
+    with np.errstate(over="ignore", invalid="ignore"):
+        bones = lengths(landmarks[:, ends] - landmarks[:, starts])
+        usual = np.median(bones, axis=0)
+        return (np.abs(bones - usual) < 0.5 * usual + _LOOSE).all(axis=1)
 
 
 # -- time

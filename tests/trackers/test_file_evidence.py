@@ -228,3 +228,28 @@ def test_samples_that_are_not_valid_do_not_count(model: Recording) -> None:
     assert facts.frequency == pytest.approx(whole.frequency, rel=0.2)
     travelled = lengths(model.landmarks[:, 0] - model.landmarks[0, 0]).max()
     assert 0.5 * travelled < facts.palm_travel <= travelled
+
+
+@pytest.mark.parametrize("fault", [0.0, 0.3, 1e200])
+def test_outliers_of_the_tracker_are_no_motion(model: Recording, fault: float) -> None:
+    landmarks = model.landmarks.copy()
+    random = np.random.default_rng(1)
+    bad = random.choice(len(model), len(model) // 20, replace=False)
+    if fault:
+        landmarks[bad, random.integers(1, 21, len(bad)), 0] += fault
+    else:
+        landmarks[bad] = 0.0
+    whole, facts = (
+        recording_facts(each) for each in (model, replace(model, landmarks=landmarks))
+    )
+    assert hints(facts) == []
+    assert facts.frequency == pytest.approx(whole.frequency, rel=0.2)
+    assert facts.growth == pytest.approx(whole.growth, rel=0.02)
+
+
+@pytest.mark.parametrize("scale", [0.0, 1.0, 1e60])
+def test_points_that_are_not_a_hand_are_measured_without_an_error(scale: float) -> None:
+    points = scale * np.random.default_rng(2).normal(size=(200, 21, 3))
+    time, valid = np.arange(200) / 60.0, np.ones(200, dtype=bool)
+    facts = recording_facts(Recording("noise", time, points, valid, "left"))
+    assert all("nan" not in hint for hint in hints(facts))
