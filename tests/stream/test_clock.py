@@ -174,7 +174,7 @@ def granted(
     at_rest = HUMAN.points(HUMAN.rest)
     times, rules = [], set()
     for stamp, arrival in zip(stamps.tolist(), arrivals.tolist(), strict=True):
-        points = at_rest + (0.02 * math.sin(arrival), 0.0, 0.0)
+        points = at_rest + np.array([0.02 * math.sin(arrival), 0.0, 0.0])
         points += random.normal(0.0, 3e-4, (21, 3))
         verdict = guard.check(HumanSample(stamp, "right", points), arrival=arrival)
         times.append(verdict.dt)
