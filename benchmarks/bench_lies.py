@@ -511,7 +511,7 @@ def main(words: Sequence[str] | None = None) -> None:
     common.print_table("CPU time of the check", costs, to_stderr=to_stderr)
     results = {"rows": rows, "angles": angles, "noise": noises, "costs": costs}
     results |= {"live": live, "alarms": alarms, "left out": left_out, "files": in_files}
-    results |= {"facts": facts}
+    results |= {"what files show": facts}
     common.write_json(arguments.json, "bench_lies", results)
     common.save_picture(arguments.picture, lambda: draw(rows, takes))
 
