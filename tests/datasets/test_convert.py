@@ -148,3 +148,16 @@ def test_recordings_of_two_rates_are_not_one_lerobot_set(
     write_recordings([left, right], tmp_path / "set", FORMATS["lerobot"])
     info = json.loads((tmp_path / "set/meta/info.json").read_text())
     assert info["fps"] == 30
+
+
+@pytest.mark.parametrize("form", [name for name in NAMES if name != "hamer"])
+def test_a_file_says_that_its_time_is_a_rate_or_that_this_is_lost(
+    form: str, tmp_path: Path
+) -> None:
+    recording = read_recording("demo", "right").part(slice(30)).at_rate(25.0)
+    suffix = FORMATS[form].suffixes[0]
+    path = tmp_path / f"take{suffix}"
+    lost = write_recordings([recording], path, FORMATS[form])
+    is_kept = read_recording(path).time_source == recording.time_source
+    assert is_kept == ("that the instants are those of a rate" not in lost)
+    assert is_kept == (form in ("npz", "robomimic"))

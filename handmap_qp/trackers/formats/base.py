@@ -40,7 +40,7 @@ Of poses they are the upper three rows, row by row.
 """
 
 
-WORDS = ("source", "upright", "object_shape", "task")
+WORDS = ("source", "upright", "object_shape", "task", "time_source")
 """Fields of `Recording` that are words, and empty where they are not known."""
 
 
@@ -52,6 +52,7 @@ LOSSES = {
     "object_pose": "the object",
     "object_shape": "the object's shape",
     "task": "the words about the task",
+    "time_source": "that the instants are those of a rate",
     "no wrist": "that the wrist's orientation is unknown",
     "wrist position": "the wrist's position where it is not its landmark",
     "no confidence": "that the confidence is unknown",
@@ -267,7 +268,7 @@ def build_recording(
         object_pose: As `wrist`, of an object.
         confidence: As of `Recording`; an array of NaN counts as none.
         name: As of `Recording`; `entry_stem` if empty.
-        words: Those of `WORDS`, and `time_source`.
+        words: Those of `WORDS`.
 
     Raises:
         RecordingError: If `Recording` does not take them.

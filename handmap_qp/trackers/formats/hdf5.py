@@ -237,6 +237,7 @@ class EgoDexFormat(_Hdf5Format):
         "source",
         "upright",
         "task",
+        "time_source",
         "object_pose",
         "no wrist",
         "wrist position",

@@ -26,7 +26,10 @@ from handmap_qp.se3 import Array, Arrays
 from .base import COLUMNS, WORDS, Entry, RecordingFormat, column, known_columns
 
 VERSION = "v3.0"
-_SAME_RATE = 1.1  # largest ratio of the rates of recordings in one set
+_SAME_RATE = 1.25
+"""Largest ratio of a recording's rate and that of its set: rates of webcams vary."""
+_LEAST_SAMPLES = 16
+"""Samples of a recording whose rate is judged: the steps of a few say nothing."""
 DATA_FILE_SIZE = 100 * 2**20
 """Size from which a new data file is begun [bytes in memory]."""
 CHUNK_FILES = 1000
@@ -114,16 +117,19 @@ def _common_rate(recordings: Sequence[Recording]) -> int:
     Raises:
         InvalidInputError: If rates differ.
     """
-    rates = [1.0 / np.median(recording.steps) for recording in recordings]
-    slowest, fastest = min(rates), max(rates)
+    steps = np.concatenate([recording.steps for recording in recordings])
+    fps = max(1, round(1.0 / np.median(steps)))
+    judged = [each for each in recordings if len(each) >= _LEAST_SAMPLES]
+    rates = np.array([1.0 / np.median(recording.steps) for recording in judged])
+    is_same = (rates <= _SAME_RATE * fps) & (_SAME_RATE * rates >= fps)
     expect(
-        fastest <= _SAME_RATE * slowest,
+        is_same.all(),
         "recordings",
         "recordings of one rate",
-        got=f"{slowest:.3g} to {fastest:.3g} samples/s",
+        got=f"{rates.min(initial=fps):.3g} to {rates.max(initial=fps):.3g} samples/s",
         advice="write a set for each rate",
     )
-    return max(1, round(np.median(rates)))
+    return fps
 
 
 @contextmanager

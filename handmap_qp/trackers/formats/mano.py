@@ -120,7 +120,15 @@ class ManoFormat(HandModelFormat):
 
     name = "mano"
     suffixes = (".npz",)
-    lacks = ("wrist", "confidence", "source", "upright", "task", "object_pose")
+    lacks = (
+        "wrist",
+        "confidence",
+        "source",
+        "upright",
+        "task",
+        "time_source",
+        "object_pose",
+    )
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the archive has joints or parameters."""
