@@ -23,7 +23,7 @@ struct GuardRules {
   // SampleClock and RateCheck
   double longest_step, gap, set_back, set_forward, period_share, shortest_step;
   int late_samples;
-  double rate_window, largest_drift;
+  double rate_window, largest_drift, credit_rate;
   // Motion
   int starts[kFixed], ends[kFixed];
   double zero_size, mirror, alone, believed[kSizes], noisy[kSizes], first_noise;
@@ -91,7 +91,7 @@ struct RateCheck {
     const double passed = has_arrival ? std::max(arrival - last_arrival, 0.0) : 0.0;
     has_arrival = true;
     last_arrival = arrival;
-    credit = std::min(credit + (1.0 + rules.largest_drift) * passed, rules.gap);
+    credit = std::min(credit + rules.credit_rate * passed, rules.gap);
     const double granted = std::min(dt, credit);
     credit -= granted;
     return granted;

@@ -67,6 +67,9 @@ _SHORTEST_STEP = 0.5
 _RATE_WINDOW = 0.5  # time of arrival between two comparisons of the clocks [s]
 # Drift of stamps against arrival that a clock or a growing delay may have [s/s].
 _LARGEST_DRIFT = 0.3
+# Time that samples may account for in a second of arrival [s/s]: clocks of computers differ by far
+# less.
+_CREDIT_RATE = 1.02
 
 
 class SampleClock(NamedTuple):
@@ -151,14 +154,14 @@ class RateCheck:
             arrival: When it arrived, on a monotonic clock [s].
 
         Returns:
-            At most `dt`, so that no two samples have more time between them than passed between
-            their arrivals, and 30 % of it and `GAP` more [s].
+            At most `dt`, so that samples account for no more time than has passed since any of them
+            arrived, and 2 % of it and `GAP` more [s].
         """
         passed = arrival - self._arrival
         # `not >` also takes the NaN before the first sample for no time.
         passed = passed if passed > 0.0 else 0.0
         self._arrival = arrival
-        self._credit = min(self._credit + (1.0 + _LARGEST_DRIFT) * passed, GAP)
+        self._credit = min(self._credit + _CREDIT_RATE * passed, GAP)
         granted = min(dt, self._credit)
         self._credit -= granted
         return granted

@@ -191,7 +191,7 @@ def test_stamps_that_are_set_back_again_and_again_take_no_more_time_than_passes(
     None
 ):
     times, arrivals, rules = granted(sawtooth(2000), [1e-3] * 2000)
-    assert times.sum() < 1.3 * np.ptp(arrivals) + GAP + PERIOD
+    assert times.sum() < 1.02 * np.ptp(arrivals) + GAP + PERIOD
     assert "time" in rules
 
 
@@ -208,7 +208,7 @@ def test_no_stamps_take_more_time_than_passes(steps: list[float], delay: float) 
     taken = np.cumsum(times)
     # From any sample to any later one; a burst behind a stall takes the time of the stall.
     for i in range(0, len(steps), 7):
-        passed = 1.3 * (arrivals[i:] - arrivals[i])
+        passed = 1.02 * (arrivals[i:] - arrivals[i])
         assert (taken[i:] - taken[i] <= passed + GAP + 1e-9).all()
 
 
@@ -217,4 +217,12 @@ def test_bursts_behind_short_stalls_cost_no_time() -> None:
     arrivals = 0.2 * np.ceil(stamps / 0.2)
     times, _, rules = granted([0.0, *np.diff(stamps)], [0.0, *np.diff(arrivals)])
     np.testing.assert_allclose(times[20:], PERIOD, rtol=1e-6)
+    assert rules == {""}
+
+
+def test_a_clock_that_runs_a_little_fast_costs_no_time() -> None:
+    stamps = np.arange(0.0, 20.0, PERIOD)
+    steps = [0.0, *np.diff(1.01 * stamps)]
+    times, _, rules = granted(steps, [0.0, *np.diff(stamps)])
+    np.testing.assert_allclose(times[20:], 1.01 * PERIOD, rtol=1e-6)
     assert rules == {""}
