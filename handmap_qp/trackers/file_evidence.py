@@ -59,10 +59,8 @@ _NOISE = 2.0  # what is taken for noise, over the floor of the spectrum of posit
 _LEAST_SIGNAL = 0.2  # of the power of speed; below it, fingers hardly move
 _LOOSE = 0.01  # by which a bone may differ from its usual length, and half of that [m]
 _LEAST_SIZED = 120  # samples of which a change of size can be told: 4 s of video
-_MOST_PARTS, _LEAST_PART = (
-    10,
-    48,
-)  # parts of which sizes are compared, and samples of each
+_MOST_PARTS = 10  # parts of a recording of which sizes are compared
+_LEAST_PART = 48  # samples of such a part
 _BLOCK = 8  # samples over which directions and sizes are averaged, so that noise is no change
 _LEAST_REPEATS = 16  # samples that must be the same before that says anything
 _MOST = 95.0  # percentile of turns and travels, so that outliers do not count
