@@ -189,6 +189,7 @@ class Batch:
                 "failed": len(tally.failed),
                 "skipped": len(plan.done),
                 "left_alone": len(plan.left_alone),
+                "unusual": len(tally.unusual),
                 "frames": frames,
                 "cpu_s": round(tally.useful_cpu, 3),
                 "all_cpu_s": round(tally.all_cpu, 3),
@@ -200,6 +201,7 @@ class Batch:
         rows = {
             "episodes": f"{len(tally.done)} mapped, {len(plan.done)} done before",
             "failed": f"{len(tally.failed)}, {len(plan.left_alone)} more left alone",
+            "unusual": f"{len(tally.unusual)}",
             "samples": f"{frames}",
         }
         if frames:
@@ -207,6 +209,8 @@ class Batch:
         print_rows(str(self.out), rows)
         for line in tally.failed[:10]:
             print(f"failed: {line.name}: {line.error}")
+        for line in tally.unusual[:10]:
+            print(f"unusual: {line.name}: {'; '.join(line.hints)}")
         if written:
             print(f"wrote {written}")
         if not tally.is_complete:
@@ -263,6 +267,11 @@ class Tally:
     def done(self) -> list[Line]:
         """Lines of the recordings that were mapped."""
         return [line for line in self.lines if line.status == "done"]
+
+    @property
+    def unusual(self) -> list[Line]:
+        """Lines of the recordings that were mapped, and have something to look at."""
+        return [line for line in self.done if line.hints]
 
     @property
     def failed(self) -> list[Line]:

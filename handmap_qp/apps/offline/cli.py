@@ -27,6 +27,7 @@ from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import SIDES, save_npz
+from .inputs import describe_input, input_notes, input_rows
 from .summary import notes, summarise, table_rows
 from .trajectory import map_hands
 
@@ -99,8 +100,9 @@ class Map:
         for summary in summaries:
             title = f"{summary['recording']} to {summary['robot']}"
             alignment = {"alignment": f"{summary['alignment']}"}
-            print_rows(title, table_rows(summary) | alignment)
-            for note in notes(summary):
+            assumed = input_rows(summary["inputs"])
+            print_rows(title, table_rows(summary) | assumed | alignment)
+            for note in [*notes(summary), *input_notes(summary["inputs"])]:
                 print(note)
             print(f"wrote {summary['out']}")
 
@@ -151,6 +153,7 @@ class Map:
             "recording": " and ".join(each.name for each in used),
             **summarise(trajectory),
             "robot": robot.name,
+            "inputs": [describe_input(recording) for recording in used],
             "alignment": getattr(method, "alignment", None),
             "out": str(out),
         }

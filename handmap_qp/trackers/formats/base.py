@@ -54,7 +54,7 @@ TIME_UNITS = {
 """Names that arrays and columns of time have in files of others, with their units [s]."""
 
 
-WORDS = ("source", "upright", "object_shape", "task")
+WORDS = ("source", "upright", "object_shape", "task", "time_source")
 """Fields of `Recording` that are words, and empty where they are not known."""
 
 
@@ -66,6 +66,7 @@ LOSSES = {
     "object_pose": "the object",
     "object_shape": "the object's shape",
     "task": "the words about the task",
+    "time_source": "that the instants are those of a rate",
     "no wrist": "that the wrist's orientation is unknown",
     "wrist position": "the wrist's position where it is not its landmark",
     "no confidence": "that the confidence is unknown",
@@ -289,9 +290,18 @@ def side_of(value: object, array: str) -> Side:
 
 
 def seconds(values: Array, unit: float) -> Array:
-    """Return instants of any unit as seconds since the first one, shape (T,)."""
-    # Nanoseconds since 1970 need more digits than a float has, so subtract first.
-    return (values - values[:1]).astype(float) * unit
+    """Return instants of any unit as seconds since the first one, shape (T,).
+
+    Counters of whole numbers may wrap around. A stamp earlier than the one before it stays earlier,
+    also where the numbers have no sign.
+    """
+    if values.dtype.kind == "f":
+        return (values - values[:1]).astype(float) * unit
+    # The difference of two counts is right modulo its width, so the nearer one is meant. Whole
+    # numbers are added because nanoseconds since 1970 have more digits than a float.
+    steps = np.diff(values, prepend=values[:1])
+    signed = steps.view(f"i{values.dtype.itemsize}")
+    return np.cumsum(signed, dtype=np.int64).astype(float) * unit
 
 
 def time_in(

@@ -89,11 +89,13 @@ class HandModelFormat(RecordingFormat):
             model = self.model_of(entry.side)
             joints = _joints_of_parameters(model, arrays, entry.samples)
         time = arrays.get("time")
+        time_source = ""
         if self.hints.fps is not None or not {"time", "fps"} & arrays.keys():
             time = self.hints.time_of_file(len(joints))
         elif time is None:
-            fps = as_floats(arrays["fps"], "fps", shape=())
-            time = regular_time(len(joints), float(fps))
+            fps = float(as_floats(arrays["fps"], "fps", shape=(), is_finite=True))
+            time = regular_time(len(joints), fps)
+            time_source = f"{fps:g} samples/s, as the file or its format says"
         return build_recording(
             path,
             entry,
@@ -101,6 +103,7 @@ class HandModelFormat(RecordingFormat):
             joints[:, FROM_MANO],
             valid=arrays.get("valid"),
             source=self.name.upper(),
+            time_source=time_source,
             object_pose=arrays.get("object_pose"),
             object_shape=str(arrays.get("object_shape", "")),
         )
@@ -119,7 +122,15 @@ class ManoFormat(HandModelFormat):
 
     name = "mano"
     suffixes = (".npz",)
-    lacks = ("wrist", "confidence", "source", "upright", "task", "object_pose")
+    lacks = (
+        "wrist",
+        "confidence",
+        "source",
+        "upright",
+        "task",
+        "time_source",
+        "object_pose",
+    )
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the archive has joints or parameters."""
