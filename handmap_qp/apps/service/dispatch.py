@@ -43,8 +43,9 @@ from handmap_qp.client.messages import (
     Subscribe,
 )
 from handmap_qp.errors import RefusedError
+from .fairness import AccountBuckets
 from .logs import Throttle
-from .safety import Bucket, refuse_if
+from .safety import BURST, Bucket, refuse_if
 from .session import Session
 from .sessions import UNKNOWN, Caller, Sessions
 
@@ -57,6 +58,8 @@ _QUAT_TOLERANCE = 1e-2
 _STOP_PROTOCOL = 2
 _MOST_PEERS = 1024
 _ERRORS_PER_SECOND = 10.0
+_SHARE = 0.5
+"""Share of all changes of options that one client may make."""
 
 
 class _Head(msgspec.Struct):
@@ -184,7 +187,12 @@ class Dispatcher:
         self._by = UNKNOWN
         self._started = sessions.clock()
         self._version = version("handmap-qp")
-        self._configures = Bucket(self._settings.configures, clock=sessions.clock)
+        configures = self._settings.configures
+        self._configures = Bucket(configures, clock=sessions.clock)
+        # One client may use up a half of them.
+        self._configures_of = AccountBuckets(
+            _SHARE * configures, _SHARE * BURST * configures, sessions.clock
+        )
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending = {}
@@ -402,9 +410,7 @@ class Dispatcher:
                 session.measure(request, now)
                 return None
             case Configure():
-                limit = f"more than {self._settings.configures:g} changes of options a second"
-                is_due = self._configures.take()
-                refuse_if(not is_due, f"{limit}: try again later", code="rate")
+                self._limit_configures()
                 session.configure(request)
             case Reset():
                 session.reset(request, now)
@@ -423,6 +429,14 @@ class Dispatcher:
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
         return None
+
+    def _limit_configures(self) -> None:
+        """Refuse a change of options beyond the rate of all, or beyond the client's share."""
+        by = self._by
+        is_due = by.is_anonymous or self._configures_of.take(by.account)
+        is_due = is_due and self._configures.take()
+        limit = f"more than {self._settings.configures:g} changes of options a second"
+        refuse_if(not is_due, f"{limit}: try again later", code="rate")
 
     def _receive_open(self, request: Open, payload: bytes, send: Send) -> None:
         """Open a session in a task; a repeated request gets the same answer."""

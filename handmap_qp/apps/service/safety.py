@@ -39,6 +39,8 @@ HEARTBEAT = 0.1
 """Time between commands that repeat a hold [s]."""
 RETURN_PERIOD = 1.0 / 60.0
 """Time between commands on the way back to rest [s]."""
+BURST = 0.25
+"""Time whose events a rate limit permits at once, if it is not told otherwise [s]."""
 START_TOLERANCE = 0.1
 """Distance outside its limits that a client may report for a robot's joint [rad].
 
@@ -389,7 +391,7 @@ class Bucket:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._rate = rate
-        self._burst = self._left = max(1.0, 0.25 * rate if burst is None else burst)
+        self._burst = self._left = max(1.0, BURST * rate if burst is None else burst)
         self._clock = clock
         self._then = clock()
 

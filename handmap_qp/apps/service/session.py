@@ -200,6 +200,7 @@ class Session:
         now: The present on a monotonic clock [s].
         former: Record of the session to continue; the request decides if omitted.
         owner: Its owner, see `Caller.owner`. The epoch of another owner ends.
+        account: Whose share of the service it uses, see `Caller.account`.
         motion: How the robot of that session moves, if it is running; at rest if omitted.
 
     Attributes:
@@ -212,6 +213,7 @@ class Session:
         payload: That request as received.
         answer: Its answer, which is sent again if the same request arrives again.
         owner: Its owner.
+        account: As given.
 
     Raises:
         RefusedError: If the robot cannot be where the request says, or there is no such layout.
@@ -226,11 +228,13 @@ class Session:
         *,
         former: Record | None = None,
         owner: str = "",
+        account: str = "",
         motion: Motion | None = None,
     ) -> None:
         self.request = request
         self.name = name
         self.owner = owner
+        self.account = account
         self.robot = hands.mapper.robot
         self.counts = Counter[str]()
         self.last_request = self._opened_at = now
