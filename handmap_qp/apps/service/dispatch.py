@@ -11,9 +11,10 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, INFO
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
+from msgspec.structs import fields
 
 from handmap_qp.client import messages
 from handmap_qp.client.messages import (
@@ -60,6 +61,13 @@ _MOST_PEERS = 1024
 _ERRORS_PER_SECOND = 10.0
 _SHARE = 0.5
 """Share of all changes of options that one client may make."""
+
+
+_POSE_FIELDS = {
+    kind: [each.name for each in fields(kind) if Pose in get_args(each.type)]
+    for kind in get_args(AnyRequest)
+}
+"""Fields that hold a pose, by the kind of request."""
 
 
 class _Head(msgspec.Struct):
@@ -154,10 +162,11 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
 def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
     """Yield field and message of poses that cannot be used; infinity and NaN cannot either."""
     fields = msgspec.structs.asdict(request)
+    poses = {name: fields[name] for name in _POSE_FIELDS[type(request)]}
     for side, hand in (fields.get("hands") or {}).items():
-        fields[f"hands.{side}.wrist"] = hand.wrist
-    for name, pose in fields.items():
-        if not isinstance(pose, Pose):
+        poses[f"hands.{side}.wrist"] = hand.wrist
+    for name, pose in poses.items():
+        if pose is None:
             continue
         norm = math.hypot(*pose.quat_xyzw)
         far = math.hypot(*pose.position)
@@ -393,7 +402,6 @@ class Dispatcher:
     def _act(self, request: Request, session: Session) -> AnyReply | None:
         """Carry out a request for a session."""
         now = self.sessions.clock()
-        event = type(request).__name__.lower()
         match request:
             case Step():
                 command = session.step(request, now)
@@ -409,26 +417,33 @@ class Dispatcher:
             case Measured():
                 session.measure(request, now)
                 return None
-            case Configure():
-                self._limit_configures()
-                session.configure(request)
-            case Reset():
-                session.reset(request, now)
-            case Clutch() | Release():
-                # A session has methods of these names.
-                getattr(session, event)()
-            case Clear():
-                session.clear(request.stop)
-            case Stop():
-                session.stop()
-                # The stream must not wait for the next tick.
-                self._tick(session, now)
+        self._change(request, session, now)
+        event = type(request).__name__.lower()
         self.sessions.audit.note(
             event, self._by, session=session.name, **_changes(request)
         )
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
         return None
+
+    def _change(self, request: Request, session: Session, now: float) -> None:
+        """Carry out a request that the audit log keeps."""
+        match request:
+            case Configure():
+                self._limit_configures()
+                session.configure(request)
+            case Reset():
+                session.reset(request, now)
+            case Clutch():
+                session.clutch()
+            case Release():
+                session.release()
+            case Clear():
+                session.clear(request.stop)
+            case Stop():
+                session.stop()
+                # The stream must not wait for the next tick.
+                self._tick(session, now)
 
     def _limit_configures(self) -> None:
         """Refuse a change of options beyond the rate of all, or beyond the client's share."""

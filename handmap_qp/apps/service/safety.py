@@ -264,6 +264,8 @@ class CommandedRobot(Gate):
         self._placed = robot.configuration()
         vector = robot.configuration_vector(q, wrist if robot.is_floating else None)
         super().__init__(robot, Motion.at_rest(vector, len(robot.active_columns)))
+        can_move = robot.is_floating or robot.moves_wrist.any()
+        self._fixed_wrist = None if can_move else self._wrist_at(vector)
 
     def obey(self, ik: PointIk) -> None:
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
@@ -273,14 +275,27 @@ class CommandedRobot(Gate):
     @property
     def q(self) -> Array:
         """Joint angles last commanded [rad], shape (n,)."""
-        return self.motion.q[self.hand.q_indices]
+        return self.posture[0]
 
     @property
     def wrist(self) -> Array | None:
         """Pose of the wrist last commanded, shape (4, 4); None if it is not known yet."""
+        return self.posture[1]
+
+    @property
+    def posture(self) -> tuple[Array, Array | None]:
+        """Joint angles and wrist last commanded, as of `q` and `wrist`."""
+        motion = self.motion
+        q = motion.q[self.hand.q_indices]
         if not self.is_placed:
-            return None
-        self._placed.place(self.motion.q)
+            return q, None
+        if self._fixed_wrist is not None:
+            return q, self._fixed_wrist
+        return q, self._wrist_at(motion.q)
+
+    def _wrist_at(self, vector: Array) -> Array:
+        """Return the pose of the wrist at a configuration of Pinocchio, shape (nq,)."""
+        self._placed.place(vector)
         return self._placed.wrist.homogeneous
 
     def advance(
