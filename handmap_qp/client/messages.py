@@ -102,9 +102,9 @@ class Pose(Struct, frozen=True, forbid_unknown_fields=True):
             (h - f, c - g, d - b, 1.0 + a + e + i),
         )
         squares = rows[0][0], rows[1][1], rows[2][2], rows[3][3]
-        row = rows[squares.index(max(squares))]
-        quat = np.array(row) / math.hypot(*row)
-        return cls((x, y, z), tuple(quat.tolist()))
+        qx, qy, qz, qw = row = rows[squares.index(max(squares))]
+        norm = math.hypot(*row)
+        return cls((x, y, z), (qx / norm, qy / norm, qz / norm, qw / norm))
 
     @classmethod
     def of(cls, pose: "Pose | npt.ArrayLike", name: str = "pose") -> "Pose":

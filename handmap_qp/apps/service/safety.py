@@ -264,6 +264,7 @@ class CommandedRobot(Gate):
         self._placed = robot.configuration()
         vector = robot.configuration_vector(q, wrist if robot.is_floating else None)
         super().__init__(robot, Motion.at_rest(vector, len(robot.active_columns)))
+        self._has_free_wrist = robot.is_floating and robot.wrist_frame.parentJoint == 1
         can_move = robot.is_floating or robot.moves_wrist.any()
         self._fixed_wrist = None if can_move else self._wrist_at(vector)
 
@@ -295,6 +296,10 @@ class CommandedRobot(Gate):
 
     def _wrist_at(self, vector: Array) -> Array:
         """Return the pose of the wrist at a configuration of Pinocchio, shape (nq,)."""
+        if self._has_free_wrist:
+            # The first coordinates of the configuration are the wrist's own.
+            wrist = pin.XYZQUATToSE3(vector[:7]) * self.hand.wrist_frame.placement
+            return wrist.homogeneous
         self._placed.place(vector)
         return self._placed.wrist.homogeneous
 
