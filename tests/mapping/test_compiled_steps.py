@@ -20,7 +20,7 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.ik import core as core_module
-from handmap_qp.mapping.method import Stages
+from handmap_qp.mapping.method import Stages, StepSummary
 from handmap_qp.mapping.presets import get_preset
 
 if core_module.core is None:
