@@ -246,6 +246,27 @@ def test_a_file_of_an_earlier_version_keeps_its_stops(tmp_path: Path) -> None:
         assert all(store.records[f"old-{i}"].stop == 5 for i in range(3))
 
 
+@pytest.mark.parametrize("restore", [True, False])
+def test_a_record_that_cannot_be_read_counts_as_stopped(
+    tmp_path: Path, restore: bool
+) -> None:
+    file = tmp_path / "state"
+    service = Service(file)
+    service.open(ALICE, "lab")
+    service.sessions.close()
+    assert service.store._database
+    service.store._database.execute("UPDATE postures SET record = x'c1'")
+    service.store.close()
+    service = Service(file)
+    service.now += 2.0 * LEASE
+    # Where its robot is must be said, as for a name without a record.
+    robot_q = {"robot_q": (0.0,) * 8}
+    session = service.open(ALICE, "lab", restore=restore, **robot_q)
+    assert session.mode == "stopped"
+    session.clear(session.record.stop)
+    assert service.restart(file).store.records["lab"].stop == 0
+
+
 def test_the_file_is_bounded_also_for_many_owners(tmp_path: Path) -> None:
     file = tmp_path / "state"
 

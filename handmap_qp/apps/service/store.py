@@ -3,14 +3,14 @@
 Records are in memory, and by option in a database (SQLite) that outlives the server. Each is
 written before its command leaves, without waiting for the disk: it survives a kill of the process,
 and a power cut may damage the file. A server does not start with a damaged file, so that nobody
-overlooks that emergency stops are lost.
+overlooks that emergency stops are lost. A single record that cannot be read counts as stopped.
 
 Names are counted for each owner, so that one client cannot push out the records of others: see
 `PostureStore`.
 """
 
 import sqlite3
-from contextlib import suppress
+import time
 from itertools import islice
 from logging import ERROR, WARNING
 from pathlib import Path
@@ -48,7 +48,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         name: Name of the session.
-        robot: Name of the robot hand.
+        robot: Name of the robot hand; empty for a record that could not be read.
         q: Joint angles last commanded [rad].
         wrist: Pose of the wrist row by row, 16 numbers; None if it was not known.
         epoch: Epoch of the last command.
@@ -76,6 +76,15 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def account(self) -> str:
         """Whose names this one is counted with, see `names_account`."""
         return names_account(self.owner)
+
+
+def _lost(name: str) -> Record:
+    """Return what stands for a record that cannot be read: nobody knows whether it was stopped.
+
+    It has no robot and no posture, but an emergency stop, which somebody must clear.
+    """
+    # A number that no session has had; see `Session.stop`.
+    return Record(name, "", (), None, 0, stop=time.time_ns() // 1000)
 
 
 def names_account(owner: str) -> str:
@@ -129,10 +138,15 @@ class PostureStore:
             except (OSError, sqlite3.Error) as error:
                 self.close()
                 raise _unusable(path, error) from error
+            damaged = 0
             for name, encoded in rows:
-                with suppress(msgspec.MsgspecError):
-                    self._keep(msgspec.msgpack.decode(encoded, type=Record), name)
-            if damaged := len(rows) - len(self.records):
+                try:
+                    record = msgspec.msgpack.decode(encoded, type=Record)
+                except msgspec.MsgspecError:
+                    damaged += 1
+                    record = _lost(name)
+                self._keep(record, name)
+            if damaged:
                 report(WARNING, "state_damaged", file=str(path), postures_lost=damaged)
 
     def __enter__(self) -> Self:
@@ -157,12 +171,14 @@ class PostureStore:
             self._failures.report(ERROR, "state_unwritten", error=str(error))
 
     def find(self, name: str, robot: str, joints: int) -> Record | None:
-        """Return the record of the last session of a name, if there is one.
+        """Return the record of the last session of a name, if there is one that can be read.
 
         Raises:
             RefusedError: If it is of another robot.
         """
         record = self.records.get(name)
+        if record and not record.robot:
+            return None
         if record and (record.robot != robot or len(record.q) != joints):
             raise RefusedError(
                 "invalid",
