@@ -399,10 +399,10 @@ def _forgets_leases(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _renews_no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    def find(self: sessions.Sessions, secret: str) -> Session:
+    def find(self: sessions.Sessions, secret: str, by: Caller) -> Session:
         session = self.by_secret.get(secret)
         heard = 0.0 if session is None else session.last_request
-        found = whole(self, secret)
+        found = whole(self, secret, by)
         found.last_request = heard
         return found
 

@@ -14,7 +14,7 @@ from typing import Any, cast
 import msgspec
 import pytest
 import zmq
-from service_tools import CACHE, opening
+from service_tools import CACHE, Sampler, opening, streamed
 
 from handmap_qp.apps.service import sessions as sessions_module
 from handmap_qp.apps.service.connection_gate import ConnectionGate
@@ -35,6 +35,7 @@ from handmap_qp.client.messages import (
     PROTOCOL,
     Clear,
     Configure,
+    Release,
     Request,
     Status,
     Stop,
@@ -284,6 +285,42 @@ def test_the_file_is_bounded_also_for_many_owners(tmp_path: Path) -> None:
         assert size() <= reserved
     with PostureStore(file) as store:
         assert len(store.records) == MOST_RECORDS
+
+
+def test_a_secret_does_not_open_the_session_of_a_key_to_another_key() -> None:
+    service = Service()
+    session = service.open(ALICE, "lab")
+    secret = session.request.session
+    heard = session.last_request
+    service.now += 1.0
+    for stranger in (BOB, HEADSET, PROGRAM, SUPERVISOR):
+        answer = service.ask(stranger, Release, session=secret)
+        assert (answer["code"], answer["field"]) == ("denied", "session")
+    assert session.mode == "waiting"
+    # It does not renew the lease either.
+    assert session.last_request == heard
+    assert service.ask(ALICE, Release, session=secret)["type"] == "done"
+
+
+def test_a_streamed_sample_of_another_key_replaces_none_of_the_owner() -> None:
+    service = Service()
+    secret = service.open(ALICE, "lab").request.session
+    sample = streamed(Sampler()(1.0))
+    mine = msgspec.structs.replace(sample, session=secret, seq=99)
+    alien = msgspec.structs.replace(mine, seq=100)
+
+    async def send() -> list[bytes]:
+        refusals: list[bytes] = []
+        for by, each in ((ALICE, mine), (BOB, alien)):
+            payload = msgspec.msgpack.encode(each)
+            service.dispatcher.receive(payload, by, refusals.append, by=by)
+        await asyncio.sleep(0.0)
+        return refusals
+
+    (refusal,) = asyncio.run(send())
+    assert msgspec.msgpack.decode(refusal)["code"] == "denied"
+    session = service.sessions.named("lab")
+    assert (session.counts["steps"], session.seq) == (1, 99)
 
 
 # Sessions and openings

@@ -253,9 +253,9 @@ class Dispatcher:
                 # Keep the newest one of each session until all waiting messages have been read.
                 if not self._pending:
                     asyncio.get_running_loop().call_soon(self.flush)
-                elif request.session in self._pending:
+                elif (by, request.session) in self._pending:
                     self._metrics.counts["replaced"] += 1
-                self._pending[request.session] = request, send
+                self._pending[by, request.session] = request, send
             case Open():
                 self._receive_open(request, payload, send)
             case Subscribe():
@@ -268,8 +268,8 @@ class Dispatcher:
         """Map the newest streamed sample of each session since the last call."""
         pending = self._pending
         self._pending = {}
-        for sample, send in pending.values():
-            reply = self._attempt(self._for_stream, sample)
+        for (by, _), (sample, send) in pending.items():
+            reply = self._attempt(self._for_stream, sample, by)
             if isinstance(reply, Error):
                 send(reply)
 
@@ -311,9 +311,9 @@ class Dispatcher:
         if command:
             self._send(session, command)
 
-    def _for_stream(self, sample: Sample) -> None:
+    def _for_stream(self, sample: Sample, by: Caller) -> None:
         """Map a streamed sample; its command, or why there is none, is in the stream."""
-        session = self.sessions.find(sample.session)
+        session = self.sessions.find(sample.session, by)
         if sample.seq <= session.seq:
             session.counts["stale"] += 1
         else:
@@ -340,7 +340,7 @@ class Dispatcher:
             return self._by_name(request)
         if isinstance(request, Status | Stop) and not request.session:
             return self._for_all(request)
-        session = self.sessions.find(request.session)
+        session = self.sessions.find(request.session, self._by)
         if request.seq == session.seq and payload == session.payload:
             return session.answer
         refuse_if(

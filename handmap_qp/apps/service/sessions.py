@@ -136,13 +136,18 @@ class Sessions:
         """Public names of the open sessions."""
         return tuple(session.name for session in self.by_secret.values())
 
-    def find(self, secret: str) -> Session:
+    def find(self, secret: str, by: Caller) -> Session:
         """Return the session of a secret, and renew its lease.
 
         Raises:
-            RefusedError: `no_session` if there is none, `taken` if another client took it over.
+            RefusedError: `no_session` if there is none, `taken` if another client took it over,
+                `denied` if the session is that of another key, which somebody got the secret of.
         """
         if session := self.by_secret.get(secret):
+            is_alien = (
+                session.owner.startswith("key:") and session.account != by.account
+            )
+            refuse_if(is_alien, "belongs to another key", "session", "denied")
             session.last_request = self.clock()
             return session
         refuse_if(
