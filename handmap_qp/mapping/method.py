@@ -461,10 +461,12 @@ class MapStep(ArrayStruct, frozen=True):
         is_led = self.stages.status not in ("released", "failed")
         if not is_led or not hand.moves_wrist.any():
             return ""
-        if (self.wrist_error * WRIST_LEVERS).max() <= _ARRIVED:
+        summary = self.stages.summary
+        if (np.array(summary.wrist_error) * WRIST_LEVERS).max() <= _ARRIVED:
             return ""
         at_limit = hand.at_position_limit(self.command.q)
-        return str(arm_held_by(hand, self.at_bound & ~at_limit, at_limit))
+        at_bound = np.array(summary.at_bound)
+        return str(arm_held_by(hand, at_bound & ~at_limit, at_limit))
 
     @property
     def points(self) -> Array:
