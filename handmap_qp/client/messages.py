@@ -93,17 +93,18 @@ class Pose(Struct, frozen=True, forbid_unknown_fields=True):
     def from_matrix(cls, matrix: np.ndarray) -> "Pose":
         """Convert a rigid transformation, shape (4, 4), which is not checked."""
         (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = matrix.tolist()
-        # Each row is the quaternion times four times one of its parts. The longest one is that of
-        # the largest part, which is never small (Shepperd 1978).
+        # Each row is the quaternion times four times one of its parts, x, y, z and w. That of the
+        # largest part is never small (Shepperd 1978); its part is four times the square.
         rows = (
             (1.0 + a - e - i, b + d, c + g, h - f),
             (b + d, 1.0 - a + e - i, f + h, c - g),
             (c + g, f + h, 1.0 - a - e + i, d - b),
             (h - f, c - g, d - b, 1.0 + a + e + i),
         )
-        row = max(rows, key=lambda row: math.hypot(*row))
-        quat = np.array(row) / math.hypot(*row)
-        return cls((x, y, z), tuple(quat.tolist()))
+        squares = rows[0][0], rows[1][1], rows[2][2], rows[3][3]
+        qx, qy, qz, qw = row = rows[squares.index(max(squares))]
+        norm = math.hypot(*row)
+        return cls((x, y, z), (qx / norm, qy / norm, qz / norm, qw / norm))
 
     @classmethod
     def of(cls, pose: "Pose | npt.ArrayLike", name: str = "pose") -> "Pose":

@@ -137,13 +137,17 @@ struct StepReader {
   nb::object targets;         // makes `Targets` of arrays; None for points and wrist alone
   nb::object joint_names;
   std::vector<ArrayShape> shapes = {};  // see TargetMap
+  std::vector<Vec3> centred = {};  // the human points that T is estimated from, at the reference
+  Indices columns;                 // see Hand.joint_columns
   nb::object plain_targets = module_of("mapping.method").object("Targets");
   nb::object command = module_of("mapping.method").object("RobotCommand");
+  nb::object summary = module_of("mapping.method").object("StepSummary");
   nb::object statuses = module_of("ik.compiled").object("STATUSES");
 
   StepReader(const nb::object& robot, const nb::object& gate, nb::object make_targets)
       : hand(robot), links(nb::getattr(gate, "links")), targets(std::move(make_targets)),
-        joint_names(nb::getattr(robot, "joint_names")) {}
+        joint_names(nb::getattr(robot, "joint_names")),
+        columns(Fields(robot).indices("joint_columns")) {}
 };
 
 // Of one hand, whose targets come from a map of Python.
@@ -152,6 +156,7 @@ inline std::shared_ptr<const StepReader> reader_of(const nb::object& target_map,
                                                    const nb::object& gate) {
   auto reader = std::make_shared<StepReader>(robot, gate, nb::getattr(target_map, "asked"));
   reader->shapes = Fields(target_map).get<const TargetMap&>("core").shapes();
+  reader->centred = Fields(target_map).points("estimator.centred");
   return reader;
 }
 
@@ -164,7 +169,7 @@ struct PythonStep : Step {
 struct Stages : PythonStep {
   std::shared_ptr<const StepReader> reader;
   HumanPose pose;
-  nb::object asked_, ik_, command_;
+  nb::object asked_, ik_, command_, summary_;
 
   nb::object read_asked() {
     if (asked_.is_valid()) return asked_;
@@ -180,6 +185,40 @@ struct Stages : PythonStep {
     return command_;
   }
   nb::object status() const { return item(reader->statuses, static_cast<size_t>(result.status)); }
+
+  // `StepSummary`, without the objects of Python that its numbers would need.
+  nb::object read_summary() {
+    if (summary_.is_valid()) return summary_;
+    nb::list point_error, at_bound;
+    for (size_t k = 0; k < result.points.size(); ++k)
+      point_error.append(norm(result.targets[k] - result.points[k]));
+    for (const int column : reader->columns) at_bound.append(result.active[column] != 0);
+    const Pose &wrist = result.wrists[0], &target = asked.wrist;
+    const nb::tuple wrist_error = nb::make_tuple(
+        norm(wrist.p - target.p), norm(log3(transposed(target.R) * wrist.R)));
+    const nb::object flags = asked.is_clamped ? nb::getattr(read_asked(), "flags") : nb::tuple();
+    return summary_ = reader->summary(point_error, wrist_error, at_bound, residual(), flags);
+  }
+
+ private:
+  // RMS distance of the human points from where T takes them [m]; 0 without T. The diagnostics of
+  // every map begin with T's linear part, the centroid after the motion and the points after it.
+  double residual() const {
+    if (reader->centred.empty()) return 0.0;
+    const double* from = asked.diagnostics.data();
+    Mat3 linear;
+    std::copy(from, from + 9, linear.m);
+    const Vec3 centroid{from[9], from[10], from[11]};
+    from += 12;
+    double sum = 0.0;
+    for (const Vec3& before : reader->centred) {
+      const Vec3 after = Vec3{from[0], from[1], from[2]} - centroid;
+      const Vec3 off = after - linear * before;
+      sum += dot(off, off);
+      from += 3;
+    }
+    return std::sqrt(sum / static_cast<double>(reader->centred.size()));
+  }
 };
 
 // Stages to be filled, and the object of Python that owns them.

@@ -369,6 +369,7 @@ NB_MODULE(_core, m) {
       .def("__reduce__", &reduced)
       .def_ro("pose", &Stages::pose)
       .def_prop_ro("status", &Stages::status)
+      .def_prop_ro("summary", &Stages::read_summary)
       .def_prop_ro("asked", &Stages::read_asked)
       .def_prop_ro("ik", &read_ik)
       .def_prop_ro("command", &Stages::read_command);

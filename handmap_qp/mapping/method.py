@@ -17,7 +17,7 @@ entry points of the group `handmap_qp.presets` name.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
 from pkgutil import iter_modules
@@ -273,6 +273,27 @@ class RobotCommand(ArrayStruct, frozen=True):
     effort: Array | None = None
 
 
+class StepSummary(NamedTuple):
+    """What goes with a command to those who watch the robot: plain numbers, no arrays.
+
+    The compiled core makes it without the stages that its numbers come from.
+
+    Attributes:
+        point_error: Distance between targets and points [m], m numbers.
+        wrist_error: How far the robot's wrist is from its target [m, rad], 2 numbers.
+        at_bound: True for joints at a position or speed limit, in the order of `command.q`, n of
+            them.
+        residual: RMS distance of human points from where T takes them [m]; 0 without T.
+        flags: As of the targets.
+    """
+
+    point_error: Sequence[float]
+    wrist_error: Sequence[float]
+    at_bound: Sequence[bool]
+    residual: float
+    flags: Names
+
+
 class Stages(ArrayStruct, frozen=True):
     """The stages of a step, which the compiled core makes when they are asked for.
 
@@ -292,6 +313,18 @@ class Stages(ArrayStruct, frozen=True):
     def status(self) -> Status:
         """Outcome of the inverse kinematics."""
         return self.ik.status
+
+    @property
+    def summary(self) -> StepSummary:
+        """What goes with the command to those who watch the robot."""
+        norms = self.asked.diagnostics.get("residual_norms", np.zeros(1))
+        return StepSummary(
+            lengths(self.ik.errors).tolist(),
+            wrist_error(self.command.wrist, self.asked.wrist).tolist(),
+            (self.ik.active[self.ik.hand.joint_columns] != 0).tolist(),
+            math.sqrt(norms.dot(norms) / len(norms)),
+            self.asked.flags,
+        )
 
 
 class MapStep(ArrayStruct, frozen=True):
@@ -396,8 +429,7 @@ class MapStep(ArrayStruct, frozen=True):
     @property
     def residual(self) -> float:
         """RMS distance of human points from where T takes them [m]; 0 without T."""
-        norms = self.diagnostics.get("residual_norms", np.zeros(1))
-        return math.sqrt(norms.dot(norms) / len(norms))
+        return self.stages.summary.residual
 
     @property
     def stretches(self) -> Array:
@@ -407,7 +439,7 @@ class MapStep(ArrayStruct, frozen=True):
     @property
     def is_clamped(self) -> bool:
         """True if a stretch was outside its allowed range; False for methods without T."""
-        return "stretch_clamped" in self.asked.flags
+        return "stretch_clamped" in self.stages.summary.flags
 
     @property
     def targets(self) -> Array:
@@ -422,7 +454,7 @@ class MapStep(ArrayStruct, frozen=True):
     @property
     def wrist_error(self) -> Array:
         """How far the robot's wrist is from its target [m, rad], shape (2,)."""
-        return wrist_error(self.command.wrist, self.wrist_target)
+        return np.array(self.stages.summary.wrist_error)
 
     @property
     def arm_held_by(self) -> str:
@@ -431,10 +463,12 @@ class MapStep(ArrayStruct, frozen=True):
         is_led = self.stages.status not in ("released", "failed")
         if not is_led or not hand.moves_wrist.any():
             return ""
-        if (self.wrist_error * WRIST_LEVERS).max() <= _ARRIVED:
+        summary = self.stages.summary
+        if (np.array(summary.wrist_error) * WRIST_LEVERS).max() <= _ARRIVED:
             return ""
         at_limit = hand.at_position_limit(self.command.q)
-        return str(arm_held_by(hand, self.at_bound & ~at_limit, at_limit))
+        at_bound = np.array(summary.at_bound)
+        return str(arm_held_by(hand, at_bound & ~at_limit, at_limit))
 
     @property
     def points(self) -> Array:
@@ -444,12 +478,12 @@ class MapStep(ArrayStruct, frozen=True):
     @property
     def point_error(self) -> Array:
         """Distance between targets and points [m], shape (n_r,)."""
-        return lengths(self.ik.errors)
+        return np.array(self.stages.summary.point_error)
 
     @property
     def at_bound(self) -> Array:
         """True for joints at a position or speed limit, in the order of `command.q`, shape (n,)."""
-        return self.ik.active[self.ik.hand.joint_columns] != 0
+        return np.array(self.stages.summary.at_bound)
 
     @property
     def status(self) -> StepStatus:

@@ -13,7 +13,15 @@ import pytest
 from browser import Browser, find_chromium
 from live_cases import moving_hand
 from patience import wait_until
-from service_tools import WEB, address_of, client_of, in_loop, serving, token_file
+from service_tools import (
+    WEB,
+    address_of,
+    client_of,
+    connected,
+    in_loop,
+    serving,
+    token_file,
+)
 
 from handmap_qp import hand_names
 from handmap_qp.apps.live.service import ServiceSource
@@ -218,6 +226,8 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     )
     # An emergency stop is latched until it is cleared on purpose.
     click(browser, "#stop")
+    wait_for_text(browser, "#state", "EMERGENCY STOP")
+    wait_for_text(browser, "#advice", "webxr-left, webxr-right")
     wait_for_text(browser, "#right .state", "emergency stop")
     wait_for_text(browser, "#right .robot", "stopped")
     click(browser, "#right .engage")
@@ -233,6 +243,61 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     wait_for_text(browser, "#state", "Ready")
     wait_until(lambda: not sessions(server))
     assert browser.errors == []
+
+
+@pytest.mark.parametrize("size", [(1100, 1000), (390, 780)])
+def test_a_page_that_leads_nothing_stops_every_robot(
+    browser: Browser, server: Server, size: tuple[int, int]
+) -> None:
+    browser.resize(*size)
+    # A phone without a headset, beside a robot that others lead.
+    open_page(browser, server, more="emulated.isSupported = false;")
+    wait_for_text(browser, "#scope", "No robot is led now")
+    with (
+        connected(server, name="lab", is_shared=True) as shared,
+        connected(server, name="private") as private,
+    ):
+        wait_for_text(browser, "#scope", "all 2 robots of this service")
+        assert browser.evaluate(_IS_IN_SIGHT)
+        click(browser, "#stop")
+        wait_for_text(browser, "#state", "EMERGENCY STOP")
+        wait_until(lambda: shared.status().mode == private.status().mode == "stopped")
+        wait_for_text(browser, "#advice", "lab, private")
+        wait_for_text(
+            browser, "#advice", "Only who leads it, or a supervisor, may clear private"
+        )
+        # It does not offer what the service would refuse.
+        assert browser.evaluate(
+            "document.querySelector('[data-name=private] .clear').hidden"
+        )
+        click(browser, "[data-name=lab] .clear")
+        wait_until(lambda: not shared.status().stop)
+        browser.wait_for(
+            "!document.querySelector('#advice').textContent.includes('lab')"
+        )
+        assert text(browser, "#state") == "EMERGENCY STOP"
+        private.clear(private.status().stop)
+        wait_for_text(browser, "#state", "This browser offers no headset")
+    wait_for_text(browser, "#scope", "No robot is led now")
+    assert browser.errors == []
+    browser.resize(1100, 1000)
+
+
+_IS_IN_SIGHT = """(() => {
+    const box = document.querySelector("#stop").getBoundingClientRect();
+    return box.top >= 0 && box.bottom <= innerHeight && box.height >= 48;
+})()"""
+"""Whether the emergency stop can be pressed without scrolling."""
+
+
+def test_a_stop_that_is_not_answered_says_so(browser: Browser, server: Server) -> None:
+    open_page(browser, server)
+    wait_for_text(browser, "#state", "Ready")
+    # The network swallows what the page sends.
+    browser.evaluate("WebSocket.prototype.send = () => {}; 0")
+    click(browser, "#stop")
+    wait_for_text(browser, "#state", "EMERGENCY STOP: no answer")
+    wait_for_text(browser, "#advice", "the robot's own emergency stop")
 
 
 def _is_drawn(browser: Browser, selector: str) -> bool:

@@ -20,7 +20,7 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.ik import core as core_module
-from handmap_qp.mapping.method import Stages
+from handmap_qp.mapping.method import Stages, StepSummary
 from handmap_qp.mapping.presets import get_preset
 
 if core_module.core is None:
@@ -43,9 +43,17 @@ def pair(preset: str = "teleoperation") -> tuple[HandMapper, HandMapper]:
     return fast, slow
 
 
+def assert_same_summary(one: StepSummary, other: StepSummary) -> None:
+    assert one.flags == other.flags
+    assert list(one.at_bound) == list(other.at_bound)
+    for name in ("point_error", "wrist_error", "residual"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
+
+
 def assert_same(one: MapStep, other: MapStep) -> None:
     assert (one.status, one.out_of_range) == (other.status, other.out_of_range)
     assert one.asked.flags == other.asked.flags
+    assert_same_summary(one.stages.summary, other.stages.summary)
     np.testing.assert_array_equal(one.at_bound, other.at_bound)
     for name in ("point_error", "points", "targets", "human_points", "human_wrist"):
         np.testing.assert_allclose(

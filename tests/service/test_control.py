@@ -109,8 +109,10 @@ class World:
                 caps, CACHE, Metrics(), store=self.store, clock=self._clock
             )
         )
-        inline: Any = SimpleNamespace(submit=run_now)
-        self.dispatcher.sessions._executor = inline
+        inline: Any = SimpleNamespace(
+            submit=lambda _, *work, **choices: run_now(*work, **choices)
+        )
+        self.dispatcher.sessions._worker = inline
         # No limit of rates, which a copy would share.
         vars(self.dispatcher)["_rates"] = self.dispatcher._new_rates
 
@@ -121,7 +123,7 @@ class World:
         """Return a copy that goes on by itself. What does not change is shared."""
         there, session = self.dispatcher.sessions, self.session
         shared: list[Any] = [self._loop, CACHE, self.dispatcher.sessions.metrics]
-        shared += there._executor, there.settings
+        shared += there._worker, there.settings
         if session is not None:
             hands: Any = session._hands
             mapper = hands.mapper
@@ -300,7 +302,7 @@ class World:
 
         return (
             tuple(
-                (secret in there.by_secret, there._ended.get(secret))
+                (secret in there.by_secret, secret in there._taken)
                 for secret in secrets
             ),
             running
@@ -397,10 +399,10 @@ def _forgets_leases(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _renews_no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
-    def find(self: sessions.Sessions, secret: str) -> Session:
+    def find(self: sessions.Sessions, secret: str, by: Caller) -> Session:
         session = self.by_secret.get(secret)
         heard = 0.0 if session is None else session.last_request
-        found = whole(self, secret)
+        found = whole(self, secret, by)
         found.last_request = heard
         return found
 

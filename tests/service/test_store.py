@@ -196,6 +196,9 @@ def test_lost_postures_are_logged(
     with PostureStore(state) as store:
         assert store.find("right", "hand", 3) is not None
         assert store.find("left", "hand", 3) is None
+        # Nobody knows whether its robot was stopped.
+        assert store.records["left"].stop > 0
+        assert store.records["right"].stop == 0
     assert logged == [
         {"event": "state_damaged", "file": str(state), "postures_lost": 1}
     ]

@@ -26,6 +26,7 @@ from logging import WARNING
 import zmq
 
 from handmap_qp.apps.refusals import naming
+from .fairness import crowded_accounts
 from .logs import Metrics, Throttle
 from .safety import Bucket
 
@@ -88,8 +89,9 @@ class ConnectionGate:
         most: Connections at once.
         credit: Bytes that a connection may send before the service has read a message.
         metrics: Counters.
-        evicts: Whether a connection beyond `most` ends one without a message, or else the one that
-            was silent for longest. Otherwise it is refused.
+        evicts: Whether a connection beyond `most` may end one of its own address: one without a
+            message, or else the one that was silent for longest. Otherwise it is refused, unless
+            another address has more connections, which then gives one up.
         clients: The connections.
     """
 
@@ -134,12 +136,18 @@ class ConnectionGate:
             client.end()
 
     def admit(self, client: "_Client") -> None:
-        """Count a connection in, and end one if there are too many."""
+        """Count a connection in, and end one if there are too many.
+
+        It is one of the address that has most, so that nobody shuts out other addresses.
+        """
         if len(self.clients) >= self.most:
-            least = min(
-                self.clients, key=lambda each: (bool(each.identity), each.heard)
+            crowded = crowded_accounts(
+                (each.address for each in self.clients), client.address
             )
-            (least if self.evicts else client).end("too many connections")
+            rivals = [each for each in self.clients if each.address in crowded]
+            is_refused = client.address in crowded and not self.evicts
+            least = min(rivals, key=lambda each: (bool(each.identity), each.heard))
+            (client if is_refused else least).end("too many connections")
         if not client.writer.is_closing():
             self.clients.add(client)
 
@@ -178,6 +186,8 @@ class _Client:
     name = identity = b""
 
     def __post_init__(self) -> None:
+        # The peer may have gone already.
+        self.address, *_ = self.writer.get_extra_info("peername") or ("unknown",)
         self.heard = time.monotonic()
         self._credit = Bucket(_RATE, self.gate.credit)
         self._has_credit = asyncio.Event()
@@ -232,7 +242,7 @@ class _Client:
         self.heard = time.monotonic()
         if self._credit.charge(-cost) > 0.0:
             self._has_credit.set()
-        return self.writer.get_extra_info("peername")[0]
+        return self.address
 
     def end(self, reason: str = "") -> None:
         """End the connection, if by the gate with the reason."""

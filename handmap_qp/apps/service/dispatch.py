@@ -11,9 +11,10 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, INFO
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
+from msgspec.structs import fields
 
 from handmap_qp.client import messages
 from handmap_qp.client.messages import (
@@ -43,8 +44,9 @@ from handmap_qp.client.messages import (
     Subscribe,
 )
 from handmap_qp.errors import RefusedError
+from .fairness import AccountBuckets
 from .logs import Throttle
-from .safety import Bucket, refuse_if
+from .safety import BURST, Bucket, refuse_if
 from .session import Session
 from .sessions import UNKNOWN, Caller, Sessions
 
@@ -57,6 +59,15 @@ _QUAT_TOLERANCE = 1e-2
 _STOP_PROTOCOL = 2
 _MOST_PEERS = 1024
 _ERRORS_PER_SECOND = 10.0
+_SHARE = 0.5
+"""Share of all changes of options that one client may make."""
+
+
+_POSE_FIELDS = {
+    kind: [each.name for each in fields(kind) if Pose in get_args(each.type)]
+    for kind in get_args(AnyRequest)
+}
+"""Fields that hold a pose, by the kind of request."""
 
 
 class _Head(msgspec.Struct):
@@ -151,10 +162,11 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
 def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
     """Yield field and message of poses that cannot be used; infinity and NaN cannot either."""
     fields = msgspec.structs.asdict(request)
+    poses = {name: fields[name] for name in _POSE_FIELDS[type(request)]}
     for side, hand in (fields.get("hands") or {}).items():
-        fields[f"hands.{side}.wrist"] = hand.wrist
-    for name, pose in fields.items():
-        if not isinstance(pose, Pose):
+        poses[f"hands.{side}.wrist"] = hand.wrist
+    for name, pose in poses.items():
+        if pose is None:
             continue
         norm = math.hypot(*pose.quat_xyzw)
         far = math.hypot(*pose.position)
@@ -184,7 +196,12 @@ class Dispatcher:
         self._by = UNKNOWN
         self._started = sessions.clock()
         self._version = version("handmap-qp")
-        self._configures = Bucket(self._settings.configures, clock=sessions.clock)
+        configures = self._settings.configures
+        self._configures = Bucket(configures, clock=sessions.clock)
+        # One client may use up a half of them.
+        self._configures_of = AccountBuckets(
+            _SHARE * configures, _SHARE * BURST * configures, sessions.clock
+        )
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending = {}
@@ -236,9 +253,9 @@ class Dispatcher:
                 # Keep the newest one of each session until all waiting messages have been read.
                 if not self._pending:
                     asyncio.get_running_loop().call_soon(self.flush)
-                elif request.session in self._pending:
+                elif (by, request.session) in self._pending:
                     self._metrics.counts["replaced"] += 1
-                self._pending[request.session] = request, send
+                self._pending[by, request.session] = request, send
             case Open():
                 self._receive_open(request, payload, send)
             case Subscribe():
@@ -251,8 +268,8 @@ class Dispatcher:
         """Map the newest streamed sample of each session since the last call."""
         pending = self._pending
         self._pending = {}
-        for sample, send in pending.values():
-            reply = self._attempt(self._for_stream, sample)
+        for (by, _), (sample, send) in pending.items():
+            reply = self._attempt(self._for_stream, sample, by)
             if isinstance(reply, Error):
                 send(reply)
 
@@ -294,9 +311,9 @@ class Dispatcher:
         if command:
             self._send(session, command)
 
-    def _for_stream(self, sample: Sample) -> None:
+    def _for_stream(self, sample: Sample, by: Caller) -> None:
         """Map a streamed sample; its command, or why there is none, is in the stream."""
-        session = self.sessions.find(sample.session)
+        session = self.sessions.find(sample.session, by)
         if sample.seq <= session.seq:
             session.counts["stale"] += 1
         else:
@@ -323,7 +340,7 @@ class Dispatcher:
             return self._by_name(request)
         if isinstance(request, Status | Stop) and not request.session:
             return self._for_all(request)
-        session = self.sessions.find(request.session)
+        session = self.sessions.find(request.session, self._by)
         if request.seq == session.seq and payload == session.payload:
             return session.answer
         refuse_if(
@@ -385,7 +402,6 @@ class Dispatcher:
     def _act(self, request: Request, session: Session) -> AnyReply | None:
         """Carry out a request for a session."""
         now = self.sessions.clock()
-        event = type(request).__name__.lower()
         match request:
             case Step():
                 command = session.step(request, now)
@@ -401,28 +417,41 @@ class Dispatcher:
             case Measured():
                 session.measure(request, now)
                 return None
-            case Configure():
-                limit = f"more than {self._settings.configures:g} changes of options a second"
-                is_due = self._configures.take()
-                refuse_if(not is_due, f"{limit}: try again later", code="rate")
-                session.configure(request)
-            case Reset():
-                session.reset(request, now)
-            case Clutch() | Release():
-                # A session has methods of these names.
-                getattr(session, event)()
-            case Clear():
-                session.clear(request.stop)
-            case Stop():
-                session.stop()
-                # The stream must not wait for the next tick.
-                self._tick(session, now)
+        self._change(request, session, now)
+        event = type(request).__name__.lower()
         self.sessions.audit.note(
             event, self._by, session=session.name, **_changes(request)
         )
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
         return None
+
+    def _change(self, request: Request, session: Session, now: float) -> None:
+        """Carry out a request that the audit log keeps."""
+        match request:
+            case Configure():
+                self._limit_configures()
+                session.configure(request)
+            case Reset():
+                session.reset(request, now)
+            case Clutch():
+                session.clutch()
+            case Release():
+                session.release()
+            case Clear():
+                session.clear(request.stop)
+            case Stop():
+                session.stop()
+                # The stream must not wait for the next tick.
+                self._tick(session, now)
+
+    def _limit_configures(self) -> None:
+        """Refuse a change of options beyond the rate of all, or beyond the client's share."""
+        by = self._by
+        is_due = by.is_anonymous or self._configures_of.take(by.account)
+        is_due = is_due and self._configures.take()
+        limit = f"more than {self._settings.configures:g} changes of options a second"
+        refuse_if(not is_due, f"{limit}: try again later", code="rate")
 
     def _receive_open(self, request: Open, payload: bytes, send: Send) -> None:
         """Open a session in a task; a repeated request gets the same answer."""

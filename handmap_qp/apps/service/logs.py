@@ -5,7 +5,7 @@ Logs are JSON lines: one object per line, with `time`, `level`, `event` and the 
 The audit log says who opened, changed, stopped and closed which session. Its lines have `time`
 (UTC, ISO 8601), `event`, `session`, `by` and the data of the event. `by` is `NAME@ADDRESS` of an
 admitted client, its address where connections are not encrypted, or `server`. The file is only
-appended to. A flood of events is cut: one line then says how many were left out.
+appended to. A flood of events of one client is cut: one line then says how many were left out.
 """
 
 import json
@@ -23,6 +23,7 @@ from prometheus_client import CollectorRegistry, Histogram, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from handmap_qp.apps.refusals import naming
+from .fairness import AccountBuckets
 from .safety import Bucket
 
 log = logging.getLogger("handmap_qp.apps.service")
@@ -32,7 +33,7 @@ websocket_log = logging.getLogger(f"{log.name}.websocket")
 websocket_log.setLevel(logging.CRITICAL)
 _RATE = 20.0
 _BURST = 400.0
-"""Lines of the audit log per second, and at once."""
+"""Lines of one client in the audit log per second, and at once."""
 _BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 """Upper edges of the histogram of step times [s]."""
 _COUNTERS = {
@@ -105,19 +106,13 @@ class Throttle(Bucket):
 
     _left_out = 0
 
-    def passing(self, must: bool = False) -> int | None:
-        """Return how many reports were left out before this one; None if it is left out too."""
-        if not (self.take() or must):
-            self._left_out += 1
-            return None
-        left_out = self._left_out
-        self._left_out = 0
-        return left_out
-
     def report(self, level: int, event: str, **data: Any) -> None:
         """Log an event as `report`, with the number of those left out before it."""
-        if (swallowed := self.passing()) is not None:
-            report(level, event, **data, swallowed=swallowed)
+        if not self.take():
+            self._left_out += 1
+            return
+        report(level, event, **data, swallowed=self._left_out)
+        self._left_out = 0
 
 
 class AuditLog:
@@ -132,7 +127,9 @@ class AuditLog:
 
     def __init__(self, path: Path | None = None) -> None:
         self._file = -1
-        self._throttle = Throttle(_RATE, _BURST)
+        # For each client, so that a flood hides no events of others.
+        self._rates = AccountBuckets(_RATE, _BURST)
+        self._omitted = 0
         if path:
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
             with naming(path, "cannot be written"):
@@ -152,11 +149,14 @@ class AuditLog:
         """
         if self._file < 0:
             return
-        if (omitted := self._throttle.passing(event == "stop")) is None:
+        client = str(by)
+        if not (self._rates.take(client) or event == "stop"):
+            self._omitted += 1
             return
-        if omitted:
-            self._write({"event": "omitted", "count": omitted})
-        self._write({"event": event, "session": session, "by": str(by), **data})
+        if self._omitted:
+            self._write({"event": "omitted", "count": self._omitted})
+            self._omitted = 0
+        self._write({"event": event, "session": session, "by": client, **data})
 
     def close(self) -> None:
         """Close the file."""

@@ -39,6 +39,8 @@ HEARTBEAT = 0.1
 """Time between commands that repeat a hold [s]."""
 RETURN_PERIOD = 1.0 / 60.0
 """Time between commands on the way back to rest [s]."""
+BURST = 0.25
+"""Time whose events a rate limit permits at once, if it is not told otherwise [s]."""
 START_TOLERANCE = 0.1
 """Distance outside its limits that a client may report for a robot's joint [rad].
 
@@ -262,6 +264,9 @@ class CommandedRobot(Gate):
         self._placed = robot.configuration()
         vector = robot.configuration_vector(q, wrist if robot.is_floating else None)
         super().__init__(robot, Motion.at_rest(vector, len(robot.active_columns)))
+        self._has_free_wrist = robot.is_floating and robot.wrist_frame.parentJoint == 1
+        can_move = robot.is_floating or robot.moves_wrist.any()
+        self._fixed_wrist = None if can_move else self._wrist_at(vector)
 
     def obey(self, ik: PointIk) -> None:
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
@@ -271,14 +276,31 @@ class CommandedRobot(Gate):
     @property
     def q(self) -> Array:
         """Joint angles last commanded [rad], shape (n,)."""
-        return self.motion.q[self.hand.q_indices]
+        return self.posture[0]
 
     @property
     def wrist(self) -> Array | None:
         """Pose of the wrist last commanded, shape (4, 4); None if it is not known yet."""
+        return self.posture[1]
+
+    @property
+    def posture(self) -> tuple[Array, Array | None]:
+        """Joint angles and wrist last commanded, as of `q` and `wrist`."""
+        motion = self.motion
+        q = motion.q[self.hand.q_indices]
         if not self.is_placed:
-            return None
-        self._placed.place(self.motion.q)
+            return q, None
+        if self._fixed_wrist is not None:
+            return q, self._fixed_wrist
+        return q, self._wrist_at(motion.q)
+
+    def _wrist_at(self, vector: Array) -> Array:
+        """Return the pose of the wrist at a configuration of Pinocchio, shape (nq,)."""
+        if self._has_free_wrist:
+            # The first coordinates of the configuration are the wrist's own.
+            wrist = pin.XYZQUATToSE3(vector[:7]) * self.hand.wrist_frame.placement
+            return wrist.homogeneous
+        self._placed.place(vector)
         return self._placed.wrist.homogeneous
 
     def advance(
@@ -389,7 +411,7 @@ class Bucket:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._rate = rate
-        self._burst = self._left = max(1.0, 0.25 * rate if burst is None else burst)
+        self._burst = self._left = max(1.0, BURST * rate if burst is None else burst)
         self._clock = clock
         self._then = clock()
 

@@ -144,7 +144,15 @@ class SampleForm:
             RefusedError: If the session was opened for another kind, with the field at fault.
             HandmapError: If the numbers are not of the layout.
         """
-        given = {field for field in _FIELDS if getattr(sample, field) is not None}
+        values = (
+            sample.hands,
+            sample.q,
+            sample.landmarks,
+            sample.points,
+            sample.values,
+        )
+        pairs = zip(_FIELDS, values, strict=True)
+        given = {field for field, value in pairs if value is not None}
         if sample.valid or given:
             wrong = min(given ^ {self._field}, key=_FIELDS.index, default="")
             refuse_if(wrong, f"this session was opened for {self._wanted}", wrong)
@@ -156,7 +164,7 @@ class SampleForm:
         common: Values = {
             "time": sample.time,
             "side": side,
-            "wrist": getattr(sample.wrist, "matrix", None),
+            "wrist": None if sample.wrist is None else sample.wrist.matrix,
             "valid": sample.valid,
             "confidence": sample.confidence,
         }
@@ -174,20 +182,30 @@ class SampleForm:
         Raises:
             RefusedError: If the session was opened without it.
         """
+        request = self._request
+        holds_object = request.object is not None
+        grips = request.grip is not None and not holds_object
         given: Values = {}
-        held = "grip" if self._request.object is None else "object"
-        for field, of in _OF_HELD.items():
-            value = getattr(sample, field)
-            if of == held and getattr(self._request, of) is not None:
-                given[field] = value.matrix if isinstance(value, Pose) else value
-            else:
-                message = f"needs a session with {of} alone"
-                refuse_if(value is not None, message, field)
-        if held == "grip" and self._request.grip is not None:
+        if grips:
+            given["object_centre"] = sample.object_centre
+        elif sample.object_centre is not None:
+            raise _alien("object_centre")
+        if holds_object:
+            pose = sample.object_pose
+            given["object_pose"] = None if pose is None else pose.matrix
+        elif sample.object_pose is not None:
+            raise _alien("object_pose")
+        if grips:
             given["measured_q"] = sample.measured_q
             is_bare = sample.measured_q is None
             refuse_if(is_bare, "missing; it must come with a grip", "measured_q")
         return given
+
+
+def _alien(field: str) -> RefusedError:
+    """Return the refusal of a field that the session was not opened for."""
+    message = f"needs a session with {_OF_HELD[field]} alone"
+    return RefusedError("invalid", message, field=field)
 
 
 class Session:
@@ -200,6 +218,7 @@ class Session:
         now: The present on a monotonic clock [s].
         former: Record of the session to continue; the request decides if omitted.
         owner: Its owner, see `Caller.owner`. The epoch of another owner ends.
+        account: Whose share of the service it uses, see `Caller.account`.
         motion: How the robot of that session moves, if it is running; at rest if omitted.
 
     Attributes:
@@ -212,6 +231,7 @@ class Session:
         payload: That request as received.
         answer: Its answer, which is sent again if the same request arrives again.
         owner: Its owner.
+        account: As given.
 
     Raises:
         RefusedError: If the robot cannot be where the request says, or there is no such layout.
@@ -226,12 +246,15 @@ class Session:
         *,
         former: Record | None = None,
         owner: str = "",
+        account: str = "",
         motion: Motion | None = None,
     ) -> None:
         self.request = request
         self.name = name
         self.owner = owner
+        self.account = account
         self.robot = hands.mapper.robot
+        self._has_arm = bool(self.robot.moves_wrist.any())
         self.counts = Counter[str]()
         self.last_request = self._opened_at = now
         self.seq = self._stamped = request.seq
@@ -257,7 +280,7 @@ class Session:
     @property
     def posture(self) -> Posture:
         """The posture last commanded."""
-        return self._commanded.q, self._commanded.wrist
+        return self._commanded.posture
 
     @property
     def motion(self) -> Motion:
@@ -364,10 +387,13 @@ class Session:
             # Unexpected exception: hold, and restart the mapper from the last command.
             self._reset_mapper()
             raise
-        self._effort = step.command.effort
+        if self.request.grip is not None:
+            self._effort = step.command.effort
         status = step.status
-        flags += [step.rule] * bool(step.rule)
-        if step.is_held:
+        is_held = step.is_held
+        if rule := step.rule:
+            flags.append(rule)
+        if is_held:
             # The sample makes no sense: the robot holds, and the watchdog ignores the sample.
             self.counts["held"] += 1
             self._commanded.brake(self._dt)
@@ -379,11 +405,12 @@ class Session:
                 self._measure_gap(sample.time, humans)
             else:
                 self._commanded.brake(self._dt)
-            flags += step.asked.flags
+            flags += step.stages.summary.flags
             if self._state.is_halted:
                 status = self._state.mode
-        said = self._diagnostics(step, sample, humans)
-        return self._command(now, status, flags, sample, **said)
+        trust = self._trust(step, rule, humans)
+        said = {} if is_held else self._diagnostics(step, sample, humans)
+        return self._command(now, status, flags, sample, **trust, **said)
 
     def tick(self, now: float) -> Command | None:
         """Let time pass.
@@ -572,12 +599,12 @@ class Session:
             refuse_if(not self.robot.parts, "a hand alone has no floating base", "base")
             mapper.base_pose = sample.base.matrix
         held["dt"] = self._dt
-        kind = self.request.input
-        if kind != "landmarks":
-            work = mapper.map_step if kind == "q" else mapper.map_points
-            return work(
-                getattr(sample, kind), sample.wrist and sample.wrist.matrix, **held
-            )
+        if self.request.input != "landmarks":
+            # The core takes arrays; of tuples it leaves the sample to Python.
+            wrist = None if sample.wrist is None else sample.wrist.matrix
+            if self.request.input == "q":
+                return mapper.map_step(np.array(sample.q), wrist, **held)
+            return mapper.map_points(np.array(sample.points), wrist, **held)
         held["arrival"] = now if self.request.time_from == "server" else None
         if self.robot.parts:
             return follower.map_samples(humans, **held)
@@ -643,11 +670,12 @@ class Session:
         """Let the mapper go on from the robot's motion."""
         if self.request.resume == "clutch" and self._state.is_silent:
             self._reset_mapper()
+        if self._is_slewing:
+            return
         mapper = self._hands.mapper
         motion = self._commanded.motion
         former = mapper.motion
-        is_led = motion is former or all(map(np.array_equal, motion, former))
-        if not (self._is_slewing or is_led):
+        if motion is not former and not all(map(np.array_equal, motion, former)):
             # It may have braked meanwhile, or a sample was refused half-way.
             mapper.motion = motion
 
@@ -661,10 +689,10 @@ class Session:
     def _follow(self, step: MapStep) -> list[str]:
         """Move the robot to the mapper's posture within its limits; return flags."""
         mapper = self._hands.mapper
-        target = step.command
         if mapper.ik.has_velocity_limits and not self._is_slewing:
             self._commanded.motion = mapper.motion
             return []
+        target = step.command
         is_there = self._commanded.advance(target.q, target.wrist, self._dt)
         self._is_slewing = not is_there
         return ["slewing"] * self._is_slewing
@@ -684,37 +712,45 @@ class Session:
         if self._state.is_released:
             mapper.release()
 
-    def _diagnostics(self, step: MapStep, sample: Step, humans: Humans) -> Values:
-        """Return the fields of a command that say what a sample is worth and where it led."""
+    def _trust(self, step: MapStep, rule: str, humans: Humans) -> Values:
+        """Return the fields of a command that say what a sample is worth."""
         consistency = step.consistency
-        hands: dict[Side, MapStep] = getattr(step, "hands", {})
-        trust: Values = {
-            "rule": step.rule,
+        return {
+            "rule": rule,
             "consistency": None if math.isnan(consistency) else consistency,
             "confidence": step.confidence,
-            "hands": {
-                side: HandState(
-                    each.status,
-                    each.rule,
-                    Pose.from_matrix(each.command.wrist),
-                    to_row(each.wrist_error),
-                    each.arm_held_by,
-                    self._detail(each, humans[side]) if side in humans else None,
-                )
-                for side, each in hands.items()
-            },
+            "hands": self._hand_states(step, humans) if self.robot.parts else {},
         }
-        if step.is_held:
-            return trust
-        return trust | {
-            "point_error": to_row(step.point_error),
-            "residual": step.residual,
-            "at_limit": tuple(compress(self.robot.joint_names, step.at_bound)),
+
+    def _diagnostics(self, step: MapStep, sample: Step, humans: Humans) -> Values:
+        """Return the fields of a command that say where a sample led."""
+        summary = step.stages.summary
+        wants_detail = self.request.has_detail
+        human = humans.get(self.request.side)
+        return {
+            "point_error": tuple(summary.point_error),
+            "residual": summary.residual,
+            "at_limit": tuple(compress(self.robot.joint_names, summary.at_bound)),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
-            "detail": self._detail(step, humans.get(self.request.side), sample.q),
-            "wrist_error": to_row(step.wrist_error),
-            "arm_held_by": step.arm_held_by,
+            "detail": self._detail(step, human, sample.q) if wants_detail else None,
+            "wrist_error": tuple(summary.wrist_error),
+            "arm_held_by": step.arm_held_by if self._has_arm else "",
+        }
+
+    def _hand_states(self, step: MapStep, humans: Humans) -> dict[Side, HandState]:
+        """Return what a command says of each hand of a robot."""
+        hands: dict[Side, MapStep] = getattr(step, "hands", {})
+        return {
+            side: HandState(
+                each.status,
+                each.rule,
+                Pose.from_matrix(each.command.wrist),
+                tuple(each.stages.summary.wrist_error),
+                each.arm_held_by,
+                self._detail(each, humans[side]) if side in humans else None,
+            )
+            for side, each in hands.items()
         }
 
     def _detail(self, step: MapStep, human: Any, q: Any = None) -> Detail | None:
@@ -745,8 +781,9 @@ class Session:
             self._stamp = sample.time
             self._stamped = sample.seq
         state = self._state
+        q, wrist = self.posture
         if self._following:
-            self._following.command(self._commanded.q, now)
+            self._following.command(q, now)
         released = ["released"] * state.is_released + ["stopped"] * state.is_stopped
         return Command(
             seq=self._stamped,
@@ -754,8 +791,8 @@ class Session:
             time=self._stamp,
             server_time=now,
             joint_names=self.robot.joint_names,
-            q=to_row(self._commanded.q),
-            wrist=to_pose(self._commanded.wrist),
+            q=to_row(q),
+            wrist=to_pose(wrist),
             status=status,
             flags=tuple(flags + released),
             epoch=self._epoch,

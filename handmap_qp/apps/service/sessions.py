@@ -8,8 +8,8 @@ import math
 import secrets
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from logging import INFO
 from typing import NamedTuple
 
@@ -18,15 +18,18 @@ import msgspec
 from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands import Names, Values
+from .fairness import AccountBuckets, FairWorker, has_share, largest_account
 from .logs import AuditLog, Metrics, report
 from .opening import HandCache, prepare_hands
-from .safety import Bucket, refuse_if
+from .safety import refuse_if
 from .session import Session
 from .settings import Settings
-from .store import PostureStore
+from .store import MOST_NAMES, PostureStore, Record, names_account
 
 LEASE = 2.0
 """Time after a request of its owner in which nobody else may have a session [s]."""
+WEB = "web"
+"""What the addresses of clients over WebSocket begin with."""
 _SHORTEST_SECRET = 16
 _REMEMBERED = 1024
 
@@ -42,6 +45,19 @@ class Caller(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.key}@{self.address}" if self.key else self.address
+
+    @property
+    def account(self) -> str:
+        """Whose share of the service the client uses: that of its key, or of its address."""
+        return f"key:{self.key}" if self.key else f"address:{self.address}"
+
+    @property
+    def is_anonymous(self) -> bool:
+        """Whether it has no key and speaks ZeroMQ, as programs of this machine may.
+
+        Such clients cannot be told apart: they have one share, which is everything.
+        """
+        return not self.key and not self.address.startswith(WEB)
 
     def owner(self, secret: str) -> str:
         """Return who owns a session of this client: a digest of its key, or else of the secret."""
@@ -67,6 +83,14 @@ def refusal(owner: str, client: str, *, is_attended: bool, is_rival: bool) -> st
     if owner.startswith("key:") and not is_owner:
         return "denied"
     return "busy" if is_attended and (is_rival or not is_owner) else ""
+
+
+class _Opening(NamedTuple):
+    """A session that is being opened: its name, its client's account, and its owner."""
+
+    name: str
+    account: str
+    owner: str
 
 
 @dataclass(eq=False)
@@ -95,12 +119,14 @@ class Sessions:
         """Begin without sessions."""
         self.by_secret: dict[str, Session] = {}
         self.publish: list[Publish] = []
-        # Single worker, so that opening sessions cannot starve running ones.
-        self._executor = ThreadPoolExecutor(1, "handmap-open")
-        self._opens = Bucket(self.settings.opens, self.settings.sessions, self.clock)
-        # Names of the sessions that are being opened, by their secrets.
-        self._opening: dict[str, str] = {}
-        self._ended: dict[str, str] = {}
+        self._worker = FairWorker()
+        self._opens = AccountBuckets(
+            self.settings.opens, self.settings.sessions, self.clock
+        )
+        # By secret.
+        self._opening: dict[str, _Opening] = {}
+        # Accounts of clients whose sessions others took over, by secret; the oldest first.
+        self._taken: dict[str, str] = {}
         # After a restart, owners are on their way back.
         self._last_heard = dict.fromkeys(self.store.records, self.clock())
         self._numbers = itertools.count(1)
@@ -110,17 +136,22 @@ class Sessions:
         """Public names of the open sessions."""
         return tuple(session.name for session in self.by_secret.values())
 
-    def find(self, secret: str) -> Session:
+    def find(self, secret: str, by: Caller) -> Session:
         """Return the session of a secret, and renew its lease.
 
         Raises:
-            RefusedError: `no_session` if there is none, `taken` if another client took it over.
+            RefusedError: `no_session` if there is none, `taken` if another client took it over,
+                `denied` if the session is that of another key, which somebody got the secret of.
         """
         if session := self.by_secret.get(secret):
+            is_alien = (
+                session.owner.startswith("key:") and session.account != by.account
+            )
+            refuse_if(is_alien, "belongs to another key", "session", "denied")
             session.last_request = self.clock()
             return session
         refuse_if(
-            self._ended.get(secret) == "taken",
+            secret in self._taken,
             "another client took this session over",
             "session",
             "taken",
@@ -150,9 +181,10 @@ class Sessions:
         self._check(request, by)
         # Else a name that is unique also over restarts, because others may watch it.
         name = request.name or f"session-{next(self._numbers)}-{secrets.token_hex(3)}"
-        self._opening[request.session] = name
+        owner = by.owner(request.session)
+        self._opening[request.session] = _Opening(name, by.account, owner)
         try:
-            defer = self._executor.submit
+            defer = partial(self._worker.submit, by.account)
             work = defer(prepare_hands, request, self.cache, defer=defer)
             hands = await asyncio.wrap_future(work)
             robot = hands.mapper.robot
@@ -175,7 +207,8 @@ class Sessions:
                 name,
                 self.clock(),
                 former=former,
-                owner=by.owner(request.session),
+                owner=owner,
+                account=by.account,
                 motion=running.motion if running else None,
             )
         finally:
@@ -224,9 +257,8 @@ class Sessions:
         secret = session.request.session
         del self.by_secret[secret]
         self.store.note(session.record)
-        self._ended[secret] = code
-        if len(self._ended) > _REMEMBERED:
-            del self._ended[next(iter(self._ended))]
+        if code == "taken":
+            self._remember_taken(secret, session.account)
         self.send(
             session.name, msgspec.msgpack.encode(Error(code=code, message=reason))
         )
@@ -243,30 +275,21 @@ class Sessions:
         """Close all sessions."""
         for session in list(self.by_secret.values()):
             self.end(session, "the server stops")
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        self._worker.close()
+
+    def _remember_taken(self, secret: str, account: str) -> None:
+        """Remember that another client took a session over, so that its former client learns it."""
+        self._taken[secret] = account
+        if len(self._taken) > _REMEMBERED:
+            largest = largest_account(self._taken.values())
+            oldest = next(s for s, each in self._taken.items() if each == largest)
+            del self._taken[oldest]
 
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
         name = request.name
-        last = self._find_named(name)
-        held = self.by_secret.get(request.session)
-        most = self.settings.sessions
-        is_another = held is not None and not (
-            held is last and request.restore and request.seq > held.seq
-        )
-        is_replacing = last is not None and request.restore
-        count = len(self.by_secret) + len(self._opening) - is_replacing
-        refuse_if(
-            len(request.session) < _SHORTEST_SECRET,
-            f"expected at least {_SHORTEST_SECRET} random characters",
-            "session",
-        )
-        refuse_if(
-            is_another,
-            "a session with this secret exists: choose another one",
-            "session",
-        )
-        refuse_if(count >= most, f"all {most} sessions are taken", code="busy")
+        running = self._find_named(name)
+        self._check_secret(request, running)
         refuse_if(
             request.time_from == "client" and not self.settings.simulated_time,
             "the server uses its own clock (see handmap serve --simulated-time)",
@@ -274,7 +297,7 @@ class Sessions:
             "denied",
         )
         refuse_if(
-            name in self._opening.values(),
+            name in (each.name for each in self._opening.values()),
             f"session {name!r} is being opened",
             "name",
             "busy",
@@ -285,7 +308,7 @@ class Sessions:
             code="busy",
         )
         refuse_if(
-            last and not request.restore,
+            running and not request.restore,
             f"session {name!r} exists: restore=true takes it over",
             "name",
         )
@@ -294,12 +317,82 @@ class Sessions:
             "missing: restore needs the name of the session",
             "name",
         )
+        is_return = request.restore and self._is_owner(request, by)
+        self._check_room(by, running if request.restore else None, is_return=is_return)
+        self._check_names(name, by.owner(request.session))
         refuse_if(
-            not self._opens.take(),
+            not is_return and not self._opens.take(by.account),
             f"more than {self.settings.opens:g} sessions opened a second: try again later",
             code="rate",
         )
         self._check_owner(request, by)
+
+    def _check_secret(self, request: Open, running: Session | None) -> None:
+        """Refuse a secret that is too short, or in use for anything but this session."""
+        secret = request.session
+        refuse_if(
+            len(secret) < _SHORTEST_SECRET,
+            f"expected at least {_SHORTEST_SECRET} random characters",
+            "session",
+        )
+        held = self.by_secret.get(secret)
+        is_same = held is running and request.restore
+        refuse_if(
+            held and not (is_same and request.seq > held.seq),
+            "a session with this secret exists: choose another one",
+            "session",
+        )
+
+    def _check_room(
+        self, by: Caller, replaced: Session | None, *, is_return: bool
+    ) -> None:
+        """Refuse a session beyond the limit of all, or beyond the share of the client.
+
+        Args:
+            by: The client.
+            replaced: The running session that this one takes the place of.
+            is_return: Whether the client restores a session of its own. Newcomers must leave it
+                room: it may have a half of all sessions, whatever is free.
+        """
+        accounts = [each.account for each in self.by_secret.values()]
+        accounts += [each.account for each in self._opening.values()]
+        if replaced:
+            accounts.remove(replaced.account)
+        most = self.settings.sessions
+        free = most - len(accounts)
+        refuse_if(free <= 0, f"all {most} sessions are taken", code="busy")
+        held = accounts.count(by.account)
+        is_within = has_share(held, most - held if is_return else free)
+        refuse_if(
+            not (is_within or by.is_anonymous),
+            f"this client has {held} of {most} sessions: the {free} left are for others",
+            code="busy",
+        )
+
+    def _check_names(self, name: str | None, owner: str) -> None:
+        """Refuse a new name to an owner all of whose names are kept: open, or stopped.
+
+        So stops, which are never forgotten, are bounded.
+        """
+        account = names_account(owner)
+        in_use = *self._opening.values(), *self.by_secret.values()
+        kept = self.store.stopped(account)
+        kept |= {each.name for each in in_use if names_account(each.owner) == account}
+        refuse_if(
+            name not in kept and len(kept) >= MOST_NAMES,
+            f"all {MOST_NAMES} names of this client are in use or stopped: clear a stop first",
+            "name",
+            "busy",
+        )
+
+    def _is_owner(self, request: Open, by: Caller) -> bool:
+        """Return whether the named session, or its record, is the client's own."""
+        held = self._held(request.name)
+        return held is not None and held.owner == by.owner(request.session)
+
+    def _held(self, name: str | None) -> Session | Record | None:
+        """Return the open session of a name, or else its record."""
+        return self._find_named(name) or self.store.records.get(name or "")
 
     def _find_named(self, name: str | None) -> Session | None:
         """Return the open session of a name, if there is one."""
@@ -311,13 +404,19 @@ class Sessions:
         """Refuse a name to a client that must not have it, or must not yet."""
         name = request.name or ""
         running = self._find_named(name)
-        held = running or self.store.records.get(name)
+        held = self._held(name)
+        if not held:
+            return
         heard = (
             running.last_request if running else self._last_heard.get(name, -math.inf)
         )
         is_attended = self.clock() - heard <= LEASE
-        # Without `restore`, a name is free after the lease.
-        if not held or not (request.restore or is_attended):
+        # Without `restore`, a name is free after the lease. Of a robot that is stopped it is not,
+        # because its owner may clear the stop. Supervisors may clear every stop.
+        record = self.store.records.get(name)
+        is_stopped = bool(record and record.stop)
+        is_stopped &= by.key not in self.settings.supervisor
+        if not (request.restore or is_attended or is_stopped):
             return
         is_rival = running is not None and request.session not in self.by_secret
         client = by.owner(request.session)

@@ -10,7 +10,7 @@ from handmap_qp.apps.addresses import bare_host, check_port, is_loopback
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 
 MOST_SESSIONS = 128
-"""Number of postures that the store keeps; every open session must have one."""
+"""Largest number of open sessions; the store keeps at least as many postures of each owner."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,17 @@ class Settings:
             releases, changes, stops or closes, with the client's name and address.
         hand: Further robot hands that clients may open, and robots with two: paths of hand.yaml and
             robot.yaml files.
-        sessions: Open sessions, at most 128.
+        sessions: Open sessions, at most 128. A client with a key, or over WebSocket, may open
+            another one while more are free than it has.
         rate: Messages per second from one connection.
         idle: Time without a request after which a session is closed [s].
         simulated_time: Let sessions use their clients' time stamps for speed limits; not for real
             robots.
-        opens: Sessions opened per second, after a burst of `sessions`.
-        configures: Changes of options per second, in all sessions together. Each takes about 1 ms;
-            a change to teleoperation takes up to 10 ms on hands with many links.
+        opens: Sessions that one client opens per second, after a burst of `sessions`. A client that
+            restores its own session is not limited.
+        configures: Changes of options per second, in all sessions together; one client with a key,
+            or over WebSocket, may make a half of them. Each takes about 1 ms; a change to
+            teleoperation takes up to 10 ms on hands with many links.
         message_size: Length of a message [bytes].
     """
 

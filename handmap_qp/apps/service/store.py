@@ -3,11 +3,15 @@
 Records are in memory, and by option in a database (SQLite) that outlives the server. Each is
 written before its command leaves, without waiting for the disk: it survives a kill of the process,
 and a power cut may damage the file. A server does not start with a damaged file, so that nobody
-overlooks that emergency stops are lost.
+overlooks that emergency stops are lost. A single record that cannot be read counts as stopped.
+
+Names are counted for each owner, so that one client cannot push out the records of others: see
+`PostureStore`.
 """
 
 import sqlite3
-from contextlib import suppress
+import time
+from itertools import islice
 from logging import ERROR, WARNING
 from pathlib import Path
 from typing import Self
@@ -17,6 +21,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RefusedError, reason_of
 from handmap_qp.se3 import Array
+from .fairness import largest_account
 from .logs import Throttle, report
 from .settings import MOST_SESSIONS
 
@@ -26,6 +31,10 @@ _KIND = 0x686D7170
 """Identifies the database as one of the service."""
 _LARGEST = 4096
 """Bytes of a record to reserve."""
+MOST_NAMES = MOST_SESSIONS
+"""Names of one owner that are kept: all sessions that it may have open."""
+MOST_RECORDS = 8 * MOST_NAMES
+"""Names of all owners that are kept."""
 # One server at a time; no waiting for the disk; the log starts again before it grows.
 _SETTINGS = """
     PRAGMA locking_mode = EXCLUSIVE; PRAGMA journal_mode = WAL; PRAGMA synchronous = OFF;
@@ -39,7 +48,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         name: Name of the session.
-        robot: Name of the robot hand.
+        robot: Name of the robot hand; empty for a record that could not be read.
         q: Joint angles last commanded [rad].
         wrist: Pose of the wrist row by row, 16 numbers; None if it was not known.
         epoch: Epoch of the last command.
@@ -63,9 +72,39 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         wrist = np.reshape(self.wrist, (4, 4)) if self.wrist else None
         return np.array(self.q), wrist
 
+    @property
+    def account(self) -> str:
+        """Whose names this one is counted with, see `names_account`."""
+        return names_account(self.owner)
+
+
+def _lost(name: str) -> Record:
+    """Return what stands for a record that cannot be read: nobody knows whether it was stopped.
+
+    It has no robot and no posture, but an emergency stop, which somebody must clear.
+    """
+    # A number that no session has had; see `Session.stop`.
+    return Record(name, "", (), None, 0, stop=time.time_ns() // 1000)
+
+
+def names_account(owner: str) -> str:
+    """Return whose names a session is counted with: its owner's key; without keys, all are one.
+
+    Secrets do not tell owners apart, because a client may make as many as it likes.
+
+    Args:
+        owner: Owner of the session; empty if its record is older than owners.
+    """
+    return owner if owner.startswith("key:") else ""
+
 
 class PostureStore:
     """Records by session name.
+
+    The least recently updated record of an owner that has more than `MOST_NAMES` is evicted. If
+    there are more than `MOST_RECORDS` in all, it is one of the owner that has most. A record with
+    an emergency stop in force is never evicted; `Sessions` bounds their number when sessions are
+    opened.
 
     Args:
         path: The file, made if it does not exist, for one server at a time; None for memory alone.
@@ -80,6 +119,8 @@ class PostureStore:
 
     def __init__(self, path: Path | None) -> None:
         self.records: dict[str, Record] = {}
+        # Names by account, the least recently updated first.
+        self._names: dict[str, dict[str, None]] = {}
         self.is_persistent = path is not None
         self._database = None
         self._failures = Throttle()
@@ -97,10 +138,15 @@ class PostureStore:
             except (OSError, sqlite3.Error) as error:
                 self.close()
                 raise _unusable(path, error) from error
+            damaged = 0
             for name, encoded in rows:
-                with suppress(msgspec.MsgspecError):
-                    self.records[name] = msgspec.msgpack.decode(encoded, type=Record)
-            if damaged := len(rows) - len(self.records):
+                try:
+                    record = msgspec.msgpack.decode(encoded, type=Record)
+                except msgspec.MsgspecError:
+                    damaged += 1
+                    record = _lost(name)
+                self._keep(record, name)
+            if damaged:
                 report(WARNING, "state_damaged", file=str(path), postures_lost=damaged)
 
     def __enter__(self) -> Self:
@@ -111,12 +157,8 @@ class PostureStore:
 
     def note(self, record: Record) -> None:
         """Keep a record in place of an earlier one of the same session."""
-        # Least recently updated first: the one to evict.
-        self.records.pop(record.name, None)
-        self.records[record.name] = record
-        evicted = [*self.records][:-MOST_SESSIONS]
-        for name in evicted:
-            del self.records[name]
+        self._keep(record, record.name)
+        evicted = self._evict(record.account)
         if not self._database:
             return
         try:
@@ -129,12 +171,14 @@ class PostureStore:
             self._failures.report(ERROR, "state_unwritten", error=str(error))
 
     def find(self, name: str, robot: str, joints: int) -> Record | None:
-        """Return the record of the last session of a name, if there is one.
+        """Return the record of the last session of a name, if there is one that can be read.
 
         Raises:
             RefusedError: If it is of another robot.
         """
         record = self.records.get(name)
+        if record and not record.robot:
+            return None
         if record and (record.robot != robot or len(record.q) != joints):
             raise RefusedError(
                 "invalid",
@@ -143,10 +187,50 @@ class PostureStore:
             )
         return record
 
+    def stopped(self, account: str) -> set[str]:
+        """Return the names of an account with an emergency stop in force."""
+        names = self._names.get(account, {})
+        return {name for name in names if self.records[name].stop}
+
     def close(self) -> None:
         """Write the file and release its lock."""
         if self._database:
             self._database.close()
+
+    def _keep(self, record: Record, name: str) -> None:
+        """Keep a record under a name, as the last one to be evicted."""
+        self._forget(name)
+        self.records[name] = record
+        self._names.setdefault(record.account, {})[name] = None
+
+    def _forget(self, name: str) -> None:
+        """Remove the record of a name, if there is one."""
+        if record := self.records.pop(name, None):
+            names = self._names[record.account]
+            del names[name]
+            if not names:
+                del self._names[record.account]
+
+    def _evict(self, account: str) -> list[str]:
+        """Forget a name if an account, or all together, have more than they may.
+
+        Returns:
+            The names that were forgotten.
+        """
+        evicted: list[str] = []
+        if len(self._names[account]) > MOST_NAMES:
+            evicted = self._oldest(account)
+        elif len(self.records) > MOST_RECORDS:
+            free = [each.account for each in self.records.values() if not each.stop]
+            evicted = self._oldest(largest_account(free)) if free else []
+        for name in evicted:
+            self._forget(name)
+        return evicted
+
+    def _oldest(self, account: str) -> list[str]:
+        """Return the least recently updated name of an account, unless all have stops."""
+        free = (name for name in self._names[account] if not self.records[name].stop)
+        return [*islice(free, 1)]
 
 
 def _prepare(database: sqlite3.Connection) -> None:
@@ -163,7 +247,7 @@ def _prepare(database: sqlite3.Connection) -> None:
     )
     # A disk that fills up later must not lose postures: pages of rows that are deleted are used
     # again, in the database and in its log.
-    unused = [(f" {i}", bytes(_LARGEST)) for i in range(MOST_SESSIONS)]
+    unused = [(f" {i}", bytes(_LARGEST)) for i in range(MOST_RECORDS)]
     database.executemany(_WRITE, unused)
     database.execute("DELETE FROM postures WHERE name LIKE ' %'")
     database.execute("COMMIT")

@@ -32,10 +32,11 @@ from websockets.typing import Subprotocol
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import InvalidInputError
 from .dispatch import NO_VALUE, Dispatcher
+from .fairness import crowded_accounts
 from .logs import report, websocket_log
 from .pages import page_response
 from .safety import Bucket
-from .sessions import Caller
+from .sessions import WEB, Caller
 from .settings import MOST_SESSIONS, Settings
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
@@ -136,8 +137,13 @@ class WebSocketTransport:
     async def _handle(self, connection: Any) -> None:
         """Serve one connection, and release it however it ends."""
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self.settings.sessions:
-            # The new client may come to stop a robot.
-            least = min(self._connections, key=_Connection.use)
+            # The new client may come to stop a robot. The address that has most connections gives
+            # one up, so that nobody shuts out other addresses.
+            crowded = crowded_accounts(
+                map(_address_of, self._connections), _address_of(connection)
+            )
+            rivals = (e for e in self._connections if _address_of(e) in crowded)
+            least = min(rivals, key=_Connection.use)
             least.transport.abort()
             self._connections.discard(least)
         self._connections.add(connection)
@@ -150,8 +156,7 @@ class WebSocketTransport:
 
     async def _read(self, connection: "_Connection") -> None:
         """Pass messages to the dispatcher until the connection closes or is silent for too long."""
-        address = connection.remote_address
-        by = Caller(f"web@{address[0]}" if address else "web")
+        by = Caller(_address_of(connection))
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             while True:
                 # A connection that reads a stream may be silent.
@@ -253,6 +258,13 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
     def _send_newest(self) -> None:
         while self._newest and not self.paused:
             broadcast((self,), self._newest.pop(next(iter(self._newest))))
+
+
+def _address_of(connection: ServerConnection) -> str:
+    """Return the address of a client over WebSocket, as `Caller` has it."""
+    # The peer may have gone already.
+    address = connection.remote_address
+    return f"{WEB}@{address[0]}" if address else WEB
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:

@@ -2,6 +2,7 @@
 // to the service.
 
 import { HandSession, RobotSession, Service } from "./service.js";
+import { Robots } from "./robots.js";
 import { Scene } from "./scene.js";
 import { Tracking } from "./tracking.js";
 
@@ -17,10 +18,23 @@ const COLOURS = {
   error: [0.95, 0.45, 0.45],
 };
 
+// What a robot does, in words and as a state of the page, by the mode of its session.
+const MODES = {
+  waiting: ["waiting", "waits for the first sample"],
+  calibrating: ["waiting", "holds while the hand is measured"],
+  following: ["streaming", "follows a hand"],
+  released: ["waiting", "holds until Engage"],
+  hold: ["waiting", "holds: no samples arrive"],
+  returning: ["streaming", "moves to rest: no samples arrive"],
+  not_following: ["waiting", "holds: its joints do not follow"],
+  stopped: ["stopped", "emergency stop: holds until the stop is cleared"],
+};
+
 const find = (selector, root = document) => root.querySelector(selector);
 const search = new URLSearchParams(location.search);
 const scheme = location.protocol === "https:" ? "wss:" : "ws:";
 const service = new Service(`${scheme}//${location.host}/`);
+const robots = new Robots(service);
 const cards = SIDES.map((side) => makeCard(side));
 const both = { select: find("#both"), kind: "robot", session: new RobotSession(service, LAYOUT), unknown: "" };
 const tracking = new Tracking(new Scene(() => cards.map(describeInHeadset)));
@@ -140,6 +154,35 @@ function describeInHeadset(card) {
   };
 }
 
+/** Whether this page leads the session of a name. */
+function isOwn(name) {
+  return service.sessions.some((session) => session.isOpen && session.name === name);
+}
+
+/** Whether this page may clear the stop of a session. */
+function mayClear(name) {
+  return isOwn(name) || robots.states.get(name).about.is_shared;
+}
+
+/** The emergency stop: a line, and how to go on; null if none is in force. */
+function stopState() {
+  if (robots.isUnanswered) {
+    return ["stopped", "EMERGENCY STOP: no answer",
+      "The service has not answered. Use the robot's own emergency stop."];
+  }
+  if (robots.stopAt !== null) return ["stopped", "EMERGENCY STOP", "Sent: waiting for the service."];
+  const names = robots.stopped;
+  if (!names.length) return null;
+  const advice = [`Held until the stop is cleared: ${names.join(", ")}. To go on, make sure that it is safe.`];
+  if (names.some(mayClear)) {
+    const where = names.every(isOwn) ? "" : " where it is led";
+    advice.push(`Press Clear the stop below, then Engage${where}.`);
+  }
+  const others = names.filter((name) => !mayClear(name));
+  if (others.length) advice.push(`Only who leads it, or a supervisor, may clear ${others.join(", ")}.`);
+  return ["stopped", "EMERGENCY STOP", advice.join(" ")];
+}
+
 /** State of the whole: its kind, a line, and what the user can do. */
 function overallState() {
   if (!service.isConnected) {
@@ -147,6 +190,8 @@ function overallState() {
       ? "Is handmap serve --web running? If it requires a token, enter it below." : "";
     return ["error", "Not connected to the service", advice];
   }
+  const stop = stopState();
+  if (stop) return stop;
   if (!window.isSecureContext) {
     return ["error", "This address cannot use a headset",
       "WebXR needs https:// or http://localhost. Serve with --web-certificate, or forward the port: "
@@ -154,7 +199,8 @@ function overallState() {
   }
   if (modes && !modes.vr && !modes.ar) {
     return ["error", "This browser offers no headset",
-      "Open this page in the headset's own browser, and allow hand tracking."];
+      "Open this page in the headset's own browser, and allow hand tracking. "
+      + "The emergency stop works in every browser."];
   }
   if (!tracking.session) return ["off", "Ready", "Choose a robot for each hand, or one for both, then start."];
   const states = cards.map((card) => stateOf(card)[0]);
@@ -168,7 +214,7 @@ function refresh() {
   find("#overview").dataset.state = state;
   find("#state").textContent = line;
   find("#advice").textContent = advice;
-  find("#message").textContent = failure;
+  find("#message").textContent = failure || robots.refusal;
   find("#service").textContent = service.isConnected
     ? `${service.address}, version ${service.version}` : `${service.address}, not connected`;
   find("#token-field").hidden = service.isConnected;
@@ -176,8 +222,48 @@ function refresh() {
   find("#start-ar").hidden = !modes?.ar;
   find("#start-ar").disabled = Boolean(tracking.session) || !service.isConnected;
   find("#end").disabled = !tracking.session;
-  find("#stop").disabled = !service.sessions.some(({ isOpen }) => isOpen);
+  // Whoever sees the robots may stop them, also those that others lead.
+  find("#stop").disabled = !service.isConnected;
+  find("#scope").textContent = describeScope();
+  refreshRobots();
   cards.forEach(refreshCard);
+}
+
+/** What the button for the emergency stop stops. */
+function describeScope() {
+  const count = robots.states.size;
+  if (!service.isConnected) return "Not connected: use the robot's own emergency stop.";
+  if (!count) return "No robot is led now.";
+  return `Stops ${count === 1 ? "the robot" : `all ${count} robots`} of this service, whoever leads.`;
+}
+
+/** List the robots, also those that others lead. */
+function refreshRobots() {
+  const list = find("#robots");
+  find("#robots-section").hidden = !robots.states.size;
+  const names = [...robots.states.keys()].sort();
+  const listed = Array.from(list.children, ({ dataset }) => dataset.name);
+  // Items stay, so that none is replaced while it is clicked.
+  if (listed.join() !== names.join()) list.replaceChildren(...names.map(makeRobot));
+  for (const item of list.children) refreshRobot(item);
+}
+
+function makeRobot(name) {
+  const item = find("#robot").content.firstElementChild.cloneNode(true);
+  item.dataset.name = name;
+  find(".name", item).textContent = name;
+  find(".clear", item).onclick = () => robots.clear(name);
+  return item;
+}
+
+function refreshRobot(item) {
+  const { name } = item.dataset;
+  const { about, mode, stop } = robots.states.get(name);
+  const [state, words] = MODES[mode] ?? ["off", mode];
+  item.dataset.state = state;
+  find(".model", item).textContent = about.robot;
+  find(".mode", item).textContent = isOwn(name) ? `${words} (led by this page)` : words;
+  find(".clear", item).hidden = !stop || !mayClear(name);
 }
 
 function refreshCard(card) {
@@ -242,7 +328,10 @@ async function start(mode) {
 find("#start-vr").onclick = () => start("vr");
 find("#start-ar").onclick = () => start("ar");
 find("#end").onclick = () => tracking.stop();
-find("#stop").onclick = () => service.sessions.forEach((session) => session.stop());
+find("#stop").onclick = () => {
+  robots.stop();
+  refresh();
+};
 find("#token").onchange = (event) => {
   service.token = event.target.value.trim();
   service.connect();
@@ -255,6 +344,7 @@ tracking.addEventListener("end", () => {
 });
 service.addEventListener("change", () => {
   if (service.isConnected) offerRobots();
+  else robots.forget();
   refresh();
 });
 addEventListener("pagehide", () => service.sessions.forEach((session) => session.lead("")));

@@ -97,11 +97,6 @@ export class HandSession {
     this.ask({ type: "clutch" });
   }
 
-  /** Emergency stop: the robot brakes and holds, whatever comes, until `clear`. */
-  stop() {
-    if (this.isOpen) this.ask({ type: "stop", reason: "the page for headsets" });
-  }
-
   /** Clear the emergency stop that is in force; the robot is then released. */
   clear() {
     this.ask({ type: "status" });
