@@ -29,9 +29,12 @@ def moved_by(model: pin.Model, joints: Sequence[int]) -> Array:
     Returns:
         Shape (k, model.nv).
     """
+    # Parents have smaller indices than their children.
+    is_support = np.eye(model.njoints)
+    for joint, parent in enumerate(model.parents.tolist()[1:], start=1):
+        is_support[joint] += is_support[parent]
     owners = np.repeat(np.arange(model.njoints), model.nvs)
-    moved = [np.isin(owners, [*model.supports[joint]]) for joint in joints]
-    return np.array(moved, dtype=float).reshape(-1, model.nv)
+    return is_support[[*joints]][:, owners]
 
 
 class AttachedPoints:
