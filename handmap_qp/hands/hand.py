@@ -301,6 +301,12 @@ class Hand:
         """Return all that is not cached: a copy has a workspace of its own, for another thread."""
         return {key: value for key, value in vars(self).items() if key not in _CACHED}
 
+    def __copy__(self) -> Hand:
+        """Return a hand that shares all that is not cached."""
+        hand = object.__new__(type(self))
+        vars(hand).update(self.__getstate__())
+        return hand
+
     def __setstate__(self, state: Values) -> None:
         """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
         vars(self).update(state)
