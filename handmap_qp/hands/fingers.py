@@ -120,7 +120,8 @@ class PalmKinematics:
         columns = (moves - carries) * self._jacobian
         linear, turns = np.split(columns @ self.hand.joint_motion, 2)
         point = self._data.oMi[place[0]].act(place[1])
-        linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
+        # A turn w moves the point by w x p, which is -p x w.
+        linear = linear - pin.skew(point) @ turns
         return np.vstack(self._palm.rotation.T @ [linear, turns])
 
     def _place(self, q: Array) -> None:
