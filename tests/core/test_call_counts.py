@@ -7,6 +7,7 @@ versions of Python, numpy and h5py differ by a few calls.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -95,7 +96,7 @@ def test_binding_a_mapper_to_a_new_person(people: Iterator[Hand], name: str) -> 
     assert bind_count(people, load_hand(name)) <= 1_150
 
 
-BINDS = {"object": 150, "fingertip-vectors": 230, "joint-to-joint": 5_000}
+BINDS = {"object": 150, "fingertip-vectors": 230, "joint-to-joint": 2_800}
 
 
 @pytest.mark.parametrize("preset", BINDS)
@@ -126,8 +127,8 @@ def test_a_followed_sample(people: Iterator[Hand], samples: list[HumanSample]) -
     first, second, *others = samples[:50]
     follower.map_sample(first)
     follower.map_sample(second)
-    for sample in others:
-        assert count_calls(lambda: follower.map_sample(sample)) <= 9  # noqa: B023
+    counts = [count_calls(partial(follower.map_sample, sample)) for sample in others]
+    assert max(counts) <= 9
 
 
 LANDMARKS = {
@@ -165,21 +166,22 @@ def test_a_sample_with_a_grip(
     for sample in samples[:3]:
         follower.map_sample(sample, q)
     counts = [
-        count_calls(lambda: follower.map_sample(sample, q))  # noqa: B023
-        for sample in samples[3:60]
+        count_calls(partial(follower.map_sample, sample, q)) for sample in samples[3:60]
     ]
-    print(max(counts), np.mean(counts))
+    # Most where pads close.
+    assert max(counts) <= 320
+    assert np.median(counts) <= 130
 
 
-def test_a_recording_of_a_batch(tmp_path: Path, egodex: Path) -> None:
+def test_a_recording_of_a_batch(tmp_path: Path) -> None:
     """All of it: read, checked, measured, mapped, judged and written."""
+    for i in range(3):
+        recording = recorded(0.96 + 0.01 * i)
+        write_recordings([recording], tmp_path / f"{i}.hdf5", EgoDexFormat())
     options = JobOptions({"right": "allegro_right"})
-    for i in range(2):
-        write_recordings(
-            [recorded(0.96 + 0.01 * i)], tmp_path / f"{i}.hdf5", EgoDexFormat()
-        )
-    plan = plan_batch([tmp_path], tmp_path / "out", options)
-    first, second, third = plan.jobs
+    first, second, third = plan_batch([tmp_path], tmp_path / "out", options).jobs
     run_job(first)
     run_job(second)
-    print(count_calls(lambda: run_job(third)))
+    lines = []
+    assert count_calls(lambda: lines.append(run_job(third))) <= 6_700
+    assert lines[0].status == "done"

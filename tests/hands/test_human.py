@@ -220,6 +220,15 @@ def test_a_person_is_the_hand_of_the_scaled_urdf(
             [p.homogeneous for p in other],
             atol=1e-15,
         )
+    assert [*hand.model.names] == [*read.model.names]
+    assert hand.model.parents.tolist() == read.model.parents.tolist()
+    for own, other in zip(hand.model.frames, read.model.frames, strict=True):
+        assert (own.name, own.type) == (other.name, other.type)
+        assert own.parentJoint == other.parentJoint
+        assert own.parentFrame == other.parentFrame
+    for name in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit"):
+        own, other = getattr(hand.model, name), getattr(read.model, name)
+        np.testing.assert_array_equal(own, other)
     q = 0.5 * (hand.lower_limits + hand.upper_limits)
     np.testing.assert_allclose(hand.points(q), read.points(q), atol=1e-15)
     np.testing.assert_array_equal(
