@@ -185,3 +185,10 @@ def test_a_recording_of_a_batch(tmp_path: Path) -> None:
     lines = []
     assert count_calls(lambda: lines.append(run_job(third))) <= 6_700
     assert lines[0].status == "done"
+
+
+def test_loading_a_hand() -> None:
+    """Its URDF, of an installed package, names each mesh twice."""
+    load_hand("allegro_right")
+    # How many folders are searched for the package depends on the environment.
+    assert count_calls(lambda: load_hand("allegro_right")) <= 38_000
