@@ -343,7 +343,8 @@ class Hand:
         hand.contact_gap = lengths.contact_gap
         hand.moves = joint_moves(self._lengths, lengths, mirrors=self.spec.mirror)
         hand.stretches = shape_stretches(self._lengths, lengths)
-        del hand.model, hand.point_frames, hand.urdf_text
+        for of_lengths in ("model", "point_frames", "urdf_text"):
+            vars(hand).pop(of_lengths, None)
         return hand
 
     def configuration(self) -> Configuration:

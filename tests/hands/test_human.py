@@ -236,6 +236,21 @@ def test_a_person_is_the_hand_of_the_scaled_urdf(
     )
 
 
+@settings(max_examples=6)
+@given(first=persons(), second=persons())
+def test_a_scaled_hand_is_scaled_again(
+    first: HumanLengths, second: HumanLengths
+) -> None:
+    """Whether or not its model was needed in between."""
+    whole = load_hand("human", points="landmarks")
+    wanted = whole.with_lengths(second)
+    again = whole.with_lengths(first).with_lengths(second)
+    np.testing.assert_allclose(
+        again.points(whole.rest), wanted.points(whole.rest), atol=1e-12
+    )
+    assert again.model.names.tolist() == whole.model.names.tolist()
+
+
 @settings(max_examples=15)
 @given(person=persons(), angles=arrays(float, 20, elements=st.floats(-1.5, 1.5)))
 def test_a_rolled_finger_is_the_finger_turned_about_the_axis_of_the_palm(
