@@ -9,6 +9,9 @@ if it reports the right kind. Windows that a mistake hardly changes are left out
 Mistakes that show only in the course of a stream go through the guard with the tracker's own wrist
 in our axes, from the first sample to the last. False alarms are counted on takes as they are, with
 Wilson's intervals at 95 %.
+
+A file has no time of arrival. What `handmap map` finds in whole ones, by `trackers.file_evidence`,
+has a table of its own: time at another rate, wrists that were not measured, hands that slowly grow.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import common
 
 # isort: split
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +34,15 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers import plausibility
+from handmap_qp.trackers.file_evidence import hints, recording_facts
 from handmap_qp.trackers.hand_geometry import log_size, own_distances, palmar_evidence
 from handmap_qp.trackers.layouts.tables import load_layout
-from handmap_qp.trackers.plausibility import InputCheck
+from handmap_qp.trackers.plausibility import InputCheck, examine_recording
 
 WINDOW = 1.0  # s
 EVERY = 0.25  # s
 NOISES = (0.0, 0.002, 0.005)  # m, of every coordinate
+_PART = 4.0  # s; of parts of recordings that count as whole ones
 LEAST_SAMPLES = 12  # of a window, so that it is none of a tracker that lost the hand
 
 
@@ -240,37 +245,60 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     return max(0.0, float(middle - half)), min(1.0, float(middle + half))
 
 
-def measure_rates(takes: Sequence[lies.Take]) -> list[dict[str, Any]]:
-    """Return the mean frequency of fingertips in palm axes: what tells a wrong rate of time.
+def parts_of(take: lies.Take) -> list[lies.Take]:
+    """Return parts of a take, each of which begins in the middle of the one before."""
+    starts = np.arange(take.time[0], take.time[-1] - _PART + 0.1, 0.5 * _PART)
+    parts = [take.part(float(start), _PART) for start in starts]
+    return [part for part in parts if len(part.time) >= LEAST_SAMPLES] or [take]
 
-    The root mean square of acceleration over that of speed, in stretches of 3 s [Hz]. Times that
-    run twice as fast halve it.
-    """
+
+def read_file(take: lies.Take) -> str:
+    """Return what the commands say of a take as a file: `refused`, `named`, or nothing."""
+    valid = np.ones(len(take.time), dtype=bool)
+    recording = Recording(
+        take.name, take.time, take.landmarks, valid, take.side, wrist=take.wrist
+    )
+    if examine_recording(recording) is not None:
+        return "refused"
+    return "named" if hints(recording_facts(recording)) else ""
+
+
+def measure_files(
+    groups: Mapping[str, Sequence[lies.Take]],
+) -> list[dict[str, Any]]:
+    """Return for each mistake in whole files how many are found, with intervals at 95 %."""
+    rows = []
+    for lie in (lies.Lie("none", "", lambda take: take), *lies.file_lies()):
+        row: dict[str, Any] = {"mistake in a file": lie.name}
+        for name, takes in groups.items():
+            said = [read_file(lie.tell(take)) for take in takes]
+            found = sum(map(bool, said))
+            low, high = wilson(found, len(takes))
+            row[name] = (
+                f"{found} of {len(takes)} ({100 * low:.0f} to {100 * high:.0f} %), "
+                f"{said.count('refused')} refused"
+            )
+        rows.append(row)
+    return rows
+
+
+def measure_facts(takes: Sequence[lies.Take]) -> list[dict[str, Any]]:
+    """Return what takes as they are show of their time and the size of the hand."""
     rows = []
     for take in takes:
-        axes = lies.palm_axes(take.landmarks, 1.0 if take.side == "right" else -1.0)
-        tips = (take.landmarks[:, 4::4] - take.landmarks[:, :1]) @ axes
-        grid = np.arange(take.time[0], take.time[-1], 1.0 / 30.0)
-        even = np.array(
-            [np.interp(grid, take.time, own) for own in tips.reshape(-1, 15).T]
-        ).T
-        even = (even[:-2] + even[1:-1] + even[2:]) / 3.0
-        speeds, found = 30.0 * np.diff(even, axis=0), []
-        for start in range(0, len(speeds) - 90, 30):
-            part = speeds[start : start + 90]
-            changes = 30.0 * np.diff(part, axis=0)
-            found.append(
-                np.sqrt(np.square(changes).mean() / np.square(part).mean())
-                / 2.0
-                / np.pi
-            )
-        if found:
-            row = {
-                "least": min(found),
-                "median": float(np.median(found)),
-                "most": max(found),
+        valid = np.ones(len(take.time), dtype=bool)
+        facts = recording_facts(
+            Recording(take.name, take.time, take.landmarks, valid, take.side)
+        )
+        rows.append(
+            {
+                "take": take.name,
+                "rate [1/s]": facts.rate,
+                "fingers [Hz]": facts.frequency,
+                "largest over smallest size": facts.growth,
+                "palm turns [deg]": np.degrees(facts.palm_turn),
             }
-            rows.append({"take": take.name, **row})
+        )
     return rows
 
 
@@ -445,7 +473,14 @@ def main(words: Sequence[str] | None = None) -> None:
         seen | ({} if arguments.quick else other_takes(poses))
     )
     left_out = measure_left_out(people_of(takes[: len(files)], poses))
-    rates = measure_rates(takes)
+    people, models = takes[: len(files)], takes[len(files) :]
+    whole = {
+        "recordings": people,
+        f"parts of {_PART:g} s": [part for take in people for part in parts_of(take)],
+        "human model": models,
+    }
+    in_files = measure_files(whole)
+    facts = measure_facts(takes)
     costs = [{"take": take.name, "us per sample": cost(take)} for take in takes]
     to_stderr = arguments.json == "-"
     caption = f"windows of {WINDOW:g} s, one every {every:g} s; shares in %"
@@ -460,7 +495,13 @@ def main(words: Sequence[str] | None = None) -> None:
     common.print_table(
         "People left out", left_out, to_stderr=to_stderr, caption=caption
     )
-    common.print_table("Frequency of fingertips [Hz]", rates, to_stderr=to_stderr)
+    caption = (
+        "found: refused, or named by `handmap map` below its table; intervals at 95 %"
+    )
+    common.print_table(
+        "Mistakes in whole files", in_files, to_stderr=to_stderr, caption=caption
+    )
+    common.print_table("What files show", facts, to_stderr=to_stderr)
     common.print_table("Mistakes in joint angles", angles, to_stderr=to_stderr)
     common.print_table(
         "False alarms over whole recordings, with noise [% of samples]",
@@ -469,7 +510,8 @@ def main(words: Sequence[str] | None = None) -> None:
     )
     common.print_table("CPU time of the check", costs, to_stderr=to_stderr)
     results = {"rows": rows, "angles": angles, "noise": noises, "costs": costs}
-    results |= {"live": live, "alarms": alarms, "left out": left_out, "rates": rates}
+    results |= {"live": live, "alarms": alarms, "left out": left_out, "files": in_files}
+    results |= {"what files show": facts}
     common.write_json(arguments.json, "bench_lies", results)
     common.save_picture(arguments.picture, lambda: draw(rows, takes))
 

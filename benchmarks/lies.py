@@ -129,6 +129,34 @@ def live_lies() -> list[Lie]:
     ]
 
 
+def file_lies() -> list[Lie]:
+    """Return mistakes that show, if at all, only in a whole file, which has no time of arrival."""
+    return [
+        *(
+            Lie(f"time x {rate:.2g}", "time", partial(_at_rate, rate=rate))
+            for rate in (10.0, 5.0, 4.0, 3.0, 2.0, 1 / 2, 1 / 3, 1 / 4, 1 / 5, 1 / 10)
+        ),
+        Lie("identity wrist", "wrist", _identity),
+        Lie("wrist that stays", "wrist", _staying),
+        *(
+            Lie(f"size to x {end:g}", "size", partial(_creeping, end=end))
+            for end in (1.5, 1.3, 1.2, 1.1, 0.67)
+        ),
+    ]
+
+
+def _staying(take: Take) -> Take:
+    """Let the wrist's pose stay where it is at first."""
+    return take._replace(wrist=np.tile(take.wrist[0], (len(take.time), 1, 1)))
+
+
+def _creeping(take: Take, end: float) -> Take:
+    """Let the hand grow steadily over the whole take, to `end` times its size."""
+    sizes = np.linspace(1.0, end, len(take.time))[:, None, None]
+    wrist = take.landmarks[:, :1]
+    return take._replace(landmarks=wrist + (take.landmarks - wrist) * sizes)
+
+
 def _identity(take: Take) -> Take:
     wrist = take.wrist.copy()
     wrist[:, :3, :3] = np.eye(3)

@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from handmap_drive.driver import Driver
+from handmap_drive.gate import Gate
+from handmap_drive.joint_map import Direct, JointMap
 from handmap_drive.motion import Motion
 from handmap_drive.pinches import map_recording
 from handmap_drive.ritual import find_tuning
@@ -63,7 +64,7 @@ LATE = 0.2
 """Share of commands that come a turn late."""
 LAGS = 0.01, 0.03
 """Time constants of motors, least and largest [s]."""
-SETTLED = 1.0
+SETTLED = 4.0
 """Time in which a hand comes to the recording [s]."""
 RECORDINGS = ("leap_pinch_move_right", "leap_hmd_right")
 
@@ -116,12 +117,18 @@ def motion_of(hand: Hand, recording: str) -> np.ndarray:
     return np.apply_along_axis(partial(np.interp, turns, time), 0, q)
 
 
-def follow(driver: Driver, motors: Simulated, q: np.ndarray) -> tuple[np.ndarray, ...]:
+def follow(
+    joints: JointMap, motors: Simulated, q: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """Tell motors a motion; return where joints are in truth, and as encoders tell it."""
+    gate = Gate(motors)
+    gate.read()
+    joints.restart(motors.q)
     approach = np.linspace(motors.q, q[0], round(SETTLED * motors.rate))
     rows = []
-    for goal in (*approach, *q):
-        driver.write(goal, motors.effort)
+    for k, goal in enumerate((*approach, *q)):
+        gate.write(joints.command(goal), motors.effort, k / motors.rate)
+        gate.read()
         rows.append((motors.posture, motors.q))
     true, seen = map(np.array, zip(*rows, strict=True))
     return true[len(approach) :], seen
@@ -190,12 +197,13 @@ def measure(hand: Hand, seed: int) -> dict[str, Any]:
     for recording in RECORDINGS:
         asked = motion_of(hand, recording)
         for when, mapped in (("before", hand), ("after", found)):
-            driver = motors = Motors(port, hand.joint_names, down)
+            motors = Motors(port, hand.joint_names, down)
+            joints: JointMap = Direct(motors)
             if mapped is found:
                 weights = motors.space.weights if is_down else np.zeros_like
-                driver = Compensated(motors, tuning, weights)
+                joints = Compensated(motors, tuning, weights)
             q = motion_of(mapped, recording)
-            true, seen = follow(driver, motors, q)
+            true, seen = follow(joints, motors, q)
             row[f"{recording}: {when}"] = pinches(meter, asked, q, true)
             over.append(beyond(motors, seen))
             told.append(motors.told)

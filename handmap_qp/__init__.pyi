@@ -39,6 +39,7 @@ from .hands.spec import (
     PointSpec as PointSpec,
 )
 from .hands.synergies import load_synergies as load_synergies
+from .human.measure import scaled_human as scaled_human
 from .human.recording import Recording as Recording
 from .human.recording import sample_columns as sample_columns
 from .human.sample import HumanSample as HumanSample

@@ -18,6 +18,7 @@ import numpy as np
 from msgspec import UNSET
 
 _LONGEST_VALUE = 80  # characters
+_MOST_NAMES = 3  # of names that begin with a word
 
 
 class HandmapError(Exception):
@@ -227,10 +228,19 @@ class RefusedError(HandmapError):
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """Return `did you mean X?` for the name nearest to a mistyped one in any case; else nothing."""
+    """Return `did you mean X?` for the names nearest to a mistyped one; nothing if none is near.
+
+    Names that begin with the given one come first, up to three; else it is the most similar one.
+    Case does not count.
+    """
     cased = {each.lower(): each for each in names}
-    nearest = difflib.get_close_matches(name.lower(), cased, n=1)
-    return f"did you mean {cased[nearest[0]]}?" if nearest else ""
+    word = name.lower()
+    nearest = [each for each in cased if word and each.startswith(word)]
+    if not 1 <= len(nearest) <= _MOST_NAMES:
+        nearest = difflib.get_close_matches(word, cased, n=1)
+    *others, last = [cased[each] for each in nearest] or [""]
+    text = f"{', '.join(others)} or {last}" if others else last
+    return f"did you mean {text}?" if text else ""
 
 
 def reason_of(error: Exception) -> str:

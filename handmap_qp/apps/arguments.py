@@ -14,7 +14,18 @@ from typing import Annotated, Any
 from tyro.conf import FlagConversionOff, Positional, arg
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
-from handmap_qp.hands import FINGERS, Hand, Names, Side, Values, load_hand, load_whole
+from handmap_qp.hands import (
+    FINGERS,
+    OTHER_SIDE,
+    Hand,
+    Names,
+    Side,
+    Values,
+    hand_sides,
+    load_hand,
+    load_whole,
+    sided_name,
+)
 from handmap_qp.human import Person, Recording, mirrored, read_person
 from handmap_qp.mapping import (
     PRESETS,
@@ -53,7 +64,11 @@ def hinted(metavar: str, hint: str = "(default: none)") -> Any:
 
 
 HandName = Annotated[str, arg(metavar="HAND")]
-"""Name of a hand of the package, or path of a hand.yaml."""
+"""Name of a hand or of a family of hands (`allegro`) of the package, or path of a hand.yaml."""
+FileSide = Annotated[
+    Side | None, hinted("{left,right}", "(default: what the file says)")
+]
+"""Which hand recordings are of, where their files do not say."""
 PersonFile = Annotated[
     Path | None, hinted("PERSON.yaml", "(default: measured in the recording)")
 ]
@@ -82,13 +97,11 @@ class InputArguments:
         layout: Layout of the file's values where they are not 21 landmarks: a name of
             `handmap layouts`, or the path of a table of your own. Reads .npz and .csv.
         side: Which hand the recording is of, where the file does not say.
-        fps: Samples a second, in place of the time in the file.
+        fps: Samples a second, in place of the time in the file; needed where it has none.
     """
 
     layout: Annotated[str | None, hinted("LAYOUT", "(default: the file's own)")] = None
-    side: Annotated[
-        Side | None, arg(help_behavior_hint="(default: what the file says)")
-    ] = None
+    side: FileSide = None
     fps: float | None = None
 
     def read(
@@ -110,10 +123,9 @@ class InputArguments:
         if self.layout is not None:
             lengths = read_person(person).lengths if person else None
             layout = load_layout(self.layout)
-            recording = read_with_layout(path, layout, self.side, lengths)
-            return recording.at_rate(self.fps)
+            return read_with_layout(path, layout, self.side, lengths, self.fps)
         try:
-            recording = read_recording(path, self.side or wanted)
+            recording = read_recording(path, self.side or wanted, fps=self.fps)
         except RecordingError as error:
             if hint := layout_hint(path):
                 error.problem += f"; {hint}"
@@ -124,9 +136,12 @@ class InputArguments:
                 argument="--side",
                 advice="leave --side out, or correct the file",
             )
-        recording = recording.at_rate(self.fps)
         check_recording(recording, name=str(path))
         return recording
+
+    def side_of(self, path: Path) -> Side:
+        """Return which hand a recording is of; of a file with both, the right one is taken."""
+        return self.read(path, "right").side
 
     def read_both(
         self, paths: Sequence[Path], person: Path | None = None, *, mirror: bool = False
@@ -145,10 +160,9 @@ class InputArguments:
             if given:
                 raise InvalidInputError("has no effect on both hands", argument=option)
         if self.layout is None:
-            hands = read_hands(paths)
-            for side, recording in hands.items():
-                hands[side] = recording.at_rate(self.fps)
-                check_recording(hands[side])
+            hands = read_hands(paths, fps=self.fps)
+            for recording in hands.values():
+                check_recording(recording)
             return hands
         expect(
             len(paths) in (1, 2), "RECORDING", "one file or two", got=f"{len(paths)}"
@@ -305,13 +319,17 @@ class MappingArguments:
         saved = found_alignment(chosen.method, robot, upright) | saved
         return chosen.with_changes(saved | own | calm | _given(self.ik))
 
-    def load_robot(self, name: str) -> Hand:
+    def load_robot(self, name: str, side: Side | None = None) -> Hand:
         """Load a robot hand with the chosen reference points.
+
+        Args:
+            name: Name or path of a hand, or the name of a family of hands.
+            side: Which hand of a family; none is found if omitted.
 
         Raises:
             HandError: If there is no such hand or set.
         """
-        return load_hand(name, points=self.robot_points)
+        return load_hand(sided_name(name, side), points=self.robot_points)
 
     def changed(self) -> list[str]:
         """Return the options that were given, as `--ridge` or `--ik.damping`."""
@@ -327,14 +345,19 @@ def read_robot(
     """Read a robot hand, or a robot with both as one, and a recording of each in its order.
 
     Args:
-        name: Name or path of the robot.
+        name: Name or path of the robot. A family of hands, such as `allegro`, stands for that of
+            the recording's side, with `mirror` of the other one.
         files: Recordings: one, or one of each hand.
         command: Its `inputs`, `arguments`, `person` and `mirror` say how.
 
     Raises:
         HandmapError: If one cannot be read, or they do not fit.
     """
-    robot = load_whole(name, command.arguments.robot_points)
+    side = None
+    if hand_sides(name) and files:
+        side = command.inputs.side_of(files[0])
+        side = OTHER_SIDE[side] if command.mirror else side
+    robot = load_whole(name, command.arguments.robot_points, side=side)
     if robot.parts:
         both = command.inputs.read_both(files, command.person, mirror=command.mirror)
         return robot, [both[side] for side in robot.by_side]

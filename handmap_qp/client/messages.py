@@ -199,8 +199,9 @@ class Open(Request):
     """Open a session: one human hand leads a robot hand, or both a robot. The answer is `opened`.
 
     Attributes:
-        robot: Name of a robot hand on the server, or of a robot with two hands; this one needs
-            input=landmarks, and its samples have `hands`.
+        robot: Name of a robot hand on the server, or of its family, such as `allegro`; then the
+            hand of `side` is meant. Or of a robot with two hands; this one needs input=landmarks,
+            and its samples have `hands`.
         name: Public name of the session and its stream; the server makes one if omitted.
         input: What samples hold.
         layout: Layout of the numbers in `values`, such as webxr25 (`handmap layouts` lists them);

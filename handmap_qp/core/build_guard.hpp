@@ -140,7 +140,8 @@ inline std::unique_ptr<GuardRules> read_guard_rules() {
   read_numbers(from, {{"_PERIOD_SHARE", &rules.period_share},
                       {"_SHORTEST_STEP", &rules.shortest_step},
                       {"_RATE_WINDOW", &rules.rate_window},
-                      {"_LARGEST_DRIFT", &rules.largest_drift}});
+                      {"_LARGEST_DRIFT", &rules.largest_drift},
+                      {"_CREDIT_RATE", &rules.credit_rate}});
   const Indices starts = from.indices("_STARTS"), ends = from.indices("_ENDS");
   if (starts.size() != kFixed || ends.size() != kFixed)
     throw std::invalid_argument("wrong size of _STARTS");

@@ -23,7 +23,7 @@ struct GuardRules {
   // SampleClock and RateCheck
   double longest_step, gap, set_back, set_forward, period_share, shortest_step;
   int late_samples;
-  double rate_window, largest_drift;
+  double rate_window, largest_drift, credit_rate;
   // Motion
   int starts[kFixed], ends[kFixed];
   double zero_size, mirror, alone, believed[kSizes], noisy[kSizes], first_noise;
@@ -82,8 +82,22 @@ struct RateCheck {
   double lead = 0.0, drift = 0.0, rate = 1.0;
   bool is_off = false;
   int finding = kNone;
+  bool has_arrival = false;
+  // The time that the next samples may account for.
+  double last_arrival = 0.0, credit = HUGE_VAL;
 
-  // Whether another rate was measured.
+  // Bound the time of the next sample by the time that has passed at its arrival.
+  double grant(const GuardRules& rules, double dt, double arrival) {
+    const double passed = has_arrival ? std::max(arrival - last_arrival, 0.0) : 0.0;
+    has_arrival = true;
+    last_arrival = arrival;
+    credit = std::min(credit + rules.credit_rate * passed, rules.gap);
+    const double granted = std::min(dt, credit);
+    credit -= granted;
+    return granted;
+  }
+
+  // Whether another rate was measured, of the time of the stream against that of arrival.
   bool update(const GuardRules& rules, double stamp, double arrival) {
     if (std::isnan(start)) start = arrival;
     const double elapsed = arrival - start;
@@ -247,14 +261,15 @@ class StreamGuard {
   Verdict check(const StreamSample& sample) {
     SampleClock clock = state.clock;
     const bool was_late = clock.late_count > 0;
-    const Tick tick = clock.advance(rules, sample.time);
+    Tick tick = clock.advance(rules, sample.time);
     const double now = state.now + tick.elapsed;
+    if (!std::isnan(sample.arrival)) tick.dt = rate.grant(rules, tick.dt, sample.arrival);
     Verdict verdict{tick.rule, true, false, tick.dt, std::numeric_limits<double>::quiet_NaN(),
                     kNone};
     Landmarks landmarks;
     const bool is_new = tick.rule != kDuplicate && tick.rule != kDisorder;
     int rule = kNothing;
-    if (is_new) rule = input_fault(sample, landmarks, verdict.finding);
+    if (is_new) rule = input_fault(sample, now, landmarks, verdict.finding);
     // Nothing is thrown from here on.
     state.clock = clock;
     state.now = now;
@@ -272,8 +287,8 @@ class StreamGuard {
   }
 
  private:
-  int input_fault(const StreamSample& sample, Landmarks& landmarks, int& finding) {
-    if (!std::isnan(sample.arrival) && rate.update(rules, sample.time, sample.arrival)) {
+  int input_fault(const StreamSample& sample, double now, Landmarks& landmarks, int& finding) {
+    if (!std::isnan(sample.arrival) && rate.update(rules, now, sample.arrival)) {
       rate.finding = kNone;
       if (rate.is_off) rate.finding = input.explainer.explain_rate(rate.rate);
     }

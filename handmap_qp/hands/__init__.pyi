@@ -32,9 +32,11 @@ from .human import HumanLengths as HumanLengths
 from .library import HUMAN_HANDS as HUMAN_HANDS
 from .library import ROBOT_FILES as ROBOT_FILES
 from .library import hand_files as hand_files
+from .library import hand_sides as hand_sides
 from .library import load_hand as load_hand
 from .library import missing_hands as missing_hands
 from .library import robot_files as robot_files
+from .library import sided_name as sided_name
 from .library import why_missing as why_missing
 from .model import read_mimic_rules as read_mimic_rules
 from .pads import Pad as Pad
@@ -65,6 +67,7 @@ from .sources import source_file as source_file
 from .sources import source_path as source_path
 from .sources import urdf_path as urdf_path
 from .spec import OTHER_SIDE as OTHER_SIDE
+from .spec import SIDES as SIDES
 from .spec import UPRIGHT as UPRIGHT
 from .spec import ArmSpec as ArmSpec
 from .spec import CollisionSpec as CollisionSpec

@@ -4,12 +4,14 @@
 whose models other packages ship (`urdf/described/<name>.yaml`). Only the human's can be scaled.
 """
 
+from collections.abc import Container
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
 from handmap_qp.errors import (
     HandError,
+    InvalidInputError,
     MissingExtraError,
     MissingPackageError,
     describe_value,
@@ -19,7 +21,7 @@ from handmap_qp.errors import (
 from .hand import Hand, Points
 from .human import HumanLengths
 from .sources import source_file, urdf_directory
-from .spec import HandSpec, Mount, Names, is_named_source, read_hand_spec
+from .spec import SIDES, HandSpec, Mount, Names, Side, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
 ROBOT_FILES = (".urdf", ".xml", ".mjcf", ".xacro")
@@ -73,9 +75,42 @@ def hand_names() -> Names:
     return tuple(name for name in hand_files() if name not in missing)
 
 
+def sided_name(
+    name: str, side: Side | None, known: Container[str] | None = None
+) -> str:
+    """Return the name of a hand that is named by its family, such as `allegro`, and its side.
+
+    Commands, sessions and `load_hand` all ask this function.
+
+    Args:
+        name: Any name or path.
+        side: The side; None if it is not known.
+        known: Names of the hands and robots that there are; those of the package if omitted.
+
+    Returns:
+        `allegro_left` for `allegro` and `left`; `name` as it is if it is that of a hand, of a robot
+        or of a file, or if no hand of the family has this side.
+    """
+    if name == "human" and side == "left":
+        return "human_left"
+    if known is None:
+        if Path(name).exists():
+            return name
+        known = robot_files() | hand_files()
+    sided = f"{name}_{side}"
+    return sided if name not in known and sided in known else name
+
+
+def hand_sides(name: str) -> dict[Side, str]:
+    """Return the hands of a family, such as `allegro`, by side; empty if `name` is another name."""
+    sided: dict[Side, str] = {side: sided_name(name, side) for side in SIDES}
+    return {side: hand for side, hand in sided.items() if hand == f"{name}_{side}"}
+
+
 def load_hand(
     hand: str | Path | HandSpec,
     *,
+    side: Side | None = None,
     points: Points | None = None,
     mount: Mount | None = None,
     lengths: HumanLengths | None = None,
@@ -84,7 +119,9 @@ def load_hand(
     """Load a hand, human or robot.
 
     Args:
-        hand: Name of a hand (`hand_names()`), path of a `hand.yaml`, or a `HandSpec`.
+        hand: Name of a hand (`hand_names()`), path of a `hand.yaml`, or a `HandSpec`. With `side`
+            also the name of a family: `load_hand("allegro", side="left")` is `allegro_left`.
+        side: Which hand of a family. A hand that exists once, such as a gripper, serves both.
         points: Reference points, as of `Hand`; its default set if omitted.
         mount: `floating` or `fixed`, in place of the hand's own.
         lengths: For the human hand: measured segment lengths.
@@ -96,7 +133,8 @@ def load_hand(
 
     Raises:
         HandError: If there is no such hand, or its description cannot be used.
-        InvalidInputError: On another type, lengths for a robot, or both kinds of lengths.
+        InvalidInputError: On another type, lengths for a robot, both kinds of lengths, or a `side`
+            that contradicts the name.
         MissingExtraError: If its URDF lies in a package of an extra that is not installed.
         MissingPackageError: If its URDF lies in another package that is not installed.
     """
@@ -106,6 +144,8 @@ def load_hand(
         "a name, the path of a hand.yaml, or a HandSpec",
         value=hand,
     )
+    if side is not None:
+        hand = _of_side(hand, side)
     if lengths is None and hand_length is None:
         return _load(hand, mount, points)
     is_one = None in (lengths, hand_length)
@@ -120,6 +160,27 @@ def load_hand(
     expected = "none, because only the human hand can be scaled"
     expect(name in HUMAN_HANDS, "lengths", expected, got=f"some for {name}")
     return _scaled(standard, lengths)
+
+
+def _of_side(hand: str | Path | HandSpec, side: Side) -> str | Path | HandSpec:
+    """Return the hand of a family, and another one as it is if it may be of this side.
+
+    Raises:
+        InvalidInputError: If the name says that it is of the other side.
+    """
+    expect(side in SIDES, "side", "right or left", value=side)
+    if not isinstance(hand, str):
+        return hand
+    family, _, own = hand.rpartition("_")
+    partner = f"{family}_{side}"
+    if own in SIDES and own != side and partner in hand_files():
+        raise InvalidInputError(
+            f"{hand} is a {own} hand",
+            argument="side",
+            advice=f"leave it out, or name {partner}",
+        )
+    # A hand is meant, so a robot of the same name, such as `g1`, is not.
+    return hand if Path(hand).exists() else sided_name(hand, side, hand_files())
 
 
 def _load(

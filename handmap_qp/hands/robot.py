@@ -26,7 +26,7 @@ from msgspec.structs import replace
 
 from handmap_qp.errors import HandError, expect
 from .hand import Hand
-from .library import find_file, load_hand, robot_files
+from .library import find_file, load_hand, robot_files, sided_name
 from .model import compose_urdf
 from .sources import source_file
 from .spec import (
@@ -169,12 +169,15 @@ def load_robot(robot: str | Path | RobotSpec) -> Hand:
     return joined(robot.name, *hands)
 
 
-def load_whole(name: str, points: str | None = None, **options: Any) -> Hand:
+def load_whole(
+    name: str, points: str | None = None, *, side: Side | None = None, **options: Any
+) -> Hand:
     """Load a robot hand, or the hands of a robot as one (`joined`).
 
     Args:
-        name: Name or path of a hand or of a robot.
+        name: Name or path of a hand or of a robot; with `side` also the name of a family of hands.
         points: Set of reference points of a single hand; its own if omitted.
+        side: Which hand of a family, such as `allegro`. Other names do not depend on it.
         **options: Others of a single hand, as of `load_hand`.
 
     Raises:
@@ -185,7 +188,7 @@ def load_whole(name: str, points: str | None = None, **options: Any) -> Hand:
         message = "none for a robot with two hands"
         expect(points is None, "robot_points", message, value=points)
         return load_robot(name)
-    return load_hand(name, points=points, **options)
+    return load_hand(sided_name(name, side), points=points, **options)
 
 
 def _check_roots(robot: RobotSpec, specs: Sequence[HandSpec]) -> None:

@@ -24,6 +24,7 @@ Links = tuple[str, str]
 Values = dict[str, Any]
 """Values by name."""
 Side = Literal["right", "left"]
+SIDES: tuple[Side, ...] = ("left", "right")
 OTHER_SIDE: dict[Side, Side] = {"right": "left", "left": "right"}
 Mount = Literal["floating", "fixed"]
 Vector = tuple[float, float, float]

@@ -18,6 +18,7 @@ from .recording import as_flags as as_flags
 from .recording import axis_direction as axis_direction
 from .recording import finite_samples as finite_samples
 from .recording import mirrored as mirrored
+from .recording import regular_time as regular_time
 from .recording import sample_columns as sample_columns
 from .recording import turned as turned
 from .recording import upright_axes as upright_axes

@@ -44,6 +44,8 @@ class Recording:
             not valid.
         object_shape: The object's shape, as of `parse_object`; empty if it is not known.
         task: What is done, in words; empty if it is not known.
+        time_source: Where the instants are from if they are not the tracker's own stamps, in
+            words, such as a rate that was declared; empty otherwise.
 
     Raises:
         InvalidInputError: If an array has another shape or type than expected, time does not
@@ -62,6 +64,7 @@ class Recording:
     object_pose: Array | None = None
     object_shape: str = ""
     task: str = ""
+    time_source: str = ""
 
     def __post_init__(self) -> None:
         """Check the arrays, and replace them by read-only copies."""
@@ -126,13 +129,22 @@ class Recording:
     def at_rate(self, fps: float | None) -> Recording:
         """Return it with so many samples a second in place of its instants, unless None.
 
+        `time_source` then names the rate, and that of the former instants unless they number the
+        samples.
+
         Raises:
             InvalidInputError: If there is no such rate.
         """
         if fps is None:
             return self
-        expect(fps > 0.0, "fps", "a rate > 0", value=fps)
-        return replace(self, time=np.arange(len(self)) / fps)
+        former = self.steps[0]
+        is_rate = len(self) == 1 or former == 1.0 or abs(former * fps - 1.0) < 1e-6
+        stamps = "" if is_rate else f"; those of the file say {1.0 / former:.3g}"
+        return replace(
+            self,
+            time=regular_time(len(self), fps),
+            time_source=f"{fps:g} samples/s, as given{stamps}",
+        )
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield the samples, as of `sample`."""
@@ -176,6 +188,16 @@ class HumanMotion:
     q: Array
     wrist: Array
     valid: Array
+
+
+def regular_time(count: int, fps: float) -> Array:
+    """Return instants at a constant rate, from 0 on [s], shape (count,).
+
+    Raises:
+        InvalidInputError: If there is no such rate.
+    """
+    expect(0.0 < fps < np.inf, "fps", "a rate > 0", value=fps)
+    return np.arange(count) / fps
 
 
 def axis_direction(axis: str) -> Array:

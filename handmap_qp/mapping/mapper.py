@@ -126,17 +126,19 @@ class HandMapper(Mover):
         human: The hand that leads, with a floating wrist; its reference points are the method's
             input.
         robot: The hand that follows.
-        method: How a sample becomes targets: a `Method`, or the name of a preset (`PRESETS`). If
-            omitted, `teleoperation` where the robot's fingers have partners on the human hand, else
-            `object`.
+        method: How a sample becomes targets: a `Method`, or the name of a preset. If it and
+            `preset` are omitted, `teleoperation` where the robot's fingers have partners on the
+            human hand, else `object`.
+        preset: Name of a preset (`PRESETS`), in place of `method`: its method and its weights.
         ik: Weights and settings of the QP; those of the preset if omitted.
         tasks: Further terms of the QP's cost, in every sample.
         dt: Time between samples [s], where a step gives none of its own.
         quat_order: Order of the quaternion in wrist poses given as seven numbers.
         joint_tolerance: How far a human joint may be outside its limits before the sample is
             rejected [rad].
-        **options: Short form of `method`: options of the paper's method, as in
-            `HandMapper(human, robot, rigid_from="wrist")`.
+        **options: Options of the method of `preset`, as in
+            `HandMapper(human, robot, preset="object", ridge=0.01)`; without `preset` those of the
+            paper's method.
 
     Attributes:
         human: The hand that leads.
@@ -164,6 +166,7 @@ class HandMapper(Mover):
         robot: Hand,
         method: Method | str | None = None,
         *,
+        preset: str | None = None,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] = (),
         dt: float = 1.0 / 60.0,
@@ -186,9 +189,9 @@ class HandMapper(Mover):
         self.joint_tolerance = joint_tolerance
         self.quat_order = quat_order
         self._given_robot = robot
-        if method is None and not options:
-            method = default_preset(human, robot)
-        self.method, weights = _method_of(method, options)
+        if method is None and preset is None and not options:
+            preset = default_preset(human, robot)
+        self.method, weights = _method_of(method, preset, options)
         self.bound = bound = self.method.bind(human, robot)
         self.point_ik = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self.tasks = tuple(tasks)
@@ -473,6 +476,7 @@ class HandMapper(Mover):
         self,
         method: Method | str | None = None,
         *,
+        preset: str | None = None,
         ik: IkOptions | None = None,
         tasks: Sequence[Task] | None = None,
     ) -> None:
@@ -482,9 +486,11 @@ class HandMapper(Mover):
         the next sample then takes its place.
 
         Args:
-            method: How a sample becomes targets, as of `HandMapper`; as it is if omitted.
-            ik: Weights and settings of the QP; as they are if omitted, or those of a preset that
-                `method` names.
+            method: How a sample becomes targets, as of `HandMapper`; as it is if it and `preset`
+                are omitted.
+            preset: Name of a preset, as of `HandMapper`.
+            ik: Weights and settings of the QP; as they are if omitted, or those of a preset that is
+                named.
             tasks: Further terms of the QP's cost; as they are if omitted.
 
         Raises:
@@ -493,9 +499,12 @@ class HandMapper(Mover):
             DegeneratePointsError: If with them the reference points do not determine the motion;
                 likewise.
         """
-        if method is not None or ik:
-            chosen, weights = _method_of(self.method if method is None else method, {})
-            if isinstance(method, str):
+        is_new = method is not None or preset is not None
+        if is_new or ik:
+            chosen, weights = _method_of(
+                method if is_new else self.method, preset, options={}
+            )
+            if preset is not None or isinstance(method, str):
                 ik = ik or weights
             bound = chosen.bind(self.human, self._given_robot)
             solver = PointIk(
@@ -654,12 +663,23 @@ def _bound_again(reference: _Reference, bound: BoundMethod) -> _Reference | None
 
 
 def _method_of(
-    method: Method | str | None, options: Values
+    method: Method | str | None, preset: str | None, options: Values
 ) -> tuple[Method, IkOptions]:
-    """Return the method that the arguments of `HandMapper` ask for, and the QP weights with it."""
+    """Return the method that the arguments of `HandMapper` name, and the QP weights with it.
+
+    Raises:
+        InvalidOptionsError: If they contradict each other, or there is no such preset.
+    """
+    if preset is not None and method is not None:
+        raise InvalidOptionsError(
+            "a method is given, too", option="preset", advice="leave one of them out"
+        )
     if isinstance(method, str) and not options:
-        preset = get_preset(method)
-        return preset.method, preset.ik
+        preset = method
+    if preset is not None:
+        chosen_preset = get_preset(preset)
+        own = chosen_preset.method
+        return own.replaced(**options) if options else own, chosen_preset.ik
     chosen: Any = get_preset("paper").method if method is None else method
     needed = "replaced" if options else "bind"
     if hasattr(chosen, needed) and not isinstance(chosen, type):

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import (
@@ -216,15 +217,16 @@ def get_preset(name: str) -> Preset:
     Raises:
         InvalidOptionsError: If there is no such preset.
     """
-    try:
-        return PRESETS[name]
-    except KeyError:
-        raise InvalidOptionsError(
-            option="preset",
-            expected=f"one of {', '.join(PRESETS)}",
-            value=name,
-            advice=did_you_mean(name, PRESETS),
-        ) from None
+    is_name = isinstance(name, str)
+    if is_name:
+        with suppress(KeyError):
+            return PRESETS[name]
+    raise InvalidOptionsError(
+        option="preset",
+        expected=f"one of {', '.join(PRESETS)}",
+        value=name,
+        advice=did_you_mean(name, PRESETS) if is_name else "",
+    )
 
 
 def default_preset(human: Hand, robot: Hand) -> str:

@@ -201,7 +201,7 @@ class RobotMapper(Mover):
         ik: Weights and settings of the QP; those of the preset if omitted.
         turns_in: Time after a reference until the robot's palms have the directions of the person's
             [s]; infinite to keep how they differ at the reference.
-        **options: As of `HandMapper`, but for `tasks`: name them in `IkOptions`.
+        **options: As of `HandMapper`, such as `preset`, but for `tasks`: name them in `IkOptions`.
 
     Attributes:
         leaders: The mapping of each hand. Its reference and clutch are its own.

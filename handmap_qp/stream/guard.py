@@ -67,6 +67,9 @@ _SHORTEST_STEP = 0.5
 _RATE_WINDOW = 0.5  # time of arrival between two comparisons of the clocks [s]
 # Drift of stamps against arrival that a clock or a growing delay may have [s/s].
 _LARGEST_DRIFT = 0.3
+# Time that samples may account for in a second of arrival [s/s]: clocks of computers differ by far
+# less.
+_CREDIT_RATE = 1.02
 
 
 class SampleClock(NamedTuple):
@@ -128,19 +131,51 @@ class SampleClock(NamedTuple):
 
 
 class RateCheck:
-    """Tells whether time stamps run as fast as their samples arrive, every half second.
+    """Compares the time of a stream with the time at which its samples arrive.
 
-    Two in a row must drift the same way: a stall, the burst behind it and a clock set do not.
+    `update` tells every half second whether the stream runs as fast. Two in a row must drift the
+    same way: a stall, the burst behind it and a clock set do not. `grant` bounds what samples may
+    account for in the meantime, whatever their stamps say.
     """
 
     _start = _former = _lead = math.nan
     _drift = 0.0
     _rate: float | None = None
+    _arrival = math.nan
+    _credit = GAP
+
+    def grant(self, dt: float, arrival: float) -> float:
+        """Bound the time of the next sample by the time that has passed at its arrival.
+
+        Samples that arrive at once behind a stall of up to `GAP` keep their time.
+
+        Args:
+            dt: What the sample accounts for by its stamp [s].
+            arrival: When it arrived, on a monotonic clock [s].
+
+        Returns:
+            At most `dt`, so that samples account for no more time than has passed since any of them
+            arrived, and 2 % of it and `GAP` more [s].
+        """
+        passed = arrival - self._arrival
+        # `not >` also takes the NaN before the first sample for no time.
+        passed = passed if passed > 0.0 else 0.0
+        self._arrival = arrival
+        self._credit = min(self._credit + _CREDIT_RATE * passed, GAP)
+        granted = min(dt, self._credit)
+        self._credit -= granted
+        return granted
 
     def update(self, stamp: float, arrival: float) -> float | None:
-        """Take the next sample; return seconds of stamps in a second of arrival.
+        """Take the next sample; return seconds of the stream in a second of arrival.
 
-        None if no two half seconds in a row differ from 1 by more than 30 %.
+        Args:
+            stamp: Time of the stream [s]: that of `SampleClock`, where a clock that is set back
+                again and again goes on.
+            arrival: When the sample arrived, on a monotonic clock [s].
+
+        Returns:
+            None if no two half seconds in a row differ from 1 by more than 30 %.
         """
         elapsed = arrival - self._start
         # NaN: at the first sample, a half second begins; without a former one, drift is not known.
@@ -413,7 +448,8 @@ class StreamGuard(Compiled):
         clock = former.clock.advance(sample.time)
         now = former.now + clock.elapsed
         state = self._state = replace(former, clock=clock, now=now)
-        held = Verdict(clock.rule, True, False, clock.dt, math.nan)
+        dt = clock.dt if arrival is None else self._rate.grant(clock.dt, arrival)
+        held = Verdict(clock.rule, True, False, dt, math.nan)
         if clock.is_idle:
             return held
         rule, finding = self._input_fault(sample, arrival)
@@ -452,7 +488,8 @@ class StreamGuard(Compiled):
         self, sample: HumanSample, arrival: float | None
     ) -> tuple[Rule, Finding | None]:
         """Return what makes a sample unusable by itself; empty if nothing does."""
-        rate = None if arrival is None else self._rate.update(sample.time, arrival)
+        now = self._state.now
+        rate = None if arrival is None else self._rate.update(now, arrival)
         if rate is not None:
             return "time", _off_rate(rate)
         if not sample.valid or sample.confidence == 0.0:

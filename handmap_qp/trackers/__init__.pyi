@@ -1,3 +1,8 @@
+from .file_evidence import STILL_TRAVEL as STILL_TRAVEL
+from .file_evidence import STILL_TURN as STILL_TURN
+from .file_evidence import RecordingFacts as RecordingFacts
+from .file_evidence import hints as hints
+from .file_evidence import recording_facts as recording_facts
 from .formats import DEMO as DEMO
 from .formats import FORMATS as FORMATS
 from .formats import SEPARATOR as SEPARATOR

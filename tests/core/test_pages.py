@@ -11,12 +11,14 @@ import sysconfig
 from contextlib import nullcontext, suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import Browser, find_chromium
 from service_tools import address_of, serving
 
 import handmap_qp
-from handmap_qp import cli
+from handmap_qp import cli, read_recording
+from handmap_qp.mapping.mapper import Mover
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -65,6 +67,9 @@ def test_python_code_runs(
     # Later blocks of a page may use names of earlier ones.
     code = "\n".join(code_of(page))
     monkeypatch.chdir(tmp_path)
+    # The reader's own recording.
+    recording = read_recording("demo", "right").part(slice(0, 60))
+    np.savez("hand.npz", landmarks=recording.landmarks)
     with serving() if "Client()" in code else nullcontext() as server:
         if server is not None:
             code = code.replace("Client()", f"Client({address_of(server)!r})")
@@ -179,6 +184,11 @@ def test_the_site_is_complete_and_asks_no_other_host(site: Path) -> None:
     assert not list(site.rglob("*.py"))
     described = set(re.findall(r'id="handmap_qp\.(?:\w+\.)*(\w+)"', html))
     assert {*handmap_qp.__all__} - {"__version__"} <= described
+    # Those that a base class has belong to the reference, too.
+    members = vars(Mover) | vars(handmap_qp.HandMapper)
+    for name, member in members.items():
+        if not name.startswith("_") and callable(member):
+            assert f'id="handmap_qp.HandMapper.{name}"' in html, name
 
 
 def test_the_list_for_language_models_leads_to_pages(site: Path) -> None:

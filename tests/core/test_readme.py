@@ -1,4 +1,7 @@
-"""Targets, files and names in the README exist; see test_pages.py for its code and commands."""
+"""Targets and links in the README exist, and its table of equations, which is in the theory.
+
+`test_front_door.py` runs its code and commands.
+"""
 
 import re
 import runpy
@@ -20,8 +23,9 @@ def test_make_targets_exist(target: str) -> None:
 
 
 def test_files_and_names_in_the_table_exist() -> None:
+    theory = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
     rows = [
-        row for row in README.splitlines() if row.startswith("| ") and ".py`" in row
+        row for row in theory.splitlines() if row.startswith("| ") and ".py`" in row
     ]
     assert len(rows) >= 8
     for row in rows:
@@ -46,8 +50,20 @@ def test_the_long_description_has_absolute_links(address: str) -> None:
     for link in links:
         kind, tag, path = link.removeprefix(f"{address}/").split("/", 2)
         assert (kind in ("raw", "blob"), tag) == (True, "v1.2.3")
-        assert (ROOT / path).is_file()
+        assert (ROOT / path.partition("#")[0]).is_file()
     assert all(url.startswith(address) for url in hook["addresses"](address).values())
+
+
+def test_the_first_page_of_the_site_is_the_readme() -> None:
+    hook = runpy.run_path(str(ROOT / "docs" / "home.py"))
+    page = hook["first_page"](README)
+    assert re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", page) == re.sub(
+        r"\[([^\]]*)\]\([^)]*\)", r"\1", README
+    )
+    links = re.findall(r"\]\(([^)#]*)[^)]*\)", page)
+    assert len(links) > 10
+    for link in links:
+        assert (ROOT / "docs" / link).is_file(), link
 
 
 def test_public_names_exist() -> None:

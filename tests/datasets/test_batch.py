@@ -101,6 +101,25 @@ def test_an_episode_has_what_a_reader_needs(serial: Path) -> None:
     assert line.metrics["valid"] == 1.0
 
 
+def test_what_is_unusual_is_mapped_and_written_down(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, factor in (("usual", 1.0), ("slow", 10.0)):
+        recording = piece(0, 90)
+        slowed = replace(recording, time=factor * recording.time)
+        write_recordings([slowed], tmp_path / f"{name}.npz")
+    out = tmp_path / "out"
+    files = [str(tmp_path / f"{name}.npz") for name in ("usual", "slow")]
+    robot = ["--robot", "three_finger", "--workers", "0"]
+    main(["batch", *files, *robot, "--out", str(out)])
+    lines = read_manifests(out)
+    assert {line.status for line in lines.values()} == {"done"}
+    assert lines["usual.npz::"].hints == ()
+    (hint,) = lines["slow.npz::"].hints
+    assert "check its unit" in hint
+    assert f"unusual: slow.npz: {hint}" in capsys.readouterr().out
+
+
 def test_jobs_come_longest_first_and_shards_share_nothing(inputs: Path) -> None:
     files = find_files([inputs])[0]
 

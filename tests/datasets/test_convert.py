@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ pytest.importorskip("rosbags")
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-ONE_WAY = ("lerobot", "dexycb", "arctic", "grab", "hot3d")
+ONE_WAY = ("lerobot", "npy", "dexycb", "arctic", "grab", "hot3d")
 NAMES = [name for name in FORMATS.own if name not in ONE_WAY]
 
 
@@ -127,3 +128,36 @@ def test_json_says_the_same(
     assert (result["recordings"], result["samples"]) == (1, 3)
     assert "orientations of the fingers' joints" in result["not_read"]
     assert "instants beyond whole nanoseconds" in result["lost"]
+
+
+def test_recordings_of_two_rates_are_not_one_lerobot_set(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The time stamp of LeRobot counts frames: it would be wrong for at least one of them.
+    left, right = (read_recording("demo", side) for side in ("left", "right"))
+    fast = replace(right, time=right.time / 3.0)
+    for name, recording in (("left", left), ("right", fast)):
+        write_recordings([recording], tmp_path / f"{name}.npz")
+    inputs = [str(tmp_path / f"{name}.npz") for name in ("left", "right")]
+    assert main(["convert", *inputs, str(tmp_path / "set"), "--format", "lerobot"]) == 2
+    told = capsys.readouterr().err
+    assert "expected recordings of one rate" in told
+    assert "a set for each rate" in told
+    assert not (tmp_path / "set").exists()
+    # At the same rate but for jitter, they are one set.
+    write_recordings([left, right], tmp_path / "set", FORMATS["lerobot"])
+    info = json.loads((tmp_path / "set/meta/info.json").read_text())
+    assert info["fps"] == 30
+
+
+@pytest.mark.parametrize("form", [name for name in NAMES if name != "hamer"])
+def test_a_file_says_that_its_time_is_a_rate_or_that_this_is_lost(
+    form: str, tmp_path: Path
+) -> None:
+    recording = read_recording("demo", "right").part(slice(30)).at_rate(25.0)
+    suffix = FORMATS[form].suffixes[0]
+    path = tmp_path / f"take{suffix}"
+    lost = write_recordings([recording], path, FORMATS[form])
+    is_kept = read_recording(path).time_source == recording.time_source
+    assert is_kept == ("that the instants are those of a rate" not in lost)
+    assert is_kept == (form in ("npz", "robomimic"))

@@ -155,6 +155,27 @@ def test_the_stop_of_another_client_and_a_frozen_server_reach_the_motors(
     assert not chain.has_torque
 
 
+@pytest.mark.parametrize("chain", HANDS, indirect=True)
+def test_motors_that_are_reset_are_a_stop(chain: Chain) -> None:
+    chain.start("--no-deadman", "--json")
+    chain.wait_for(torque=True)
+    assert chain.process is not None
+    assert chain.process.stderr is not None
+    # An Ability hand shows a start by its silence only, which a late computer may not notice.
+    boot = 0.1 if "ability" in chain.words else 0.0
+    with kept_going(lambda: chain.emulator.order(reboot={"1": boot}), 0.5):
+        # On a busy machine there may be more lines.
+        for line in chain.process.stderr:
+            if "torque lost" in line or "the motors do not answer" in line:
+                break
+    chain.wait_for(torque=True)
+    chain.process.send_signal(signal.SIGINT)
+    code, out, _ = chain.end()
+    assert code == 0
+    assert json.loads(out)["stops"] >= 1
+    assert not chain.has_torque
+
+
 def test_the_session_hears_where_the_joints_are(chain: Chain) -> None:
     chain.start("--no-deadman")
     chain.wait_for(torque=True)

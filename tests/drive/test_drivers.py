@@ -221,7 +221,8 @@ def test_registers_of_an_inspire_hand_are_those_of_the_manual() -> None:
         1498,
         1522,
     )
-    assert inspire.FORMS == {1546: "<i2", 1582: "<i2", 1606: "u1", 1618: "u1"}
+    words, data = {1522: "<i2", 1546: "<i2", 1582: "<i2"}, {1606: "u1", 1618: "u1"}
+    assert words | data == inspire.FORMS
     assert inspire.HOLD == 0xFFFF
 
 
@@ -488,6 +489,65 @@ def test_the_watchdog_of_the_motors_stops_them_and_is_armed_again(
         np.testing.assert_allclose(seen(motors)[0], [0.4, 0.1], atol=2.0 * UNIT)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_driver_says_which_motors_were_reset(kind: str, tmp_path: Path) -> None:
+    with two(tmp_path, kind) as (emulator, motors):
+        is_servo = KINDS[kind].driver is Servos
+        here = np.array([0.5, 0.3])
+        wait_until(
+            lambda: motors.write(here, 0.2) or not seen(motors)[2].unpowered,
+            "the motors get no torque",
+        )
+        # Answers of an Ability hand show a start only by their absence.
+        emulator.order(reboot={"1": 0.1})
+        wait_until(lambda: bool(seen(motors)[2].unpowered), "it is not said")
+        # Each servo starts by itself; a hand has one supply.
+        assert "b" in seen(motors)[2].unpowered
+        assert ("a" in seen(motors)[2].unpowered) != is_servo
+        motors.stop()
+        wait_until(lambda: motors.write(here, 0.2) or not seen(motors)[2].unpowered)
+        assert all(pushing(emulator))
+        limit = emulator.order()["limit"][:2]
+        if KINDS[kind].limit:
+            np.testing.assert_allclose(limit, 0.2, atol=1e-3)
+
+
+def test_servos_get_their_set_up_again(tmp_path: Path) -> None:
+    setup = [[84, 2, 600], [80, 2, 200], [11, 1, 5]]
+    file = table(tmp_path, "dynamixel", setup=setup)
+    here = np.array([0.5, 0.3])
+    with (
+        Emulator("dynamixel", "--ids", "0-1") as emulator,
+        connected(emulator, file, "dynamixel") as motors,
+    ):
+        follow(motors, here, 0.2, 0.1)
+        emulator.order(reboot={"0": 0.0})
+        assert seen(motors)[2].unpowered == ("a",)
+        gains = motors._packets.read2ByteTxRx(motors._port, 0, 84)[0]
+        assert gains == 400
+        motors.stop()
+        # Motors have no torque before they were read with their set-up.
+        motors.write(here, 0.2)
+        assert not any(pushing(emulator))
+        wait_until(lambda: motors.write(here, 0.2) or not seen(motors)[2].unpowered)
+        assert motors._packets.read2ByteTxRx(motors._port, 0, 84)[0] == 600
+        assert motors._packets.read2ByteTxRx(motors._port, 0, 80)[0] == 200
+
+
+def test_a_hand_that_does_not_tell_its_speed_is_driven_with_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = table(tmp_path, "inspire")
+    mark = Mock(return_value=np.array([1000, 1000]))
+    with (
+        Emulator("inspire") as emulator,
+        patch.object(Inspire, "_get", mark),
+        connected(emulator, file, "inspire") as motors,
+    ):
+        assert "a reset of this hand cannot be seen" in capsys.readouterr().err
+        assert motors._find_reset() == ()
+
+
 WRONG_MOTORS: list[Any] = [
     ("at one joint of the session, a, b, got c", {"joint": ["c"], "id": 0}),
     # Two joints of the first motor are not those of two motors.
@@ -523,8 +583,10 @@ WRONG_MOTORS: list[Any] = [
             )
             for text, *motors in WRONG_MOTORS
         ],
-        ("dynamixel", {"rate": 0}, r"Expected `float` > 0.0 - at `\$\.rate`"),
+        ("dynamixel", {"rate": 0}, r"Expected `float` >= 5.0 - at `\$\.rate`"),
+        ("dynamixel", {"rate": 1e6}, r"Expected `float` <= 1000.0 - at `\$\.rate`"),
         ("dynamixel", {"speed": -8.0}, r"Expected `float` > 0.0 - at `\$\.speed`"),
+        ("dynamixel", {"speed": 1e9}, r"Expected `float` <= 100.0 - at `\$\.speed`"),
         ("dynamixel", {"effort": 1.5}, r"Expected `float` <= 1.0 - at `\$\.effort`"),
         ("dynamixel", {"full": 0}, r"Expected `int` >= 1 - at `\$\.full`"),
         (

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import get_args
 from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
 from handmap_drive.drive import (
-    APPROACH,
     HEARTBEAT,
     HOLDING,
     LOST,
     SILENCE,
     UNANSWERED,
+    UNREAD,
+    Change,
     Loop,
+    State,
+    next_state,
 )
 from handmap_drive.driver import DriverError, Health
+from handmap_drive.gate import APPROACH
 
 from handmap_qp.client import Command
 from handmap_qp.errors import InvalidInputError
@@ -148,6 +153,111 @@ def test_the_way_between_commands_is_even(drive: Drive) -> None:
         drive.go(0.04)
     steps = speeds(drive.motors.written[count + 8 :])[:, 1]
     np.testing.assert_allclose(steps, 0.25, rtol=1e-6)
+
+
+def test_a_turn_takes_its_state_from_one_table() -> None:
+    states = {
+        State.STOPPED: {"clear": State.APPROACHING},
+        State.APPROACHING: {"silence": State.HOLDING, "arrival": State.FOLLOWING},
+        State.FOLLOWING: {"silence": State.HOLDING},
+        State.HOLDING: {"command": State.APPROACHING},
+    }
+    assert states.keys() == {*State}
+    for state, changes in states.items():
+        for change in get_args(Change):
+            expected = State.STOPPED if change == "fault" else state
+            assert next_state(state, change) is changes.get(change, expected)
+
+
+def test_the_loop_says_what_it_does(drive: Drive) -> None:
+    here = command(a=0.2, b=0.5)
+    assert drive.loop.state is State.FOLLOWING
+    drive.go(SILENCE + 0.02)
+    assert drive.loop.state is State.HOLDING
+    drive.go(0.01, here)
+    assert drive.loop.state is State.FOLLOWING
+    drive.go(0.01, here, held=False)
+    assert drive.loop.state is State.STOPPED
+    drive.go(0.01, command(a=0.9, b=0.5))
+    assert drive.loop.state is State.APPROACHING
+
+
+def test_a_motor_that_lost_its_torque_is_a_stop_and_an_approach(
+    drive: Drive, capsys: pytest.CaptureFixture[str]
+) -> None:
+    motors, here = drive.motors, command(a=0.2, b=0.5)
+    count = len(motors.written)
+    # It falls, and the session goes on.
+    motors.q = fallen = np.array([0.5, -0.9])
+    motors.health = motors.health._replace(unpowered=("a",))
+    drive.go(0.01, here)
+    assert not motors.has_torque
+    assert len(motors.written) == count
+    motors.health = motors.health._replace(unpowered=())
+    drive.go(1.0, here)
+    assert speeds([fallen, *motors.written[count:]]).max() == pytest.approx(APPROACH)
+    assert drive.loop.summary()["stops"] == 1
+    text = "handmap: stopped: torque lost: a\nhandmap: driving\n"
+    assert capsys.readouterr().err == text
+
+
+def test_a_joint_that_is_where_it_cannot_be_after_a_stop_ends_it(drive: Drive) -> None:
+    motors = drive.motors
+    count = len(motors.written)
+    # An encoder that counts turns has lost them.
+    motors.q = np.array([0.5, 0.2 + 2.0 * np.pi])
+    motors.health = motors.health._replace(unpowered=("a",))
+    with pytest.raises(InvalidInputError, match=r"a: expected .* got 6.48: compare id"):
+        drive.go(0.05, command(a=0.2, b=0.5))
+    assert len(motors.written) == count
+
+
+def test_motors_that_were_not_read_keep_their_goals_and_stop_soon(
+    drive: Drive, capsys: pytest.CaptureFixture[str]
+) -> None:
+    motors = drive.motors
+    count = len(motors.written)
+    motors.is_silent = True
+    drive.go(UNREAD - 0.02, command(a=0.9, b=0.5))
+    assert len(motors.written) == count
+    assert motors.has_torque
+    drive.go(0.05, command(a=0.9, b=0.5))
+    assert not motors.has_torque
+    assert capsys.readouterr().err == "handmap: stopped: the motors do not answer\n"
+    # They were reset meanwhile, and fell.
+    motors.is_silent = False
+    motors.q = fallen = np.array([-0.5, -0.8])
+    drive.go(1.0, command(a=0.9, b=0.5))
+    way = [fallen, *motors.written[count:]]
+    assert speeds(way).max() == pytest.approx(APPROACH)
+
+
+def test_after_a_jump_of_the_session_motors_approach_slowly(drive: Drive) -> None:
+    count = len(drive.motors.written)
+    way = [drive.motors.q]
+    # The way between the commands of both sides of the jump is none to follow.
+    drive.go(0.5, command(a=1.2, b=0.5, epoch=7))
+    way += drive.motors.written[count:]
+    assert speeds(way).max() == pytest.approx(APPROACH)
+
+
+def test_a_late_turn_makes_no_large_step(drive: Drive) -> None:
+    motors = drive.motors
+    drive.go(0.02, command(a=-0.9, b=0.5))
+    before = motors.q
+    drive.now += LOST - 0.02
+    drive.go(0.01, command(a=-0.9, b=0.5))
+    # The time of two turns.
+    assert np.abs(motors.q - before).max() <= 0.02 * Motors.speed + 1e-12
+
+
+def test_a_stop_that_changes_its_reason_is_one_stop(drive: Drive) -> None:
+    here = command(a=0.2, b=0.5)
+    drive.go(0.05, here, held=False)
+    drive.go(0.05, command(a=0.2, b=0.5, status="stopped"))
+    drive.go(0.05, here, held=False)
+    drive.go(0.05, here)
+    assert drive.loop.summary()["stops"] == 1
 
 
 REASONS = {

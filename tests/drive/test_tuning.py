@@ -20,6 +20,7 @@ from handmap_drive.cli import compensated
 from handmap_drive.drive import Loop
 from handmap_drive.driver import DriverError, Health
 from handmap_drive.fit import fit_encoders, fit_joint
+from handmap_drive.gate import APPROACH, Gate
 from handmap_drive.motion import Log, Motion
 from handmap_drive.pinches import plan_pinches
 from handmap_drive.ritual import find_tuning
@@ -27,6 +28,7 @@ from handmap_drive.running import stopping
 from handmap_drive.simulated import Simulated
 from handmap_drive.space import Space
 from handmap_drive.tuning import (
+    BOUNDS,
     STILL,
     Compensated,
     Joint,
@@ -287,6 +289,31 @@ class Played:
     def stop(self) -> None: ...
 
 
+class Told:
+    """Motors whose joints are told where to go: commands by the tuning, through the gate."""
+
+    def __init__(
+        self,
+        motors: Played,
+        tuning: Tuning,
+        weights: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
+    ) -> None:
+        self.joints = Compensated(motors, tuning, weights)
+        self.gate = Gate(motors)
+        self._turn = 0
+        self.begin()
+
+    def begin(self) -> None:
+        q, *_ = self.gate.read()
+        self.joints.restart(self.joints.angles(q))
+
+    def write(self, goal: np.ndarray) -> np.ndarray:
+        """Take a turn; return where the joints are."""
+        self._turn += 1
+        self.gate.write(self.joints.command(goal), 0.1, self._turn / RATE)
+        return self.joints.angles(self.gate.read()[0])
+
+
 @pytest.mark.parametrize(("seed", "load"), [(0, 0.0), (1, 0.0), (2, 0.015), (3, -0.1)])
 def test_joints_go_where_they_are_told_inside_the_dead_band(
     seed: int, load: float
@@ -295,15 +322,17 @@ def test_joints_go_where_they_are_told_inside_the_dead_band(
     motors = Played(*heavy)
     motors.load = load
     tuning = Tuning(dict(zip("ba", heavy, strict=True)))
-    driver = Compensated(motors, tuning, lambda q: np.full_like(q, load))
+    told = Told(motors, tuning, lambda q: np.full_like(q, load))
     random = np.random.default_rng(seed)
     time = np.arange(0.0, 10.0, 1.0 / RATE)
     waves = random.uniform(0.2, 1.5, (2, 3)), random.uniform(0.0, 6.0, (2, 3))
     goals = 0.25 * np.sin(time[:, None, None] * waves[0] + waves[1]).sum(axis=2)
+    # The approach.
+    for _ in range(300):
+        told.write(goals[0])
     errors = []
     for goal in goals:
-        driver.write(goal, 0.1)
-        q, *_ = driver.read()
+        q = told.write(goal)
         errors.append(np.abs(q - goal))
     # Until it has moved once, it is not known on which side of the play a joint is.
     late = np.array(errors)[100:]
@@ -315,28 +344,28 @@ def test_joints_go_where_they_are_told_inside_the_dead_band(
 
 def test_a_hand_that_is_still_gets_commands_that_are_still() -> None:
     motors = Played(JOINT, STIFF)
-    driver = Compensated(motors, PAIR)
+    driver = Told(motors, PAIR)
     random = np.random.default_rng(0)
     for goal in np.linspace(0.0, 0.5, 100):
-        driver.write(np.full(2, goal), 0.1)
+        driver.write(np.full(2, goal))
     before = len(motors.written)
     for _ in range(300):
-        driver.write(0.5 + random.uniform(-0.4, 0.4, 2) * STILL, 0.1)
+        driver.write(0.5 + random.uniform(-0.4, 0.4, 2) * STILL)
     noise = np.ptp(motors.written[before:], axis=0)
     # It is neither amplified beyond the gain, nor does it take the play from side to side.
     assert (noise <= 0.8 * STILL / np.array([JOINT.gain, STIFF.gain]) + 1e-12).all()
     for _ in range(10):
-        driver.write(np.full(2, 0.5), 0.1)
+        driver.write(np.full(2, 0.5))
     np.testing.assert_array_equal(np.ptp(motors.written[-9:], axis=0), 0.0)
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_no_command_leaves_the_limits(seed: int) -> None:
     motors = Played(JOINT, STIFF)
-    driver = Compensated(motors, PAIR)
+    driver = Told(motors, PAIR)
     random = np.random.default_rng(seed)
     for goal in random.uniform(-4.0, 4.0, (300, 2)).repeat(30, axis=0):
-        driver.write(goal, 0.1)
+        driver.write(goal)
         low, high = np.array([(j.lower, j.upper) for j in (JOINT, STIFF)]).T
         assert (low - 1e-9 <= motors.q).all()
         assert (motors.q <= high + 1e-9).all()
@@ -349,14 +378,13 @@ def test_joints_wait_for_the_slowest_one() -> None:
     plain = Joint(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 1.0)
     late = msgspec.structs.replace(plain, delay=0.055)
     motors = Played(plain, late)
-    driver = Compensated(motors, Tuning({"b": plain, "a": late}))
+    joints = Compensated(motors, Tuning({"b": plain, "a": late}))
     for k in range(100):
-        driver.write(np.full(2, 0.01 * k), 0.1)
+        told = joints.command(np.full(2, 0.01 * k))
     # 55 ms at 1 rad/s; the slow one is told at once.
-    np.testing.assert_allclose(motors.written[-1], [0.99 - 0.055, 0.99])
-    driver.stop()
-    driver.write(np.zeros(2), 0.1)
-    np.testing.assert_array_equal(motors.written[-1], 0.0)
+    np.testing.assert_allclose(told, [0.99 - 0.055, 0.99])
+    joints.restart(np.zeros(2))
+    np.testing.assert_array_equal(joints.command(np.zeros(2)), 0.0)
 
 
 def test_the_loop_brings_joints_where_the_session_wants_them() -> None:
@@ -366,7 +394,7 @@ def test_the_loop_brings_joints_where_the_session_wants_them() -> None:
         **{"joint_names": ("a", "b"), "q": (0.5, -0.3), "status": "converged"},
     )
     with patch("handmap_drive.drive.monotonic", return_value=0.0):
-        loop = Loop(Compensated(motors, PAIR), command, 0.1, 60.0)
+        loop = Loop(motors, command, 0.1, 60.0, Compensated(motors, PAIR))
     for k in range(1, 300):
         loop.hear(command, k / RATE)
         loop.turn(k / RATE)
@@ -467,6 +495,38 @@ def test_lost_answers_are_met_and_silence_is_not() -> None:
         motion.go(motion.goal + 0.6, 1.0)
 
 
+def test_the_ritual_writes_nothing_to_motors_that_were_not_read() -> None:
+    motors = Played(JOINT, STIFF)
+    motion = Motion(motors, 0.1, (k / RATE for k in count()))
+    motion.start()
+    with patch.object(Played, "read", side_effect=DriverError("no answer")):
+        motion.go(motion.goal + 0.2, 1.0)
+    # The first one, after which the answer is missing.
+    assert len(motors.written) == 1
+    # From there, no faster than before.
+    start = motors.written[0]
+    motion.go(motion.goal, 1.0)
+    motion.go(motion.goal + 0.1, 1.0)
+    steps = np.abs(np.diff([start, *motors.written[1:]], axis=0))
+    assert steps.max() <= 2.0 * motors.speed / RATE
+
+
+def test_a_motor_that_loses_its_torque_ends_the_ritual() -> None:
+    motors = Played(JOINT, STIFF)
+    motion = Motion(motors, 0.1, (k / RATE for k in count()))
+    motion.start()
+    motion.go(motion.goal + 0.1, 1.0)
+    written = len(motors.written)
+    health = Health(np.full(2, 30.0), (), ("a",))
+    answer = (motors.q, np.zeros(2), health)
+    with (
+        patch.object(Played, "read", return_value=answer),
+        pytest.raises(DriverError, match="a: torque lost"),
+    ):
+        motion.go(motion.goal + 0.1, 1.0)
+    assert len(motors.written) == written + 1
+
+
 def at_once(rate: float, _: object) -> Iterator[float]:
     return (k / rate for k in count())
 
@@ -533,10 +593,11 @@ def test_the_hand_is_written_and_read_again(
     assert hand.name == "mine"
     # With the palm down, links pull the other way.
     motors, home = simulated(), Space(hand, found[0]).home
-    told = [
-        compensated(motors, out, down).command(home)
-        for down in (None, (0.0, 0.0, 1.0), (0.0, 0.0, -2.0))
-    ]
+    told = []
+    for direction in (None, (0.0, 0.0, 1.0), (0.0, 0.0, -2.0)):
+        goals = compensated(motors, out, direction)
+        goals.restart(home)
+        told.append(goals.command(home))
     without, up, down = np.array(told)
     heavy = Space(load_hand(HAND, mount="fixed"), motors).weights(home[None])[0]
     gain, stretch, held = joints.gain, joints.stretch, joints.weight * heavy
@@ -560,3 +621,103 @@ def test_a_hand_that_is_not_tuned_is_refused(tmp_path: Path) -> None:
     write_hand(open_description(Path(HAND)), file)
     with pytest.raises(HandError, match=r"tuning: .*joints.*: run `handmap tune`"):
         read_tuning(file)
+
+
+LIES: list[tuple[str, float, str]] = [
+    ("gain", 0.02, "0.5 to 1.6"),
+    ("gain", -1.0, "0.5 to 1.6"),
+    ("gain", np.nan, "0.5 to 1.6"),
+    ("zero", -1.5, "-0.5 to 0.5"),
+    ("delay", 1e6, "0 to 0.25"),
+    ("delay", -0.1, "0 to 0.25"),
+    ("backlash", 2.0, "0 to 0.5"),
+    ("stretch", np.inf, "0 to 5"),
+    ("friction", 2.0, "0 to 1"),
+    ("lower", -1e9, "-10 to 10"),
+    ("upper", 1e9, "-10 to 10"),
+    ("encoder", 1.0, "-0.5 to 0.5"),
+    ("weight", 1e9, "0 to 100"),
+    ("lower", 1.0, "at most upper"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "text"), LIES)
+def test_a_number_that_no_joint_has_is_neither_written_nor_read(
+    name: str, value: float, text: str, tmp_path: Path
+) -> None:
+    wrong = msgspec.structs.replace(JOINT, **{name: value})
+    expected = f"tuning.joints.b.{name}: expected {text}"
+    with pytest.raises(InvalidInputError) as raised:
+        Tuning({"a": STIFF, "b": wrong})
+    assert str(raised.value).startswith(expected)
+    rows = msgspec.structs.astuple(wrong)
+    arrays = (
+        Tuning({"b": JOINT})
+        .arrays(("b",))
+        ._replace(
+            **dict(
+                zip(
+                    type(PAIR.arrays(("b",)))._fields,
+                    np.array(rows)[:, None],
+                    strict=True,
+                )
+            )
+        )
+    )
+    with pytest.raises(InvalidInputError) as raised:
+        Tuning.of(("b",), arrays, {})
+    assert str(raised.value).startswith(expected)
+    file = tmp_path / "hand.yaml"
+    write_hand(open_description(Path(HAND)), file)
+    joint = msgspec.to_builtins(JOINT) | {name: value}
+    tuning = msgspec.yaml.encode({"tuning": {"joints": {"b": joint}}}).decode()
+    file.write_text(f"{file.read_text()}\n{tuning}")
+    if not np.isfinite(value):
+        # YAML of a number that is not finite is refused by each hand.yaml.
+        with pytest.raises(HandError):
+            read_tuning(file)
+        return
+    with pytest.raises(HandError) as refused:
+        read_tuning(file)
+    said = str(refused.value)
+    assert expected in said
+    assert "\n" not in said
+
+
+def test_the_bounds_are_those_of_all_fields() -> None:
+    assert [*BOUNDS] == [*Joint.__struct_fields__]
+
+
+@pytest.mark.parametrize("gain", BOUNDS["gain"])
+@pytest.mark.parametrize("zero", BOUNDS["zero"])
+def test_a_tuning_that_lies_moves_no_motor_faster_than_the_approach(
+    gain: float, zero: float
+) -> None:
+    plain = Joint(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 2.0)
+    lie = msgspec.structs.replace(
+        plain, gain=gain, zero=zero, backlash=0.5, stretch=5.0, friction=1.0
+    )
+    motors = Played(plain, plain)
+    joints = Compensated(motors, Tuning({"b": lie, "a": lie}))
+    fields: dict[str, Any] = {"seq": 1, "name": "lab", "time": 0.0, "wrist": None}
+    fields |= {"joint_names": ("a", "b"), "server_time": 0.0}
+    here = Command(q=(0.3, 0.2), status="converged", **fields)
+    stopped = Command(q=(0.3, 0.2), status="stopped", **fields)
+    with patch("handmap_drive.drive.monotonic", return_value=0.0):
+        loop = Loop(motors, here, 0.1, 60.0, joints)
+    way = [motors.q]
+    now = 0.0
+    for _ in range(3):
+        for heard in [here] * 20 + [stopped] * 3:
+            now += 1.0 / RATE
+            loop.hear(heard, now)
+            count = len(motors.written)
+            loop.turn(now)
+            way += motors.written[count:]
+        # Without torque it is pushed.
+        motors.q = motors.q + 0.1
+        way = [*way, motors.q]
+    steps = np.abs(np.diff(np.array(way), axis=0)).max(axis=1)
+    pushes = np.isclose(steps, 0.1)
+    assert pushes.sum() == 3
+    assert steps[~pushes].max() <= APPROACH / RATE + 1e-12

@@ -119,7 +119,7 @@ def test_without_the_package_its_files_name_it(
         file = write(tmp_path / f"video{suffix}", predicted(is_raw=True))
         with pytest.raises(RecordingError, match="install examples/hamer"):
             read_recording(file)
-    with pytest.raises(RecordingError, match=r"'time'.* give --fps"):
+    with pytest.raises(RecordingError, match=r"of HaMeR or WiLoR: .* give --fps"):
         read_recording(tmp_path / "video.npz")
 
 

@@ -9,11 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handmap_qp.stream.guard import GAP, LONGEST_STEP, RateCheck, SampleClock
-
-pytestmark = pytest.mark.same_on_both
+from handmap_qp import load_hand
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.stream.guard import (
+    GAP,
+    LONGEST_STEP,
+    RateCheck,
+    SampleClock,
+    StreamGuard,
+)
 
 PERIOD = 0.01
+HUMAN = load_hand("human", points="landmarks")
 
 
 def run(stamps: list[float]) -> list[SampleClock]:
@@ -153,3 +160,69 @@ def test_delays_of_a_network_are_no_other_rate() -> None:
         assert set(rates(stamps + np.where(stamps > 16.0, shift, 0.0), arrivals)) == {
             None
         }
+
+
+# -- stamps against arrivals, through the whole guard
+
+
+def granted(
+    steps: list[float], delays: list[float]
+) -> tuple[np.ndarray, np.ndarray, set[str]]:
+    """Send a moving hand; return what each sample may account for, arrivals [s], and the rules."""
+    stamps, arrivals = np.cumsum(steps), np.cumsum(delays)
+    random, guard = np.random.default_rng(0), StreamGuard(HUMAN)
+    at_rest = HUMAN.points(HUMAN.rest)
+    times, rules = [], set()
+    for stamp, arrival in zip(stamps.tolist(), arrivals.tolist(), strict=True):
+        points = at_rest + np.array([0.02 * math.sin(arrival), 0.0, 0.0])
+        points += random.normal(0.0, 3e-4, (21, 3))
+        verdict = guard.check(HumanSample(stamp, "right", points), arrival=arrival)
+        times.append(verdict.dt)
+        rules.add(verdict.rule)
+    return np.array(times), arrivals, rules
+
+
+def sawtooth(count: int) -> list[float]:
+    """Stamps of 20 ms that are set back by 0.9 s again and again."""
+    return [-0.9 if i % 46 == 45 else 0.02 for i in range(count)]
+
+
+def test_stamps_that_are_set_back_again_and_again_take_no_more_time_than_passes() -> (
+    None
+):
+    times, arrivals, rules = granted(sawtooth(2000), [1e-3] * 2000)
+    assert times.sum() < 1.02 * np.ptp(arrivals) + GAP + PERIOD
+    assert "time" in rules
+
+
+@given(
+    steps=st.lists(
+        st.sampled_from([0.001, 0.02, 0.2, 0.3, 9.0, 11.0, -0.01, -0.3, -0.9, -5.0]),
+        min_size=30,
+        max_size=200,
+    ),
+    delay=st.sampled_from([0.0, 1e-4, 1e-3, 1e-2]),
+)
+def test_no_stamps_take_more_time_than_passes(steps: list[float], delay: float) -> None:
+    times, arrivals, _ = granted(steps, [delay] * len(steps))
+    taken = np.cumsum(times)
+    # From any sample to any later one; a burst behind a stall takes the time of the stall.
+    for i in range(0, len(steps), 7):
+        passed = 1.02 * (arrivals[i:] - arrivals[i])
+        assert (taken[i:] - taken[i] <= passed + GAP + 1e-9).all()
+
+
+def test_bursts_behind_short_stalls_cost_no_time() -> None:
+    stamps = np.arange(0.0, 6.0, PERIOD)
+    arrivals = 0.2 * np.ceil(stamps / 0.2)
+    times, _, rules = granted([0.0, *np.diff(stamps)], [0.0, *np.diff(arrivals)])
+    np.testing.assert_allclose(times[20:], PERIOD, rtol=1e-6)
+    assert rules == {""}
+
+
+def test_a_clock_that_runs_a_little_fast_costs_no_time() -> None:
+    stamps = np.arange(0.0, 20.0, PERIOD)
+    steps = [0.0, *np.diff(1.01 * stamps)]
+    times, _, rules = granted(steps, [0.0, *np.diff(stamps)])
+    np.testing.assert_allclose(times[20:], 1.01 * PERIOD, rtol=1e-6)
+    assert rules == {""}

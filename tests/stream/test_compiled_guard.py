@@ -183,6 +183,16 @@ def test_clocks_that_run_at_another_rate_have_one_verdict() -> None:
         assert ("time" in rules) == (rate != 1.0)
 
 
+def test_stamps_that_are_set_back_again_and_again_have_one_verdict() -> None:
+    samples = [*sample_columns(DEMO.part(slice(0, 400)))]
+    stamps = np.cumsum([-0.9 if i % 46 == 45 else 0.02 for i in range(len(samples))])
+    streams = [
+        replace(s, time=t) for s, t in zip(samples, stamps.tolist(), strict=True)
+    ]
+    arrivals: list[float | None] = [5.0 + 4e-3 * i for i in range(len(samples))]
+    assert "time" in expect_same_stream(HUMAN, streams, arrivals)
+
+
 def test_findings_of_a_long_stream_keep_their_words() -> None:
     # A size that changes is another finding in every batch: more than the core keeps.
     samples, start = [], 0.0

@@ -49,7 +49,7 @@ pytest.importorskip("rosbags")
 pytestmark = pytest.mark.slow
 
 LOSSLESS = ("npz", "robomimic")
-ONE_WAY = ("lerobot", "dexycb", "arctic", "grab", "hot3d")
+ONE_WAY = ("lerobot", "npy", "dexycb", "arctic", "grab", "hot3d")
 READ = [form for form in FORMATS.own.values() if form.name not in ONE_WAY]
 
 

@@ -316,6 +316,29 @@ def test_files_in_a_layout_are_read_and_plausible(
     assert examine_recording(recording) is None
 
 
+@pytest.mark.parametrize("kind", [np.uint16, np.uint32, np.uint64, np.int32, np.int64])
+def test_counters_of_a_clock_may_wrap_around_and_not_go_back(
+    kind: type[np.unsignedinteger | np.signedinteger], tmp_path: Path
+) -> None:
+    layout = LAYOUTS["mediapipe21"]
+    path = file_of(tmp_path, layout)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file if name != "time"}
+    count = len(bending())
+    # Half a second before the counter of milliseconds starts again.
+    ticks = (np.iinfo(kind).max - 500) + 16 * np.arange(count).astype(object)
+    width = 8 * np.dtype(kind).itemsize
+    wrapped = np.array([tick % 2**width for tick in ticks], f"u{width // 8}")
+    np.savez(path, allow_pickle=False, **arrays, time_ms=wrapped.view(kind))
+    read = read_with_layout(path, layout)
+    np.testing.assert_allclose(read.time, 0.016 * np.arange(count), atol=1e-9)
+    # A clock that was set after the first sample: as unsigned numbers, all others are after it.
+    back = np.array([30000, *range(3, 2 + count)], kind)
+    np.savez(path, allow_pickle=False, **arrays, time_ms=back)
+    with pytest.raises(RecordingError, match="strictly increasing"):
+        read_with_layout(path, layout)
+
+
 @pytest.mark.parametrize(
     ("written", "read", "named"),
     [

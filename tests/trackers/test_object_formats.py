@@ -536,11 +536,14 @@ UIDS = (223371871635142, 37787722328019)
 
 
 def write_hot3d(
-    folder: Path, hands: dict[str, Any], poses: dict[int, np.ndarray]
+    folder: Path,
+    hands: dict[str, Any],
+    poses: dict[int, np.ndarray],
+    start: int = 56752108188860,
 ) -> Path:
     """Write a sequence; the right hand is not seen in sample 1, nor the second object in 2."""
     folder.mkdir(parents=True)
-    stamps = [56752108188860 + 33333333 * i for i in range(COUNT)]
+    stamps = [start + 33333333 * i for i in range(COUNT)]
     quats = {
         side: Rotation.from_rotvec(own["rot"]).as_quat(scalar_first=True)
         for side, own in hands.items()
@@ -618,6 +621,21 @@ def test_hot3d_is_read(
     assert "it has 2 recordings" in refused(path)
 
 
+def test_hot3d_finds_its_object_at_instants_beyond_the_digits_of_a_float(
+    tmp_path: Path, models: dict[str, Any]
+) -> None:
+    hands = {"left": hands_of()["left"]}
+    hands["left"]["components"] = np.zeros((COUNT, 15))
+    # Nanoseconds since 1970, of which a float keeps every 256th.
+    path = write_hot3d(
+        tmp_path / "P0003", hands, {UIDS[0]: poses_of(5)}, 1700000000000000001
+    )
+    (source,) = list_sources(path)
+    found = source.read()
+    assert found.object_pose is not None
+    np.testing.assert_allclose(found.object_pose, poses_of(5), atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
@@ -693,10 +711,10 @@ def test_data_sets_are_not_written(
 
 
 @pytest.mark.usefixtures("_alone")
-def test_other_files_of_arctic_are_of_no_form(tmp_path: Path) -> None:
+def test_other_files_of_arctic_are_no_landmarks(tmp_path: Path) -> None:
     write_arctic(tmp_path, hands_of(), poses_of(5))
     words = refused(tmp_path / "box_grab_01.object.npy")
-    assert "is an array without a time and a side" in words
+    assert "expected landmarks of one hand" in words
 
 
 # Commands

@@ -7,12 +7,14 @@ threads and ends the process if the hand does not answer, and it keeps matplotli
 
 import termios
 from contextlib import suppress
+from itertools import compress
 from time import monotonic
 from typing import Any, ClassVar
 
 import numpy as np
 import serial
 
+from handmap_qp.hands import Names
 from .driver import DriverError, Health, insisting
 from .motors import TableDriver
 
@@ -40,6 +42,10 @@ FAULTS = {0: "too hot, or a collision"}
 """Bits of what a motor reports."""
 _YIELDING = 0.1
 """Time in which a motor comes back to its share of the current [s]."""
+_SILENT = 0.05
+"""Time without an answer after which the hand may have started anew [s]."""
+_AWAY, _SLACK, _LONGEST = 0.1, 0.005, 0.1
+"""A motor so far from its goal [rad], with a smaller share of the current, for so long [s]: off."""
 _PIECES = 8
 """Flags that are waited for; an answer has two."""
 
@@ -80,14 +86,29 @@ class Ability(TableDriver):
         )
         self._share = np.ones(len(self._ids))
         self._written = monotonic()
+        self._answered = self._written
+        self._is_missed = False
+        # No torque yet, by what the driver has told the hand.
+        self._is_off = True
+        self._was_silent = False
         insisting(self._ask, TORQUE, NONE)
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
-        """See `Driver`; the hand does not tell temperatures."""
+        """See `Driver`; the hand does not tell temperatures, nor whether it has torque."""
         self._ask(READ)
         faults = self._faults(self._state["hot"] >> np.array(self._ids), FAULTS)
         unknown = np.full(len(self._ids), np.nan)
-        return *self._joints(), Health(unknown, faults)
+        return *self._joints(), Health(unknown, faults, self._find_unpowered())
+
+    def _find_unpowered(self) -> Names:
+        """Return joints without torque: all after a silence, or those that do not pull."""
+        if self._is_off or self._was_silent:
+            return self.joint_names
+        here, torque = self._joints()
+        now = monotonic()
+        is_slack = (np.abs(self._goal - here) > _AWAY) & (np.abs(torque) < _SLACK)
+        self._pulled = np.where(is_slack, self._pulled, now)
+        return tuple(compress(self.joint_names, now - self._pulled > _LONGEST))
 
     def _joints(self) -> tuple[np.ndarray, np.ndarray]:
         """Return where joints were [rad], and their torques, by the last answer."""
@@ -104,15 +125,22 @@ class Ability(TableDriver):
         pressed = np.maximum(np.abs(pressed), 1e-6)
         change = np.minimum(effort / pressed, 2.0) ** (dt / _YIELDING)
         self._share = np.minimum(self._share * change, 1.0)
-        goal = self._goals(here + self._share * (q - here))
+        near = here + self._share * (q - here)
+        goal = self._goals(near)
         values = self._state["motor"]["position"].copy()
         values[self._ids] = np.clip(goal, -_FARTHEST, _FARTHEST)
+        if self._is_off or self._was_silent:
+            self._pulled = np.full(len(self._ids), now)
+        self._goal = near
+        self._is_off = False
+        self._was_silent = False
         # What the motors do, `read` tells.
         with suppress(DriverError):
             self._ask(POSITION, values)
 
     def stop(self) -> None:
         """See `Driver`."""
+        self._is_off = True
         with suppress(DriverError):
             self._ask(TORQUE, NONE)
 
@@ -134,5 +162,15 @@ class Ability(TableDriver):
             answer = unstuffed(piece[:-1])
             if len(answer) == STATE.itemsize:
                 self._state = np.frombuffer(answer, STATE)[0]
+                self._note_answer()
                 return
+        self._is_missed = True
         raise DriverError("the hand does not answer")
+
+    def _note_answer(self) -> None:
+        """Note whether an answer came after messages that were not answered for some time."""
+        now = monotonic()
+        if self._is_missed and now - self._answered > _SILENT:
+            self._was_silent = True
+        self._is_missed = False
+        self._answered = now

@@ -61,16 +61,18 @@ def held_key() -> Iterator[Callable[[], bool]]:
 
 
 def compensated(driver: Driver, file: Path, down: Vector | None) -> Compensated:
-    """Return motors that make up for what `handmap tune` found, and for weights if down is known.
+    """Return goals that make up for what `handmap tune` found, and for weights if down is known.
 
     Raises:
         HandmapError: If the file is not that of a tuned hand with these motors.
     """
-    motors = Compensated(driver, read_tuning(file))
-    if down:
-        hand = load_hand(file, mount="fixed")
-        motors.weights = Space(hand, driver, down).weights
-    return motors
+    tuning = read_tuning(file)
+    joints = Compensated(driver, tuning)
+    if not down:
+        return joints
+    # Not before: motors of another hand are reported as such.
+    hand = load_hand(file, mount="fixed")
+    return Compensated(driver, tuning, Space(hand, driver, down).weights)
 
 
 @dataclass(frozen=True)
@@ -133,11 +135,12 @@ class Drive:
             while not (command := client.latest(1.0)):
                 warn("waiting for a command")
             driver = maker(self.port, command.joint_names, self.motors)
+            joints = None
             if self.tuning:
-                driver = compensated(driver, self.tuning, self.down)
+                joints = compensated(driver, self.tuning, self.down)
             effort = effort_of(driver, self.effort)
             driver.connect()
-            loop = Loop(driver, command, effort, self.temperature)
+            loop = Loop(driver, command, effort, self.temperature, joints)
             try:
                 with stopping(driver) as over:
                     loop.run(client, is_held, over)

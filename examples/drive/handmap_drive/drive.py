@@ -2,8 +2,10 @@
 
 from collections import deque
 from collections.abc import Callable
+from enum import Enum, auto
 from threading import Event
 from time import monotonic
+from typing import Literal
 
 import numpy as np
 
@@ -11,6 +13,8 @@ from handmap_qp.client import Client, Command
 from handmap_qp.errors import expect, warn
 from handmap_qp.hands import Values
 from .driver import Driver, DriverError, check_places, insisting
+from .gate import Gate
+from .joint_map import Direct, JointMap
 
 SILENCE = 0.08
 """Time without a command after which motors only hold [s]."""
@@ -18,29 +22,75 @@ HEARTBEAT = 0.1
 """Time between the commands of a session that holds its robot [s]."""
 LOST = 0.3
 """Time without a command, or without a turn of the loop, after which motors stop [s]."""
+UNREAD = 0.15
+"""Time without an answer of the motors after which they stop: they may have been reset [s]."""
 UNANSWERED = 0.5
 """Time without an answer of the motors after which the loop ends [s]."""
 HOLDING = 0.3
 """Share of the limit of torque that is left while motors only hold."""
-APPROACH = 0.5
-"""Speed of the way from where the motors are to the commands [rad/s]."""
-NEAR = 0.05
-"""How far a motor is from the commands when its way ends [rad]."""
 HOTTEST = 60.0
 """Largest temperature of a motor, unless the user gives another one [degrees Celsius]."""
+_BEYOND = 0.05
+"""How far beyond the range of its motor a command is reported [rad]."""
+_LOGGED = 10_000
+"""Turns of which the summary is: the last minutes."""
+
+
+class State(Enum):
+    """What the loop does with the motors."""
+
+    STOPPED = auto()
+    """They have no torque, because of a reason, or because nothing was written yet."""
+    APPROACHING = auto()
+    """Some go slowly from where they were to the command."""
+    FOLLOWING = auto()
+    """All have met the command, and follow it."""
+    HOLDING = auto()
+    """Commands are late: they go to the last one, with less torque."""
+
+
+Change = Literal[
+    "fault",  # there is a reason why motors must have no torque
+    "clear",  # there is none
+    "silence",  # commands are late
+    "command",  # commands are not late
+    "arrival",  # all motors have met the command
+]
+"""What changes the state of the loop, in the order in which a turn looks at it."""
+
+_TRANSITIONS: dict[tuple[State, Change], State] = {
+    (State.STOPPED, "clear"): State.APPROACHING,
+    (State.APPROACHING, "silence"): State.HOLDING,
+    (State.APPROACHING, "arrival"): State.FOLLOWING,
+    (State.FOLLOWING, "silence"): State.HOLDING,
+    (State.HOLDING, "command"): State.APPROACHING,
+}
+"""The state after a change in a state; other changes leave it."""
+
+
+def next_state(state: State, change: Change) -> State:
+    """Return the state after a change; a fault stops the motors in every state."""
+    if change == "fault":
+        return State.STOPPED
+    return _TRANSITIONS.get((state, change), state)
 
 
 class Loop:
     """Gives the commands of a session to motors, at the motors' rate.
 
     Motors have no torque while something is wrong. After that, and at the start, they go slowly
-    from where they are to the command.
+    from where they are to the command. A turn looks at the motors first, and then acts: motors that
+    were not read keep their goals.
 
     Args:
         driver: The motors, connected.
         command: The first command.
         effort: Limit of the torque, a share of the largest.
         hottest: Largest temperature of a motor [degrees Celsius].
+        joints: Maps joints to motors; joints do what motors are told if omitted.
+
+    Attributes:
+        state: What the loop does with the motors.
 
     Raises:
         DriverError: If the motors do not answer, are too hot or report a fault.
@@ -48,21 +98,45 @@ class Loop:
     """
 
     def __init__(
-        self, driver: Driver, command: Command, effort: float, hottest: float
+        self,
+        driver: Driver,
+        command: Command,
+        effort: float,
+        hottest: float,
+        joints: JointMap | None = None,
     ) -> None:
-        self._driver, self._effort, self._hottest = driver, effort, hottest
-        self._q, _, health = insisting(driver.read)
+        self._driver = driver
+        self._gate = Gate(driver)
+        self._joints = joints or Direct(driver)
+        self._effort = effort
+        self._hottest = hottest
+        q, _, health = insisting(self._gate.read)
         health.check(driver.joint_names, hottest)
-        self._from = self._goal = self._written = self._q
-        check_places(self._q, driver.joint_names, driver.range)
-        self._turned = self._heard = self._answered = monotonic()
-        self._span, self._epoch = SILENCE, command.epoch
-        self._problem, self._age = "", np.nan
-        self._is_near, self._is_clipped = np.zeros_like(self._q, bool), False
-        self._lost = self._stops = 0
-        # Of the last minutes: time of a turn, age of a new command, and errors of following.
-        self._log = deque(maxlen=10_000)
-        self.hear(command, self._heard)
+        self._q = self._joints.angles(q)
+        check_places(self._q, driver.joint_names, self._joints.range)
+        now = monotonic()
+        # Motors: what was read of them and when.
+        self._is_read = True
+        self._answered = now
+        # Where joints come to by the last goals.
+        self._expected = self._q
+        # The session: a straight line from one command to the next, one interval late.
+        self._from = self._q
+        self._goal = self._q
+        self._span = SILENCE
+        self._heard = now
+        self._epoch = command.epoch
+        self._age = np.nan
+        self._is_clipped = False
+        # The loop itself.
+        self.state = State.STOPPED
+        self._problem = ""
+        self._acted = now
+        self._unread = 0
+        self._stops = 0
+        # Time of a turn, age of a new command, and errors of following.
+        self._log: deque[tuple[float, ...]] = deque(maxlen=_LOGGED)
+        self.hear(command, now)
 
     def run(self, client: Client, is_held: Callable[[], bool], over: Event) -> None:
         """Follow the session that a client watches.
@@ -74,6 +148,7 @@ class Loop:
 
         Raises:
             DriverError: If motors do not answer, are too hot or report a fault.
+            InvalidInputError: If a joint is where it cannot be after a stop.
         """
         due = monotonic()
         while not over.is_set():
@@ -81,9 +156,11 @@ class Loop:
             while (left := due - monotonic()) > 0.0:
                 if command := client.latest(left):
                     self.hear(command, monotonic())
-            self.turn(monotonic(), is_held=is_held())
-            # Joints that were not read now are not told as fresh.
-            if self._answered == self._turned:
+            self.look(monotonic())
+            # Reading takes time, and goals move by the time at which they are written.
+            self.act(monotonic(), is_held=is_held())
+            # Joints that were not read now are not reported as fresh.
+            if self._is_read:
                 client.measured(self.measured)
 
     @property
@@ -106,83 +183,136 @@ class Loop:
             np.isfinite(asked).all(), "SESSION", "joint angles", value=asked.tolist()
         )
         self._from = self._path(now)
-        self._goal = np.clip(asked, *self._driver.range)
-        beyond = np.abs(asked - self._goal)
-        if beyond.max() > NEAR and not self._is_clipped:
-            self._is_clipped = True
-            i = beyond.argmax()
-            warn(
-                f"{names[i]}: a command of {asked[i]:.3g} rad is beyond the motor's range: it goes "
-                f"to {self._goal[i]:.3g}"
-            )
+        self._goal = np.clip(asked, *self._joints.range)
+        self._report_clipping(asked)
         self._span = np.clip(now - self._heard, 1.0 / self._driver.rate, SILENCE)
-        self._command, self._angles, self._heard = command, angles, now
+        self._command = command
+        self._angles = angles
+        self._heard = now
         self._age = now - command.server_time
 
-    def turn(self, now: float, *, is_held: bool = True) -> None:
-        """Give the motors what is due at a time [s, monotonic], and look at them."""
-        late, self._turned = now - self._turned, now
-        problem = self._trouble(now, late, is_held)
-        if problem != self._problem:
-            self._problem = problem
-            self._stops += bool(problem)
-            warn(problem or "driving")
-        if problem:
-            self._driver.stop()
-            self._is_near = np.zeros_like(self._q, bool)
-        else:
-            self._advance(now, late)
-        self._look(now, late)
+    def _report_clipping(self, asked: np.ndarray) -> None:
+        """Warn once of a command that is beyond the range of a joint."""
+        beyond = np.abs(asked - self._goal)
+        i = beyond.argmax()
+        if self._is_clipped or beyond[i] <= _BEYOND:
+            return
+        self._is_clipped = True
+        warn(
+            f"{self._driver.joint_names[i]}: a command of {asked[i]:.3g} rad is beyond the motor's "
+            f"range: it goes to {self._goal[i]:.3g}"
+        )
 
-    def _trouble(self, now: float, late: float, is_held: bool) -> str:
+    def turn(self, now: float, *, is_held: bool = True) -> None:
+        """Look at the motors and act, both at one time [s, monotonic]; see `look` and `act`."""
+        self.look(now)
+        self.act(now, is_held=is_held)
+
+    def look(self, now: float) -> None:
+        """Read the motors, at a time [s, monotonic].
+
+        Raises:
+            DriverError: If they have not answered for some time, are too hot or report a fault.
+        """
+        self._is_read = False
+        try:
+            q, _, health = self._gate.read()
+        except DriverError:
+            self._unread += 1
+            if now - self._answered > UNANSWERED:
+                raise
+            return
+        self._is_read = True
+        self._answered = now
+        self._q = self._joints.angles(q)
+        health.check(self._driver.joint_names, self._hottest)
+
+    def act(self, now: float, *, is_held: bool = True) -> None:
+        """Stop the motors, or give them what is due at a time [s, monotonic].
+
+        Raises:
+            InvalidInputError: If a joint is where it cannot be after a stop.
+        """
+        late = now - self._acted
+        self._acted = now
+        problem = self._find_problem(now, late, is_held)
+        self._report(problem)
+        before = self.state
+        self.state = self._find_state(problem, now)
+        if self.state is State.STOPPED:
+            self._stops += before is not State.STOPPED
+            self._gate.stop()
+            return
+        if before is State.STOPPED:
+            self._start()
+        if self._is_read:
+            self._log.append((late, self._age, *np.abs(self._q - self._expected)))
+            self._age = np.nan
+            self._write(now)
+
+    def _find_problem(self, now: float, late: float, is_held: bool) -> str:
         """Return why the motors must have no torque; nothing if they may."""
-        epoch, self._epoch = self._epoch, self._command.epoch
+        epoch = self._epoch
+        self._epoch = self._command.epoch
+        unread = now - self._answered
+        # A motor that was not read may have been reset since.
+        is_unread = unread > UNREAD or (
+            self.state is State.STOPPED and not self._is_read
+        )
         reasons = {
             "the session is stopped": self._command.status == "stopped",
             "no command arrives": now - self._heard > LOST,
             "the session's robot has jumped": epoch != self._epoch,
             "the dead man's key is not held": not is_held,
             "this computer was late": late > LOST,
+            f"torque lost: {', '.join(self._gate.lost)}": bool(self._gate.lost),
+            "the motors do not answer": is_unread,
         }
         return next((f"stopped: {text}" for text, so in reasons.items() if so), "")
+
+    def _report(self, problem: str) -> None:
+        """Warn where what is wrong changes."""
+        if problem != self._problem:
+            self._problem = problem
+            warn(problem or "driving")
+
+    def _find_state(self, problem: str, now: float) -> State:
+        """Return the state after what happened until a time."""
+        if problem:
+            return next_state(self.state, "fault")
+        patience = SILENCE + HEARTBEAT * ("watchdog" in self._command.flags)
+        is_silent = now - self._heard >= patience
+        changes: list[Change] = ["clear", "silence" if is_silent else "command"]
+        if self._gate.has_met.all():
+            changes.append("arrival")
+        state = self.state
+        for change in changes:
+            state = next_state(state, change)
+        return state
+
+    def _start(self) -> None:
+        """Begin where the joints are.
+
+        Raises:
+            InvalidInputError: If one is where it cannot be, as after a reset that loses turns.
+        """
+        check_places(self._q, self._driver.joint_names, self._joints.range)
+        self._joints.restart(self._q)
+        self._expected = self._q
+        # The way from a command before the stop is not one that joints are on.
+        self._from = self._goal
 
     def _path(self, now: float) -> np.ndarray:
         """Return the way between the last two commands at a time, one interval late."""
         share = min((now - self._heard) / self._span, 1.0)
         return self._from + share * (self._goal - self._from)
 
-    def _advance(self, now: float, dt: float) -> None:
-        """Go on towards the commands; only hold where they are late."""
-        patience = SILENCE + HEARTBEAT * ("watchdog" in self._command.flags)
-        share = 1.0 if now - self._heard < patience else HOLDING
-        away = self._path(now) - self._written
-        self._is_near = self._is_near | (np.abs(away) < NEAR)
-        fastest = self._driver.speed
-        speed = np.where(self._is_near, fastest, min(APPROACH, fastest))
-        step = dt * speed
-        self._written = self._written + np.clip(away, -step, step)
-        self._driver.write(self._written, share * self._effort)
-
-    def _look(self, now: float, late: float) -> None:
-        """Read the motors.
-
-        Raises:
-            DriverError: If they have not answered for some time, are too hot or report a fault.
-        """
-        try:
-            self._q, _, health = self._driver.read()
-        except DriverError:
-            self._lost += 1
-            if now - self._answered > UNANSWERED:
-                raise
-            return
-        self._answered = now
-        health.check(self._driver.joint_names, self._hottest)
-        if self._problem:
-            self._written = self._q
-            return
-        self._log.append((late, self._age, *np.abs(self._q - self._written)))
-        self._age = np.nan
+    def _write(self, now: float) -> None:
+        """Move the motors on towards the commands."""
+        share = HOLDING if self.state is State.HOLDING else 1.0
+        target = self._joints.command(self._path(now))
+        goal = self._gate.write(target, share * self._effort, now)
+        self._expected = self._joints.reached(goal)
 
     def summary(self) -> Values:
         """Return rate, delays and errors of following."""
@@ -199,6 +329,6 @@ class Loop:
             "following error, RMS [rad]": np.sqrt(np.mean(np.square(errors))),
             "following error, largest [rad]": worst.max(),
             "largest at": self._driver.joint_names[worst.argmax()],
-            "answers lost": self._lost,
+            "answers lost": self._unread,
             "stops": self._stops,
         }

@@ -63,10 +63,13 @@ class Health(NamedTuple):
     Attributes:
         temperature: Of each motor [degrees Celsius], shape (n,); NaN if it does not tell.
         faults: What motors report themselves, such as `if_mcp: overload`.
+        unpowered: Joints whose motor has no torque, or does not have the set-up that the driver
+            gave it. A motor that had torque, and was not stopped, has lost it: it was reset.
     """
 
     temperature: np.ndarray
     faults: Names
+    unpowered: Names = ()
 
     def check(self, joint_names: Names, hottest: float) -> None:
         """Reject motors that report a fault, or are hotter than a temperature [degrees Celsius].
@@ -116,9 +119,11 @@ class Driver(Protocol):
         """
 
     def write(self, q: np.ndarray, effort: float) -> None:
-        """Set goals [rad], shape (n,), and the limit of torque; motors without torque get it.
+        """Set goals [rad], shape (n,), and the limit of torque.
 
-        What motors do with it, `read` tells.
+        Motors without torque get it, and before that the set-up that they do not have. They may
+        need several calls for it. `read` tells what became of it. The caller stops motors that
+        lost their torque before the next call: otherwise their goal may be far away.
         """
 
     def stop(self) -> None:

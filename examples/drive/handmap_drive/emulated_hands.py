@@ -47,6 +47,11 @@ class InspireHand(EmulatedMotors):
         self.framer = framer(DecodePDU(is_server=True))
         self.speed = np.full(6, 1000)
 
+    def forget(self, which: np.ndarray) -> None:
+        """See `EmulatedMotors`."""
+        super().forget(which)
+        self.speed = np.full(6, 1000)
+
     def messages(self, buffer: bytearray) -> Iterator[ModbusPDU]:
         """See `EmulatedMotors`."""
         while buffer:
@@ -60,7 +65,8 @@ class InspireHand(EmulatedMotors):
     def obey(self, message: ModbusPDU) -> Iterator[bytes]:
         """See `EmulatedMotors`."""
         code, at, count = message.function_code, message.address, message.count
-        if self.silent or (code == WRITE and at in self.deaf):
+        is_deaf = code == WRITE and at in self.deaf
+        if self.silent or is_deaf or self.is_booting.any():
             return
         answer: ModbusPDU = ExceptionResponse(code, UNKNOWN)
         if code == READ and len(words := self.read(at)) == count:
@@ -76,6 +82,7 @@ class InspireHand(EmulatedMotors):
     def read(self, at: int) -> list[int]:
         """Return the words of a field; nothing if it cannot be read."""
         values = {
+            inspire.SPEED_SET: self.speed,
             inspire.ANGLE_ACT: 1000.0 * (1.0 - self.angle / self.closed),
             inspire.FORCE_ACT: 1000.0 * self.effort,
             inspire.ERROR: self.is_loaded + 2 * self.is_hot,
@@ -130,7 +137,7 @@ class AbilityHand(EmulatedMotors):
     def obey(self, message: tuple[int, bytes]) -> Iterator[bytes]:
         """See `EmulatedMotors`."""
         header, body = message
-        if self.silent or header in self.deaf:
+        if self.silent or header in self.deaf or self.is_booting.any():
             return
         kind = header & 0xF0
         if kind in (self.positions, self.currents):

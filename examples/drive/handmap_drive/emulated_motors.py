@@ -32,6 +32,7 @@ class EmulatedMotors(ABC):
         wall: Least and largest angles to which they can move [rad].
         temperature: How hot they are [degrees Celsius].
         silent: Those that do not answer.
+        booting: Until when each motor starts anew: it hears and answers nothing [s].
         deaf: Registers for which messages to all motors get lost.
         heard: When they heard a message [s].
         patience: After how long without a message they hold [s].
@@ -54,6 +55,7 @@ class EmulatedMotors(ABC):
         self.has_torque, self.is_hot, self.is_loaded = np.zeros((3, count), bool)
         self.silent = self.deaf = frozenset[int]()
         self.patience = np.full(count, np.inf)
+        self.booting = np.full(count, -np.inf)
         self.heard = time.monotonic()
 
     @property
@@ -87,6 +89,34 @@ class EmulatedMotors(ABC):
         """Let motors stay where they are, because they have heard nothing for too long."""
         self.goal = np.where(late, self.angle, self.goal)
         self.patience[late] = np.inf
+
+    def reboot(self, number: int, seconds: float, now: float) -> None:
+        """Let a motor start anew, as after a loss of its supply; of a hand, all of them do.
+
+        Args:
+            number: The motor's.
+            seconds: Time in which it hears and answers nothing.
+            now: The present [s].
+        """
+        which = np.full(len(self.numbers), self.own is not None)
+        which[self.numbers.index(number)] = True
+        self.booting[which] = now + seconds
+        self.pressed[which] = 0.0
+        self.is_hot[which] = False
+        self.is_loaded[which] = False
+        self.has_torque[which] = False
+        self.patience[which] = np.inf
+        self.goal = np.where(which, self.angle, self.goal)
+        self.forget(which)
+
+    def forget(self, which: np.ndarray) -> None:
+        """Give motors the registers that they have when they start."""
+        self.limit[which] = 1.0
+
+    @property
+    def is_booting(self) -> np.ndarray:
+        """Which motors hear and answer nothing yet."""
+        return self.heard < self.booting
 
     @property
     def state(self) -> dict[str, np.ndarray]:

@@ -43,6 +43,8 @@ class EmulatedServos(EmulatedMotors):
     """What an answer has in place of the instruction."""
     alert = 0
     """Bit in the answers of a motor with a fault."""
+    defaults: ClassVar[dict[int, bytes]] = {}
+    """Values of registers after a start, by address; others are 0."""
     stuffing = b"", b""
     """What parameters must not have, and what they have in its place."""
 
@@ -51,8 +53,17 @@ class EmulatedServos(EmulatedMotors):
         layout = np.dtype(self.family.registers | {"itemsize": 256})
         self.registers: Any = np.zeros(len(numbers), layout)
         self.memory = self.registers.view("u1").reshape(len(numbers), -1)
-        self.registers["limit"] = self.full
-        self.registers["goal"] = self.place
+        self.forget(np.ones(len(numbers), bool))
+
+    def forget(self, which: np.ndarray) -> None:
+        """See `EmulatedMotors`; what is before the torque's register is kept without supply."""
+        _, volatile = self.family.layout.fields["torque"]
+        self.memory[which, volatile:] = 0
+        for at, value in self.defaults.items():
+            self.memory[which, at : at + len(value)] = [*value]
+        self.registers["limit"][which] = self.full
+        self.registers["goal"][which] = self.place[which]
+        self.take()
 
     @abstractmethod
     def checksum(self, message: bytes) -> int:
@@ -106,7 +117,7 @@ class EmulatedServos(EmulatedMotors):
             error, data = 0, self.memory[i, at : at + size].tobytes()
             if instruction == WRITE:
                 error, data = self.write(i, at, rest), b""
-            if self.numbers[i] not in self.silent:
+            if self.numbers[i] not in self.silent and not self.is_booting[i]:
                 yield self.answer(i, error, data)
         self.take()
 
@@ -120,6 +131,8 @@ class EmulatedServos(EmulatedMotors):
 
     def write(self, i: int, at: int, data: bytes) -> int:
         """Write registers of a motor; return the error, 0 for none."""
+        if self.is_booting[i]:
+            return 0
         _, limit = self.family.layout.fields["limit"]
         if at == limit and _number(data) > self.full:
             return TOO_LARGE
@@ -161,6 +174,7 @@ class Dynamixel(EmulatedServos):
     header = b"\xff\xff\xfd\x00"
     width = 2
     status = b"\x55"
+    defaults: ClassVar = {84: (400).to_bytes(2, "little")}
     alert = 128
     stuffing = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
 

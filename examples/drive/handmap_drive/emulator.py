@@ -17,6 +17,8 @@ takes lines of JSON on stdin, and answers each with the state of all motors:
     {"wall": {"3": [-1, 0.5]}}     an obstacle: where a motor can move [rad, servos from 180 deg]
     {"temperature": {"3": 75}}     [degrees Celsius]
     {"silent": [3]}                motors that do not answer; any of a hand: all of it
+    {"reboot": {"3": 0.2}}         motors lose their supply: registers as at the start, no answer
+                                   for a time [s]; any of a hand: all of it
     {"deaf": [102]}                registers for which messages to all motors get lost
     {"unplug": true}               the port is gone
 
@@ -157,6 +159,9 @@ class Bus:
                     for number, value in order.items():
                         i = motors.numbers.index(int(number))
                         getattr(motors, name)[..., i] = value
+                case "reboot":
+                    for number, seconds in order.items():
+                        motors.reboot(int(number), seconds, time.monotonic())
                 case "unplug":
                     self.line.close()
 

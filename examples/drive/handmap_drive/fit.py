@@ -10,14 +10,12 @@ from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array
 from .motion import Log
-from .tuning import TORQUE
+from .tuning import BOUNDS, TORQUE
 
 _SLOWEST = 0.04
 """A joint moves above this speed [rad/s]."""
 FULL = 0.9
 """Share of the limit of torque from which on a motor gives way."""
-_LONGEST = 0.25
-"""Longest delay that is looked for [s]."""
 _smooth = partial(uniform_filter1d, size=5, mode="nearest")
 """Returns means over five turns."""
 _WEIGHT = 0.0005
@@ -76,7 +74,8 @@ def fit_joint(log: Log, i: int, limit: float, weights: Array) -> tuple[float, ..
         left = rows @ found - wanted
         return left @ left, delay, *found
 
-    _, rough, *_ = min(map(solve, np.arange(0.0, _LONGEST, 0.01)))
+    _, longest = BOUNDS["delay"]
+    _, rough, *_ = min(map(solve, np.arange(0.0, longest, 0.01)))
     near = rough + np.arange(-0.01, 0.01, 0.001)
     _, delay, gain, zero, *lag = min(map(solve, np.maximum(near, 0.0)))
     backlash, stretch = np.maximum(lag, 0.0)

@@ -8,12 +8,13 @@ import importlib
 import logging
 import time
 from contextlib import suppress
-from itertools import cycle
+from itertools import compress, cycle
 from typing import Any, ClassVar
 
 import numpy as np
 
-from handmap_qp.errors import expect
+from handmap_qp.errors import expect, warn
+from handmap_qp.hands import Names
 from .driver import DriverError, Health, insisting
 from .motors import TableDriver
 
@@ -21,10 +22,18 @@ ANGLE_SET, FORCE_SET, SPEED_SET = 1486, 1498, 1522
 """Registers to write, a word for each motor: little to index finger, bend and turn of the thumb."""
 ANGLE_ACT, FORCE_ACT, ERROR, TEMPERATURE = 1546, 1582, 1606, 1618
 """Registers to read."""
-FORMS = {ANGLE_ACT: "<i2", FORCE_ACT: "<i2", ERROR: "u1", TEMPERATURE: "u1"}
+FORMS = {
+    SPEED_SET: "<i2",
+    ANGLE_ACT: "<i2",
+    FORCE_ACT: "<i2",
+    ERROR: "u1",
+    TEMPERATURE: "u1",
+}
 """What they have for each motor: a word, or a byte."""
 OPEN = 1000
 """Angle of an open finger, and the largest force and speed; a closed finger is at 0."""
+MARK = OPEN - 1
+"""Speed that the driver sets. A hand that was reset has its default again, which is `OPEN`."""
 HOLD = 0xFFFF
 """In place of an angle: the motor stays where it is."""
 FAULTS = dict(
@@ -33,6 +42,8 @@ FAULTS = dict(
 """Bits of `ERROR`."""
 _PATIENCE = 0.05
 """Longest wait for an answer [s]."""
+_UNKNOWN = -1
+"""Force of a hand that did not answer to the last one."""
 _OTHERS = FORCE_ACT, ERROR, TEMPERATURE
 """Registers that are read in turns, one in each."""
 
@@ -69,21 +80,40 @@ class Inspire(TableDriver):
                 self._port_name, baudrate=baud, **more
             )
         self._is_late = False
-        for at, value in ((FORCE_SET, 0), (ANGLE_SET, HOLD), (SPEED_SET, OPEN)):
+        for at, value in ((FORCE_SET, 0), (ANGLE_SET, HOLD), (SPEED_SET, MARK)):
             insisting(self._put, at, value)
         self._force = 0
+        self._has_force = False
+        self._is_marked = True
+        # A hand that does not tell its speed cannot show that it was reset.
+        self._has_mark = bool((insisting(self._get, SPEED_SET) == MARK).all())
+        if not self._has_mark:
+            warn(f"{self._port_name}: a reset of this hand cannot be seen")
         self._seen = {at: insisting(self._get, at) for at in _OTHERS}
         self._next = cycle(_OTHERS)
 
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`; torques and health are of one of the last three calls."""
         angle = self._get(ANGLE_ACT)
+        unpowered = self._find_reset()
+        if not self._has_force:
+            unpowered = self.joint_names
         at = next(self._next)
         self._seen[at] = self._get(at)
         force, error, temperature = self._seen.values()
-        health = Health(temperature, self._faults(error, FAULTS))
+        health = Health(temperature, self._faults(error, FAULTS), unpowered)
         # A force is positive where a finger closes, and its angle becomes less.
         return self._angles(angle), -self._torques(force), health
+
+    def _find_reset(self) -> Names:
+        """Return the joints whose motor does not have the speed that the driver set."""
+        if not self._has_mark:
+            return ()
+        is_reset = self._get(SPEED_SET) != MARK
+        if is_reset.any():
+            self._is_marked = False
+            self._has_force = False
+        return tuple(compress(self.joint_names, is_reset))
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
@@ -91,17 +121,37 @@ class Inspire(TableDriver):
         goal = np.clip(self._goals(q), 0, OPEN)
         # Without an answer, the hand does not get the angles. What it refuses is an error.
         with suppress(_NoAnswerError):
+            if not self._is_marked:
+                self._put(SPEED_SET, MARK)
+                self._is_marked = True
+            if not self._has_force:
+                # The hand has the goal of the stop, which may be far from where it sagged to.
+                self._set_force(0)
+                self._put(ANGLE_SET, goal)
+                self._set_force(force)
+                self._has_force = True
+                return
             if force != self._force:
-                self._put(FORCE_SET, force)
-                self._force = force
+                self._set_force(force)
             self._put(ANGLE_SET, goal)
 
     def stop(self) -> None:
         """Hold where the motors are, with the least force."""
-        self._force = -1
-        for at, value in ((ANGLE_SET, HOLD), (FORCE_SET, 0)):
-            with suppress(DriverError):
-                self._put(at, value)
+        self._has_force = False
+        with suppress(DriverError):
+            self._put(ANGLE_SET, HOLD)
+        with suppress(DriverError):
+            self._set_force(0)
+
+    def _set_force(self, force: int) -> None:
+        """Write the limit of the force of all motors.
+
+        Raises:
+            DriverError: If there is no answer; the hand may have the old one, or this one.
+        """
+        self._force = _UNKNOWN
+        self._put(FORCE_SET, force)
+        self._force = force
 
     def _get(self, at: int) -> np.ndarray:
         """Read a field of the table's motors."""

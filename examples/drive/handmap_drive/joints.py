@@ -6,12 +6,12 @@ from itertools import compress
 import numpy as np
 
 from handmap_qp.se3 import Array
-from .drive import APPROACH
 from .driver import DriverError
 from .fit import FULL, fit_joint
+from .gate import APPROACH
 from .motion import Motion
 from .space import Space
-from .tuning import SIDES, TORQUE, Joints
+from .tuning import BOUNDS, SIDES, TORQUE, Joints
 
 _WIDE = 1.0
 """Speed of motions over the range [rad/s]."""
@@ -25,8 +25,6 @@ _BACK = 0.2
 """How far slow motions go beyond home, a share of the amplitude."""
 _MOVES = 0.04
 """A joint that moves less does not move [rad]."""
-_GAINS = 0.5, 1.6
-"""Gains of a joint that is that of the description."""
 _NEARLY = 0.98
 """Share of the line to the end of the range that joints go."""
 _INSIDE = 0.005
@@ -166,10 +164,10 @@ def _fit(motion: Motion, space: Space, start: int, group: Array) -> Joints:
     log = motion.log(start)
     weights = space.weights(log.q)
     found = np.tile(_PERFECT, (len(group), 1))
-    least, most = _GAINS
+    least, most = BOUNDS["gain"]
     for i in np.flatnonzero(group):
         gain, *_ = found[i] = fit_joint(log, i, motion.effort, weights[:, i])
-        if not least < gain < most:
+        if not least <= gain <= most:
             name = motion.driver.joint_names[i]
             problem = f"{name}: it moves {gain:.2g} times as far as it is told"
             advice = "see its ratio, or whether this is another hand"

@@ -9,6 +9,8 @@ import numpy as np
 from handmap_qp.se3 import Array
 from .drive import HOTTEST, UNANSWERED
 from .driver import Driver, DriverError, insisting
+from .gate import Gate
+from .joint_map import Direct, JointMap
 
 _REST = 0.25
 """Time to come to rest [s]."""
@@ -50,20 +52,30 @@ class Motion:
         self.driver = driver
         self.effort = effort
         self._times = times
+        self._gate = Gate(driver)
         self._rows: list[tuple[float, Array, Array, Array]] = []
 
-    def start(self, command: Callable[[Array], Array] = lambda goal: goal) -> None:
+    def start(self, joints: JointMap | None = None) -> None:
         """Begin where the joints are.
 
         Args:
-            command: Returns what motors are told, by goals of the joints; the goals if omitted.
+            joints: Maps joints to motors, as it was measured just before; joints do what motors are
+                told if omitted.
 
         Raises:
             DriverError: If motors do not answer.
         """
-        self._command = command
-        self.goal, *_ = insisting(self.driver.read)
+        self._joints = joints or Direct(self.driver)
+        q, *_ = insisting(self._gate.read)
+        self.goal = self._joints.angles(q)
+        self._joints.restart(self.goal)
+        # Encoders may be at the joints, which are then held by other goals than their angles.
+        self._gate.begin(self._joints.command(self.goal))
         self._lost = 0
+
+    def stop(self) -> None:
+        """Take the torque away; `start` goes on."""
+        self._gate.stop()
 
     @property
     def count(self) -> int:
@@ -79,14 +91,18 @@ class Motion:
         """Tell motors where joints are to go [rad], and log what they do.
 
         Raises:
-            DriverError: If they do not answer for some time, are too hot or report a fault.
+            DriverError: If they do not answer for some time, are too hot, report a fault or lose
+                their torque.
         """
         now = next(self._times)
         self.goal = goal
-        told = np.clip(self._command(goal), *self.driver.range)
-        self.driver.write(told, self.effort)
+        target = self._joints.command(goal)
+        # Motors that were not read keep their goals: they may have been reset.
+        if not self._lost:
+            self._gate.write(target, self.effort, now)
+        told = self._gate.goal
         try:
-            q, torque, health = self.driver.read()
+            q, torque, health = self._gate.read()
         except DriverError:
             self._lost += 1
             if self._lost > UNANSWERED * self.driver.rate:

@@ -11,10 +11,14 @@ from msgspec import Meta, Struct
 from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import InvalidInputError, expect, reason_of
 from handmap_qp.hands import Names
-from handmap_qp.options import LARGEST, Positive, number
+from handmap_qp.options import LARGEST, number
 
 _Finite = Annotated[float, number(-LARGEST)]
 _Count = Annotated[int, Meta(ge=1)]
+_Rate = Annotated[float, number(5.0, 1000.0)]
+"""Slower loops count as late in each turn, and no bus is faster."""
+_Speed = Annotated[float, number(high=100.0, above=True)]
+"""No joint of a hand is faster."""
 
 
 class Motor(Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,8 +49,8 @@ class Motors(Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         baud: Speed of the port [bit/s].
-        rate: As of `Driver`.
-        speed: As of `Driver`.
+        rate: As of `Driver`, 5 to 1000 Hz.
+        speed: As of `Driver`, at most 100 rad/s.
         effort: As of `Driver`.
         full: The largest torque, in units of the motors.
         motors: The motors.
@@ -56,8 +60,8 @@ class Motors(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     baud: _Count
-    rate: Positive
-    speed: Positive
+    rate: _Rate
+    speed: _Speed
     effort: Annotated[float, number(high=1.0, above=True)]
     full: _Count
     motors: Annotated[tuple[Motor, ...], Meta(min_length=1)]

@@ -14,8 +14,8 @@ from handmap_qp.hands import THUMB, Hand
 from handmap_qp.mapping import default_preset
 from handmap_qp.se3 import Array
 from handmap_qp.trackers import DEMO, read_recording
-from .drive import APPROACH
 from .fit import fit_encoders
+from .gate import APPROACH
 from .joints import Tell
 from .motion import Motion
 from .space import EXACT, TUNED, Space

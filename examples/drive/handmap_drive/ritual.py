@@ -42,9 +42,9 @@ def find_tuning(motion: Motion, hand: Hand, tell: Tell = lambda *_: None) -> Tun
     joints = measure_joints(motion, space, spans, groups, tell)
     rough = Tuning.of(driver.joint_names, joints, {})
     # Motors that hear nothing for a moment may lose their torque, and begin where they are then.
-    driver.stop()
+    motion.stop()
     pinches = plan_pinches(space, rough, motion.effort)
-    motion.start(Compensated(driver, rough, space.weights).command)
+    motion.start(Compensated(driver, rough, space.weights))
     met = meet(motion, space, joints, pinches, tell)
     joints, off = with_encoders(space, joints, met)
     return Tuning.of(driver.joint_names, joints, off)

@@ -6,6 +6,7 @@ Both packages have the same classes. What differs between the families is in `se
 import importlib
 import termios
 from contextlib import suppress
+from itertools import compress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -53,19 +54,38 @@ class Servos(TableDriver):
             f"zero, ratio and range that lead to {low} to {high}",
             got=f"{ends.min():.0f} to {ends.max():.0f}",
         )
-        self._has_torque, self._limit = False, np.array(-1)
+        self._first = min(family.registers["offsets"])
+        self._has_torque = False
+        # Where motors do not have torque although it was confirmed, they were reset.
+        self._was_given = False
+        self._limit = np.array(-1)
+        # Limits that were written since the last stop; a message may be lost.
+        self._limits: set[int] = set()
+        # Which motors do not have their set-up.
+        self._is_bare = np.ones(len(self._ids), bool)
 
     def connect(self) -> None:
         """See `Driver`."""
         self._open()
-        family = self._family
-        first = min(family.registers["offsets"])
-        size = family.layout.itemsize - first
+        first = self._first
+        size = self._family.layout.itemsize - first
         self._state = self._sdk.GroupSyncRead(self._port, self._packets, first, size)
         for motor in self._ids:
             self._state.addParam(motor)
-            for register in (*family.setup, *self._table.setup):
-                insisting(self._set, motor, *register)
+        self._set_up()
+
+    def _set_up(self) -> None:
+        """Write the set-up of motors that do not have it, which takes their torque away.
+
+        Raises:
+            DriverError: If one of them does not answer.
+        """
+        for i in np.flatnonzero(self._is_bare):
+            for register in (*self._family.setup, *self._table.setup):
+                insisting(self._set, self._ids[i], *register)
+            self._is_bare[i] = False
+        # They get torque as at the start.
+        self._was_given = False
 
     def _open(self) -> None:
         """Open the port, for this process alone."""
@@ -89,18 +109,45 @@ class Servos(TableDriver):
     def read(self) -> tuple[np.ndarray, np.ndarray, Health]:
         """See `Driver`."""
         family = self._family
-        state = self._registers()
+        tables = self._tables()
+        state = np.rec.array(tables, family.layout)
         # What is armed is less than 0 after it has stopped the motor.
         needed = ("torque", *dict(family.arm))
-        self._has_torque = all((state[name] > 0).all() for name in needed)
+        has_torque = np.all([state[name] > 0 for name in needed], axis=0)
+        has_limit = np.isin(state.limit, [*self._limits])
+        was_reset = self._was_given & ~(has_torque & has_limit)
+        self._is_bare = self._is_bare | was_reset | ~self._has_setup(tables)
+        self._has_torque = bool(has_torque.all())
         self._limit = state.limit
+        is_unpowered = ~has_torque | self._is_bare
+        unpowered = tuple(compress(self.joint_names, is_unpowered))
+        if not unpowered and self._limits:
+            self._was_given = True
         effort = state.effort.astype(int)
         effort = np.where(effort & family.sign, family.sign - effort, effort)
-        health = Health(state.temperature, self._faults(state.fault, family.faults))
+        faults = self._faults(state.fault, family.faults)
+        health = Health(state.temperature, faults, unpowered)
         return self._angles(state.position), self._torques(effort), health
 
-    def _registers(self) -> np.recarray:
-        """Return the registers of all motors.
+    def _has_setup(self, tables: bytes) -> np.ndarray:
+        """Return which motors have the registers of their set-up that are read, shape (n,).
+
+        Others are kept without supply (EEPROM). That of the torque changes.
+        """
+        has_setup = np.ones(len(self._ids), bool)
+        size = self._family.layout.itemsize
+        rows = np.frombuffer(tables, "u1").reshape(-1, size)
+        _, torque = self._family.layout.fields["torque"]
+        # Of registers that are written twice, the last value counts.
+        last = {at: (length, value) for at, length, value in self._table.setup}
+        for at, (length, value) in last.items():
+            if self._first <= at <= size - length and at != torque:
+                wanted = np.frombuffer(value.to_bytes(length, "little"), "u1")
+                has_setup &= (rows[:, at : at + length] == wanted).all(axis=1)
+        return has_setup
+
+    def _tables(self) -> bytes:
+        """Return the registers of all motors, from 0 on; those before the first one are 0.
 
         Raises:
             DriverError: If an answer is missing, damaged, or one to another message.
@@ -115,12 +162,18 @@ class Servos(TableDriver):
             if len(block) != group.data_length:
                 self._check(motor, result or self._sdk.COMM_RX_CORRUPT)
         unread = bytes(group.start_address)
-        tables = b"".join(unread + bytes(block) for block in blocks.values())
-        return np.rec.array(tables, self._family.layout)
+        return b"".join(unread + bytes(block) for block in blocks.values())
 
     def write(self, q: np.ndarray, effort: float) -> None:
         """See `Driver`."""
+        if self._is_bare.any():
+            # Motors that still start do not answer: the next turn tries again.
+            with suppress(DriverError):
+                self._set_up()
+            # They are read before they get torque.
+            return
         limit = round(effort * self._table.full)
+        self._limits.add(limit)
         orders: list[tuple[str, Any]] = [("limit", limit), ("goal", self._goals(q))]
         if not self._has_torque:
             # Not before the limit is known to have arrived.
@@ -131,6 +184,9 @@ class Servos(TableDriver):
 
     def stop(self) -> None:
         """See `Driver`."""
+        self._was_given = False
+        self._has_torque = False
+        self._limits = set()
         self._put("torque", 0)
 
     def _put(self, register: str, values: Any) -> None:

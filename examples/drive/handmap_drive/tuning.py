@@ -18,7 +18,7 @@ from handmap_qp.hands import (
     read_hand_spec,
 )
 from handmap_qp.se3 import Array
-from .driver import Driver, Health
+from .driver import Driver
 
 STILL = 0.01
 """A command that turns back by less than this does not change the side of the play [rad]."""
@@ -28,11 +28,26 @@ _MEETS = 0.02
 """Torque beyond friction and weights that says that something is in the way."""
 SIDES = np.array([[-1.0], [1.0]])
 """To the lower and the upper end, shape (2, 1)."""
-_Least = Annotated[float, Meta(ge=0.0)]
+BOUNDS: dict[str, tuple[float, float]] = {
+    "gain": (0.5, 1.6),
+    "zero": (-0.5, 0.5),
+    "delay": (0.0, 0.25),
+    "backlash": (0.0, 0.5),
+    "stretch": (0.0, 5.0),
+    "friction": (0.0, 1.0),
+    "lower": (-10.0, 10.0),
+    "upper": (-10.0, 10.0),
+    "encoder": (-0.5, 0.5),
+    "weight": (0.0, 100.0),
+}
+"""Least and largest value of each number of a `Joint`, where it is written and where it is read.
+
+A gain outside is that of another hand. A delay outside would cost memory.
+"""
 
 
 class Joint(Document, frozen=True):
-    """What a joint makes of its commands, as of `Joints`.
+    """What a joint makes of its commands, as of `Joints`; numbers are inside `BOUNDS`.
 
     Attributes:
         gain: Angle by which it moves per angle that it is told.
@@ -47,16 +62,39 @@ class Joint(Document, frozen=True):
         weight: Torque by that of the weights of links, a share of the largest per N m.
     """
 
-    gain: Annotated[float, Meta(gt=0.0)]
+    gain: float
     zero: float
-    delay: _Least
-    backlash: _Least
-    stretch: _Least
-    friction: _Least
+    delay: float
+    backlash: float
+    stretch: float
+    friction: float
     lower: float
     upper: float
     encoder: float = 0.0
-    weight: _Least = 0.0
+    weight: float = 0.0
+
+
+def check_joint(name: str, joint: Joint) -> None:
+    """Check that the numbers of a joint are inside `BOUNDS`.
+
+    Args:
+        name: Where it is in its file.
+        joint: The joint.
+
+    Raises:
+        InvalidInputError: With the field and its range.
+    """
+    values = astuple(joint)
+    for (field, (low, high)), value in zip(BOUNDS.items(), values, strict=True):
+        # NaN is in no range.
+        is_inside = low <= value <= high
+        expect(is_inside, f"{name}.{field}", f"{low:g} to {high:g}", value=value)
+    expect(
+        joint.lower <= joint.upper,
+        f"{name}.lower",
+        "at most upper",
+        got=f"{joint.lower:g}, and upper {joint.upper:g}",
+    )
 
 
 class Joints(NamedTuple):
@@ -99,6 +137,11 @@ class Joints(NamedTuple):
         lag = self.lag(side, load)
         return (q - self.encoder - self.zero + lag) / self.gain
 
+    def reached(self, u: Array, side: Array, load: Array) -> Array:
+        """Return the angles to which commands bring them [rad], the inverse of `command`."""
+        lag = self.lag(side, load)
+        return self.gain * u + self.encoder + self.zero - lag
+
 
 class Tuning(Document, frozen=True):
     """What `handmap tune` finds of one hand: `tuning` of its hand.yaml.
@@ -106,14 +149,26 @@ class Tuning(Document, frozen=True):
     Attributes:
         joints: Its joints with a motor.
         pinches: By finger, the gap to the thumb that encoders tell where the tips meet [m].
+
+    Raises:
+        InvalidInputError: If a number of a joint is outside `BOUNDS`.
     """
 
     joints: Annotated[dict[str, Joint], Meta(min_length=1)]
     pinches: dict[str, float] = msgspec.field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        # Of a file that is read, and of one that will be written.
+        for name, joint in self.joints.items():
+            check_joint(f"tuning.joints.{name}", joint)
+
     @classmethod
     def of(cls, names: Names, joints: Joints, pinches: dict[str, float]) -> "Tuning":
-        """Return the tuning of joints with these names, to four decimals [rad, s]."""
+        """Return the tuning of joints with these names, to four decimals [rad, s].
+
+        Raises:
+            InvalidInputError: If a number is outside `BOUNDS`.
+        """
         rows = np.transpose(joints).round(4).tolist()
         found = {name: Joint(*row) for name, row in zip(names, rows, strict=True)}
         return cls(found, pinches)
@@ -175,10 +230,10 @@ def tuned(spec: HandSpec, tuning: Tuning, pushed: float = 0.0) -> HandSpec:
 
 
 class Compensated:
-    """Motors whose joints go where they are told; attributes as of `Driver`.
+    """Goals of motors that bring their joints where they should be; attributes as of `JointMap`.
 
-    Goals stay in the motors' range and joints in that of the tuning. No motor is told to be faster
-    than before. Joints wait for the slowest one, so that fingers meet as they should.
+    Goals stay in the motors' range and joints in that of the tuning. Joints wait for the slowest
+    one, so that fingers meet as they should. `Gate` limits the speed of the goals.
 
     Args:
         driver: The motors.
@@ -195,9 +250,6 @@ class Compensated:
         tuning: Tuning,
         weights: Callable[[Array], Array] = np.zeros_like,
     ) -> None:
-        self.weights = weights
-        self._driver = driver
-        self.joint_names: Names = driver.joint_names
         expect(
             {*driver.joint_names} == tuning.joints.keys(),
             "--tuning",
@@ -205,51 +257,41 @@ class Compensated:
             got=", ".join(tuning.joints),
             advice="`handmap tune` writes the file of each hand",
         )
-        self.rate = driver.rate
-        self.speed = driver.speed
-        self.effort = driver.effort
+        self.weights = weights
+        self._limits = driver.range
         self._joints = joints = tuning.arrays(driver.joint_names)
         self.range = np.clip(joints.range, *driver.range)
         longest = joints.delay.max()
         self._late = (longest - joints.delay) * driver.rate
-        self._told: Array | None = None
+        self.restart(0.5 * self.range.sum(axis=0))
 
-    def connect(self) -> None:
-        """See `Driver`."""
-        self._driver.connect()
-
-    def read(self) -> tuple[Array, Array, Health]:
-        """See `Driver`."""
-        q, torque, health = self._driver.read()
-        return q + self._joints.encoder, torque, health
-
-    def write(self, q: Array, effort: float) -> None:
-        """See `Driver`."""
-        self._driver.write(self.command(q), effort)
+    def restart(self, q: Array) -> None:
+        """See `JointMap`."""
+        start = np.clip(q, *self.range)
+        self._delayed = Delayed(self._late, start)
+        # The side of the play is not known before a joint has moved.
+        self._side = np.zeros_like(start)
+        self._turn = start
+        self._load = self.weights(start)
 
     def command(self, q: Array) -> Array:
-        """Return what motors are told in a turn so that joints go where they should [rad]."""
-        goal = np.clip(q, *self.range)
-        step = self.speed / self.rate
-        if self._told is None:
-            self._delayed = Delayed(self._late, goal)
-            self._side = np.zeros_like(goal)
-            self._told = self._turn = goal
-            step = np.inf
-        goal = self._delayed(goal)
+        """See `JointMap`; each call is a turn."""
+        goal = self._delayed(np.clip(q, *self.range))
         away = goal - self._turn
         self._side = np.where(np.abs(away) > STILL, np.sign(away), self._side)
         # It goes along, so that the way back begins where the way ended.
         self._turn = np.where(away * self._side > 0.0, goal, self._turn)
-        pulled = self._joints.command(goal, self._side, self.weights(goal))
-        told = np.clip(pulled, *self._driver.range)
-        self._told = np.clip(told, self._told - step, self._told + step)
-        return self._told
+        self._load = self.weights(goal)
+        pulled = self._joints.command(goal, self._side, self._load)
+        return np.clip(pulled, *self._limits)
 
-    def stop(self) -> None:
-        """See `Driver`."""
-        self._told = None
-        self._driver.stop()
+    def reached(self, goal: Array) -> Array:
+        """See `JointMap`; by the sides and weights of the last command."""
+        return self._joints.reached(goal, self._side, self._load)
+
+    def angles(self, q: Array) -> Array:
+        """See `JointMap`."""
+        return q + self._joints.encoder
 
 
 class Delayed:

@@ -20,7 +20,7 @@ from handmap_qp.apps.offline.comparison import (
 from handmap_qp.apps.offline.trajectory import package_versions
 from handmap_qp.apps.tables import print_result, progress
 from handmap_qp.errors import expect, warn
-from handmap_qp.hands import Hand, Names, Values, find_fingers, load_hand
+from handmap_qp.hands import Hand, Names, Values, find_fingers, load_hand, sided_name
 from handmap_qp.output_files import make_folder, replaced_file
 from .gestures import SOURCES
 from .pages import results_of, score_page, votes_page
@@ -155,7 +155,8 @@ class Score:
         # Of the package: the hand of the robot's side.
         files = Path("demo"), *self.recordings
         wanted = []
-        for name in self.hands or usual:
+        for given in self.hands or usual:
+            name = sided_name(given, "right")  # the package's recording has both hands
             try:
                 robot = load_hand(name)
             except ImportError as error:

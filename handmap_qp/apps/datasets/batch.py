@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,7 +18,7 @@ from tyro.conf import Positional, arg
 from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect, warn
-from handmap_qp.hands import Names, load_whole
+from handmap_qp.hands import Names, hand_sides, load_whole
 from handmap_qp.output_files import make_folder
 from handmap_qp.trackers import first_of
 from .assemble import assemble
@@ -51,7 +52,8 @@ class Batch:
 
     Attributes:
         inputs: Files, data sets, or folders of them; forms as of `handmap convert --help`.
-        robot: Robot hand; for both human hands a left and a right one, or a robot with both
+        robot: Robot hand; for both human hands a left and a right one (or `allegro` for the two of
+            a family), or a robot with both
             (`handmap robots list`), which needs files with both. Recordings of a hand without a
             robot fail.
         out: Folder to write to.
@@ -136,7 +138,7 @@ class Batch:
         rate = "a rate of at most 1000 per second, and > 0"
         expect(0.0 < self.fps <= 1000.0, "--fps", rate, value=self.fps)
         robots: dict[str, str] = {}
-        for name in self.robot:
+        for name in self._robots():
             robot = load_whole(name, self.arguments.robot_points)
             side = BOTH if robot.parts else robot.side
             got = f"{robots.get(side)} and {name}, both {side}"
@@ -153,6 +155,11 @@ class Batch:
             self.arguments, smooth=self.arguments.smooth or self.look_ahead
         )
         return JobOptions(robots, arguments, self.look_ahead)
+
+    def _robots(self) -> list[str]:
+        """Return the robots' names; a family of hands, such as `allegro`, is its hands."""
+        named = [hand_sides(name).values() or [name] for name in self.robot]
+        return [*chain.from_iterable(named)]
 
     def _engine(self) -> Engine:
         workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers
@@ -182,6 +189,7 @@ class Batch:
                 "failed": len(tally.failed),
                 "skipped": len(plan.done),
                 "left_alone": len(plan.left_alone),
+                "unusual": len(tally.unusual),
                 "frames": frames,
                 "cpu_s": round(tally.useful_cpu, 3),
                 "all_cpu_s": round(tally.all_cpu, 3),
@@ -193,6 +201,7 @@ class Batch:
         rows = {
             "episodes": f"{len(tally.done)} mapped, {len(plan.done)} done before",
             "failed": f"{len(tally.failed)}, {len(plan.left_alone)} more left alone",
+            "unusual": f"{len(tally.unusual)}",
             "samples": f"{frames}",
         }
         if frames:
@@ -200,6 +209,8 @@ class Batch:
         print_rows(str(self.out), rows)
         for line in tally.failed[:10]:
             print(f"failed: {line.name}: {line.error}")
+        for line in tally.unusual[:10]:
+            print(f"unusual: {line.name}: {'; '.join(line.hints)}")
         if written:
             print(f"wrote {written}")
         if not tally.is_complete:
@@ -256,6 +267,11 @@ class Tally:
     def done(self) -> list[Line]:
         """Lines of the recordings that were mapped."""
         return [line for line in self.lines if line.status == "done"]
+
+    @property
+    def unusual(self) -> list[Line]:
+        """Lines of the recordings that were mapped, and have something to look at."""
+        return [line for line in self.done if line.hints]
 
     @property
     def failed(self) -> list[Line]:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional
 
-from handmap_qp.apps.arguments import check_names, hinted
+from handmap_qp.apps.arguments import FileSide, check_names, hinted
 from handmap_qp.errors import expect
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers import FORMATS, format_to_write, list_sources
@@ -24,6 +24,7 @@ class Convert:
     line what the new format cannot hold.
 
       npz        arrays of numpy by name; lossless, one of each hand
+      npy        one array of landmarks; read, not written; needs --side and --fps
       csv        a text table, numbers kept exactly; one of each hand
       lerobot    a folder, LeRobot v3 (parquet); any number; written, not read
       robomimic  HDF5 as of robomimic; lossless, any number
@@ -49,7 +50,8 @@ class Convert:
             recording of several in a file, `demo` the one that comes with the package.
         format: Format to write, where the suffix does not tell it.
         mano: The licensed MANO model: MANO_RIGHT.pkl, or the folder that holds both hands.
-        fps: Samples a second, in place of the time in the files.
+        side: Which hand the recordings are of, where the files do not say.
+        fps: Samples a second, in place of the time in the files; needed where they have none.
         json: Print one JSON object.
     """
 
@@ -59,6 +61,7 @@ class Convert:
         hinted(f"{{{','.join(FORMATS)}}}", "(default: by the suffix of OUT)"),
     ] = None
     mano: Annotated[Path | None, hinted("FILE", "(default: $HANDMAP_MANO)")] = None
+    side: FileSide = None
     fps: float | None = None
     json: bool = False
 
@@ -77,9 +80,13 @@ class Convert:
             check_output("OUT", out, form.suffixes)
         if self.mano:
             os.environ[ENVIRONMENT] = str(self.mano)
-        sources = [*chain.from_iterable(map(list_sources, inputs))]
+        sources = [
+            source
+            for file in inputs
+            for source in list_sources(file, self.side, fps=self.fps)
+        ]
         unread = {source.path: source.format.unread(source.path) for source in sources}
-        recordings = [source.read().at_rate(self.fps) for source in sources]
+        recordings = [source.read() for source in sources]
         contents = {out: recordings}
         if has_files:
             names = [f"{source.name}{form.suffixes[0]}" for source in sources]

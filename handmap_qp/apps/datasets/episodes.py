@@ -34,7 +34,14 @@ from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.se3 import Arrays, lengths
 from handmap_qp.stream import measure_person
-from handmap_qp.trackers import check_recording, read_archive, read_hands, reading
+from handmap_qp.trackers import (
+    check_recording,
+    hints,
+    read_archive,
+    read_hands,
+    reading,
+    recording_facts,
+)
 from .manifest import Line
 from .sources import BOTH, Job
 from .workers import time_limit
@@ -106,6 +113,7 @@ def _run(job: Job) -> Values:
             recordings = [job.source.read()]
     for recording in recordings:
         check_recording(recording)
+    unusual = [hint for each in recordings for hint in hints(recording_facts(each))]
     robot = _robot(options.robots[side], options.arguments.robot_points)
     person = measure_person(*recordings)
     if options.look_ahead:
@@ -123,6 +131,7 @@ def _run(job: Job) -> Values:
         "status": "done",
         "frames": len(trajectory.time),
         "task": recordings[0].task,
+        "hints": tuple(unusual),
         "metrics": metrics,
         "out": job.out,
         "sha256": save_episode(job.folder / job.out, trajectory.columns | columns),

@@ -50,6 +50,8 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         out: The file written, below the folder of the batch.
         sha256: Its digest, as `sha256sum` prints it; empty in manifests up to version 0.2.
         error: Why it failed.
+        hints: What is unusual about the recordings, such as fingers that are too slow for people
+            because the time is in another unit (`trackers.hints`). It is mapped all the same.
     """
 
     key: str
@@ -69,6 +71,7 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
     out: str = ""
     sha256: str = ""
     error: str = ""
+    hints: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:

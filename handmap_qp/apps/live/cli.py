@@ -11,10 +11,10 @@ from rich.console import Console
 from tyro.conf import Positional, arg
 
 from handmap_qp.apps import live
-from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
+from handmap_qp.apps.arguments import FileSide, KeyFiles, OpenSession, hinted
 from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
-from handmap_qp.hands import Values, load_hand
+from handmap_qp.hands import Values, load_hand, sided_name
 from handmap_qp.human import read_person
 from handmap_qp.trackers import read_recording
 from .mediapipe_source import MediapipeSource, environment_python, install_environment
@@ -128,21 +128,26 @@ class TrackReplay:
         recording: Recording of a human hand, as for `handmap map`.
         speed: Factor on the speed of time, 0.01 to 100.
         loop: Start again at the end, until Ctrl-C.
+        side: Which hand the recording is of, where the file does not say.
+        fps: Samples a second, in place of the time in the file; needed where it has none.
         target: Where the samples go.
     """
 
     recording: Positional[Annotated[Path, arg(metavar="RECORDING")]]
     speed: float = 1.0
     loop: bool = False
+    side: FileSide = None
+    fps: float | None = None
     target: TargetFlags = Target()
 
     def run(self) -> None:
         """Replay the recording until its end or Ctrl-C."""
         self.target.check()
+        robot = sided_name(self.target.robot or "", "right")
         side = None
         with suppress(HandmapError):  # the service may have hands that are not here
-            side = load_hand(self.target.robot or "").side
-        recording = read_recording(self.recording, side)
+            side = load_hand(robot).side
+        recording = read_recording(self.recording, self.side or side, fps=self.fps)
         self.target.lead(Replay(recording, speed=self.speed, loop=self.loop))
 
 

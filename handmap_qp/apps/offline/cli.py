@@ -27,6 +27,7 @@ from handmap_qp.mapping import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import SIDES, save_npz
+from .inputs import describe_input, input_notes, input_rows
 from .summary import notes, summarise, table_rows
 from .trajectory import map_hands
 
@@ -57,8 +58,9 @@ class Map:
     Attributes:
         recordings: Recording of a human hand, or one of each hand: files as of `handmap convert`.
             `FILE::NAME` is one recording of several in a file; `demo` comes with the package.
-        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml. Or a robot
-            with both hands: a name of `handmap robots list`, or the path of its robot.yaml.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
+            is the Allegro of the recording's side. Or a robot with both hands: a name of
+            `handmap robots list`, or the path of its robot.yaml.
         robots: A left and a right robot hand, for recordings of both human hands.
         out: File to write; with --robots the folder.
         mirror: Map the mirror image of a recording of the other hand.
@@ -98,8 +100,9 @@ class Map:
         for summary in summaries:
             title = f"{summary['recording']} to {summary['robot']}"
             alignment = {"alignment": f"{summary['alignment']}"}
-            print_rows(title, table_rows(summary) | alignment)
-            for note in notes(summary):
+            assumed = input_rows(summary["inputs"])
+            print_rows(title, table_rows(summary) | assumed | alignment)
+            for note in [*notes(summary), *input_notes(summary["inputs"])]:
                 print(note)
             print(f"wrote {summary['out']}")
 
@@ -113,7 +116,10 @@ class Map:
         )
         if self.robot is not None:
             return [read_robot(self.robot, self.recordings, self)]
-        robots = [self.arguments.load_robot(name) for name in self.robots or ()]
+        robots = [
+            self.arguments.load_robot(name, side)
+            for name, side in zip(self.robots or (), SIDES, strict=False)
+        ]
         for robot, side in zip(robots, SIDES, strict=True):
             expect(
                 robot.side == side,
@@ -147,6 +153,7 @@ class Map:
             "recording": " and ".join(each.name for each in used),
             **summarise(trajectory),
             "robot": robot.name,
+            "inputs": [describe_input(recording) for recording in used],
             "alignment": getattr(method, "alignment", None),
             "out": str(out),
         }

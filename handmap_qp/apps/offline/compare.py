@@ -1,7 +1,7 @@
 """`handmap compare`: from the words of the command line to tables, JSON and pictures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from operator import itemgetter
 from pathlib import Path
@@ -25,7 +25,7 @@ from handmap_qp.apps.drawing import require_matplotlib
 from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect, warn
-from handmap_qp.hands import Hand, Names, Values, load_hand
+from handmap_qp.hands import Hand, Names, Values, hand_sides, load_hand, sided_name
 from handmap_qp.human import read_person
 from handmap_qp.output_files import make_folder, writing
 from .comparison import (
@@ -86,7 +86,8 @@ class Compare:
     Attributes:
         recordings: Recordings of a human hand, as of `handmap map`. The tracker's wrist poses are
             used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
-        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
+            is the Allegro of the first recording's side.
         methods: Methods to run: presets and other mappings by name, with +smooth for smoother
             motion, with +look-ahead for smoothing with the future too. Peers may be named too,
             such as dex-vector; then --peers runs those only.
@@ -121,8 +122,11 @@ class Compare:
             HandmapError: If a recording, hand, method or folder cannot be used; before any mapping.
         """
         expect(self.recordings, "RECORDING", "at least one file", got="none")
-        robot = load_hand(self.robot)
-        methods = methods_of(self)
+        name = self.robot
+        if hand_sides(name):
+            name = sided_name(name, self.inputs.side_of(self.recordings[0]))
+        robot = load_hand(name)
+        methods = methods_of(replace(self, robot=name))
         if self.out:
             require_matplotlib()
             make_folder(self.out, "--out")

@@ -12,7 +12,7 @@ from handmap_qp.apps.arguments import MappingArguments, hinted
 from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import expect
-from handmap_qp.hands import load_hand
+from handmap_qp.hands import load_hand, sided_name
 from handmap_qp.output_files import output_folder
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import DEMO, read_recording, save_npz
@@ -91,7 +91,7 @@ class Demo:
                 or trimesh is not installed.
         """
         matplotlib = require_matplotlib()
-        robot = load_hand(self.robot or "three_finger")
+        robot = load_hand(sided_name(self.robot or "three_finger", "right"))
         recording = read_recording(DEMO, robot.side)
         person = measure_person(recording)
         with output_folder(self.out) as folder:

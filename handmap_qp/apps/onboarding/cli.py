@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 from tyro.conf import Positional, arg
 
-from handmap_qp.apps.arguments import HandName, InputArguments, hinted
+from handmap_qp.apps.arguments import HandName, InputArguments, InputFlags, hinted
 from handmap_qp.apps.tables import (
     print_result,
     print_rows,
@@ -448,6 +448,7 @@ class HandsMatch:
         recording: Recording in which the person's hand is measured, as for `handmap map`.
         picture: Picture to draw: the human at rest, the robot at rest, the robot matched. PNG.
         json: Print one JSON object instead of a table.
+        inputs: How the recording is to be read.
     """
 
     hand: Positional[HandName]
@@ -459,6 +460,7 @@ class HandsMatch:
     ] = None
     picture: Annotated[Path | None, hinted("FILE.png")] = None
     json: bool = False
+    inputs: InputFlags = InputArguments()
 
     def run(self) -> None:
         """Solve the posture, print it, and draw it if requested."""
@@ -467,7 +469,7 @@ class HandsMatch:
         if self.picture:
             check_output("--picture", self.picture, (".png",))
         source = self.recording
-        recording = InputArguments().read(source) if source else None
+        recording = self.inputs.read(source, robot.side) if source else None
         match = match_hand(robot, recording=recording, human_length=self.human_length)
         written = []
         if self.picture:

@@ -38,6 +38,7 @@ from handmap_qp.hands import (
     read_hand_spec,
     read_robot_spec,
     robot_files,
+    sided_name,
 )
 from handmap_qp.human import (
     TOUCH_GAP,
@@ -209,17 +210,25 @@ class HandCache:
         self._load = lru_cache(maxsize=_CACHED_HANDS)(load_hand)
         self._load_robot = lru_cache(maxsize=_CACHED_HANDS)(load_robot)
 
-    def robot(self, name: str, points: str | None, mount: Mount | None) -> Hand:
+    def robot(
+        self,
+        name: str,
+        points: str | None,
+        mount: Mount | None,
+        side: Side | None = None,
+    ) -> Hand:
         """Return a robot hand, or a robot with two.
 
         Args:
-            name: Its name.
+            name: Its name, or that of its family, such as `allegro`.
             points: Set of reference points; the hand's own if None, as a robot's always are.
             mount: How its wrist is mounted; as in the description if None, likewise.
+            side: Which hand of a family; none of them is found if None.
 
         Raises:
             RefusedError: If no hand has this name, or it cannot be loaded so.
         """
+        name = sided_name(name, side, self._files)
         known = self.robots + self.two_handed
         message = f"no hand {name!r:.80}; there are {', '.join(known)}"
         refuse_if(name not in self._files, message, "robot")
@@ -279,7 +288,9 @@ def prepare_hands(
     Raises:
         RefusedError: With the field at fault.
     """
-    robot = cache.robot(request.robot, request.robot_points, request.mount)
+    robot = cache.robot(
+        request.robot, request.robot_points, request.mount, request.side
+    )
     hands = {request.side: robot}
     if robot.parts:
         for field, only in _OF_ROBOT.items():

@@ -6,11 +6,17 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from handmap_qp.apps.arguments import HandName, Recordings, hinted
+from handmap_qp.apps.arguments import (
+    FileSide,
+    HandName,
+    InputArguments,
+    Recordings,
+    hinted,
+)
 from handmap_qp.apps.offline.comparison import own_methods
 from handmap_qp.apps.tables import print_result, progress
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Names, Values, is_robot, load_whole
+from handmap_qp.hands import Names, Values, hand_sides, is_robot, load_whole, sided_name
 from handmap_qp.human import axis_direction
 from handmap_qp.mapping import parse_object
 from handmap_qp.output_files import check_output
@@ -65,7 +71,8 @@ class Simulate:
     Attributes:
         recordings: Recording with a pinch of thumb and index finger; for a robot with both hands,
             of both in one file or in two.
-        robot: Robot hand, by name or by the path of its hand.yaml. Or a robot with both hands: a
+        robot: Robot hand, by name or by the path of its hand.yaml; `allegro` is the Allegro of the
+            recording's side. Or a robot with both hands: a
             name of `handmap robots list`, or the path of its robot.yaml.
         methods: Mappings, as of `handmap compare`.
         peers: Folder of the program that runs outside methods, such as benchmarks/peers.
@@ -77,6 +84,8 @@ class Simulate:
         stiffness: Stiffness of the fingers' actuators [N m/rad].
         torque: Largest torque of the fingers' actuators [N m]; 1000 stands for none but the URDF's.
         up: World axis against gravity; y if omitted, z for a robot with both hands.
+        side: Which hand the recording is of, where the file does not say.
+        fps: Samples a second, in place of the time in the file; needed where it has none.
         trials: Random objects and places, for every mapping.
         objects: Random objects (varied), or the same object at random places (nominal).
         seed: Seed of the random numbers.
@@ -98,6 +107,8 @@ class Simulate:
     stiffness: float = 3.0
     torque: float = 1e3
     up: Up | None = None
+    side: FileSide = None
+    fps: float | None = None
     trials: int = 0
     objects: Objects = "varied"
     seed: int = 0
@@ -165,17 +176,21 @@ class Simulate:
 
     def _simulate(self, trials: list[PinchTrial]) -> Outcomes:
         """Pinch every object by every mapping."""
-        methods = chosen_methods(self.methods, self.peers, self.robot)
-        robot = load_whole(self.robot)
+        name = self.robot
+        inputs = InputArguments(side=self.side, fps=self.fps)
+        if hand_sides(name) and self.recordings:
+            name = sided_name(name, inputs.side_of(self.recordings[0]))
+        methods = chosen_methods(self.methods, self.peers, name)
+        robot = load_whole(name)
         outcomes: Outcomes = {}
         physics = self._physics()
-        mapped, window = map_pinch(methods, robot, self.recordings)
+        mapped, window = map_pinch(methods, robot, self.recordings, inputs)
         scenes = {
             method.name: PinchScene(commands, window, physics)
             for method, commands in zip(methods, mapped, strict=True)
         }
         if self.grip:
-            take, window = read_pick(robot, self.recordings)
+            take, window = read_pick(robot, self.recordings, inputs)
             name = f"{own_methods()[0]}+{self.grip}"
             sees = self.grip == "grip+place"
             scenes[name] = GripScene(take, robot, window, physics, sees)

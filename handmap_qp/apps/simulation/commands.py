@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.apps.arguments import MappingArguments
+from handmap_qp.apps.arguments import InputArguments, MappingArguments
 from handmap_qp.apps.offline.comparison import (
     LOOK_AHEAD,
     ComparedMethod,
@@ -71,7 +71,10 @@ def chosen_methods(
 
 
 def map_pinch(
-    methods: Sequence[ComparedMethod], robot: Hand, files: Sequence[Path]
+    methods: Sequence[ComparedMethod],
+    robot: Hand,
+    files: Sequence[Path],
+    inputs: InputArguments = InputArguments(),
 ) -> tuple[list[RobotMotion], PinchWindow]:
     """Return what each mapping commands, and when the human pinches.
 
@@ -81,24 +84,27 @@ def map_pinch(
         HandmapError: If a recording cannot be read or mapped, or shows no pick.
     """
     if robot.parts:
-        hands = read_hands(files)
+        hands = read_hands(files, fps=inputs.fps)
         window = find_pinch(*(hands[side] for side in robot.by_side))
         parts = sorted(robot.parts, key=lambda hand: hand.side != window.side)
         whole = joined(robot.name, *parts)
         used = [hands[side] for side in whole.by_side]
         return [_map_hands(method.name, whole, used) for method in methods], window
-    take, window = read_pick(robot, files)
+    take, window = read_pick(robot, files, inputs)
     return [method.map_take(take, robot) for method in methods], window
 
 
-def read_pick(robot: Hand, files: Sequence[Path]) -> tuple[Take, PinchWindow]:
+def read_pick(
+    robot: Hand, files: Sequence[Path], inputs: InputArguments = InputArguments()
+) -> tuple[Take, PinchWindow]:
     """Read a recording for a hand, prepared, and find when the human pinches.
 
     Raises:
         HandmapError: If it cannot be read, or shows no pick.
     """
     expect(len(files) == 1, "RECORDING", "one recording of a hand", value=len(files))
-    recording = read_recording(files[0], robot.side)
+    side = inputs.side or robot.side
+    recording = read_recording(files[0], side, fps=inputs.fps)
     return prepare_take(recording, robot.side), find_pinch(recording)
 
 

@@ -51,8 +51,9 @@ class View:
     Attributes:
         recording: Recording of a human hand, as for `handmap map`; for a robot with both hands, of
             one of them or of both.
-        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml. Or a robot
-            with both hands: a name of `handmap robots list`, or the path of its robot.yaml.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
+            is the Allegro of the recording's side. Or a robot with both hands: a name of
+            `handmap robots list`, or the path of its robot.yaml.
             Required for a recording. A service names its own.
         other: Recording of the other hand.
         live: Show a session of a running mapping service instead of a recording. Its client must

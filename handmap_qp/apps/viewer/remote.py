@@ -227,7 +227,9 @@ class ServiceSession:
     def _load_hands(self, robot: str, about: Values) -> None:
         """Load the hands of the session."""
         points = about["robot_points"]
-        self._given_robot = load_whole(robot, points, mount=about["mount"])
+        self._given_robot = load_whole(
+            robot, points, side=about["side"], mount=about["mount"]
+        )
         sides = [hand.side for hand in self._given_robot.parts] or [about["side"]]
         measured = about["lengths"]
         lengths = measured and HumanLengths(**measured)

@@ -10,11 +10,13 @@ from typing import NamedTuple
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import Names, Side
-from handmap_qp.human import Recording
+from handmap_qp.human import Recording, regular_time
 from handmap_qp.plugins import Plugins
-from .archive import NpzFormat
+from .archive import NpyFormat, NpzFormat
 from .base import (
+    SIDES,
     Entry,
+    FileHints,
     RecordingFormat,
     entry_stem,
     first_of,
@@ -36,6 +38,8 @@ _KINDS = (
     McapFormat,
     DexYcbFormat,
     ArcticFormat,
+    # Arrays of ARCTIC have a longer suffix.
+    NpyFormat,
     Hot3dFormat,
     ManoFormat,
     GrabFormat,
@@ -62,8 +66,6 @@ _REFUSED = {
     ".pkl": "is a pickle, as those of OakInk2, which may run code and is not read; save pose or "
     "joints, and object_pose, as an .npz of the form mano, or install examples/hamer, which reads "
     "arrays alone (docs/files.md)",
-    ".npy": "is an array without a time and a side; save landmarks, time and handedness as an "
-    ".npz, or install examples/hamer (docs/files.md)",
 }
 """Why files with a suffix of no format are not read."""
 
@@ -93,19 +95,25 @@ class Source(NamedTuple):
             RecordingError: If it is damaged, with the row or array at fault.
         """
         with reading(self.path):
-            return self.format.read(self.path, self.entry)
+            recording = self.format.read(self.path, self.entry)
+            return recording.at_rate(self.format.hints.fps)
 
 
-def list_sources(path: Path | str) -> tuple[Source, ...]:
+def list_sources(
+    path: Path | str, side: Side | None = None, *, fps: float | None = None
+) -> tuple[Source, ...]:
     """List the recordings of a file or data set, without reading their samples.
 
     Args:
         path: The file or folder; `PATH::NAME` for one of its recordings, `demo` for the recording
             that comes with the package.
+        side: Which hand it is of, where the file does not say.
+        fps: Samples a second, in place of the time in the file; needed where it has none.
 
     Raises:
-        InvalidInputError: If `path` is something else than a path.
-        RecordingError: If it cannot be read, is of no known format, or has no such recording.
+        InvalidInputError: If `path` is something else than a path, or `fps` is no rate.
+        RecordingError: If it cannot be read, is of no known format, or has no such recording; or if
+            it does not say which hand it is of, and `side` is omitted.
         MissingExtraError: If the format needs a package that is not installed.
     """
     expect(
@@ -121,8 +129,10 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
         file = Path(before)
     if not file.is_file():
         file = _OURS.get(str(file), file)
+    if fps is not None:
+        regular_time(0, fps)  # Reject a rate that is none before any file is read.
     with reading(file):
-        form = format_of(file)
+        form = format_of(file).with_hints(FileHints(side, fps))
         entries = form.entries(file)
     chosen = [entry for entry in entries if name in ("", entry.name)]
     if not chosen:
@@ -131,11 +141,15 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     return tuple(Source(file, form, entry) for entry in chosen)
 
 
-def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
+def read_hands(
+    paths: Sequence[Path | str], *, fps: float | None = None
+) -> dict[Side, Recording]:
     """Read a recording of the left and one of the right hand, from one file or from two.
 
     Args:
-        paths: Files, as of `list_sources`, in any order.
+        paths: Files, as of `list_sources`, in any order; of two that do not say which hand they
+            are of, the left hand's is the first one.
+        fps: Samples a second, in place of the time in the files; needed where they have none.
 
     Returns:
         The two recordings by side.
@@ -144,7 +158,12 @@ def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
         InvalidInputError: If the files have other recordings than one of each hand.
         HandmapError: As of `list_sources`, and if a recording is damaged.
     """
-    sources = [source for path in paths for source in list_sources(path)]
+    hints = SIDES if len(paths) == len(SIDES) else [None] * len(paths)
+    sources = [
+        source
+        for path, side in zip(paths, hints, strict=True)
+        for source in list_sources(path, side, fps=fps)
+    ]
     sides = [source.entry.side for source in sources]
     expect(
         sorted(sides) == ["left", "right"],
@@ -155,25 +174,32 @@ def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
     return {source.entry.side: source.read() for source in sources}
 
 
-def read_recording(path: Path | str, side: Side | None = None) -> Recording:
+def read_recording(
+    path: Path | str, side: Side | None = None, *, fps: float | None = None
+) -> Recording:
     """Read one recording from a file of any format.
+
+        recording = read_recording("landmarks.npz", "right", fps=30)
 
     Args:
         path: The file or folder; `PATH::NAME` for one of several recordings in it, and `demo` for
             the recording that comes with the package.
-        side: Which hand to take of a file with both.
+        side: Which hand to take of a file with both, and which hand a file is of that does not say
+            it.
+        fps: Samples a second, in place of the time in the file; needed where it has none.
 
     Returns:
         The recording; samples with numbers that are not finite are marked as not valid. Where the
         file has one hand only, that one, whatever `side` says.
 
     Raises:
-        InvalidInputError: If `path` is something else than a path.
+        InvalidInputError: If `path` is something else than a path, or `fps` is no rate.
         RecordingError: If the file cannot be read, something in it is missing or of another shape
-            than expected, or it holds several recordings and none was named.
+            than expected, or it holds several recordings and none was named. Where the file has no
+            side or no time, the message names the argument that gives it.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    found = list_sources(path)
+    found = list_sources(path, side, fps=fps)
     sources = [source for source in found if source.entry.side == side] or found
     if len(sources) > 1:
         listing = _listing([source.entry for source in sources])

@@ -1,10 +1,11 @@
 """The seam of file formats: what a format of recordings offers, and what all of them share."""
 
 import abc
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from handmap_qp.errors import (
     expect,
     reason_of,
 )
+from handmap_qp.hands import SIDES as SIDES
 from handmap_qp.hands import Names, Side
 from handmap_qp.human import (
     LANDMARK_COUNT,
@@ -22,10 +24,10 @@ from handmap_qp.human import (
     Recording,
     as_flags,
     finite_samples,
+    regular_time,
 )
 from handmap_qp.se3 import Array, affine, as_floats, pose_from_xyz_quat
 
-SIDES: tuple[Side, ...] = ("left", "right")
 COLUMNS: dict[str, Names] = {
     "time": ("time",),
     "landmarks": tuple(f"{name}_{a}" for name in LANDMARK_NAMES for a in "xyz"),
@@ -40,7 +42,19 @@ Of poses they are the upper three rows, row by row.
 """
 
 
-WORDS = ("source", "upright", "object_shape", "task")
+TIME_UNITS = {
+    "time": 1.0,
+    "time_s": 1.0,
+    "t": 1.0,
+    "timestamp": 1.0,
+    "timestamps": 1.0,
+    "time_ms": 1e-3,
+    "time_ns": 1e-9,
+}
+"""Names that arrays and columns of time have in files of others, with their units [s]."""
+
+
+WORDS = ("source", "upright", "object_shape", "task", "time_source")
 """Fields of `Recording` that are words, and empty where they are not known."""
 
 
@@ -52,6 +66,7 @@ LOSSES = {
     "object_pose": "the object",
     "object_shape": "the object's shape",
     "task": "the words about the task",
+    "time_source": "that the instants are those of a rate",
     "no wrist": "that the wrist's orientation is unknown",
     "wrist position": "the wrist's position where it is not its landmark",
     "no confidence": "that the confidence is unknown",
@@ -104,6 +119,43 @@ class Entry(NamedTuple):
     samples: int
 
 
+class FileHints(NamedTuple):
+    """What the user says about a file that may not say it.
+
+    Attributes:
+        side: Which hand a file without a side is of; None if not known.
+        fps: Samples a second, in place of the file's time; None to take the file's.
+    """
+
+    side: Side | None = None
+    fps: float | None = None
+
+    def side_of_file(self) -> Side:
+        """Return the side of a file that names none.
+
+        Raises:
+            InvalidInputError: If the user has not said it.
+        """
+        if self.side is None:
+            raise InvalidInputError(
+                "does not say which hand it is of",
+                advice="give --side right or left (side= in Python)",
+            )
+        return self.side
+
+    def time_of_file(self, count: int) -> Array:
+        """Return the instants of a file that has none, or none that count [s], shape (count,).
+
+        Raises:
+            InvalidInputError: If the user has given no rate.
+        """
+        if self.fps is None:
+            raise InvalidInputError(
+                "has no time stamps", advice="give --fps (fps= in Python)"
+            )
+        return regular_time(count, self.fps)
+
+
 class RecordingFormat(abc.ABC):
     """A file format of recordings.
 
@@ -120,6 +172,7 @@ class RecordingFormat(abc.ABC):
         named: Suffixes of files that are read where a user names them, and not looked for.
         lacks: What of a recording it cannot hold: names of `LOSSES`.
         left_out: What all its files hold besides what is read, in words.
+        hints: What the user says about files that lack a side or a time; see `with_hints`.
     """
 
     name: str
@@ -127,6 +180,16 @@ class RecordingFormat(abc.ABC):
     named: Names = ()
     lacks: ClassVar[Names] = ()
     left_out: ClassVar[Names] = ()
+    hints: FileHints = FileHints()
+
+    def with_hints(self, hints: FileHints) -> Self:
+        """Return a copy that reads files which lack a side or a time as the user says.
+
+        A format whose files always say both has no use for it.
+        """
+        hinted = copy(self)
+        hinted.hints = hints
+        return hinted
 
     def recognises(self, path: Path) -> bool:
         """Tell whether an existing file with one of the suffixes, or a folder, is of this form."""
@@ -224,6 +287,32 @@ def side_of(value: object, array: str) -> Side:
         return text
     got = f"{text[:20]!r}"
     raise InvalidInputError(argument=array, expected="right or left", got=got)
+
+
+def seconds(values: Array, unit: float) -> Array:
+    """Return instants of any unit as seconds since the first one, shape (T,).
+
+    Counters of whole numbers may wrap around. A stamp earlier than the one before it stays earlier,
+    also where the numbers have no sign.
+    """
+    if values.dtype.kind == "f":
+        return (values - values[:1]).astype(float) * unit
+    # The difference of two counts is right modulo its width, so the nearer one is meant. Whole
+    # numbers are added because nanoseconds since 1970 have more digits than a float.
+    steps = np.diff(values, prepend=values[:1])
+    signed = steps.view(f"i{values.dtype.itemsize}")
+    return np.cumsum(signed, dtype=np.int64).astype(float) * unit
+
+
+def time_in(
+    arrays: Mapping[str, Array], units: Mapping[str, float] = TIME_UNITS
+) -> tuple[Array, float] | None:
+    """Return the first array of time by its name, and its unit [s]; None if there is none."""
+    for name, unit in units.items():
+        values = arrays.get(name)
+        if values is not None and values.ndim == 1 and values.dtype.kind in "fiu":
+            return values, unit
+    return None
 
 
 def first_of(names: Sequence[object], most: int) -> str:

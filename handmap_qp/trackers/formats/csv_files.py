@@ -34,9 +34,10 @@ Row = list[str]
 class CsvFormat(RecordingFormat):
     """Columns by name, in any order; numbers are written so that they are read back exactly.
 
-    Needed: `side` (right or left), `time` [s] and `wrist_x`, `wrist_y`, `wrist_z`, `thumb_cmc_x`
-    and so on [m]. Optional: `valid` (1 or 0), `confidence`, and `wrist_pose_00` to `wrist_pose_23`,
-    the upper three rows of the wrist's pose; as `object_pose_00` those of an object's. An empty
+    Needed: `wrist_x`, `wrist_y`, `wrist_z`, `thumb_cmc_x` and so on [m]; `side` (right or left) and
+    `time` [s], unless `with_hints` says them. Optional: `valid` (1 or 0), `confidence`, and
+    `wrist_pose_00` to `wrist_pose_23`, the upper three rows of the wrist's pose; as
+    `object_pose_00` those of an object's. An empty
     field is NaN.
     """
 
@@ -47,14 +48,14 @@ class CsvFormat(RecordingFormat):
     def entries(self, path: Path) -> Sequence[Entry]:
         """List the hands by their rows."""
         with opened_table(path) as (header, rows):
-            counts = Counter(side for side, _ in _by_side(header, rows))
+            counts = Counter(side for side, _ in self._by_side(header, rows))
         is_one = len(counts) == 1
         return [Entry("" if is_one else s, s, counts[s]) for s in sorted(counts)]
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the rows of one hand."""
         with opened_table(path) as (header, rows):
-            sides = _by_side(header, rows)
+            sides = self._by_side(header, rows)
             own = (row for side, row in sides if side == entry.side)
             given = {f: names for f, names in COLUMNS.items() if names[0] in header}
             table = numbers(own, header, [*chain(*given.values())])
@@ -64,7 +65,24 @@ class CsvFormat(RecordingFormat):
             else np.column_stack([table[name] for name in names])
             for field, names in given.items()
         }
+        if self.hints.fps is not None or "time" not in columns:
+            columns["time"] = self.hints.time_of_file(entry.samples)
         return build_recording(path, entry, **columns)
+
+    def _by_side(
+        self, header: Mapping[str, int], rows: Iterable[Row]
+    ) -> Iterator[tuple[Side, Row]]:
+        """Yield the rows with their hands, of a table that has all columns of a recording."""
+        needed = [*COLUMNS["landmarks"]]
+        for name in ("wrist", "object_pose"):
+            if not set(COLUMNS[name]).isdisjoint(header):
+                needed += COLUMNS[name]
+        for name in needed:
+            if name not in header:
+                raise InvalidInputError(f"has no column {name!r}")
+        own = None if "side" in header else self.hints.side_of_file()
+        for row in rows:
+            yield own or side_of(row[header["side"]], "side"), row
 
     def unread(self, path: Path) -> Names:
         """Name the columns that a recording cannot hold."""
@@ -90,21 +108,6 @@ class CsvFormat(RecordingFormat):
 def _text(number: float) -> str:
     """Return the shortest text that is read back exactly."""
     return "" if math.isnan(number) else repr(number).removesuffix(".0")
-
-
-def _by_side(
-    header: Mapping[str, int], rows: Iterable[Row]
-) -> Iterator[tuple[Side, Row]]:
-    """Yield the rows with their hands, of a table that has all columns of a recording."""
-    needed = ["side", "time", *COLUMNS["landmarks"]]
-    for name in ("wrist", "object_pose"):
-        if not set(COLUMNS[name]).isdisjoint(header):
-            needed += COLUMNS[name]
-    for name in needed:
-        if name not in header:
-            raise InvalidInputError(f"has no column {name!r}")
-    for row in rows:
-        yield side_of(row[header["side"]], "side"), row
 
 
 @contextmanager

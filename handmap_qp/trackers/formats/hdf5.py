@@ -268,6 +268,7 @@ class EgoDexFormat(_Hdf5Format):
         "source",
         "upright",
         "task",
+        "time_source",
         "object_pose",
         "no wrist",
         "wrist position",
@@ -303,8 +304,10 @@ class EgoDexFormat(_Hdf5Format):
             key = f"llm_description{which}".removesuffix("1")
             task = str(file.attrs.get(key, ""))
             time = np.arange(count) / RATE
+            time_source = f"{RATE:g} samples/s, as the format says"
             if "time" in file:
                 time = numbers(file, "time", (count,))
+                time_source = ""
         return build_recording(
             path,
             entry,
@@ -314,6 +317,7 @@ class EgoDexFormat(_Hdf5Format):
             valid=is_seen,
             source="EgoDex",
             task=task,
+            time_source=time_source,
             wrist=poses[0],
             confidence=confidence,
         )

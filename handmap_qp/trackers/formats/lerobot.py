@@ -26,6 +26,10 @@ from handmap_qp.se3 import Array, Arrays
 from .base import COLUMNS, WORDS, Entry, RecordingFormat, column, known_columns
 
 VERSION = "v3.0"
+_SAME_RATE = 1.25
+"""Largest ratio of a recording's rate and that of its set: rates of webcams vary."""
+_LEAST_SAMPLES = 16
+"""Samples of a recording whose rate is judged: the steps of a few say nothing."""
 DATA_FILE_SIZE = 100 * 2**20
 """Size from which a new data file is begun [bytes in memory]."""
 CHUNK_FILES = 1000
@@ -95,14 +99,37 @@ class LeRobotFormat(RecordingFormat):
             )
             for field in fields
         }
-        steps = np.concatenate([recording.steps for recording in recordings])
-        fps = max(1, round(1.0 / np.median(steps)))
+        fps = _common_rate(recordings)
         kind = "human_hand"
         with writing_set(path, fps=fps, features=features, robot_type=kind) as writer:
             for own in recordings:
                 columns = {f"observation.{name}": column(own, name) for name in fields}
                 about = {key: getattr(own, key) for key in ("name", "side", *WORDS)}
                 writer.add(columns, own.task or f"{own.side} human hand", about)
+
+
+def _common_rate(recordings: Sequence[Recording]) -> int:
+    """Return the frames per second of recordings that have the same rate.
+
+    LeRobot's time stamp is the frame over one rate of the whole set, so recordings of other rates
+    would run too fast or too slow in it.
+
+    Raises:
+        InvalidInputError: If rates differ.
+    """
+    steps = np.concatenate([recording.steps for recording in recordings])
+    fps = max(1, round(1.0 / np.median(steps)))
+    judged = [each for each in recordings if len(each) >= _LEAST_SAMPLES]
+    rates = np.array([1.0 / np.median(recording.steps) for recording in judged])
+    is_same = (rates <= _SAME_RATE * fps) & (_SAME_RATE * rates >= fps)
+    expect(
+        is_same.all(),
+        "recordings",
+        "recordings of one rate",
+        got=f"{rates.min(initial=fps):.3g} to {rates.max(initial=fps):.3g} samples/s",
+        advice="write a set for each rate",
+    )
+    return fps
 
 
 @contextmanager

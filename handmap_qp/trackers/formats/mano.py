@@ -17,7 +17,7 @@ from numpy.lib.format import MAGIC_PREFIX
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import Names, Side, Values
-from handmap_qp.human import LANDMARK_COUNT, Recording
+from handmap_qp.human import LANDMARK_COUNT, Recording, regular_time
 from handmap_qp.se3 import Array, Arrays, affine, as_floats, transform_points
 from .archive import OF_MANO, member_names, read_archive, save_npz
 from .base import Entry, RecordingFormat, build_recording, reading, side_of
@@ -72,7 +72,10 @@ class HandModelFormat(RecordingFormat):
         entries = []
         for entry, arrays in self.hands(path).items():
             main = next(arrays[name] for name in OF_MANO if name in arrays)
-            side = side_of(arrays.get("side"), "side")
+            given = arrays.get("side")
+            side = (
+                self.hints.side_of_file() if given is None else side_of(given, "side")
+            )
             entries.append(Entry(entry, side, len(np.atleast_1d(main))))
         return entries
 
@@ -86,12 +89,13 @@ class HandModelFormat(RecordingFormat):
             model = self.model_of(entry.side)
             joints = _joints_of_parameters(model, arrays, entry.samples)
         time = arrays.get("time")
-        if time is None:
-            if "fps" not in arrays:
-                raise InvalidInputError("has neither 'time' nor 'fps'")
-            fps = as_floats(arrays["fps"], "fps", shape=(), is_finite=True)
-            expect(fps > 0.0, "fps", "a rate > 0", value=fps)
-            time = np.arange(len(joints)) / fps
+        time_source = ""
+        if self.hints.fps is not None or not {"time", "fps"} & arrays.keys():
+            time = self.hints.time_of_file(len(joints))
+        elif time is None:
+            fps = float(as_floats(arrays["fps"], "fps", shape=(), is_finite=True))
+            time = regular_time(len(joints), fps)
+            time_source = f"{fps:g} samples/s, as the file or its format says"
         return build_recording(
             path,
             entry,
@@ -99,6 +103,7 @@ class HandModelFormat(RecordingFormat):
             joints[:, FROM_MANO],
             valid=arrays.get("valid"),
             source=self.name.upper(),
+            time_source=time_source,
             object_pose=arrays.get("object_pose"),
             object_shape=str(arrays.get("object_shape", "")),
         )
@@ -117,7 +122,15 @@ class ManoFormat(HandModelFormat):
 
     name = "mano"
     suffixes = (".npz",)
-    lacks = ("wrist", "confidence", "source", "upright", "task", "object_pose")
+    lacks = (
+        "wrist",
+        "confidence",
+        "source",
+        "upright",
+        "task",
+        "time_source",
+        "object_pose",
+    )
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the archive has joints or parameters."""

@@ -69,6 +69,7 @@ class McapFormat(RecordingFormat):
         "source",
         "upright",
         "task",
+        "time_source",
         "object_pose",
         "unseen",
         "digits of wrist",

@@ -192,6 +192,7 @@ class Hot3dFormat(HandModelFormat):
         with reading(file):
             rows = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2)
             placed = pose_from_xyz_quat(rows[:, 2:], "wxyz", "")
+        # Numbers and instants are floats here, and are looked up as floats below.
         poses = dict(zip(map(tuple, rows[:, :2]), placed, strict=True))
         found = defaultdict(list)
         for sample in msgspec.json.Decoder().decode_lines((path / _HANDS).read_bytes()):
@@ -212,7 +213,7 @@ class Hot3dFormat(HandModelFormat):
                 "transl": places,
                 "betas": shapes[0],
                 "flat_hand_mean": False,
-                "object_pose": [poses.get((number, at), _LOST) for at in times],
+                "object_pose": [poses.get((number, float(at)), _LOST) for at in times],
                 "object_shape": _above(path, f"assets/{number:.0f}.glb"),
             }
         return hands

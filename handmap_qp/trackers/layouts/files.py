@@ -13,21 +13,20 @@ from handmap_qp.hands import OTHER_SIDE, HumanLengths, Side
 from handmap_qp.human import LANDMARK_COUNT, Recording
 from handmap_qp.se3 import Array, Arrays
 from handmap_qp.trackers.formats.archive import read_archive
-from handmap_qp.trackers.formats.base import SIDES, reading, side_of
+from handmap_qp.trackers.formats.base import (
+    SIDES,
+    TIME_UNITS,
+    FileHints,
+    reading,
+    seconds,
+    side_of,
+    time_in,
+)
 from handmap_qp.trackers.formats.csv_files import numbers, opened_table
 from handmap_qp.trackers.plausibility import examine_recording
 from . import LAYOUTS
 from .base import Layout, layouts_of_shape
 
-_TIMES = {
-    "time": 1.0,
-    "time_s": 1.0,
-    "t": 1.0,
-    "timestamp": 1.0,
-    "time_ms": 1e-3,
-    "time_ns": 1e-9,
-}
-"""Names of arrays and columns of time, with their unit [s]."""
 _VALUES = ("values", "landmarks")
 _WRISTS = ("wrist", "wrist_pose", "right_wrist", "left_wrist")
 
@@ -37,6 +36,7 @@ def read_with_layout(
     layout: Layout,
     side: Side | None = None,
     lengths: HumanLengths | None = None,
+    fps: float | None = None,
 ) -> Recording:
     """Read a recording in a tracker's own layout.
 
@@ -50,6 +50,7 @@ def read_with_layout(
         layout: The layout.
         side: Which hand; what the file says if omitted.
         lengths: The person's lengths, for angles and markers.
+        fps: Samples a second, in place of the file's time; needed where it has none.
 
     Raises:
         RecordingError: If the file cannot be read, or something in it is missing or of another
@@ -66,14 +67,16 @@ def read_with_layout(
         )
         is_table = suffix == ".csv"
         arrays = _read_columns(file, layout, side) if is_table else read_archive(file)
-        said = arrays.get("handedness", side)
-        if said is None:
-            raise InvalidInputError("does not say which hand it is of: give --side")
-        hand = side_of(said, "handedness")
+        hints = FileHints(side, fps)
+        said = arrays.get("handedness")
+        hand = hints.side_of_file() if said is None else side_of(said, "handedness")
         if side not in (None, hand):
             raise InvalidInputError(f"is of a {hand} hand, not of a {side} one")
-        time = _time(arrays, layout)
-        values = arrays[_values_name(arrays, layout, side, len(time))]
+        time = _time(arrays, layout) if fps is None else None
+        count = None if time is None else len(time)
+        values = arrays[_values_name(arrays, layout, side, count)]
+        if time is None:
+            time = hints.time_of_file(len(values))
         recording = layout.record(
             file.stem,
             time,
@@ -133,13 +136,21 @@ def _values_name(
     arrays: Arrays,
     layout: Layout,
     side: Side | None,
-    count: int,
+    count: int | None,
 ) -> str:
-    """Return the name of the array whose rows are samples of the layout."""
+    """Return the name of the array whose rows are samples of the layout.
+
+    Args:
+        arrays: The arrays of the file.
+        layout: The layout.
+        side: Which hand, if it is known.
+        count: Number of samples; any number if the file has no time that counts.
+    """
 
     def takes(name: str) -> bool:
         array = arrays[name]
-        is_long = array.shape[:1] == (count,) and array.dtype.kind in "fiu"
+        is_array = array.ndim > 1 and array.dtype.kind in "fiu"
+        is_long = is_array and count in (None, len(array))
         return is_long and layout.own_shape(array.shape[1:]) is not None
 
     def is_of_side(name: str) -> bool:
@@ -151,7 +162,10 @@ def _values_name(
         chosen = list(filter(is_better, chosen)) or chosen
     if len(chosen) == 1:
         return chosen[0]
-    shapes = " or ".join(str((count, *shape)) for shape in layout.shapes)
+    samples = "T" if count is None else count
+    shapes = " or ".join(
+        f"({', '.join(map(str, (samples, *shape)))})" for shape in layout.shapes
+    )
     how = "more than one" if chosen else "no"
     problem = f"has {how} array of shape {shapes}"
     have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
@@ -202,14 +216,10 @@ def _named_side(header: str) -> Side | None:
 def _time_units(layout: Layout) -> dict[str, float]:
     """Return the names that a time may have, the likeliest first, with their units [s]."""
     own = layout.time
-    return own | _TIMES | own
+    return own | TIME_UNITS | own
 
 
-def _time(arrays: Arrays, layout: Layout) -> Array:
-    units = _time_units(layout)
-    for name, unit in units.items():
-        values = arrays.get(name, np.array(0.0))
-        if values.ndim == 1 and values.dtype.kind in "fiu":
-            # Nanoseconds since 1970 need more digits than a float has.
-            return (values - values[:1]).astype(float) * unit
-    raise InvalidInputError(f"has no time; expected one of {', '.join(units)}")
+def _time(arrays: Arrays, layout: Layout) -> Array | None:
+    """Return the file's instants since its first one [s]; None if it has none."""
+    found = time_in(arrays, _time_units(layout))
+    return found and seconds(*found)
