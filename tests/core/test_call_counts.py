@@ -183,7 +183,7 @@ def test_a_recording_of_a_batch(tmp_path: Path) -> None:
     run_job(first)
     run_job(second)
     lines = []
-    assert count_calls(lambda: lines.append(run_job(third))) <= 6_700
+    assert count_calls(lambda: lines.append(run_job(third))) <= 9_700
     assert lines[0].status == "done"
 
 
