@@ -77,6 +77,22 @@ def transform_points(motion: Array, points: Array) -> Array:
     return points @ motion[..., :3, :3].mT + origin
 
 
+def cross_matrices(vectors: Array) -> Array:
+    """Return the matrices S(v) with `S(v) @ w == v x w`, shape (..., 3, 3).
+
+    Their product takes a fraction of the time of `np.cross`.
+    """
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    matrices = np.zeros((*vectors.shape, 3))
+    matrices[..., 0, 1] = -z
+    matrices[..., 0, 2] = y
+    matrices[..., 1, 0] = z
+    matrices[..., 1, 2] = -x
+    matrices[..., 2, 0] = -y
+    matrices[..., 2, 1] = x
+    return matrices
+
+
 def lengths(vectors: Array) -> Array:
     """Return the Euclidean length of each vector, shape (...), of shape (..., 3)."""
     return np.linalg.norm(vectors, axis=-1)

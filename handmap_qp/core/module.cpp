@@ -210,6 +210,40 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
+// Postures (k, n) in which the first of k + 1 pads touches each other pad in turn; see
+// hand_pair.RobotFingers.pinches. Pads are points on joints, at given distances where they touch.
+// `usual` moves the same hand before it was scaled to this tree: its limits and weights hold here too,
+// but those of reference points.
+NumpyArray pinching_postures(const Tree& tree, const PythonIk& usual, const Indices& joints,
+                             const Array& offsets, const Array& distances, double weight, double dt,
+                             int samples, double tolerance) {
+  DistanceTask task{attached_of(joints, offsets), {}, {}};
+  const size_t count = distances.size(), n = tree.q_indices.size();
+  expect_size(distances, joints.size() - 1, "distances");
+  for (size_t k = 0; k < count; ++k) {
+    task.first.push_back(0);
+    task.second.push_back(static_cast<int>(k + 1));
+  }
+  Ik ik(tree);
+  ik.weights = usual.weights;
+  ik.weights.points.clear();
+  ik.settings = usual.settings;
+  ik.limits = usual.limits;
+  ik.fingers = usual.fingers;
+  Vector rest;
+  for (const int i : tree.q_indices) rest.push_back(tree.rest[i]);
+  double* to;
+  NumpyArray postures = array_of({count, n}, to);
+  for (size_t k = 0; k < count; ++k) {
+    AimedDistances aimed{&task, vector_of(distances), Vector(count, 0.0)};
+    aimed.weights[k] = weight;
+    ik.motion = {tree.rest, Vector(tree.size, 0.0), 1.0, Vector(tree.size, 0.0)};
+    approach(ik, aimed, rest, dt, samples, tolerance);
+    for (const int i : tree.q_indices) *to++ = ik.motion.q[i];
+  }
+  return postures;
+}
+
 // See measure.measure_shape, whose constants and arguments these are.
 nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
   const Fields constants = module_of("human.measure");
@@ -291,15 +325,17 @@ nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array
   return nb::cast(array_of(problem.solve(vector_of(start))));
 }
 
-// Points by `PointSpec` in palm axes, of joint positions.
-nb::object points_in_palm(const Tree& tree, const Array& q, const nb::object& points) {
-  expect_size(q, tree.q_indices.size(), "q");
+// Points in palm axes, of joint positions (k, n), one posture after the other.
+nb::object points_in_palm(const Tree& tree, const Array& q, const std::vector<Attached>& points) {
+  const size_t n = tree.q_indices.size();
+  if (q.size() % n) throw std::invalid_argument("wrong size of q");
   Placed placed(tree);
-  placed.place(tree.configuration(q.data()).data());
-  const Pose from = inverse(placed.pose(tree.palm_origin.joint) * tree.palm);
   std::vector<Vec3> found;
-  for (const Attached& point : attached_of(tree, points))
-    found.push_back(from * placed.point(point));
+  for (size_t row = 0; row < q.size(); row += n) {
+    placed.place(tree.configuration(q.data() + row).data());
+    const Pose from = inverse(placed.pose(tree.palm_origin.joint) * tree.palm);
+    for (const Attached& point : points) found.push_back(from * placed.point(point));
+  }
   return array_of(found);
 }
 
@@ -424,9 +460,20 @@ NB_MODULE(_core, m) {
              make_frames(*new (self) Tree(make_tree(Fields(hand))), Fields(hand));
            })
       .def("moved", &moved_tree)
-      .def("points", &points_in_palm)
+      .def("points",
+           [](const Tree& tree, const Array& q, const nb::object& points) {
+             return points_in_palm(tree, q, attached_of(tree, points));
+           },
+           "q"_a, "points"_a)
+      .def("points_on_joints",
+           [](const Tree& tree, const Array& q, const Indices& joints, const Array& offsets) {
+             return points_in_palm(tree, q, attached_of(joints, offsets));
+           },
+           "q"_a, "joints"_a, "offsets"_a)
       .def("poses", &poses_in)
       .def("nearest_posture", &nearest_posture)
+      .def("pinching_postures", &pinching_postures, "usual"_a, "joints"_a, "offsets"_a,
+           "distances"_a, "weight"_a, "dt"_a, "samples"_a, "tolerance"_a)
       .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
   m.def("measure_shape", &measure_shape);

@@ -211,6 +211,36 @@ class NearestPosture {
   std::vector<Vec3> turning_;
 };
 
+// Whether all distances that have a weight are within a tolerance of their aims; false for NaN.
+inline bool is_reached(const AimedDistances& aimed, const Placed& at, double tolerance) {
+  const DistanceTask& task = *aimed.task;
+  for (size_t k = 0; k < aimed.aims.size(); ++k) {
+    if (aimed.weights[k] == 0.0) continue;
+    const Vec3 apart = at.point(task.points[task.first[k]]) - at.point(task.points[task.second[k]]);
+    if (!(std::abs(norm(apart) - aimed.aims[k]) < tolerance)) return false;
+  }
+  return true;
+}
+
+// Move a hand, whose wrist should stay and whose joints go to `rest`, for so many samples, or until
+// distances are within a tolerance of their aims; see hand_pair.approach.
+inline void approach(Ik& ik, const AimedDistances& aimed, const Vector& rest, double dt, int samples,
+                     double tolerance) {
+  Placed placed(ik.tree);
+  placed.place(ik.motion.q.data());
+  Goal goal;
+  goal.wrists = {placed.wrist()};
+  goal.distances = {aimed};
+  for (const Attached& point : ik.tree.points) goal.points.push_back(placed.point(point));
+  Result result;
+  for (int k = 0; k < samples; ++k) {
+    goal.postures = ik.postures(rest, dt);
+    ik.solve(goal, dt, {}, 1.0, result);
+    placed.place(ik.motion.q.data());
+    if (is_reached(aimed, placed, tolerance)) return;
+  }
+}
+
 // Smallest distances of pairs in many postures, one after the other. A pair is measured only if it is
 // not known to be farther apart: by its balls, or along the direction that parted it last.
 class SmallestDistances {

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.se3 import Array, frozen
+from handmap_qp.se3 import Array, cross_matrices, frozen
 
 if TYPE_CHECKING:
     from .hand import Hand
@@ -29,9 +29,12 @@ def moved_by(model: pin.Model, joints: Sequence[int]) -> Array:
     Returns:
         Shape (k, model.nv).
     """
+    # Parents have smaller indices than their children.
+    is_support = np.eye(model.njoints)
+    for joint, parent in enumerate(model.parents.tolist()[1:], start=1):
+        is_support[joint] += is_support[parent]
     owners = np.repeat(np.arange(model.njoints), model.nvs)
-    moved = [np.isin(owners, [*model.supports[joint]]) for joint in joints]
-    return np.array(moved, dtype=float).reshape(-1, model.nv)
+    return is_support[[*joints]][:, owners]
 
 
 class AttachedPoints:
@@ -73,9 +76,9 @@ class AttachedPoints:
     def velocities(self, hand: Configuration) -> Array:
         """Return the same in all coordinates of the model, shape (n, 3, model.nv)."""
         linear, angular = hand.data.J.reshape(2, 3, -1)
-        # The velocity at the world's origin plus w x p is that of the point p.
-        turning = np.cross(angular[None], self.positions(hand)[..., None], axis=1)
-        return (linear + turning) * self.moved
+        # The velocity at the world's origin plus w x p, which is -p x w, is that of the point p.
+        turning = cross_matrices(self.positions(hand)) @ angular
+        return (linear - turning) * self.moved
 
 
 class Configuration:

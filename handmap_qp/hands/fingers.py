@@ -56,6 +56,8 @@ _STRAIGHT = 0.993
 # Joints that are flexed by more than this at the zero position say that it is no straight one
 # [rad].
 _FLEXED_ZERO = 0.3
+# Pinocchio's names of prismatic joints.
+_PRISMATIC = {f"JointModel{axis}" for axis in ("PX", "PY", "PZ", "PrismaticUnaligned")}
 
 
 class PalmKinematics:
@@ -64,7 +66,11 @@ class PalmKinematics:
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
         self._model = hand.model
-        self._data = hand.model.createData()
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        """Workspace of Pinocchio, which takes longer to allocate than most of what it is for."""
+        return self._model.createData()
 
     def points(self, q: Array, places: Sequence[Place]) -> Array:
         """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
@@ -114,7 +120,8 @@ class PalmKinematics:
         columns = (moves - carries) * self._jacobian
         linear, turns = np.split(columns @ self.hand.joint_motion, 2)
         point = self._data.oMi[place[0]].act(place[1])
-        linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
+        # A turn w moves the point by w x p, which is -p x w.
+        linear = linear - pin.skew(point) @ turns
         return np.vstack(self._palm.rotation.T @ [linear, turns])
 
     def _place(self, q: Array) -> None:
@@ -183,8 +190,8 @@ class Finger:
     @property
     def is_jaw(self) -> bool:
         """Whether all joints are prismatic, so that the finger can neither bend nor stretch."""
-        axes, _ = self._view.axes(self._zero, self.joints)
-        return bool(self.joints) and not axes.any()
+        kinds = {self.hand.model.joints[joint].shortname() for joint in self.joints}
+        return bool(kinds) and kinds <= _PRISMATIC
 
     @cached_property
     def columns(self) -> Array:
@@ -476,8 +483,10 @@ def finger_tips(hand: Hand) -> dict[str, PointSpec]:
     for finger in FINGERS:
         points = [point for point in hand.spec.points if point.finger == finger]
         named = [p for p in points if f"{finger}_tip" in (p.partner, p.name)]
-        if points:
-            tips[finger] = max(named[:1] or points, key=reach)
+        if named:
+            tips[finger] = named[0]
+        elif points:
+            tips[finger] = max(points, key=reach)
     return tips
 
 

@@ -40,6 +40,7 @@ from .model import (
     build_model,
     choose_mount,
     compose_urdf,
+    moved_model,
     tighten_model,
 )
 from .sources import read_urdf
@@ -197,8 +198,12 @@ class Hand:
 
     @cached_property
     def model(self) -> pin.Model:
-        """Pinocchio model, not to be changed: a floating wrist's six coordinates, then joints."""
-        return build_model(self.spec, self.urdf_text, self.mount, {})
+        """Pinocchio model, not to be changed: a floating wrist's six coordinates, then joints.
+
+        That of a hand scaled to a person is made of the unscaled hand's: a URDF takes 20 ms.
+        """
+        assert self.unscaled is not None
+        return moved_model(self.unscaled.model, self.moves)
 
     @cached_property
     def frames(self) -> dict[str, pin.Frame]:
@@ -252,7 +257,8 @@ class Hand:
 
     def carries(self, frame: pin.Frame) -> Array:
         """Return which joints carry a frame of the model, shape (n,)."""
-        return np.isin(self.joints, [*self.model.supports[frame.parentJoint]])
+        (moves,) = moved_by(self.model, [frame.parentJoint])
+        return moves[self.v_indices] > 0.0
 
     @property
     def moves_points(self) -> Array:
@@ -295,6 +301,12 @@ class Hand:
         """Return all that is not cached: a copy has a workspace of its own, for another thread."""
         return {key: value for key, value in vars(self).items() if key not in _CACHED}
 
+    def __copy__(self) -> Hand:
+        """Return a hand that shares all that is not cached."""
+        hand = object.__new__(type(self))
+        vars(hand).update(self.__getstate__())
+        return hand
+
     def __setstate__(self, state: Values) -> None:
         """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
         vars(self).update(state)
@@ -331,7 +343,8 @@ class Hand:
         hand.contact_gap = lengths.contact_gap
         hand.moves = joint_moves(self._lengths, lengths, mirrors=self.spec.mirror)
         hand.stretches = shape_stretches(self._lengths, lengths)
-        del hand.model, hand.point_frames, hand.urdf_text
+        for of_lengths in ("model", "point_frames", "urdf_text"):
+            vars(hand).pop(of_lengths, None)
         return hand
 
     def configuration(self) -> Configuration:
@@ -560,8 +573,12 @@ def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ..
     _check_type(
         "points", points, tuple | list, "the name of a set, or names and points"
     )
+    named = {point.name: point for point in spec.points}
     chosen = tuple(
-        _choose_point(spec, point, f"points[{i}]") for i, point in enumerate(points)
+        _look_up(spec, "point", named, point)
+        if isinstance(point, str)
+        else _checked_point(point, f"points[{i}]")
+        for i, point in enumerate(points)
     )
     if not chosen:
         raise spec.error("expected at least one reference point", "points")
@@ -569,11 +586,9 @@ def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ..
     return chosen
 
 
-def _choose_point(spec: HandSpec, point: str | PointSpec, argument: str) -> PointSpec:
-    """Return the point of a name, or check one that the caller built."""
-    _check_type(argument, point, str | PointSpec, "a name or a PointSpec")
-    if isinstance(point, str):
-        return _look_up(spec, "point", {each.name: each for each in spec.points}, point)
+def _checked_point(point: PointSpec, argument: str) -> PointSpec:
+    """Check a point that the caller built."""
+    _check_type(argument, point, PointSpec, "a name or a PointSpec")
     try:
         return check_point(point)
     except HandError as error:

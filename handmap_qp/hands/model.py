@@ -9,12 +9,16 @@ so followers are not variables of the QP. A leader may follow another joint itse
 """
 
 import math
+from collections.abc import Mapping
 from typing import get_args
 from xml.etree.ElementTree import Element, tostring
 
+import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, expect, reason_of
+from handmap_qp.se3 import frozen
+from .human import JointMove
 from .spec import (
     HandSpec,
     MimicSpec,
@@ -37,6 +41,9 @@ from .urdf import (
 
 FLOATING_JOINT = "wrist_mount"
 """Name of the free-flyer that carries a floating hand."""
+_JOINT = pin.FrameType.JOINT
+_FIXED_JOINT = pin.FrameType.FIXED_JOINT
+_X_AXIS = frozen(np.array([1.0, 0.0, 0.0]))
 # A follower's limits count as a mistake if they would leave less than this share of its leader's
 # range.
 _LEAST_SHARE = 0.01
@@ -119,6 +126,49 @@ def build_model(
         unknown = f"{name!r} is not a movable joint of the URDF"
         raise spec.error(unknown, "joints", name)
     return model
+
+
+def moved_model(model: pin.Model, moves: Mapping[str, JointMove]) -> pin.Model:
+    """Return a copy of a model in which joints sit elsewhere on their parent links.
+
+    The compiled core does the same to its kinematics (`Tree.move_joint`).
+
+    Args:
+        model: The model, which is not changed.
+        moves: New place of joints, movable or fixed, by their names: see `JointMove`.
+
+    Returns:
+        The model that Pinocchio would build of a URDF with these origins.
+    """
+    moved = model.copy()
+    frames = moved.frames
+    for name, (xyz, turn) in moves.items():
+        is_fixed = not moved.existJointName(name)
+        k = moved.getFrameId(name, _FIXED_JOINT if is_fixed else _JOINT)
+        frame = frames[k]
+        joint = frame.parentJoint
+        old = frame.placement if is_fixed else moved.jointPlacements[joint]
+        about_x = pin.AngleAxis(turn, _X_AXIS).toRotationMatrix()
+        position = frames[frame.parentFrame].placement.act(xyz)
+        new = pin.SE3(old.rotation @ about_x, position)
+        if is_fixed:
+            _displace(moved, k, new * old.inverse())
+        else:
+            moved.jointPlacements[joint] = new
+    return moved
+
+
+def _displace(model: pin.Model, first: int, displacement: pin.SE3) -> None:
+    """Displace the frame of a fixed joint, and the frames that it carries, on their joint."""
+    carried = {first}
+    frames = model.frames
+    # Frames are in depth-first order.
+    for k in range(first, model.nframes):
+        frame = frames[k]
+        if k > first and frame.parentFrame not in carried:
+            break
+        carried.add(k)
+        frame.placement = displacement * frame.placement
 
 
 def read_mimic_rules(robot: Element) -> Rules:

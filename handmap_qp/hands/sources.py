@@ -11,6 +11,7 @@ import pkgutil
 import re
 import sys
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -170,19 +171,29 @@ def find_mesh(name: str, folder: Path) -> Path:
     a ROS package is a folder of the package's name, or one that holds a `package.xml`. A file that
     is at none of these places is looked for by its name in the folders of meshes around the URDF.
     """
-    candidates = [folder / name.removeprefix("file://")]
-    if name.startswith((PACKAGE_SCHEME, "model://")):
-        package, _, inside = name.partition("://")[2].partition("/")
-        try:
-            candidates = [package_folder(package) / inside]
-        except (MissingExtraError, MissingPackageError):
-            candidates = [folder / inside]
-        for above in (folder.resolve(), *folder.resolve().parents):
-            candidates.append(above / package / inside)
-            if (above / "package.xml").exists():
-                candidates.append(above / inside)
+    candidates = _mesh_places(name, folder)
+    first = next(candidates)
+    if first.exists():
+        return first
     found = next(filter(Path.exists, candidates), None)
-    return found or _meshes_near(folder).get(Path(name).name, candidates[0])
+    return found or _meshes_near(folder).get(Path(name).name, first)
+
+
+def _mesh_places(name: str, folder: Path) -> Iterator[Path]:
+    """Yield where a mesh is looked for by its whole name; see `find_mesh`."""
+    if not name.startswith((PACKAGE_SCHEME, "model://")):
+        yield folder / name.removeprefix("file://")
+        return
+    package, _, inside = name.partition("://")[2].partition("/")
+    try:
+        yield package_folder(package) / inside
+    except (MissingExtraError, MissingPackageError):
+        yield folder / inside
+    resolved = folder.resolve()
+    for above in (resolved, *resolved.parents):
+        yield above / package / inside
+        if (above / "package.xml").exists():
+            yield above / inside
 
 
 @lru_cache(maxsize=8)

@@ -370,9 +370,15 @@ def prepare_urdf(robot: Element, spec: HandSpec | ArmSpec) -> Positions:
         limits = spec.limits.get(name)
         _complete_limits(joint, limits or _followed(name, rules, spec.limits))
     folder = urdf_path(spec).parent
+    # Most meshes are there twice, to be seen and to collide.
+    paths: dict[str, str] = {}
     for mesh in robot.iter("mesh"):
-        if file := mesh.get("filename"):
-            mesh.set("filename", str(find_mesh(file, folder).resolve()))
+        file = mesh.get("filename")
+        if not file:
+            continue
+        if file not in paths:
+            paths[file] = str(find_mesh(file, folder).resolve())
+        mesh.set("filename", paths[file])
     return positions
 
 

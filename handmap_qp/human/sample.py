@@ -18,7 +18,7 @@ import numpy as np
 
 from handmap_qp import ik
 from handmap_qp.errors import expect
-from handmap_qp.hands import FINGERS, Hand, Names, Side
+from handmap_qp.hands import FINGERS, Hand, Names, PointSpec, Side
 from handmap_qp.se3 import (
     Array,
     as_floats,
@@ -197,9 +197,15 @@ def landmarks_at_rest(human: Hand) -> Array:
     """
     if (tree := ik.compiled.core_tree(human)) is None:
         return frozen(human.with_points("landmarks").points(human.rest))
-    points = (human.unscaled or human).with_points("landmarks").reference_points
+    points = _landmark_points(human.unscaled or human)
     in_palm = tree.points(human.rest, points)
     return frozen(transform_points(human.wrist_to_palm, in_palm))
+
+
+@lru_cache(maxsize=16)
+def _landmark_points(human: Hand) -> tuple[PointSpec, ...]:
+    """Return the points of a hand that are landmarks; people whose hand it is share them."""
+    return human.with_points("landmarks").reference_points
 
 
 def human_name(side: Side) -> str:

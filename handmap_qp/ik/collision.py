@@ -58,7 +58,7 @@ whichever was seen to arrive. Every step passes the gate. Each hand of a robot l
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -268,13 +268,22 @@ class CollisionLimit:
         self.horizon = horizon
         self._spread = hand.spread
         self._model = hand.model
-        self._data = hand.model.createData()
-        self._shapes = pairs.geometry.createData()
-        for request in self._shapes.distanceRequests:
-            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
         self.bounds = pair_bounds(hand.model, pairs.geometry)
         is_moving = (self.bounds.levers > 0.0).any(axis=0)
         self.columns: Array = is_moving @ (self._spread != 0.0)
+
+    # Workspaces of Pinocchio are large, and the compiled core needs none.
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self._model.createData()
+
+    @cached_property
+    def _shapes(self) -> pin.GeometryData:
+        shapes = self.bounds.geometry.createData()
+        for request in shapes.distanceRequests:
+            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
+        return shapes
 
     def measure(
         self,

@@ -418,12 +418,15 @@ class PointIk:
         """Return weights and postures of the cost of a sample; see `Goal` and `solve`."""
         hand = self.hand
         options = self.options
+        postures = [(options.rest_weight, hand.rest if rest is None else rest)]
+        if options.speed_weight == 0.0 and options.acceleration_weight == 0.0:
+            return postures
+        # The whole displacement of a sample costs, and its difference from the last one's.
         motion = self.gate.motion
         start = motion.q[hand.q_indices]
         ahead = start + dt * motion.velocity[hand.joint_columns]
         return [
-            (options.rest_weight, hand.rest if rest is None else rest),
-            # The whole displacement of a sample costs, and its difference from the last one's.
+            *postures,
             (options.speed_weight, start),
             (options.acceleration_weight, ahead),
         ]

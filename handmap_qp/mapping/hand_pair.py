@@ -25,7 +25,13 @@ from handmap_qp.hands import (
     partner_names,
 )
 from handmap_qp.human import LANDMARK_NAMES, finger_chains, landmarks_at_rest
-from handmap_qp.ik import AttachedPoints, IkOptions, PointDistances, PointIk
+from handmap_qp.ik import (
+    AttachedPoints,
+    IkOptions,
+    PointDistances,
+    PointIk,
+    core_tree,
+)
 from handmap_qp.ik.nearest_posture import nearest_posture
 from handmap_qp.se3 import Array, frozen, lengths, transform_points, unit
 from .palm import point_indices, require_points
@@ -291,24 +297,37 @@ class RobotFingers:
         return PointDistances(points, pairs, np.zeros(len(pairs)))
 
     @cached_property
-    def pinches(self) -> list[Array]:
-        """Postures in which thumb and each other finger in turn come nearest, shape (n,) each."""
+    def pinches(self) -> Array:
+        """Postures in which thumb and each other finger in turn come nearest, shape (f - 1, n)."""
+        hand = self.hand
         # The thumb is the first finger.
         pads = [*self.pads.values()]
-        ik = PointIk(self.hand, _PINCHING)
-        task = gap_task(self.hand, pads)
-        return [
-            approach(
-                ik, task.aimed_at(task.distances, used * task.weights), _PINCH_STEPS
+        tree = core_tree(hand)
+        usual = _pinching_ik(hand.unscaled or hand) if tree else None
+        if tree and usual and usual.core:
+            return tree.pinching_postures(
+                usual.core,
+                *_split(pad.place for pad in pads),
+                touching_distances(pads),
+                weight=_GAP_WEIGHT,
+                dt=_UNHURRIED,
+                samples=_PINCH_STEPS,
+                tolerance=_TOUCHING,
             )
-            for used in np.eye(len(pads) - 1)
+        ik = PointIk(hand, _PINCHING)
+        task = gap_task(hand, pads)
+        weights = np.diag(task.weights)
+        postures = [
+            approach(ik, task.aimed_at(task.distances, row), _PINCH_STEPS)
+            for row in weights
         ]
+        return np.array(postures)
 
     @cached_property
     def pinching_thumb(self) -> Array:
         """Mean tip of the thumb where it pinches with each finger, in palm axes [m], shape (3,)."""
         tip = [self.chains[THUMB].tip]
-        tips = points_in_palm(self.hand, np.array(self.pinches), tip)
+        tips = points_in_palm(self.hand, self.pinches, tip)
         return frozen(tips.mean(axis=0)[0])
 
     @cached_property
@@ -384,16 +403,36 @@ def _point(chain: Finger, name: str, place: Place, weight: float) -> PointSpec:
 def points_in_palm(
     hand: Hand, q: Array, places: Sequence[Place] | None = None
 ) -> Array:
-    """Return points of a hand in palm axes [m], shape (k, 3).
+    """Return k points of a hand in palm axes [m], shape (..., k, 3).
 
     Args:
         hand: The hand.
-        q: Its joint positions [rad or m], shape (n,).
+        q: Its joint positions [rad or m], shape (n,), or of several postures, shape (..., n).
         places: Points on joints; the hand's reference points if omitted.
     """
+    tree = core_tree(hand)
+    if tree is None:
+        if places is None:
+            frames = hand.point_frames
+            places = [(f.parentJoint, f.placement.translation) for f in frames]
+        return PalmKinematics(hand).points(q, places)
     if places is None:
-        places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
-    return PalmKinematics(hand).points(q, places)
+        points = tree.points(q, hand.reference_points)
+    else:
+        points = tree.points_on_joints(q, *_split(places))
+    return points.reshape(*q.shape[:-1], -1, 3)
+
+
+def _split(places: Iterable[Place]) -> tuple[list[int], Array]:
+    """Return the joints of k places, and their offsets [m], shape (k, 3)."""
+    joints, offsets = zip(*places, strict=True)
+    return [*joints], np.array(offsets)
+
+
+@lru_cache(maxsize=16)
+def _pinching_ik(hand: Hand) -> PointIk:
+    """Return what lets a hand pinch, or a person's hand that it is scaled to."""
+    return PointIk(hand, _PINCHING)
 
 
 def resting_posture(human: Hand) -> Array:

@@ -22,7 +22,15 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.human import LANDMARK_COUNT, LANDMARK_NAMES, PALM, landmarks_at_rest
-from handmap_qp.ik import Compiled, IkOptions, IkResult, Motion, PointIk, Task
+from handmap_qp.ik import (
+    Compiled,
+    IkOptions,
+    IkResult,
+    Motion,
+    PointIk,
+    Task,
+    core_tree,
+)
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
@@ -686,6 +694,10 @@ def _method_of(
 def posture_of(robot: Hand, vector: Array) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
     q = vector[robot.q_indices]
+    if tree := core_tree(robot):
+        frames = (robot.wrist_frame, *robot.point_frames)
+        wrist, *points = tree.poses(vector, frames)
+        return RobotPosture(q, np.array(points)[:, :3, 3], wrist)
     placed = robot.configuration()
     placed.place(vector)
     return RobotPosture(q, placed.points, placed.wrist.homogeneous)

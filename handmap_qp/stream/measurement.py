@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from handmap_qp.errors import expect
+from handmap_qp.hands import HumanLengths
 from handmap_qp.human import (
     Person,
     Recording,
@@ -32,20 +33,29 @@ def measure_person(*recordings: Recording) -> Person:
             metres.
     """
     expect(recordings, "recordings", "at least one", got="none")
-    joined = _joined([without_faults(recording) for recording in recordings])
-    return Person(joined.name, measure_hand(joined), measure_contact_gap(joined))
+    measured = [measure_hand(recording) for recording in recordings]
+    joined = _joined([*map(without_faults, recordings, measured)])
+    # A recording without faults was measured before.
+    lengths = measured[0] if joined is recordings[0] else measure_hand(joined)
+    return Person(joined.name, lengths, measure_contact_gap(joined))
 
 
-def without_faults(recording: Recording) -> Recording:
+def without_faults(
+    recording: Recording, lengths: HumanLengths | None = None
+) -> Recording:
     """Return a recording in which only samples are valid that the guard lets pass.
 
     If it lets fewer than half pass, the recording stays as it is, since rules that reject most
     samples do not know this tracker.
 
+    Args:
+        recording: The recording.
+        lengths: Lengths of the hand in it; measured if omitted.
+
     Raises:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
-    human = scaled_human(recording)
+    human = scaled_human(recording, lengths=lengths)
     valid = recording.valid & ~StreamGuard(human).holds(recording)
     if 2 * valid.sum() < recording.valid.sum() or (valid == recording.valid).all():
         return recording

@@ -10,6 +10,7 @@ import pinocchio
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 from strategies import (
     affine_motions,
@@ -28,6 +29,7 @@ from handmap_qp.se3 import (
     affine,
     as_floats,
     check_pose,
+    cross_matrices,
     inverse_pose,
     nearest_rotation,
     pose_from_xyz_quat,
@@ -44,6 +46,13 @@ NOT_FINITE = (np.nan, np.inf, -np.inf)
 
 
 # --- points and motions
+
+
+@given(arrays(float, (4, 3), elements=st.floats(-10.0, 10.0)))
+def test_cross_matrices_give_the_cross_product(vectors: np.ndarray) -> None:
+    a, b = vectors.reshape(2, 2, 3)
+    products = (cross_matrices(a) @ b[..., None])[..., 0]
+    np.testing.assert_allclose(products, np.cross(a, b), atol=1e-12)
 
 
 @given(linear_maps(), translations)

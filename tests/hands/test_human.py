@@ -220,11 +220,35 @@ def test_a_person_is_the_hand_of_the_scaled_urdf(
             [p.homogeneous for p in other],
             atol=1e-15,
         )
+    assert [*hand.model.names] == [*read.model.names]
+    assert hand.model.parents.tolist() == read.model.parents.tolist()
+    for own, other in zip(hand.model.frames, read.model.frames, strict=True):
+        assert (own.name, own.type) == (other.name, other.type)
+        assert own.parentJoint == other.parentJoint
+        assert own.parentFrame == other.parentFrame
+    for name in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit"):
+        own, other = getattr(hand.model, name), getattr(read.model, name)
+        np.testing.assert_array_equal(own, other)
     q = 0.5 * (hand.lower_limits + hand.upper_limits)
     np.testing.assert_allclose(hand.points(q), read.points(q), atol=1e-15)
     np.testing.assert_array_equal(
         hand.with_points("landmarks").points(q), hand.points(q)
     )
+
+
+@settings(max_examples=6)
+@given(first=persons(), second=persons())
+def test_a_scaled_hand_is_scaled_again(
+    first: HumanLengths, second: HumanLengths
+) -> None:
+    """Whether or not its model was needed in between."""
+    whole = load_hand("human", points="landmarks")
+    wanted = whole.with_lengths(second)
+    again = whole.with_lengths(first).with_lengths(second)
+    np.testing.assert_allclose(
+        again.points(whole.rest), wanted.points(whole.rest), atol=1e-12
+    )
+    assert again.model.names.tolist() == whole.model.names.tolist()
 
 
 @settings(max_examples=15)

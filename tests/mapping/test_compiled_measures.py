@@ -37,7 +37,7 @@ def in_python(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     """Take the core away from what is called afterwards."""
 
     def take() -> None:
-        for module in (posture_module, surface_gaps):
+        for module in (hand_pair, posture_module, surface_gaps):
             monkeypatch.setattr(module, "core_tree", lambda _: None)
         for name in ("_OPENING", "_PINCHING"):
             options = getattr(hand_pair, name).replaced(formulation="direct")

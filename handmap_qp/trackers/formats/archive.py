@@ -117,7 +117,9 @@ class NpzFormat(RecordingFormat):
         fields["landmarks"] = found[array]
         fields["time"] = self._time_of(found, prefix, entry.samples)
         if self.hints.fps is None and "fps" in found and not times & found.keys():
-            fields["time_source"] = f"{float(found['fps']):g} samples/s, as the file says"
+            fields["time_source"] = (
+                f"{float(found['fps']):g} samples/s, as the file says"
+            )
         return build_recording(path, entry, **fields, prefix=prefix)
 
     def _time_of(self, arrays: Arrays, prefix: str, count: int) -> Array:

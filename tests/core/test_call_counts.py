@@ -1,0 +1,194 @@
+"""What was made fast stays fast: bounds of the calls that each step of the work takes.
+
+Counts do not depend on the load of the machine. Bounds are a little above what is counted, since
+versions of Python, numpy and h5py differ by a few calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from call_counts import count_calls
+
+from handmap_qp import (
+    Follower,
+    Hand,
+    HandMapper,
+    HumanSample,
+    Recording,
+    hand_names,
+    load_hand,
+)
+from handmap_qp.apps.datasets.batch import plan_batch
+from handmap_qp.apps.datasets.episodes import run_job
+from handmap_qp.apps.datasets.sources import JobOptions
+from handmap_qp.human.measure import scaled_human
+from handmap_qp.human.recording import sample_columns
+from handmap_qp.ik import core as core_module
+from handmap_qp.stream.grip import GripFollower
+from handmap_qp.stream.measurement import measure_person
+from handmap_qp.trackers.formats import (
+    list_sources,
+    read_recording,
+    write_recordings,
+)
+from handmap_qp.trackers.formats.hdf5 import EgoDexFormat
+
+if core_module.core is None:
+    pytest.skip(core_module.description, allow_module_level=True)
+
+ALLEGRO = load_hand("allegro_right")
+FRAMES = 265
+"""Frames of a recording of EgoDex, in the middle."""
+
+
+def recorded(size: float = 1.0) -> Recording:
+    """Return a recording of a person whose hand is so many times as large."""
+    whole = read_recording("demo", "right")
+    return Recording(
+        "take",
+        np.arange(FRAMES) / 30.0,
+        size * whole.landmarks[:FRAMES],
+        whole.valid[:FRAMES],
+        "right",
+    )
+
+
+@pytest.fixture(scope="module")
+def people() -> Iterator[Hand]:
+    """Yield people, each of whom nothing has seen before."""
+
+    def measured() -> Iterator[Hand]:
+        for size in np.linspace(0.95, 1.05, 200):
+            recording = recorded(size)
+            lengths = measure_person(recording).lengths
+            yield scaled_human(recording, points="landmarks", lengths=lengths)
+
+    return measured()
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[HumanSample]:
+    return list(recorded())
+
+
+@pytest.fixture
+def egodex(tmp_path: Path) -> Path:
+    file = tmp_path / "take.hdf5"
+    write_recordings([recorded(0.98)], file, EgoDexFormat())
+    return file
+
+
+def bind_count(people: Iterator[Hand], robot: Hand, preset: str | None = None) -> int:
+    """Count the calls of a mapper for a new person, after one for another person."""
+    HandMapper(next(people), robot, preset)
+    human = next(people)
+    return count_calls(lambda: HandMapper(human, robot, preset))
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_binding_a_mapper_to_a_new_person(people: Iterator[Hand], name: str) -> None:
+    """Arms, jaws and hands whose joints follow others too; each has a matched posture to solve."""
+    assert bind_count(people, load_hand(name)) <= 1_150
+
+
+BINDS = {"object": 150, "fingertip-vectors": 230, "joint-to-joint": 2_800}
+
+
+@pytest.mark.parametrize("preset", BINDS)
+def test_binding_a_preset_to_a_new_person(people: Iterator[Hand], preset: str) -> None:
+    assert bind_count(people, ALLEGRO, preset) <= BINDS[preset]
+
+
+def test_scaling_a_hand_to_a_person() -> None:
+    recording = recorded(1.02)
+    lengths = measure_person(recorded(1.03)).lengths
+    assert count_calls(lambda: scaled_human(recording, lengths=lengths)) <= 130
+
+
+def test_measuring_a_person() -> None:
+    measure_person(recorded())
+    recording = recorded(1.01)
+    assert count_calls(lambda: measure_person(recording)) <= 540
+
+
+def test_reading_a_recording_of_hdf5(egodex: Path) -> None:
+    (source,) = list_sources(egodex)
+    source.read()
+    assert count_calls(source.read) <= 1_750
+
+
+def test_a_followed_sample(people: Iterator[Hand], samples: list[HumanSample]) -> None:
+    follower = Follower(HandMapper(next(people), ALLEGRO))
+    first, second, *others = samples[:50]
+    follower.map_sample(first)
+    follower.map_sample(second)
+    counts = [count_calls(partial(follower.map_sample, sample)) for sample in others]
+    assert max(counts) <= 9
+
+
+LANDMARKS = {
+    "teleoperation": 2,
+    "object": 2,
+    "fingertip-vectors": 50,
+    "joint-to-joint": 270,
+    "virtual-sphere": 200,
+}
+
+
+@pytest.mark.parametrize("preset", LANDMARKS)
+def test_a_sample_of_landmarks(
+    people: Iterator[Hand], samples: list[HumanSample], preset: str
+) -> None:
+    mapper = HandMapper(next(people), ALLEGRO, preset)
+    for sample in samples[:3]:
+        mapper.map_landmarks(sample.landmarks)
+    landmarks = samples[3].landmarks
+    assert count_calls(lambda: mapper.map_landmarks(landmarks)) <= LANDMARKS[preset]
+
+
+def test_a_recording_that_is_followed(people: Iterator[Hand]) -> None:
+    columns = sample_columns(recorded())
+    Follower(HandMapper(next(people), ALLEGRO)).map_samples(columns)
+    follower = Follower(HandMapper(next(people), ALLEGRO))
+    assert count_calls(lambda: follower.map_samples(columns)) <= 460
+
+
+def test_a_sample_with_a_grip(
+    people: Iterator[Hand], samples: list[HumanSample]
+) -> None:
+    follower = GripFollower(Follower(HandMapper(next(people), ALLEGRO)))
+    q = ALLEGRO.rest
+    for sample in samples[:3]:
+        follower.map_sample(sample, q)
+    counts = [
+        count_calls(partial(follower.map_sample, sample, q)) for sample in samples[3:60]
+    ]
+    # Most where pads close.
+    assert max(counts) <= 320
+    assert np.median(counts) <= 130
+
+
+def test_a_recording_of_a_batch(tmp_path: Path) -> None:
+    """All of it: read, checked, measured, mapped, judged and written."""
+    for i in range(3):
+        recording = recorded(0.96 + 0.01 * i)
+        write_recordings([recording], tmp_path / f"{i}.hdf5", EgoDexFormat())
+    options = JobOptions({"right": "allegro_right"})
+    first, second, third = plan_batch([tmp_path], tmp_path / "out", options).jobs
+    run_job(first)
+    run_job(second)
+    lines = []
+    assert count_calls(lambda: lines.append(run_job(third))) <= 9_700
+    assert lines[0].status == "done"
+
+
+def test_loading_a_hand() -> None:
+    """Its URDF, of an installed package, names each mesh twice."""
+    load_hand("allegro_right")
+    # How many folders are searched for the package depends on the environment.
+    assert count_calls(lambda: load_hand("allegro_right")) <= 38_000
