@@ -12,6 +12,7 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "busy.hpp"
 #include "step.hpp"
 
 namespace nb = nanobind;
@@ -25,6 +26,16 @@ inline Vector vector_of(const Array& a) { return Vector(a.data(), a.data() + a.s
 
 inline void expect_size(const Array& a, size_t size, const char* name) {
   if (a.size() != size) throw std::invalid_argument(std::string("wrong size of ") + name);
+}
+
+// Reject what other sizes or indices would lead out of: Python may build an object of parts of others.
+inline void expect(bool is_right, const char* problem) {
+  if (!is_right) throw std::invalid_argument(problem);
+}
+inline void expect_indices(const std::vector<int>& indices, size_t count, const char* name) {
+  for (const int i : indices)
+    if (i < 0 || static_cast<size_t>(i) >= count)
+      throw std::invalid_argument(std::string("wrong index in ") + name);
 }
 
 inline std::vector<Vec3> points_of(const Array& a) {
@@ -200,6 +211,11 @@ inline std::vector<Attached> reference_points(const Fields& hand) {
   return points;
 }
 
+inline void expect_joints(const Tree& tree, const std::vector<Attached>& points) {
+  for (const Attached& point : points)
+    expect(tree.has_joint(point.joint), "points of another hand");
+}
+
 inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
   const Array costs = nb::cast<Array>(options.object("point_costs")(hand.owner()));
   expect_size(costs, ik.tree.points.size(), "point costs");
@@ -259,7 +275,10 @@ inline Shape make_shape(const Fields& from) {
   if (kind == "Capsule")
     return make_capsule(from.get<double>("radius"), from.get<double>("halfLength"));
   if (kind != "Convex") throw std::domain_error("a shape that is not convex: " + kind);
-  return make_convex(points_of(nb::cast<Array>(from.object("points")())));
+  std::vector<Vec3> points = points_of(nb::cast<Array>(from.object("points")()));
+  // Of NaN none is the farthest, so that each of 400,000 cells would have all points.
+  expect(!points.empty() && is_near(&points[0].x, 3 * points.size()), "a hull of no finite points");
+  return make_convex(std::move(points));
 }
 
 inline Sparse sparse_of(const Array& matrix, size_t row) {
@@ -287,9 +306,13 @@ inline void make_bounds(PairBounds* self, const nb::object& owner) {
   }
   const Array levers = from.get<Array>("levers"), turns = from.get<Array>("turns"),
               signs = from.get<Array>("signs");
+  for (const Array* each : {&levers, &turns, &signs})
+    expect(each->ndim() == 2, "levers, turns and signs have a row for each pair");
   size_t k = 0;
   for (const nb::handle& each : from.object("geometry.collisionPairs")) {
     const Fields pair(nb::borrow(each));
+    expect(k < levers.shape(0) && k < turns.shape(0) && k < signs.shape(0), "too many pairs");
+    expect_indices({pair.get<int>("first"), pair.get<int>("second")}, bounds.bodies.size(), "pairs");
     bounds.pairs.push_back({pair.get<int>("first"), pair.get<int>("second"), sparse_of(levers, k),
                             sparse_of(turns, k), sparse_of(signs, k)});
     ++k;
@@ -299,15 +322,19 @@ inline void make_bounds(PairBounds* self, const nb::object& owner) {
 
 // `from` is a CollisionLimit.
 inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
-  auto pairs = std::make_unique<Pairs>(
-      tree, from.get<std::shared_ptr<PairBounds>>("bounds.core"));
+  const auto bounds = from.get<std::shared_ptr<PairBounds>>("bounds.core");
+  for (const Body& body : bounds->bodies) expect(tree.has_joint(body.joint), "shapes of another hand");
+  for (const Pair& pair : bounds->pairs)
+    for (const Sparse* each : {&pair.levers, &pair.turns, &pair.signs})
+      expect_indices(each->columns, static_cast<size_t>(tree.nv), "the levers of pairs");
+  auto pairs = std::make_unique<Pairs>(tree, bounds);
   pairs->margin = from.get<double>("margin");
   pairs->horizon = from.get<double>("horizon");
   return pairs;
 }
 
 // What moves a hand of Python, and its gate with it.
-struct PythonIk : Ik {
+struct PythonIk : Ik, Exclusive {
   nb::object hand, gate;
   nb::object placed = {};  // a `Configuration`, where tasks of Python are linearised
   nb::object moved = {};   // what the gate reads the motion from, unless it was set since
@@ -321,6 +348,7 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
                     const nb::object& options, const nb::object& gate) {
   PythonIk& ik = *new (self) PythonIk(tree, hand, gate);
   ik.tree.points = reference_points(Fields(hand));
+  expect_joints(tree, ik.tree.points);
   ik.tree.parts.clear();
   for (const nb::handle& each : nb::getattr(hand, "hands")) {
     const size_t first = ik.tree.parts.empty() ? 0 : ik.tree.parts.back().end;
@@ -341,8 +369,10 @@ inline Estimator make_estimator(const Fields& from) {
   const std::vector<Vec3> centred = from.points("estimator.centred");
   const size_t count = shares.size();
   estimator.count = static_cast<int>(count);
+  expect(centred.size() == count, "wrong size of centred");
   // One product gives A^T without the prior, Kabsch's covariance and the centroid of a sample.
   Vector& moments = estimator.moments = from.numbers("estimator.gain");
+  expect(moments.size() == 3 * count, "wrong size of gain");
   for (int i = 0; i < 3; ++i)
     for (size_t k = 0; k < count; ++k) moments.push_back(shares[k] * centred[k][i]);
   // The rows of the first two sum to zero, so that they centre the sample as well.
@@ -371,6 +401,33 @@ inline void set_palm(PalmMap& map, const Fields& from) {
   map.robot_anchor = from.point("robot_anchor");
   map.human_start = from.point("human_start");
   map.further = from.get<double>("further");
+}
+
+inline void check_sizes(const TeleoperationMap& map) {
+  const size_t rows = map.from.size(), fingers = map.human_reach.size(), count = map.partners.size();
+  expect(fingers <= rows && map.to.size() == rows && map.distances.first.size() == rows &&
+             map.extension_weights.size() >= fingers,
+         "wrong number of distances");
+  for (const Vector* each :
+       {&map.aim_slopes, &map.aim_offsets, &map.least_aims, &map.largest_aims})
+    expect(each->size() == rows, "wrong number of aims");
+  expect(static_cast<size_t>(map.estimator.count) == map.shape_points.size(),
+         "wrong number of shape_points");
+  expect(map.offsets.size() == count && map.directions.size() == count &&
+             map.ratios.size() == count && map.bases.size() == count &&
+             map.starts.size() == count && map.finger_of.size() == count,
+         "wrong number of points");
+  for (const std::vector<int>* each :
+       {&map.shape_points, &map.from, &map.to, &map.partners, &map.starts})
+    expect_indices(*each, map.human_points, "the human's points");
+  const size_t pinches = rows - fingers;
+  // Finger 0 is the thumb, which has all pinches.
+  if (pinches > 0) expect_indices(map.finger_of, pinches + 1, "finger_of");
+  expect(map.pinch_margins.size() == map.pinch_pairs.size() &&
+             map.pinch_of_pair.size() == map.pinch_pairs.size(),
+         "wrong number of pinch_pairs");
+  expect_indices(map.pinch_pairs, map.base_margins.size(), "pinch_pairs");
+  expect_indices(map.pinch_of_pair, pinches, "pinch_of_pair");
 }
 
 inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) {
@@ -412,6 +469,7 @@ inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) 
   map.contact_from = from.get<double>("method.contact_from");
   map.contact_most = from.get<double>("method.contact_most");
   map.distances = from.get<DistanceTask>("method.distances.core");
+  check_sizes(map);
 }
 
 inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
@@ -437,6 +495,9 @@ inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
   map.human_offsets = from.points("human_offsets");
   map.robot_offsets = from.points("robot_offsets");
   if (!from.object("share").is_none()) map.share = from.numbers("share");
+  expect(map.human_offsets.size() == map.human_points &&
+             (map.share.empty() || map.share.size() == map.robot_offsets.size() * map.human_points),
+         "wrong number of points");
 }
 
 inline std::vector<Attached> points_of_task(const Fields& task) {
@@ -445,7 +506,11 @@ inline std::vector<Attached> points_of_task(const Fields& task) {
 
 inline void make_distances(DistanceTask* self, const nb::object& owner) {
   const Fields from(owner);
-  new (self) DistanceTask{points_of_task(from), from.indices("first"), from.indices("second")};
+  DistanceTask& task = *new (self)
+      DistanceTask{points_of_task(from), from.indices("first"), from.indices("second")};
+  expect(task.first.size() == task.second.size(), "first and second have one size");
+  for (const std::vector<int>* each : {&task.first, &task.second})
+    expect_indices(*each, task.points.size(), "points");
 }
 
 // Of a `PointOffset`.
@@ -456,7 +521,10 @@ inline OffsetTask offset_of(const Fields& task) {
 
 inline void make_landmark_reader(LandmarkReader* self, const nb::object& owner) {
   const Fields from(owner);
-  new (self) LandmarkReader{from.indices("used"), from.points("model")};
+  LandmarkReader& reader =
+      *new (self) LandmarkReader{from.indices("used"), from.points("model")};
+  expect_indices(reader.used, kLandmarks, "used");
+  expect(reader.model.size() == std::size(kPalm), "wrong size of model");
 }
 
 inline void make_joint_reader(JointReader* self, const nb::object& owner) {
@@ -468,6 +536,7 @@ inline void make_joint_reader(JointReader* self, const nb::object& owner) {
   JointReader& reader = *new (self) JointReader(std::move(tree), from.numbers("vector"));
   reader.lower = human.numbers("lower_limits");
   reader.upper = human.numbers("upper_limits");
+  expect(reader.fits(), "wrong size of limits or vector");
 }
 
 }  // namespace handmap

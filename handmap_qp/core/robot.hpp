@@ -183,6 +183,7 @@ class RobotMover {
       throw std::invalid_argument("wrong number of hands");
     double speed = 1.0;
     for (const Ask* ask : asks) speed = std::min(speed, ask->speed);
+    const Work moving(ik_);
     take_motion(ik_);
     aim(asks, times, worlds);
     goal_.postures = ik_.postures(wanted_rest_, std::max(dt, kShortestDt));
