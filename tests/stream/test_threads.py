@@ -204,9 +204,9 @@ class Pausing(JointPositions):
 
     pause: Any = None
 
-    def linearise(self, configuration: Any) -> Any:
+    def linearise(self, hand: Any) -> Any:
         self.pause()
-        return super().linearise(configuration)
+        return super().linearise(hand)
 
 
 def pausing_task(pause: Callable[..., Any]) -> Pausing:
@@ -221,6 +221,7 @@ def test_a_solver_at_work_refuses_every_call() -> None:
     mapper.map_landmarks(SAMPLE.landmarks)
     ik = mapper.point_ik
     in_core = mapper.core
+    solver = ik.core
     reader: Any = mapper.landmarks.core
     motion = mapper.motion
     points = ik.configuration.points
@@ -232,12 +233,12 @@ def test_a_solver_at_work_refuses_every_call() -> None:
         refuse(
             [
                 lambda: solve(pausing_task(lambda: None)),
-                lambda: ik.hold(0.02),
-                lambda: ik.core.set_motion(
+                lambda: solver.hold(0.02),
+                lambda: solver.set_motion(
                     motion.q, motion.displacement, 0.02, motion.stop_times
                 ),
-                lambda: ik.core.detours,
-                lambda: ik.core.go_on([]),
+                lambda: solver.detours,
+                lambda: solver.go_on([]),
                 lambda: in_core.follow(mapper.reference, 0.02, 1.0),
                 lambda: in_core.map(reader, SAMPLE.landmarks, None, 0.02),
             ]
@@ -245,7 +246,7 @@ def test_a_solver_at_work_refuses_every_call() -> None:
         assert finish().status
     # The same thread must not come in from a call of Python either.
     with pytest.raises(MapperBusyError):
-        solve(pausing_task(lambda: ik.hold(0.02)))
+        solve(pausing_task(lambda: solver.hold(0.02)))
 
     def fail() -> None:
         raise ZeroDivisionError
@@ -253,7 +254,7 @@ def test_a_solver_at_work_refuses_every_call() -> None:
     for _ in range(3):
         with pytest.raises(ZeroDivisionError):
             solve(pausing_task(fail))
-    assert ik.hold(0.02).status == "released"
+    assert solver.hold(0.02).status == "released"
 
 
 @needs_core
