@@ -137,6 +137,7 @@ def calls_of(core: Any) -> dict[str, Call]:
     guard: Any = follower._guard
     smoother: Any = follower._smoother
     own_map: Any = mapper.target_map
+    reader: Any = mapper.landmarks.core
     teleoperation: Any = teleoperated.target_map
     table = StepTable(mapper.robot, len(columns.time))
     trajectory = SimpleNamespace(
@@ -200,18 +201,18 @@ def calls_of(core: Any) -> dict[str, Call]:
         "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
         "SampleMapper.map": (
             in_core.map,
-            (mapper.landmarks.core, sample.landmarks, None, dt),
+            (reader, sample.landmarks, None, dt),
         ),
         "SampleMapper.map_sample": (
             in_core.map_sample,
-            (guard.core, smoother.core, mapper.landmarks.core, sample, None, None),
+            (guard.core, smoother.core, reader, sample, None, None),
         ),
         "SampleMapper.run": (
             in_core.run,
             (
                 guard.core,
                 smoother.core,
-                mapper.landmarks.core,
+                reader,
                 columns,
                 2,
                 9,
@@ -222,7 +223,7 @@ def calls_of(core: Any) -> dict[str, Call]:
         "HomogeneousMap": (core.HomogeneousMap, (own_map,)),
         "LandmarkReader": (core.LandmarkReader, (mapper.landmarks,)),
         "LandmarkReader.read": (
-            mapper.landmarks.core.read,  # ty: ignore[unresolved-attribute]
+            reader.read,
             (sample.landmarks, wrist),
         ),
         "JointReader": (core.JointReader, (mapper._joints,)),
