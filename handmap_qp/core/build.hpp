@@ -114,6 +114,20 @@ inline Part part_of(const Fields& hand, size_t first) {
           first + hand.get<Array>("point_weights").size()};
 }
 
+inline void expect_joints(const Tree& tree, const std::vector<Attached>& points) {
+  for (const Attached& point : points)
+    expect(tree.has_joint(point.joint), "points of another hand");
+}
+
+// Reject a joint that is not behind its parent, or whose numbers configurations do not have.
+inline void check_joint(const Tree& tree, const Joint& joint) {
+  const int nq = joint.kind == JointKind::floating ? 7 : 1;
+  const int nv = joint.kind == JointKind::floating ? 6 : 1;
+  expect(tree.has_joint(joint.parent), "a joint before its parent");
+  expect(joint.q >= 0 && joint.q <= tree.nq - nq && joint.v >= 0 && joint.v <= tree.nv - nv,
+         "wrong index of a joint");
+}
+
 inline Tree make_tree(const Fields& hand) {
   const Fields model(hand.object("model"));
   const nb::object joints = model.object("joints"), placements = model.object("jointPlacements");
@@ -138,11 +152,18 @@ inline Tree make_tree(const Fields& hand) {
       kind = turns ? JointKind::revolute : JointKind::prismatic;
       axis = turns ? Vec3{s[3], s[4], s[5]} : Vec3{s[0], s[1], s[2]};
     }
-    tree.joints.push_back({nb::cast<int>(item(parents, j)) - 1, kind, axis,
-                           Fields(item(placements, j)).pose("homogeneous"),
-                           joint.get<int>("idx_q"), joint.get<int>("idx_v")});
+    const Joint made{nb::cast<int>(item(parents, j)) - 1, kind, axis,
+                     Fields(item(placements, j)).pose("homogeneous"), joint.get<int>("idx_q"),
+                     joint.get<int>("idx_v")};
+    check_joint(tree, made);
+    tree.joints.push_back(made);
   }
+  const int joint_count = static_cast<int>(tree.joints.size());
+  expect(tree.nq >= 0 && tree.nv >= 0 && tree.nq <= 7 * joint_count && tree.nv <= 6 * joint_count,
+         "wrong number of coordinates");
   const Array spread = hand.get<Array>("spread");
+  expect(spread.ndim() == 2 && spread.shape(0) == static_cast<size_t>(tree.nv) && spread.shape(1) > 0,
+         "wrong shape of spread");
   tree.size = static_cast<int>(spread.shape(1));
   for (int c = 0; c < tree.nv; ++c) {
     const double* row = spread.data() + c * tree.size;
@@ -160,6 +181,10 @@ inline Tree make_tree(const Fields& hand) {
   tree.palm = palm.pose("placement.homogeneous");
   tree.q_indices = hand.indices("q_indices");
   tree.joint_columns = hand.indices("joint_columns");
+  expect_joints(tree, {tree.wrist_origin, tree.palm_origin});
+  expect(tree.q_indices.size() == tree.joint_columns.size(), "wrong number of joints");
+  expect_indices(tree.q_indices, static_cast<size_t>(tree.nq), "q_indices");
+  expect_indices(tree.joint_columns, static_cast<size_t>(tree.size), "joint_columns");
   tree.finish();
   return tree;
 }
@@ -175,6 +200,15 @@ inline void make_frames(Tree& tree, const Fields& hand) {
     tree.frames.push_back({frame.get<std::string>("name"), frame.get<int>("type"),
                            frame.get<int>("parentJoint") - 1, frame.get<int>("parentFrame"),
                            frame.pose("placement.homogeneous")});
+  }
+  const size_t count = tree.set_by_joints.size();
+  expect(tree.rest.size() == static_cast<size_t>(tree.nq) && tree.offset.size() == count &&
+             tree.matrix.size() == count * tree.q_indices.size(),
+         "wrong sizes of what joint positions set");
+  expect_indices(tree.set_by_joints, static_cast<size_t>(tree.nq), "_moving_q");
+  for (const Frame& frame : tree.frames) {
+    expect(tree.has_joint(frame.joint), "a frame of another hand");
+    expect_indices({frame.parent}, tree.frames.size(), "the parents of frames");
   }
 }
 
@@ -211,11 +245,6 @@ inline std::vector<Attached> reference_points(const Fields& hand) {
   return points;
 }
 
-inline void expect_joints(const Tree& tree, const std::vector<Attached>& points) {
-  for (const Attached& point : points)
-    expect(tree.has_joint(point.joint), "points of another hand");
-}
-
 inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
   const Array costs = nb::cast<Array>(options.object("point_costs")(hand.owner()));
   expect_size(costs, ik.tree.points.size(), "point costs");
@@ -232,6 +261,9 @@ inline void set_fingers(Ik& ik, const Fields& hand) {
   for (const Indices& own :
        nb::cast<std::vector<Indices>>(nb::getattr(hand.object("finger_joints"), "tolist")()))
     ik.fingers.emplace_back(own.begin(), own.end());
+  expect(ik.fingers.size() >= ik.tree.parts.size(), "fingers of too few hands");
+  for (const Vector& own : ik.fingers)
+    expect(own.size() == ik.tree.joint_columns.size(), "wrong size of finger_joints");
 }
 
 inline void set_detour_rules(Ik& ik, const Fields& options) {
@@ -266,6 +298,12 @@ inline void set_limits(Ik& ik, const Fields& from) {
   for (const int is_together : from.indices("together"))
     limits.together.push_back(static_cast<char>(is_together));
   limits.acceleration = from.get<double>("acceleration");
+  const size_t size = static_cast<size_t>(ik.tree.size), nq = static_cast<size_t>(ik.tree.nq);
+  expect(limits.lowest.size() == nq && limits.highest.size() == nq && limits.lower.size() == size &&
+             limits.upper.size() == size && limits.speeds.size() == size &&
+             limits.coordinates.size() == size && limits.together.size() == size,
+         "wrong sizes of limits");
+  expect_indices(limits.coordinates, nq, "coordinates");
 }
 
 inline Shape make_shape(const Fields& from) {
@@ -303,6 +341,8 @@ inline void make_bounds(PairBounds* self, const nb::object& owner) {
                              make_shape(Fields(body.object("geometry"))),
                              placement * body.point("geometry.aabb_center"),
                              body.get<double>("geometry.aabb_radius")});
+    const int joint = bounds.bodies.back().joint;
+    expect(joint >= -1 && joint < 1 << 16, "a shape of no joint");
   }
   const Array levers = from.get<Array>("levers"), turns = from.get<Array>("turns"),
               signs = from.get<Array>("signs");
@@ -353,7 +393,10 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
   for (const nb::handle& each : nb::getattr(hand, "hands")) {
     const size_t first = ik.tree.parts.empty() ? 0 : ik.tree.parts.back().end;
     ik.tree.parts.push_back(part_of(Fields(nb::borrow(each)), first));
+    expect(tree.has_joint(ik.tree.parts.back().joint), "a wrist of another hand");
   }
+  expect(!ik.tree.parts.empty() && ik.tree.parts.back().end == ik.tree.points.size(),
+         "wrong number of points");
   set_weights(ik, Fields(hand), Fields(options));
   set_fingers(ik, Fields(hand));
   set_detour_rules(ik, Fields(options));
@@ -533,6 +576,7 @@ inline void make_joint_reader(JointReader* self, const nb::object& owner) {
     throw std::domain_error("a human hand with joints that follow others");
   Tree tree = make_tree(human);
   tree.points = reference_points(human);
+  expect_joints(tree, tree.points);
   JointReader& reader = *new (self) JointReader(std::move(tree), from.numbers("vector"));
   reader.lower = human.numbers("lower_limits");
   reader.upper = human.numbers("upper_limits");
