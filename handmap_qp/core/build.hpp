@@ -201,9 +201,10 @@ inline void make_frames(Tree& tree, const Fields& hand) {
                            frame.get<int>("parentJoint") - 1, frame.get<int>("parentFrame"),
                            frame.pose("placement.homogeneous")});
   }
+  // Behind those of the joints that move, there are rows of locked ones.
   const size_t count = tree.set_by_joints.size();
-  expect(tree.rest.size() == static_cast<size_t>(tree.nq) && tree.offset.size() == count &&
-             tree.matrix.size() == count * tree.q_indices.size(),
+  expect(tree.rest.size() == static_cast<size_t>(tree.nq) && tree.offset.size() >= count &&
+             tree.matrix.size() == tree.offset.size() * tree.q_indices.size(),
          "wrong sizes of what joint positions set");
   expect_indices(tree.set_by_joints, static_cast<size_t>(tree.nq), "_moving_q");
   for (const Frame& frame : tree.frames) {

@@ -306,6 +306,18 @@ def test_the_calls_are_right_and_all_there_are() -> None:
     assert functions <= calls.keys()
 
 
+def test_every_hand_of_the_library_is_taken() -> None:
+    from handmap_qp import IkOptions, hand_names, load_hand
+    from handmap_qp.ik import PointIk
+    from handmap_qp.ik.core import core, description
+
+    if core is None:
+        pytest.skip(description)
+    for name in hand_names():
+        # A hand that it does not take would move on the slow path, without a word.
+        assert PointIk(load_hand(name), IkOptions()).core is not None, name
+
+
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
     import os
