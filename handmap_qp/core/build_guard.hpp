@@ -329,6 +329,7 @@ class Samples {
     count = from_.get<Array>("time").size();
     time = column("time", count);
     landmarks = column("landmarks", 3 * kLandmarks * count);
+    expect(landmarks != nullptr || count == 0, "samples without landmarks");
     confidence = column("confidence", count);
     if (has_wrists) wrists = column("wrist", 16 * count);
     flags_ = from_.get<Flags>("valid");
