@@ -44,7 +44,7 @@ help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
 	@echo
 	@echo "make TARGET, with TARGET one of"
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
 	@echo "The first run installs what it needs into $(VENV): about 1 GB for the demo, 2.6 GB for the others."
 	@echo "More words for the command: make test ARGS='-k transform -x', make demo ARGS='--out pictures'"
@@ -112,6 +112,10 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	} > $(CONSTRAINTS).new && \
 	mv $(CONSTRAINTS).new $(CONSTRAINTS)
 	@echo "Wrote $(CONSTRAINTS); now run make test."
+
+.PHONY: sanitize
+sanitize: $(INSTALLED) ## Run the tests of the core, built with the sanitizers of GCC: half an hour
+	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/sanitize $(ARGS)
 
 clean: ## Remove all that make made: .venv, pictures of the demo, caches, built files
 	rm -f handmap_qp/_core.*

@@ -15,6 +15,9 @@ from .errors import (
     InvalidOptionsError as InvalidOptionsError,
 )
 from .errors import (
+    MapperBusyError as MapperBusyError,
+)
+from .errors import (
     MissingExtraError as MissingExtraError,
 )
 from .errors import (

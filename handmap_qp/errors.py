@@ -166,6 +166,19 @@ class DegeneratePointsError(_ProblemError):
         return f"{self.problem} (singular values {values} mm)"
 
 
+class MapperBusyError(HandmapError, RuntimeError):
+    """A mapper, or a part of it, was entered while another thread works on it.
+
+    The call did nothing, and the work of the other thread goes on. Give each thread a mapper of its
+    own (`copy.deepcopy`), or let threads wait for each other.
+    """
+
+    def __init__(
+        self, message: str = "this mapper is at work in another thread"
+    ) -> None:
+        super().__init__(message)
+
+
 class MissingExtraError(HandmapError, ImportError):
     """An optional dependency is needed and not installed.
 

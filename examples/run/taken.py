@@ -27,8 +27,8 @@ TAKEN = """
 errors se3 options
 human/recording human/sample
 ik/core ik/limits ik/options ik/qp ik/tasks ik/collision
-mapping/alignment mapping/decomposition mapping/estimation mapping/mapper mapping/method
-mapping/palm mapping/robot_mapper
+mapping/alignment mapping/decomposition mapping/estimation mapping/exclusive mapping/mapper
+mapping/method mapping/palm mapping/robot_mapper
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
 stream/follower stream/following stream/guard stream/robot_follower stream/step_table
 trackers/hand_geometry trackers/plausibility trackers/wrist_axes

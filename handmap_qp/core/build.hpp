@@ -12,6 +12,7 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "busy.hpp"
 #include "step.hpp"
 
 namespace nb = nanobind;
@@ -25,6 +26,16 @@ inline Vector vector_of(const Array& a) { return Vector(a.data(), a.data() + a.s
 
 inline void expect_size(const Array& a, size_t size, const char* name) {
   if (a.size() != size) throw std::invalid_argument(std::string("wrong size of ") + name);
+}
+
+// Reject what other sizes or indices would lead out of: Python may build an object of parts of others.
+inline void expect(bool is_right, const char* problem) {
+  if (!is_right) throw std::invalid_argument(problem);
+}
+inline void expect_indices(const std::vector<int>& indices, size_t count, const char* name) {
+  for (const int i : indices)
+    if (i < 0 || static_cast<size_t>(i) >= count)
+      throw std::invalid_argument(std::string("wrong index in ") + name);
 }
 
 inline std::vector<Vec3> points_of(const Array& a) {
@@ -103,6 +114,20 @@ inline Part part_of(const Fields& hand, size_t first) {
           first + hand.get<Array>("point_weights").size()};
 }
 
+inline void expect_joints(const Tree& tree, const std::vector<Attached>& points) {
+  for (const Attached& point : points)
+    expect(tree.has_joint(point.joint), "points of another hand");
+}
+
+// Reject a joint that is not behind its parent, or whose numbers configurations do not have.
+inline void check_joint(const Tree& tree, const Joint& joint) {
+  const int nq = joint.kind == JointKind::floating ? 7 : 1;
+  const int nv = joint.kind == JointKind::floating ? 6 : 1;
+  expect(tree.has_joint(joint.parent), "a joint before its parent");
+  expect(joint.q >= 0 && joint.q <= tree.nq - nq && joint.v >= 0 && joint.v <= tree.nv - nv,
+         "wrong index of a joint");
+}
+
 inline Tree make_tree(const Fields& hand) {
   const Fields model(hand.object("model"));
   const nb::object joints = model.object("joints"), placements = model.object("jointPlacements");
@@ -127,11 +152,18 @@ inline Tree make_tree(const Fields& hand) {
       kind = turns ? JointKind::revolute : JointKind::prismatic;
       axis = turns ? Vec3{s[3], s[4], s[5]} : Vec3{s[0], s[1], s[2]};
     }
-    tree.joints.push_back({nb::cast<int>(item(parents, j)) - 1, kind, axis,
-                           Fields(item(placements, j)).pose("homogeneous"),
-                           joint.get<int>("idx_q"), joint.get<int>("idx_v")});
+    const Joint made{nb::cast<int>(item(parents, j)) - 1, kind, axis,
+                     Fields(item(placements, j)).pose("homogeneous"), joint.get<int>("idx_q"),
+                     joint.get<int>("idx_v")};
+    check_joint(tree, made);
+    tree.joints.push_back(made);
   }
+  const int joint_count = static_cast<int>(tree.joints.size());
+  expect(tree.nq >= 0 && tree.nv >= 0 && tree.nq <= 7 * joint_count && tree.nv <= 6 * joint_count,
+         "wrong number of coordinates");
   const Array spread = hand.get<Array>("spread");
+  expect(spread.ndim() == 2 && spread.shape(0) == static_cast<size_t>(tree.nv) && spread.shape(1) > 0,
+         "wrong shape of spread");
   tree.size = static_cast<int>(spread.shape(1));
   for (int c = 0; c < tree.nv; ++c) {
     const double* row = spread.data() + c * tree.size;
@@ -149,6 +181,10 @@ inline Tree make_tree(const Fields& hand) {
   tree.palm = palm.pose("placement.homogeneous");
   tree.q_indices = hand.indices("q_indices");
   tree.joint_columns = hand.indices("joint_columns");
+  expect_joints(tree, {tree.wrist_origin, tree.palm_origin});
+  expect(tree.q_indices.size() == tree.joint_columns.size(), "wrong number of joints");
+  expect_indices(tree.q_indices, static_cast<size_t>(tree.nq), "q_indices");
+  expect_indices(tree.joint_columns, static_cast<size_t>(tree.size), "joint_columns");
   tree.finish();
   return tree;
 }
@@ -164,6 +200,16 @@ inline void make_frames(Tree& tree, const Fields& hand) {
     tree.frames.push_back({frame.get<std::string>("name"), frame.get<int>("type"),
                            frame.get<int>("parentJoint") - 1, frame.get<int>("parentFrame"),
                            frame.pose("placement.homogeneous")});
+  }
+  // Behind those of the joints that move, there are rows of locked ones.
+  const size_t count = tree.set_by_joints.size();
+  expect(tree.rest.size() == static_cast<size_t>(tree.nq) && tree.offset.size() >= count &&
+             tree.matrix.size() == tree.offset.size() * tree.q_indices.size(),
+         "wrong sizes of what joint positions set");
+  expect_indices(tree.set_by_joints, static_cast<size_t>(tree.nq), "_moving_q");
+  for (const Frame& frame : tree.frames) {
+    expect(tree.has_joint(frame.joint), "a frame of another hand");
+    expect_indices({frame.parent}, tree.frames.size(), "the parents of frames");
   }
 }
 
@@ -216,6 +262,9 @@ inline void set_fingers(Ik& ik, const Fields& hand) {
   for (const Indices& own :
        nb::cast<std::vector<Indices>>(nb::getattr(hand.object("finger_joints"), "tolist")()))
     ik.fingers.emplace_back(own.begin(), own.end());
+  expect(ik.fingers.size() >= ik.tree.parts.size(), "fingers of too few hands");
+  for (const Vector& own : ik.fingers)
+    expect(own.size() == ik.tree.joint_columns.size(), "wrong size of finger_joints");
 }
 
 inline void set_detour_rules(Ik& ik, const Fields& options) {
@@ -250,6 +299,12 @@ inline void set_limits(Ik& ik, const Fields& from) {
   for (const int is_together : from.indices("together"))
     limits.together.push_back(static_cast<char>(is_together));
   limits.acceleration = from.get<double>("acceleration");
+  const size_t size = static_cast<size_t>(ik.tree.size), nq = static_cast<size_t>(ik.tree.nq);
+  expect(limits.lowest.size() == nq && limits.highest.size() == nq && limits.lower.size() == size &&
+             limits.upper.size() == size && limits.speeds.size() == size &&
+             limits.coordinates.size() == size && limits.together.size() == size,
+         "wrong sizes of limits");
+  expect_indices(limits.coordinates, nq, "coordinates");
 }
 
 inline Shape make_shape(const Fields& from) {
@@ -259,7 +314,10 @@ inline Shape make_shape(const Fields& from) {
   if (kind == "Capsule")
     return make_capsule(from.get<double>("radius"), from.get<double>("halfLength"));
   if (kind != "Convex") throw std::domain_error("a shape that is not convex: " + kind);
-  return make_convex(points_of(nb::cast<Array>(from.object("points")())));
+  std::vector<Vec3> points = points_of(nb::cast<Array>(from.object("points")()));
+  // Of NaN none is the farthest, so that each of 400,000 cells would have all points.
+  expect(!points.empty() && is_near(&points[0].x, 3 * points.size()), "a hull of no finite points");
+  return make_convex(std::move(points));
 }
 
 inline Sparse sparse_of(const Array& matrix, size_t row) {
@@ -284,12 +342,18 @@ inline void make_bounds(PairBounds* self, const nb::object& owner) {
                              make_shape(Fields(body.object("geometry"))),
                              placement * body.point("geometry.aabb_center"),
                              body.get<double>("geometry.aabb_radius")});
+    const int joint = bounds.bodies.back().joint;
+    expect(joint >= -1 && joint < 1 << 16, "a shape of no joint");
   }
   const Array levers = from.get<Array>("levers"), turns = from.get<Array>("turns"),
               signs = from.get<Array>("signs");
+  for (const Array* each : {&levers, &turns, &signs})
+    expect(each->ndim() == 2, "levers, turns and signs have a row for each pair");
   size_t k = 0;
   for (const nb::handle& each : from.object("geometry.collisionPairs")) {
     const Fields pair(nb::borrow(each));
+    expect(k < levers.shape(0) && k < turns.shape(0) && k < signs.shape(0), "too many pairs");
+    expect_indices({pair.get<int>("first"), pair.get<int>("second")}, bounds.bodies.size(), "pairs");
     bounds.pairs.push_back({pair.get<int>("first"), pair.get<int>("second"), sparse_of(levers, k),
                             sparse_of(turns, k), sparse_of(signs, k)});
     ++k;
@@ -299,15 +363,19 @@ inline void make_bounds(PairBounds* self, const nb::object& owner) {
 
 // `from` is a CollisionLimit.
 inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
-  auto pairs = std::make_unique<Pairs>(
-      tree, from.get<std::shared_ptr<PairBounds>>("bounds.core"));
+  const auto bounds = from.get<std::shared_ptr<PairBounds>>("bounds.core");
+  for (const Body& body : bounds->bodies) expect(tree.has_joint(body.joint), "shapes of another hand");
+  for (const Pair& pair : bounds->pairs)
+    for (const Sparse* each : {&pair.levers, &pair.turns, &pair.signs})
+      expect_indices(each->columns, static_cast<size_t>(tree.nv), "the levers of pairs");
+  auto pairs = std::make_unique<Pairs>(tree, bounds);
   pairs->margin = from.get<double>("margin");
   pairs->horizon = from.get<double>("horizon");
   return pairs;
 }
 
 // What moves a hand of Python, and its gate with it.
-struct PythonIk : Ik {
+struct PythonIk : Ik, Exclusive {
   nb::object hand, gate;
   nb::object placed = {};  // a `Configuration`, where tasks of Python are linearised
   nb::object moved = {};   // what the gate reads the motion from, unless it was set since
@@ -321,11 +389,15 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
                     const nb::object& options, const nb::object& gate) {
   PythonIk& ik = *new (self) PythonIk(tree, hand, gate);
   ik.tree.points = reference_points(Fields(hand));
+  expect_joints(tree, ik.tree.points);
   ik.tree.parts.clear();
   for (const nb::handle& each : nb::getattr(hand, "hands")) {
     const size_t first = ik.tree.parts.empty() ? 0 : ik.tree.parts.back().end;
     ik.tree.parts.push_back(part_of(Fields(nb::borrow(each)), first));
+    expect(tree.has_joint(ik.tree.parts.back().joint), "a wrist of another hand");
   }
+  expect(!ik.tree.parts.empty() && ik.tree.parts.back().end == ik.tree.points.size(),
+         "wrong number of points");
   set_weights(ik, Fields(hand), Fields(options));
   set_fingers(ik, Fields(hand));
   set_detour_rules(ik, Fields(options));
@@ -341,8 +413,10 @@ inline Estimator make_estimator(const Fields& from) {
   const std::vector<Vec3> centred = from.points("estimator.centred");
   const size_t count = shares.size();
   estimator.count = static_cast<int>(count);
+  expect(centred.size() == count, "wrong size of centred");
   // One product gives A^T without the prior, Kabsch's covariance and the centroid of a sample.
   Vector& moments = estimator.moments = from.numbers("estimator.gain");
+  expect(moments.size() == 3 * count, "wrong size of gain");
   for (int i = 0; i < 3; ++i)
     for (size_t k = 0; k < count; ++k) moments.push_back(shares[k] * centred[k][i]);
   // The rows of the first two sum to zero, so that they centre the sample as well.
@@ -371,6 +445,33 @@ inline void set_palm(PalmMap& map, const Fields& from) {
   map.robot_anchor = from.point("robot_anchor");
   map.human_start = from.point("human_start");
   map.further = from.get<double>("further");
+}
+
+inline void check_sizes(const TeleoperationMap& map) {
+  const size_t rows = map.from.size(), fingers = map.human_reach.size(), count = map.partners.size();
+  expect(fingers <= rows && map.to.size() == rows && map.distances.first.size() == rows &&
+             map.extension_weights.size() >= fingers,
+         "wrong number of distances");
+  for (const Vector* each :
+       {&map.aim_slopes, &map.aim_offsets, &map.least_aims, &map.largest_aims})
+    expect(each->size() == rows, "wrong number of aims");
+  expect(static_cast<size_t>(map.estimator.count) == map.shape_points.size(),
+         "wrong number of shape_points");
+  expect(map.offsets.size() == count && map.directions.size() == count &&
+             map.ratios.size() == count && map.bases.size() == count &&
+             map.starts.size() == count && map.finger_of.size() == count,
+         "wrong number of points");
+  for (const std::vector<int>* each :
+       {&map.shape_points, &map.from, &map.to, &map.partners, &map.starts})
+    expect_indices(*each, map.human_points, "the human's points");
+  const size_t pinches = rows - fingers;
+  // Finger 0 is the thumb, which has all pinches.
+  if (pinches > 0) expect_indices(map.finger_of, pinches + 1, "finger_of");
+  expect(map.pinch_margins.size() == map.pinch_pairs.size() &&
+             map.pinch_of_pair.size() == map.pinch_pairs.size(),
+         "wrong number of pinch_pairs");
+  expect_indices(map.pinch_pairs, map.base_margins.size(), "pinch_pairs");
+  expect_indices(map.pinch_of_pair, pinches, "pinch_of_pair");
 }
 
 inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) {
@@ -412,6 +513,7 @@ inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) 
   map.contact_from = from.get<double>("method.contact_from");
   map.contact_most = from.get<double>("method.contact_most");
   map.distances = from.get<DistanceTask>("method.distances.core");
+  check_sizes(map);
 }
 
 inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
@@ -437,6 +539,9 @@ inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
   map.human_offsets = from.points("human_offsets");
   map.robot_offsets = from.points("robot_offsets");
   if (!from.object("share").is_none()) map.share = from.numbers("share");
+  expect(map.human_offsets.size() == map.human_points &&
+             (map.share.empty() || map.share.size() == map.robot_offsets.size() * map.human_points),
+         "wrong number of points");
 }
 
 inline std::vector<Attached> points_of_task(const Fields& task) {
@@ -445,7 +550,11 @@ inline std::vector<Attached> points_of_task(const Fields& task) {
 
 inline void make_distances(DistanceTask* self, const nb::object& owner) {
   const Fields from(owner);
-  new (self) DistanceTask{points_of_task(from), from.indices("first"), from.indices("second")};
+  DistanceTask& task = *new (self)
+      DistanceTask{points_of_task(from), from.indices("first"), from.indices("second")};
+  expect(task.first.size() == task.second.size(), "first and second have one size");
+  for (const std::vector<int>* each : {&task.first, &task.second})
+    expect_indices(*each, task.points.size(), "points");
 }
 
 // Of a `PointOffset`.
@@ -456,7 +565,10 @@ inline OffsetTask offset_of(const Fields& task) {
 
 inline void make_landmark_reader(LandmarkReader* self, const nb::object& owner) {
   const Fields from(owner);
-  new (self) LandmarkReader{from.indices("used"), from.points("model")};
+  LandmarkReader& reader =
+      *new (self) LandmarkReader{from.indices("used"), from.points("model")};
+  expect_indices(reader.used, kLandmarks, "used");
+  expect(reader.model.size() == std::size(kPalm), "wrong size of model");
 }
 
 inline void make_joint_reader(JointReader* self, const nb::object& owner) {
@@ -465,9 +577,11 @@ inline void make_joint_reader(JointReader* self, const nb::object& owner) {
     throw std::domain_error("a human hand with joints that follow others");
   Tree tree = make_tree(human);
   tree.points = reference_points(human);
+  expect_joints(tree, tree.points);
   JointReader& reader = *new (self) JointReader(std::move(tree), from.numbers("vector"));
   reader.lower = human.numbers("lower_limits");
   reader.upper = human.numbers("upper_limits");
+  expect(reader.fits(), "wrong size of limits or vector");
 }
 
 }  // namespace handmap

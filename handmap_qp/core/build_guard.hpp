@@ -178,13 +178,14 @@ class PythonExplainer : public Explainer {
   explicit PythonExplainer(nb::object own_check) : check(std::move(own_check)) {}
 
   nb::object finding(int number) const {
-    return number == kNone ? nb::none() : findings[number];
+    return number == kNone ? nb::none() : findings.at(number);
   }
 
   int add(nb::object found) {
     if (found.is_none()) return kNone;
     const std::string kind = nb::cast<std::string>(found.attr("kind"));
     const auto at = std::find(std::begin(kRuleNames), std::end(kRuleNames), kind);
+    if (at == std::end(kRuleNames)) throw std::invalid_argument("no rule " + kind);
     kinds_.push_back(static_cast<int>(at - std::begin(kRuleNames)));
     findings.push_back(std::move(found));
     return static_cast<int>(findings.size()) - 1;
@@ -209,7 +210,7 @@ class PythonExplainer : public Explainer {
     for (int* number : numbers) *number = add(kept[i++]);
   }
 
-  int rule_of(int number) const override { return kinds_[number]; }
+  int rule_of(int number) const override { return kinds_.at(number); }
 
   int explain_times(const double* times, int n) override {
     const nb::gil_scoped_acquire gil;
@@ -270,12 +271,17 @@ class PythonExplainer : public Explainer {
     seen.misfit = from.get<double>("_misfit");
     seen.has_curled = from.get<bool>("_has_curled");
     seen.size_count = 0;
-    for (const double size : from.get<std::vector<double>>("_sizes"))
+    for (const double size : from.get<std::vector<double>>("_sizes")) {
+      if (seen.size_count == kMostSizes) throw std::invalid_argument("too many sizes");
       seen.sizes[seen.size_count++] = size;
+    }
     seen.past_count = seen.past_first = 0;
     for (const nb::handle each : from.object("_past")) {
       const Array hands = nb::cast<Array>(nb::borrow(each));
-      const int at = seen.past_count++, n = static_cast<int>(hands.shape(0));
+      const size_t samples = hands.size() / (3 * kLandmarks);
+      if (seen.past_count == kMostPast || samples > kMostSamples)
+        throw std::invalid_argument("too many batches");
+      const int at = seen.past_count++, n = static_cast<int>(samples);
       seen.past_sizes[at] = n;
       for (int t = 0; t < n; ++t) seen.past[at][t] = landmarks_of(hands.data() + 3 * kLandmarks * t);
     }
@@ -324,6 +330,7 @@ class Samples {
     count = from_.get<Array>("time").size();
     time = column("time", count);
     landmarks = column("landmarks", 3 * kLandmarks * count);
+    expect(landmarks != nullptr || count == 0, "samples without landmarks");
     confidence = column("confidence", count);
     if (has_wrists) wrists = column("wrist", 16 * count);
     flags_ = from_.get<Flags>("valid");
@@ -350,7 +357,7 @@ class Samples {
 };
 
 // An `InputCheck` for Python.
-class PythonInputCheck {
+class PythonInputCheck : public Exclusive {
  public:
   explicit PythonInputCheck(const nb::object& owner)
       : side_(nb::cast<std::string>(owner.attr("side"))), explainer_(input_check_of(side_)),
@@ -403,6 +410,7 @@ class PythonInputCheck {
     std::vector<size_t> seen;
     for (size_t t = 0; t < samples.count; ++t)
       if (samples.valid[t]) seen.push_back(t);
+    if (seen.empty()) return kNone;
     size_t found = 0;
     for (const size_t t : seen) {
       const int finding = take(samples.time[t], samples.landmarks_at(t), samples.wrist_at(t));
@@ -423,7 +431,7 @@ class PythonInputCheck {
 };
 
 // A `StreamGuard` for Python.
-class PythonGuard {
+class PythonGuard : public Exclusive {
  public:
   PythonExplainer explainer;
   StreamGuard guard;

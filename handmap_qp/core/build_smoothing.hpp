@@ -43,7 +43,7 @@ void each_number(SmoothState& state, const Visit& visit) {
 }
 
 // A `Smoother` for Python.
-class PythonSmoother {
+class PythonSmoother : public Exclusive {
  public:
   Smoother smoother;
 

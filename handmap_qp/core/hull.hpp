@@ -137,9 +137,12 @@ class Hull {
     const int axis = x >= y && x >= z ? 0 : y >= z ? 1 : 2;
     const double a[] = {d.x, d.y, d.z, d.x, d.y};
     const double scale = 0.5 * kGrid / std::max(std::abs(a[axis]), 1e-300);
-    const auto inside = [](int k) { return std::min(std::max(k, 0), kGrid - 1); };
+    // Also takes NaN, and numbers that no integer holds.
+    const auto inside = [](double x) {
+      return x > 0.0 ? static_cast<int>(std::min(x, kGrid - 1.0)) : 0;
+    };
     double u = 0.5 * kGrid + scale * a[axis + 1], v = 0.5 * kGrid + scale * a[axis + 2];
-    const int i = inside(static_cast<int>(u)), j = inside(static_cast<int>(v));
+    const int i = inside(u), j = inside(v);
     const Cell* cell = &cells_[((2 * axis + (a[axis] < 0.0)) * kGrid + i) * kGrid + j];
     u -= i;
     v -= j;

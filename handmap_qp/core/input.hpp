@@ -7,11 +7,11 @@
 
 #include <vector>
 
+#include "order.hpp"
 #include "targets.hpp"
 
 namespace handmap {
 
-constexpr int kLandmarks = 21;
 using Landmarks = std::array<Vec3, kLandmarks>;
 
 inline Landmarks landmarks_of(const double* p) {
@@ -75,12 +75,6 @@ inline void sort_columns(double* rows, int n, int width) {
       if (q == p) break;
     }
   }
-}
-
-// The (upper) median; it sorts the values.
-inline double median(double* values, int n) {
-  std::nth_element(values, values + n / 2, values + n);
-  return values[n / 2];
 }
 
 inline Vec3 unit(const Vec3& v) { return (1.0 / std::max(norm(v), 1e-9)) * v; }
@@ -200,7 +194,7 @@ inline bool has_stuck_finger(const InputRules& rules, const Landmarks* hands, in
   }
   double sorted[kFingers];
   std::copy(trembling, trembling + kFingers, sorted);
-  const double usual = median(sorted, kFingers);
+  const double usual = upper_median(sorted, kFingers);
   for (int f = 0; f < kFingers; ++f)
     if (trembling[f] < rules.stuck * usual && is_carried[f] && usual > rules.least_trembling)
       return true;
@@ -287,7 +281,7 @@ inline bool has_carried_finger(const InputRules& rules, const Examined& seen) {
       changing[f] += changes;
     }
   });
-  return median(changing, kFingers) > rules.others_change * steps;
+  return upper_median(changing, kFingers) > rules.others_change * steps;
 }
 
 inline double cosine(const Mat3& a, const Mat3& b) {
@@ -310,7 +304,7 @@ inline bool follows_palm(const InputRules& rules, double sign, const Landmarks* 
                          const Pose* wrists, int n, Examined& seen) {
   double apart[kMostSamples];
   for (int t = 0; t < n; ++t) apart[t] = norm(wrists[t].p - hands[t][0]);
-  if (!(median(apart, n) <= rules.farthest_apart)) return false;
+  if (!(upper_median(apart, n) <= rules.farthest_apart)) return false;
   Mat3 palms = 0.0 * Mat3{}, halves[2] = {palms, palms};
   for (int t = 0; t < n; ++t) {
     const Mat3 palm = palm_axes(hands[t], sign);
@@ -365,12 +359,12 @@ inline bool is_plausible(const InputRules& rules, double sign, const Landmarks* 
     total[t] = sign * evidence.total;
     fingers[t] = sign * evidence.fingers;
   }
-  const double side = median(total, n), bent = median(fingers, n);
+  const double side = upper_median(total, n), bent = upper_median(fingers, n);
   Distances distances;
   measure_pairs(rules, hands, n, 0, kPairs, distances);
   double deviations[kPairs];
   for (int i = 0; i < kPairs; ++i) deviations[i] = distances.medians[i] - rules.centres[i];
-  const double size = median(deviations, kPairs);
+  const double size = upper_median(deviations, kPairs);
   const double own = misfit(rules, distances, size, true);
   // A misfit of before that is NaN is none.
   const bool is_known = own < seen.misfit + rules.same_misfit && side > rules.sure_side;
@@ -389,7 +383,7 @@ inline bool is_plausible(const InputRules& rules, double sign, const Landmarks* 
   int count = seen.size_count;
   std::copy(seen.sizes, seen.sizes + count, sizes);
   if (count < rules.first_sizes) sizes[count++] = size;
-  const double ratio = std::exp(size - median(sizes, count));
+  const double ratio = std::exp(size - upper_median(sizes, count));
   if (!(ratio > 1.0 / rules.resized && ratio < rules.resized)) return false;
   const int past_count = seen.past_count, past_first = seen.past_first;
   seen.append_past(rules, hands, n);
@@ -482,7 +476,7 @@ class InputCheck {
     if (n < 2) return true;
     double steps[kMostSamples];
     for (int i = 0; i + 1 < n; ++i) steps[i] = times[i + 1] - times[i];
-    const double step = median(steps, n - 1);
+    const double step = upper_median(steps, n - 1);
     return step <= 0.0 || (step >= rules.shortest_step && step <= rules.longest_step);
   }
 

@@ -293,6 +293,7 @@ class SampleReader {
     std::optional<Pose> wrist;
     if (from.sample.wrist && !(wrist = exact_pose(from.sample.wrist))) return nb::none();
     if (from.sample.valid && !is_near(from.sample.landmarks, 3 * kLandmarks)) return nb::none();
+    const Work judging(guard), smoothing(smoother);
     const Verdict verdict = guard.judge_one(from.sample);
     nb::object said = guard.verdict_of(verdict);
     if (verdict.is_held || verdict.is_return) return said;
@@ -358,6 +359,7 @@ class SampleMapper : public SampleReader {
         rows.shape(1) != width)
       throw std::invalid_argument("wrong sizes of samples or rows");
     check_map(ik_, map_, {std::vector<Vec3>(reader.used.size()), true, {}});
+    const Work moving(ik_), judging(guard), smoothing(smoother);
     take_motion(ik_);
     Run run{ik_, map_, reader, guard.guard, smoother.smoother, unproven_speed()};
     size_t next = first;
@@ -380,6 +382,7 @@ class SampleMapper : public SampleReader {
  protected:
   nb::object moved(HumanPose&& pose, double dt, double speed) override {
     check_map(ik_, map_, pose);
+    const Work moving(ik_);
     take_motion(ik_);
     auto [made, stages] = new_stages(reader_);
     stages.pose = std::move(pose);

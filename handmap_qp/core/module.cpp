@@ -94,13 +94,19 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
     const DistanceTask* own = nullptr;
     if (nb::try_cast(nb::getattr(each, "core", nb::none()), own, false) && own) {
       goal.distances.push_back({own, task.numbers("distances"), task.numbers("weights")});
+      const AimedDistances& aimed = goal.distances.back();
+      expect(aimed.aims.size() == own->first.size() && aimed.weights.size() == own->first.size(),
+             "wrong size of distances or weights");
+      expect_joints(ik.tree, own->points);
     } else if (nb::isinstance(each, PointOffset)) {
       goal.offsets.push_back(offset_of(task));
+      expect_joints(ik.tree, {goal.offsets.back().from, goal.offsets.back().to});
     } else {
       others.append(each);
     }
   }
   goal.further = rows_of(ik, others);
+  expect(!ik.detour_rules || !goal.postures.empty(), "detours need a posture at rest");
   take_motion(ik);
   PythonStep step;
   seek(ik, goal, given.get<double>("dt"),
@@ -124,7 +130,7 @@ nb::object hold_still(PythonIk& ik, double dt) {
 
 // The detour of each hand, as a `Detour` of Python has it; none where something else has moved the
 // robot since.
-nb::list detours_of(const PythonIk& ik) {
+nb::list detours_of(PythonIk& ik) {
   nb::list found;
   if (was_set(ik)) return found;
   for (size_t i = 0; i < ik.detours.size(); ++i) {
@@ -143,18 +149,25 @@ nb::list detours_of(const PythonIk& ik) {
 // Continue the gate's motion on detours, as the hands do that these are copies of.
 void go_on(PythonIk& ik, const nb::object& given) {
   take_motion(ik);
-  ik.moved = nb::getattr(ik.gate, "read_motion");
-  for (size_t i = 0; i < ik.detours.size(); ++i) {
+  std::vector<Detour> detours(ik.detours.size());
+  for (size_t i = 0; i < detours.size(); ++i) {
     const nb::object detour = item(given, i), via = item(detour, 0);
     const Array points = nb::cast<Array>(item(detour, 1));
     const Array known = nb::cast<Array>(item(detour, 2));
     const size_t count = ik.tree.parts[i].end - ik.tree.parts[i].first;
-    ik.detours[i] = {
-        via.is_none() ? Vector() : vector_of(nb::cast<Array>(via)),
+    Vector posture;
+    if (!via.is_none()) {
+      posture = vector_of(nb::cast<Array>(via));
+      expect(posture.size() == ik.tree.q_indices.size(), "wrong size of a detour");
+    }
+    detours[i] = {
+        std::move(posture),
         points.size() == 3 * ik.tree.points.size() ? points_of(points) : std::vector<Vec3>(),
         known.size() == count ? vector_of(known) : Vector(), nb::cast<double>(item(detour, 3)),
         nb::cast<double>(item(detour, 4))};
   }
+  ik.moved = nb::getattr(ik.gate, "read_motion");
+  ik.detours = std::move(detours);
 }
 
 // Many samples of one goal each, one after the other and without the GIL, from where the hand is.
@@ -192,6 +205,11 @@ NumpyArray solve_many(PythonIk& ik, const Array& points,
 nb::tuple solve_qp(const Array& H, const Array& c, const Array& lower, const Array& upper,
                    const std::optional<Array>& G, const std::optional<Array>& h) {
   const int n = static_cast<int>(c.size());
+  expect_size(H, c.size() * c.size(), "H");
+  expect_size(lower, c.size(), "lower");
+  expect_size(upper, c.size(), "upper");
+  if (G.has_value() != h.has_value()) throw std::invalid_argument("G and h go together");
+  if (G) expect_size(*G, h->size() * c.size(), "G");
   Qp qp;
   const bool found = qp.solve(n, H.data(), c.data(), lower.data(), upper.data(),
                               h ? static_cast<int>(h->size()) : 0, G ? G->data() : nullptr,
@@ -202,6 +220,8 @@ nb::tuple solve_qp(const Array& H, const Array& c, const Array& lower, const Arr
 // Of two shapes of coal in two poses: distance, normal, and the first one's nearest point.
 nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::object& b,
                          const Array& pose_b) {
+  expect_size(pose_a, 16, "pose_a");
+  expect_size(pose_b, 16, "pose_b");
   Warm warm{};
   const Found found = measure(make_shape(Fields(a)), pose_of(pose_a.data()), make_shape(Fields(b)),
                               pose_of(pose_b.data()), warm);
@@ -256,6 +276,11 @@ nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
   return nb::make_tuple(array_of({5, 3}, &shape.bases[0].x), array_of({5}, shape.rolls.data()));
 }
 
+size_t rows_of(const Flags& flags) {
+  if (flags.ndim() != 2) throw std::invalid_argument("columns of wrong shapes");
+  return flags.shape(0);
+}
+
 // See measures.measure_episode.
 nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
   const Fields recording(recorded), trajectory(moved);
@@ -263,12 +288,13 @@ nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
   const size_t count = time.size();
   const Array landmarks = recording.array("landmarks", 3 * kLandmarks * count);
   const Array errors = trajectory.get<Array>("point_error"), q = trajectory.get<Array>("q");
+  if (errors.ndim() != 2 || q.ndim() != 2) throw std::invalid_argument("columns of wrong shapes");
   const Flags seen = recording.get<Flags>("valid"),
                   followed = trajectory.get<Flags>("valid"),
                   at_limit = trajectory.get<Flags>("at_limit"),
                   at_speed = trajectory.get<Flags>("at_speed_limit");
   for (const size_t size : {errors.shape(0), q.shape(0), seen.size(), followed.size(),
-                            at_limit.shape(0), at_speed.shape(0)})
+                            rows_of(at_limit), rows_of(at_speed)})
     if (size != count) throw std::invalid_argument("columns of different lengths");
   const auto has_any = [&](const Flags& flags) {
     return std::count(flags.data(), flags.data() + count, true) > 0;
@@ -310,6 +336,7 @@ nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array
                       constants.get<double>("_SMALLEST_SHARE"), constants.get<double>("_ROUNDING"),
                       constants.get<double>("_LEAST_CURVATURE")};
   problem.points = reference_points(of);
+  expect_joints(tree, problem.points);
   const size_t n = tree.joint_columns.size(), m = problem.points.size();
   problem.configuration = tree.rest;
   problem.rest = vector_of(of.array("rest", n));
@@ -347,8 +374,9 @@ nb::object poses_in(const Tree& tree, const Array& q, const nb::object& frames) 
   std::vector<Pose> found;
   for (const nb::handle& each : frames) {
     const Fields frame(nb::borrow(each));
-    found.push_back(placed.pose(frame.get<int>("parentJoint") - 1) *
-                    frame.pose("placement.homogeneous"));
+    const int joint = frame.get<int>("parentJoint") - 1;
+    if (!tree.has_joint(joint)) throw std::invalid_argument("a frame of another hand");
+    found.push_back(placed.pose(joint) * frame.pose("placement.homogeneous"));
   }
   return array_of(found);
 }
@@ -363,7 +391,15 @@ Mat3 matrix_of(const Array& a) {
 // See surface_gaps: of joint positions (T, n), a column for the pairs from each of `starts` on.
 nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
                               const Array& q, const Indices& starts, double most) {
-  const size_t n = tree.q_indices.size(), rows = q.size() / n, columns = starts.size();
+  const size_t n = tree.q_indices.size(), columns = starts.size();
+  if (n == 0 || q.size() % n) throw std::invalid_argument("wrong size of q");
+  for (size_t g = 0; g < columns; ++g) {
+    const int end = g + 1 < columns ? starts[g + 1] : static_cast<int>(bounds.pairs.size());
+    if (starts[g] < 0 || starts[g] > end) throw std::invalid_argument("starts must increase");
+  }
+  for (const Body& body : bounds.bodies)
+    if (!tree.has_joint(body.joint)) throw std::invalid_argument("shapes of another hand");
+  const size_t rows = q.size() / n;
   Vector found;
   Placed placed(tree);
   SmallestDistances smallest(bounds);
@@ -372,7 +408,7 @@ nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
     smallest.place(placed);
     for (size_t g = 0; g < columns; ++g) {
       const size_t to = g + 1 < columns ? starts[g + 1] : bounds.pairs.size();
-      found.push_back(smallest.among(starts[g], to, most));
+      found.push_back(smallest.among(static_cast<size_t>(starts[g]), to, most));
     }
   }
   return array_of({rows, columns}, found.data());
@@ -387,17 +423,27 @@ NB_MODULE(_core, m) {
   m.attr("SOURCES") = HANDMAP_SOURCES;
   // Caches of Python modules may outlive this one when the interpreter ends.
   nb::set_leak_warnings(false);
+  nb::register_exception_translator([](const std::exception_ptr& error, void*) {
+    try {
+      std::rethrow_exception(error);
+    } catch (const BusyError&) {
+      PyErr_SetNone(module_of("errors").object("MapperBusyError").ptr());
+    }
+  });
   nb::class_<DistanceTask>(m, "PointDistances").def("__init__", &make_distances);
   nb::class_<PythonIk>(m, "Ik")
       .def("__init__", &make_ik)
       .def("set_motion",
            [](PythonIk& ik, const Array& q, const Array& displacement, double dt,
-              const Array& stop_times) { set_motion(ik, q, displacement, dt, stop_times); })
-      .def_prop_ro("detours", &detours_of)
-      .def("go_on", &go_on, "detours"_a)
-      .def("hold", &hold_still, "dt"_a)
-      .def("solve", &solve, "goal"_a)
-      .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
+              const Array& stop_times) {
+             const Work work(ik);
+             set_motion(ik, q, displacement, dt, stop_times);
+           })
+      .def_prop_ro("detours", exclusively(&detours_of))
+      .def("go_on", exclusively(&go_on), "detours"_a)
+      .def("hold", exclusively(&hold_still), "dt"_a)
+      .def("solve", exclusively(&solve), "goal"_a)
+      .def("solve_many", exclusively(&solve_many), "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
   nb::class_<PythonStep>(m, "Step")
       .def("__call__", &motion_of);
@@ -496,27 +542,27 @@ NB_MODULE(_core, m) {
   m.def("measure_shapes", &measure_shapes);
   nb::class_<PythonInputCheck>(m, "InputCheck")
       .def(nb::init<const nb::object&>())
-      .def("save", &PythonInputCheck::save)
-      .def("update", &PythonInputCheck::update, "time"_a, "landmarks"_a,
+      .def("save", exclusively(&PythonInputCheck::save))
+      .def("update", exclusively(&PythonInputCheck::update), "time"_a, "landmarks"_a,
            "wrist"_a.none() = nb::none())
-      .def("alert", &PythonInputCheck::alert)
-      .def("finish", &PythonInputCheck::finish)
-      .def("examine", &PythonInputCheck::examine, "recording"_a)
-      .def("finding", &PythonInputCheck::finding)
-      .def("is_wrist_proven", &PythonInputCheck::is_wrist_proven);
+      .def("alert", exclusively(&PythonInputCheck::alert))
+      .def("finish", exclusively(&PythonInputCheck::finish))
+      .def("examine", exclusively(&PythonInputCheck::examine), "recording"_a)
+      .def("finding", exclusively(&PythonInputCheck::finding))
+      .def("is_wrist_proven", exclusively(&PythonInputCheck::is_wrist_proven));
   nb::class_<PythonGuard>(m, "StreamGuard")
       .def(nb::init<const nb::object&>())
-      .def("save", &PythonGuard::save)
-      .def("forget", &PythonGuard::forget)
-      .def("check", &PythonGuard::check, "sample"_a, "arrival"_a.none())
-      .def("holds", &PythonGuard::holds, "recording"_a)
-      .def("judge", &PythonGuard::judge, "recording"_a);
+      .def("save", exclusively(&PythonGuard::save))
+      .def("forget", exclusively(&PythonGuard::forget))
+      .def("check", exclusively(&PythonGuard::check), "sample"_a, "arrival"_a.none())
+      .def("holds", exclusively(&PythonGuard::holds), "recording"_a)
+      .def("judge", exclusively(&PythonGuard::judge), "recording"_a);
   nb::class_<PythonSmoother>(m, "Smoother")
       .def(nb::init<const nb::object&>())
-      .def("save", &PythonSmoother::save)
-      .def("smooth", &PythonSmoother::smooth)
-      .def("wait", &PythonSmoother::wait)
-      .def("restart", &PythonSmoother::restart)
-      .def("forget", &PythonSmoother::forget);
+      .def("save", exclusively(&PythonSmoother::save))
+      .def("smooth", exclusively(&PythonSmoother::smooth))
+      .def("wait", exclusively(&PythonSmoother::wait))
+      .def("restart", exclusively(&PythonSmoother::restart))
+      .def("forget", exclusively(&PythonSmoother::forget));
   m.attr("RULES") = rule_names();
 }

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "order.hpp"
+
 namespace handmap {
 
 // Numbers of Python.
@@ -17,8 +19,7 @@ inline double change_rate(double dt, double former) {
 
 // It sorts the sizes of the changes.
 inline double noise_of(const NoiseRules& rules, double* changes, int count, double rate) {
-  std::nth_element(changes, changes + count / 2, changes + count);
-  return changes[count / 2] / (rules.normal * rate);
+  return upper_median(changes, count) / (rules.normal * rate);
 }
 
 inline double learnt_noise(const NoiseRules& rules, double noise, double seen) {

@@ -6,27 +6,10 @@
 #include <cmath>
 #include <vector>
 
+#include "order.hpp"
 #include "targets.hpp"
 
 namespace handmap {
-
-// The median; an even count has the mean of the two in the middle. Changes the order of `values`.
-inline double median(Vector& values) {
-  const auto middle = values.begin() + values.size() / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  if (values.size() % 2) return *middle;
-  return (*std::max_element(values.begin(), middle) + *middle) / 2.0;
-}
-
-// A percentile as of `np.percentile`. Changes the order of `values`.
-inline double percentile_of(Vector& values, double percentile) {
-  const double place = 0.01 * percentile * static_cast<double>(values.size() - 1);
-  const size_t low = static_cast<size_t>(place);
-  std::nth_element(values.begin(), values.begin() + low, values.end());
-  if (low + 1 >= values.size()) return values[low];
-  const double next = *std::min_element(values.begin() + low + 1, values.end());
-  return values[low] + (place - low) * (next - values[low]);
-}
 
 // `samples` of `count` points each; medians of each coordinate.
 inline std::vector<Vec3> medians(const std::vector<Vec3>& samples, size_t count) {
@@ -67,9 +50,11 @@ class Layer {
       if (dot(a[i], a[i]) > dot(a[first], a[first])) first = i;
       if (dot(a[i], a[i]) <= dot(a[least], a[least])) least = i;
     }
+    // Without an order of lengths, as of NaN, they are the same, and there is no second one.
+    if (first == least) return nearest_rotation(A);
     const int second = 3 - first - least;
     const double s0 = norm(a[first]), s1 = norm(a[second]);
-    if (first == least || !(s1 > 1e-9 * s0)) return nearest_rotation(A);
+    if (!(s1 > 1e-9 * s0)) return nearest_rotation(A);
     const Vec3 u[2] = {axes_[first], axes_[second]};
     const Vec3 v[2] = {(1.0 / s0) * a[first], (1.0 / s1) * a[second]};
     return outer(u[0], v[0]) + outer(u[1], v[1]) + outer(cross(u[0], u[1]), cross(v[0], v[1]));
@@ -109,8 +94,8 @@ inline double smallest_gap(const double* time, const std::vector<Vec3>& landmark
       gaps[t] = norm(landmarks[21 * t + tip] - landmarks[21 * t + 4]);
     for (int t = 0; t < count; ++t) {
       for (int i = 0; i < width; ++i) window[i] = gaps[std::clamp(t - before + i, 0, count - 1)];
-      std::nth_element(window.begin(), window.begin() + before, window.end());
-      smallest[t] = std::min(smallest[t], window[before]);
+      const double gap = nth_smallest(window.data(), window.size(), before);
+      smallest[t] = std::isnan(gap) ? gap : std::min(smallest[t], gap);
     }
   }
   return percentile_of(smallest, percentile);

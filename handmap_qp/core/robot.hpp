@@ -80,6 +80,12 @@ class RobotMover {
       const Fields palm(hand.object("palm_frame"));
       hands_.push_back({palm.get<int>("parentJoint") - 1, palm.pose("placement.homogeneous")});
     }
+    expect(pinching.size() <= hands_.size() && hands_.size() <= ik_.tree.parts.size() &&
+               (pinching.size() == 0 || ik_.pairs) &&
+               rest_.size() == ik_.tree.joint_columns.size(),
+           "a robot of other hands");
+    for (const RobotHand& hand : hands_)
+      expect(ik_.tree.has_joint(hand.palm_joint), "a palm of another robot");
     for (size_t k = 0; k < pinching.size(); ++k) {
       hands_[k].pinching = indices_of(nb::borrow(pinching[k])[nb::int_(0)]);
       hands_[k].among_own = indices_of(nb::borrow(pinching[k])[nb::int_(1)]);
@@ -183,6 +189,7 @@ class RobotMover {
       throw std::invalid_argument("wrong number of hands");
     double speed = 1.0;
     for (const Ask* ask : asks) speed = std::min(speed, ask->speed);
+    const Work moving(ik_);
     take_motion(ik_);
     aim(asks, times, worlds);
     goal_.postures = ik_.postures(wanted_rest_, std::max(dt, kShortestDt));

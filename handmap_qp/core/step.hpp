@@ -94,6 +94,11 @@ class JointReader {
     return true;
   }
   size_t size() const { return lower.size(); }
+  // Whether it has a limit for each joint, and a number for each coordinate.
+  bool fits() const {
+    return lower.size() == tree_.q_indices.size() && upper.size() == lower.size() &&
+           vector_.size() == static_cast<size_t>(tree_.nq);
+  }
 
  private:
   const Tree tree_;

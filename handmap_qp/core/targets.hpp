@@ -8,6 +8,7 @@
 
 namespace handmap {
 
+constexpr int kLandmarks = 21;
 // Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers.
 constexpr int kPalm[5] = {0, 5, 9, 13, 17};
 
@@ -39,7 +40,12 @@ inline Svd3 svd3(const Mat3& A) {
     if (!turned) break;
   }
   int order[3] = {0, 1, 2};
-  std::sort(order, order + 3, [&](int i, int j) { return dot(a[i], a[i]) > dot(a[j], a[j]); });
+  // By exchanges, which leave NaN where it is: `std::sort` needs an order.
+  const auto put_longer_first = [&](int i) {
+    if (dot(a[order[i + 1]], a[order[i + 1]]) > dot(a[order[i]], a[order[i]]))
+      std::swap(order[i], order[i + 1]);
+  };
+  for (const int i : {0, 1, 0}) put_longer_first(i);
   Svd3 found;
   Vec3 u[3], w[3];
   for (int i = 0; i < 3; ++i) {

@@ -105,6 +105,9 @@ struct Tree {
     return found;
   }
 
+  // Whether it has a joint of a number; -1 is the world.
+  bool has_joint(int joint) const { return joint >= -1 && joint < static_cast<int>(joints.size()); }
+
   size_t find_frame(const std::string& name, int kind) const {
     for (size_t i = 0; i < frames.size(); ++i)
       if (frames[i].kind == kind && frames[i].name == name) return i;

@@ -44,6 +44,7 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
+from .exclusive import WorkLock, exclusively
 from .method import (
     BoundMethod,
     HumanPose,
@@ -82,10 +83,15 @@ class Asked(NamedTuple):
 
 
 class Mover:
-    """Base of what moves a robot by a solver, its `point_ik`."""
+    """Base of what moves a robot by a solver, its `point_ik`.
+
+    Attributes:
+        work: Lets one thread at a time work on it; others get a `MapperBusyError`.
+    """
 
     point_ik: PointIk
     core: Any
+    work: WorkLock
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 
@@ -94,12 +100,19 @@ class Mover:
         """Weights and settings of the QP."""
         return self.point_ik.options
 
+    @exclusively
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy continues from."""
+        return vars(self).copy()
+
     @property
+    @exclusively
     def motion(self) -> Motion:
         """How the robot moves. Set it where something else has moved the robot."""
         return self.point_ik.gate.motion
 
     @motion.setter
+    @exclusively
     def motion(self, motion: Motion) -> None:
         self.point_ik.gate.motion = motion
         self._was_moved()
@@ -107,6 +120,7 @@ class Mover:
     def _was_moved(self) -> None:
         """Go on from where something else has moved the robot."""
 
+    @exclusively
     def release(self) -> None:
         """Release the robot: it brakes and holds still until `clutch`, whatever the human does."""
         self._is_released = True
@@ -155,6 +169,9 @@ class HandMapper(Mover):
     Raises:
         InvalidOptionsError: If choices contradict each other or the hands.
         InvalidInputError: If `dt` or `joint_tolerance` cannot be used.
+
+    One thread at a time works on a mapper: while it maps, other threads that enter get a
+    `MapperBusyError`, and nothing changes.
     """
 
     # The core's class that maps samples.
@@ -184,6 +201,7 @@ class HandMapper(Mover):
         expect(not robot.parts, "robot", one, value=robot.name)
         is_angle = isinstance(joint_tolerance, int | float) and joint_tolerance >= 0.0
         expect(is_angle, "joint_tolerance", "an angle >= 0 rad", value=joint_tolerance)
+        self.work = WorkLock()
         self.human = human
         self.dt = check_dt(dt)
         self.joint_tolerance = joint_tolerance
@@ -227,6 +245,7 @@ class HandMapper(Mover):
 
     # -- one sample
 
+    @exclusively
     def map_step(
         self, human_q: ArrayLike, wrist_pose: PoseLike, *, dt: float | None = None
     ) -> MapStep:
@@ -250,6 +269,7 @@ class HandMapper(Mover):
         """
         return self._mapped(self._joints, human_q, wrist_pose, dt)
 
+    @exclusively
     def map_points(
         self,
         points: ArrayLike,
@@ -274,6 +294,7 @@ class HandMapper(Mover):
         measured = as_points(points, "points", len(self.human.reference_points))
         return self.map(HumanPose(measured.copy(), wrist), dt)
 
+    @exclusively
     def map_landmarks(
         self,
         landmarks: ArrayLike,
@@ -298,6 +319,7 @@ class HandMapper(Mover):
         """
         return self._mapped(self.landmarks, landmarks, wrist_pose, dt)
 
+    @exclusively
     def map(
         self,
         sample: HumanPose,
@@ -386,6 +408,7 @@ class HandMapper(Mover):
         kind = getattr(core, self._core_kind)
         return self.core or kind(ik.core, self.robot, target_map)
 
+    @exclusively
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Brake, and keep the robot's posture.
 
@@ -409,6 +432,7 @@ class HandMapper(Mover):
 
     # -- between samples
 
+    @exclusively
     def reset(
         self,
         human_q: ArrayLike | None = None,
@@ -467,11 +491,13 @@ class HandMapper(Mover):
         self.clutch()
         self._reference = reference
 
+    @exclusively
     def clutch(self) -> None:
         """Make the next sample the reference; the robot continues from its present posture."""
         self._is_released = False
         self._reference = self.core = None
 
+    @exclusively
     def configure(
         self,
         method: Method | str | None = None,

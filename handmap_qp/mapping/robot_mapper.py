@@ -51,6 +51,7 @@ from handmap_qp.se3 import (
     smoothstep,
     transform_points,
 )
+from .exclusive import WorkLock, exclusively
 from .mapper import (
     Asked,
     HandMapper,
@@ -233,10 +234,14 @@ class RobotMapper(Mover):
             }
         _expect_sides(robot.by_side, humans, "humans")
         self._name = robot.name
+        self.work = WorkLock()
         self.leaders = {
             side: Leader(humans[side], hand, method, ik=ik, **options)
             for side, hand in robot.by_side.items()
         }
+        for leader in self.leaders.values():
+            # Whoever works on a hand works on the robot.
+            leader.work = self.work
         self._base = _HOME
         self._turns_in = turns_in
         self._join()
@@ -279,6 +284,7 @@ class RobotMapper(Mover):
             )
         self._base = check_pose(pose, "base_pose").copy()
 
+    @exclusively
     def map_landmarks(
         self,
         landmarks: Mapping[Side, ArrayLike],
@@ -302,6 +308,7 @@ class RobotMapper(Mover):
         """
         return self._mapped("landmarks", landmarks, wrist_poses or {}, dt)
 
+    @exclusively
     def map_step(
         self,
         human_q: Mapping[Side, ArrayLike],
@@ -334,6 +341,7 @@ class RobotMapper(Mover):
 
         return self.step(numbers, ask)
 
+    @exclusively
     def step(self, sides: Iterable[Side], ask: Callable[[Side], MapStep]) -> RobotStep:
         """Let leaders ask, and move the robot.
 
@@ -498,6 +506,7 @@ class RobotMapper(Mover):
 
     # -- between samples
 
+    @exclusively
     def stay(self, side: Side, verdict: Verdict) -> None:
         """Let a hand of the robot stay where it is until its next sample.
 
@@ -508,6 +517,7 @@ class RobotMapper(Mover):
         leader = self._leader(side)
         leader.last = structs.replace(leader.hold(leader.dt), verdict=verdict)
 
+    @exclusively
     def reset(self, robot_q: ArrayLike | None = None) -> None:
         """Start again: the next sample of each hand is its reference.
 
@@ -525,6 +535,7 @@ class RobotMapper(Mover):
         self.point_ik.place(whole.configuration_vector(q))
         self.clutch()
 
+    @exclusively
     def clutch(self) -> None:
         """Make the next sample of each hand its reference; the robot continues from here."""
         self._is_released = False
@@ -532,6 +543,7 @@ class RobotMapper(Mover):
             leader.clutch()
             leader.stay()
 
+    @exclusively
     def configure(
         self, method: Method | str | None = None, *, ik: IkOptions | None = None
     ) -> None:

@@ -21,6 +21,7 @@ from handmap_qp.errors import HandmapError, expect
 from handmap_qp.human import HumanSample, Recording, Verdict
 from handmap_qp.ik import SHORTEST_DT, Compiled, Task, in_core
 from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
+from handmap_qp.mapping.exclusive import exclusively
 from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
 from handmap_qp.trackers import change_rate, learnt_noise, noise_of
@@ -301,6 +302,8 @@ class Follower:
         smoothing: Smoothing | None = Smoothing(),
     ) -> None:
         self.mapper = mapper
+        # Whoever works on the follower works on the mapper.
+        self.work = mapper.work
         self.rejoin = Option("rejoin", RejoinKind, RejoinKind, "glide").read(rejoin)
         expect(
             isinstance(smoothing, Smoothing | None),
@@ -318,6 +321,12 @@ class Follower:
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 
+    @exclusively
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy continues from."""
+        return vars(self).copy()
+
+    @exclusively
     def map_sample(
         self,
         sample: HumanSample,
@@ -342,6 +351,7 @@ class Follower:
             InvalidOptionsError: If a reference point of the human is not a landmark.
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
+            MapperBusyError: If another thread works on the mapper.
         """
         found = None
         self._before = self._return, self._reference
@@ -354,6 +364,7 @@ class Follower:
         verdict = found or self._guard.check(sample, arrival=arrival)
         return self._judged(sample, verdict, dt)
 
+    @exclusively
     def map_samples(
         self, samples: Recording, progress: Callable[[int], None] | None = None
     ) -> StepTable:
@@ -365,6 +376,10 @@ class Follower:
         Args:
             samples: The samples, as of `sample_columns`.
             progress: Called with the number of samples done.
+
+        Raises:
+            MapperBusyError: If another thread works on the mapper. While this one does, its other
+                calls raise that in other threads.
         """
         self._guard.check_side(samples, Recording)
         count = len(samples)
@@ -390,6 +405,7 @@ class Follower:
                 progress(i)
         return table
 
+    @exclusively
     def forget(self, step: MapStep) -> None:
         """Forget the sample that `map_sample` was given last, by its step."""
         self._return, self._reference = self._before
@@ -397,6 +413,7 @@ class Follower:
         if not step.is_held:
             self._smoother.forget()
 
+    @exclusively
     def map(self, pose: HumanPose, dt: float, *, speed: float = 1.0) -> MapStep:
         """Smooth a pose, and map it without judging it; arguments as of `HandMapper.map`."""
         if self._has_new_reference:

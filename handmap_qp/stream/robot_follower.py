@@ -14,6 +14,7 @@ from handmap_qp.errors import HandmapError, expect
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample, Recording, Verdict, sample_columns
 from handmap_qp.mapping import MapStep, RobotMapper, RobotStep
+from handmap_qp.mapping.exclusive import exclusively
 from .follower import Follower
 
 _SILENCE = 0.25
@@ -37,6 +38,7 @@ class RobotFollower:
 
     def __init__(self, mapper: RobotMapper, **options: Any) -> None:
         self.mapper = mapper
+        self.work = mapper.work
         self.hands = {
             side: Follower(leader, **options) for side, leader in mapper.leaders.items()
         }
@@ -45,6 +47,7 @@ class RobotFollower:
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 
+    @exclusively
     def map_samples(
         self,
         samples: Mapping[Side, HumanSample],

@@ -18,6 +18,7 @@ from handmap_qp.errors import (
     HandmapError,
     InvalidInputError,
     InvalidOptionsError,
+    MapperBusyError,
     MissingExtraError,
     MissingPackageError,
     RecordingError,
@@ -61,6 +62,7 @@ EXAMPLES: list[tuple[HandmapError, str]] = [
         DegeneratePointsError("a line", singular_values=np.array([0.01, 0.0, 0.0])),
         "a line (singular values 10, 0, 0 mm)",
     ),
+    (MapperBusyError(), "this mapper is at work in another thread"),
     (
         MissingExtraError("viser", "view"),
         "viser is not installed: pip install 'handmap-qp[view]'",
@@ -112,6 +114,7 @@ def test_every_error_has_an_example() -> None:
 def test_errors_are_those_of_python_too() -> None:
     assert issubclass(InvalidInputError, ValueError)
     assert issubclass(HandError, ValueError)
+    assert issubclass(MapperBusyError, RuntimeError)
     assert issubclass(MissingExtraError, ImportError)
     assert handmap_qp.HandmapError is HandmapError
 

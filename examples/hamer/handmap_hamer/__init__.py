@@ -24,12 +24,8 @@ from handmap_qp.trackers import SIDES, read_archive
 from handmap_qp.trackers.formats.archive import OF_MANO, member_names
 from handmap_qp.trackers.formats.base import RecordingFormat, side_of
 from handmap_qp.trackers.formats.hdf5 import SUFFIXES, numbers, opened
-from handmap_qp.trackers.formats.mano import (
-    FROM_MANO,
-    HandArrays,
-    ManoFormat,
-    read_table,
-)
+from handmap_qp.trackers.formats.mano import FROM_MANO, HandArrays, ManoFormat
+from handmap_qp.trackers.formats.pickled import read_table
 from handmap_qp.trackers.hand_geometry import palmar_evidence
 
 KEYPOINTS = "pred_keypoints_3d"

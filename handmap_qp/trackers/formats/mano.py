@@ -7,13 +7,11 @@ joints and the five fingertips are computed.
 
 import abc
 import os
-import pickle
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
-from numpy.lib.format import MAGIC_PREFIX
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands import Names, Side, Values
@@ -21,6 +19,7 @@ from handmap_qp.human import LANDMARK_COUNT, Recording, regular_time
 from handmap_qp.se3 import Array, Arrays, affine, as_floats, transform_points
 from .archive import OF_MANO, member_names, read_archive, save_npz
 from .base import Entry, RecordingFormat, build_recording, reading, side_of
+from .pickled import Sparse, read_table
 
 FROM_MANO = np.r_[0, 13:17, 1:4, 17, 4:7, 18, 10:13, 19, 7:10, 20]
 """Index in MANO's order of each landmark.
@@ -249,73 +248,5 @@ def rotations_of(turns: Array) -> Array:
 
 
 def _dense(values: Any) -> Any:
-    return values.toarray() if hasattr(values, "toarray") else values
-
-
-class _Shell:
-    """Stands for chumpy's classes, which wrap the model's arrays; holds their state."""
-
-    x: Any = None
-
-    def __array__(self, dtype: Any = None, copy: Any = None) -> Array:
-        return np.asarray(self.x, dtype=dtype)
-
-
-_ALLOWED = {
-    "numpy.core.multiarray._reconstruct",
-    "numpy.core.multiarray.scalar",
-    "numpy._core.multiarray._reconstruct",
-    "numpy._core.multiarray.scalar",
-    "numpy.core.numeric._frombuffer",
-    "numpy._core.numeric._frombuffer",
-    "numpy.ndarray",
-    "numpy.dtype",
-    "_codecs.encode",
-    "scipy.sparse.csc.csc_matrix",
-    "scipy.sparse._csc.csc_matrix",
-}
-
-
-class _ArrayUnpickler(pickle.Unpickler):
-    """Unpickles arrays, and nothing that could run code.
-
-    A pickle runs code by naming a function that is called. Those of `_ALLOWED` build arrays of what
-    the pickle itself holds; any other name ends the reading before it is looked up.
-    """
-
-    def find_class(self, module: str, name: str) -> Any:
-        if module.partition(".")[0] == "chumpy":
-            return _Shell
-        place = f"{module}.{name}"
-        if place not in _ALLOWED:
-            raise pickle.UnpicklingError(
-                f"holds {place}, which is not read; save arrays of numpy"
-            )
-        return super().find_class(module, name)
-
-
-def read_table(file: Path) -> Values:
-    """Read a pickled table without running code in it: it may hold arrays, numbers and texts only.
-
-    Args:
-        file: A pickle, or an array of numpy (`.npy`) whose one value is a table.
-
-    Raises:
-        RecordingError: If it holds something else, or is no table.
-    """
-    with reading(file), file.open("rb") as stream:
-        return load_table(stream)
-
-
-def load_table(stream: IO[bytes]) -> Values:
-    """Load a table of an open file, as `read_table`; errors are those of `pickle`."""
-    if stream.read(1) == MAGIC_PREFIX[:1]:
-        # The header of an array is one line; a pickle follows.
-        stream.readline()
-    else:
-        stream.seek(0)
-    found = _ArrayUnpickler(stream, encoding="latin1").load()
-    table = np.array(found, dtype=object).item()
-    if not isinstance(table, dict):
-        raise TypeError("it is no table")
-    return table
+    """Return the array of a sparse matrix, and anything else as it is."""
+    return values.toarray() if isinstance(values, Sparse) else values

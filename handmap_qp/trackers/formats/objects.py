@@ -26,10 +26,9 @@ from .mano import (
     FROM_MANO,
     HandArrays,
     HandModelFormat,
-    load_table,
-    read_table,
     rotations_of,
 )
+from .pickled import load_table, read_table
 
 _YCB = """
 background

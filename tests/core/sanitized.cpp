@@ -1,0 +1,441 @@
+// Hostile numbers through the parts of the core that need no Python. Built with the address and the
+// undefined behaviour sanitizers by test_sanitized.py; what they find ends the program.
+//
+// Prints the number of calls. Results are only checked where a wrong one shows in a few lines: other
+// tests compare all of them with Python.
+#include <cstdio>
+#include <cstdlib>
+#include <random>
+
+#include "detours.hpp"
+#include "episode.hpp"
+#include "guard.hpp"
+#include "posture.hpp"
+#include "run.hpp"
+
+using namespace handmap;
+
+namespace {
+
+long calls = 0;
+
+void check(bool is_right, const char* what) {
+  if (is_right) return;
+  std::printf("wrong: %s\n", what);
+  std::exit(1);
+}
+
+// Numbers that an honest sensor gives, and those that none does.
+class Numbers {
+ public:
+  explicit Numbers(unsigned seed) : engine_(seed) {}
+
+  int below(int count) { return std::uniform_int_distribution<int>(0, count - 1)(engine_); }
+  double plain(double size = 1.0) { return std::normal_distribution<double>(0.0, size)(engine_); }
+  double number(double hostile, double size = 1.0) {
+    constexpr double kHostile[] = {0.0,    -0.0,   1e300,  -1e300, 1e-300, 1e160,
+                                   -1e160, 1e9,    HUGE_VAL, -HUGE_VAL, NAN};
+    const bool is_hostile = std::uniform_real_distribution<double>(0.0, 1.0)(engine_) < hostile;
+    return is_hostile ? kHostile[below(11)] : plain(size);
+  }
+  Vec3 point(double hostile, double size = 1.0) {
+    return {number(hostile, size), number(hostile, size), number(hostile, size)};
+  }
+  Vector vector(size_t count, double hostile, double size = 1.0) {
+    Vector found(count);
+    for (double& each : found) each = number(hostile, size);
+    return found;
+  }
+  std::vector<Vec3> points(size_t count, double hostile, double size = 1.0) {
+    std::vector<Vec3> found(count);
+    for (Vec3& each : found) each = point(hostile, size);
+    return found;
+  }
+  Pose pose(double hostile, double size = 0.1) {
+    Pose found{exp3(point(0.0)), point(hostile, size)};
+    if (hostile > 0.0 && below(4) == 0) found.R.m[below(9)] = number(hostile);
+    return found;
+  }
+
+ private:
+  std::mt19937 engine_;
+};
+
+// How often numbers are hostile: never, seldom, often.
+constexpr double kShares[] = {0.0, 0.02, 0.4};
+
+void order_statistics(Numbers& numbers) {
+  for (const double hostile : kShares)
+    for (size_t count = 0; count < 70; ++count) {
+      const Vector values = numbers.vector(count, hostile);
+      const bool has_nan =
+          std::any_of(values.begin(), values.end(), [](double v) { return std::isnan(v); });
+      for (int k = 0; k < 4; ++k) {
+        Vector copy = values;
+        const double found = k == 0   ? median(copy)
+                             : k == 1 ? percentile_of(copy, 95.0)
+                             : k == 2 ? percentile_of(copy, 100.0)
+                                      : upper_median(copy.data(), count);
+        ++calls;
+        check(!(k < 3 && (has_nan || count == 0)) || std::isnan(found), "a number made of NaN");
+        check(!(k == 2 && count > 0 && !has_nan) ||
+                  found == *std::max_element(values.begin(), values.end()) || std::isnan(found),
+              "the largest value");
+      }
+      Vector changes = values;
+      noise_of({0.7, 0.1, 2.0, 1e-6}, changes.data(), static_cast<int>(count), 1.0);
+    }
+}
+
+void rotations(Numbers& numbers) {
+  for (int round = 0; round < 2000; ++round) {
+    Mat3 a;
+    for (double& each : a.m) each = numbers.number(kShares[round % 3]);
+    nearest_rotation(a);
+    svd3(a);
+    log3(a);
+    exp3(numbers.point(kShares[round % 3]));
+    quat_of(a);
+    log6({a, numbers.point(kShares[round % 3])});
+    jlog6({a, numbers.point(kShares[round % 3])});
+    ++calls;
+  }
+}
+
+void problems(Numbers& numbers) {
+  GuessedQp guessed;
+  Qp qp;
+  for (int round = 0; round < 3000; ++round) {
+    const double hostile = kShares[round % 3];
+    const int n = 1 + numbers.below(12), rows = numbers.below(8);
+    const Vector root = numbers.vector(n * n, hostile);
+    Vector H(n * n, 0.0);
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < n; ++j) {
+        for (int k = 0; k < n; ++k) H[i * n + j] += root[k * n + i] * root[k * n + j];
+        if (i == j) H[i * n + j] += 1e-6;
+      }
+    const Vector c = numbers.vector(n, hostile), G = numbers.vector(rows * n, hostile),
+                 h = numbers.vector(rows, hostile);
+    Vector lower = numbers.vector(n, hostile), upper = lower;
+    for (double& each : upper) each += std::abs(numbers.number(hostile));
+    std::vector<signed char> guess(n);
+    for (signed char& each : guess) each = static_cast<signed char>(numbers.below(3) - 1);
+    qp.solve(n, H.data(), c.data(), lower.data(), upper.data(), rows, G.data(), h.data());
+    guessed.solve(n, H.data(), c.data(), lower.data(), upper.data(), rows, G.data(), h.data(), guess);
+    Rows linear{rows, G, h};
+    Feasible feasible;
+    Vector loosened;
+    feasible.loosen(linear, lower, upper, 0.5, Vector(n, 0.0), loosened);
+    ++calls;
+  }
+}
+
+// Of hulls that models have, seldom of many points, and of flat ones.
+std::vector<Vec3> hull_points(Numbers& numbers) {
+  const bool is_large = numbers.below(16) == 0;
+  std::vector<Vec3> found = numbers.points(1 + numbers.below(is_large ? 40 : 16), 0.0, 0.05);
+  const bool is_flat = numbers.below(4) == 0, is_same = numbers.below(8) == 0;
+  for (Vec3& each : found) {
+    if (is_large) continue;
+    if (is_flat) each.z = 0.0;
+    if (is_same) each = found[0];
+  }
+  return found;
+}
+
+Shape shape(Numbers& numbers, double hostile) {
+  const auto size = [&] { return std::abs(numbers.number(hostile, 0.05)); };
+  switch (numbers.below(4)) {
+    case 0: return make_box({size(), size(), size()});
+    case 1: return make_sphere(size());
+    case 2: return make_capsule(size(), size());
+  }
+  return make_convex(hull_points(numbers));
+}
+
+void shapes(Numbers& numbers) {
+  for (int round = 0; round < 60; ++round) {
+    const double hostile = kShares[round % 3];
+    const Hull hull(hull_points(numbers));
+    for (int i = 0; i < 50; ++i) hull.vertex(hull.farthest(numbers.point(hostile)));
+    const Shape a = shape(numbers, hostile), b = shape(numbers, hostile);
+    Warm warm{};
+    for (int i = 0; i < 5; ++i) {
+      measure(a, numbers.pose(hostile), b, numbers.pose(hostile), warm);
+      ++calls;
+    }
+  }
+}
+
+std::vector<Vec3> hands(Numbers& numbers, size_t count, double hostile) {
+  std::vector<Vec3> found;
+  for (size_t t = 0; t < count; ++t)
+    for (int i = 0; i < kLandmarks; ++i) {
+      const Vec3 at{0.02 * ((i + 3) / 4), 0.02 * (i ? 1 + (i - 1) % 4 : 0), 0.001 * (i % 3)};
+      found.push_back(at + numbers.point(hostile, 1e-3));
+    }
+  return found;
+}
+
+void persons(Numbers& numbers) {
+  const PersonMeter meter{0.26, 20, 0.6};
+  for (int round = 0; round < 300; ++round) {
+    const double hostile = kShares[round % 3];
+    const size_t count = 1 + numbers.below(60);
+    const std::vector<Vec3> landmarks = hands(numbers, count, hostile);
+    meter.measure(landmarks, numbers.points(5, hostile, 0.05));
+    Vector time(count), wrong = numbers.vector(count, hostile);
+    for (size_t t = 0; t < count; ++t) time[t] = 0.02 * t;
+    smallest_gap(time.data(), landmarks, 0.1, 1.0);
+    smallest_gap(wrong.data(), landmarks, 0.1, 1.0);
+    // Columns of an episode.
+    const std::unique_ptr<bool[]> flags(new bool[4 * count]);
+    for (size_t i = 0; i < 4 * count; ++i) flags[i] = numbers.below(3) > 0;
+    flags[0] = true;
+    const Vector errors = numbers.vector(3 * count, hostile), q = numbers.vector(2 * count, hostile);
+    const EpisodeMeter episode{count, wrong.data(), &landmarks[0].x, flags.get(), flags.get(),
+                               errors.data(), 3, {flags.get(), 2}, {flags.get(), 2}, q.data(), 2};
+    Vector reaches = episode.reaches();
+    EpisodeMeter::mean_of(reaches);
+    percentile_of(reaches, 95.0);
+    episode.longest_gap();
+    episode.bone_variation();
+    episode.share(episode.at_limit, false);
+    episode.jerk();
+    ++calls;
+  }
+}
+
+void smoothing(Numbers& numbers) {
+  for (int round = 0; round < 300; ++round) {
+    const double hostile = kShares[round % 3];
+    Smoother smoother;
+    smoother.rules = {true, 0.4, 12.0, 3.0, 0.5, 0.1, 0.25, 1e-9, 4e-3, 1e-9, {0.7, 0.1, 2.0, 1e-6}};
+    for (int i = 0; i < 12; ++i) {
+      // The number of points may change.
+      const size_t count = numbers.below(3) ? 21 : numbers.below(4);
+      HumanPose pose{numbers.points(count, hostile, 0.1), numbers.below(4) > 0, numbers.pose(hostile)};
+      smoother.smooth(std::move(pose), std::abs(numbers.number(hostile, 0.02)));
+      if (numbers.below(5) == 0) smoother.forget();
+      if (numbers.below(9) == 0) smoother.restart();
+      ++calls;
+    }
+  }
+}
+
+// Finds now this, now that.
+class Guesser : public Explainer {
+ public:
+  explicit Guesser(Numbers& numbers) : numbers_(numbers) {}
+  int explain_times(const double*, int) override { return guess(); }
+  int explain_rate(double) override { return guess(); }
+  int explain_batch(const Landmarks*, const Pose*, int, Examined&) override { return guess(); }
+  int rule_of(int finding) const override { return finding % 2 ? kUnit : kSide; }
+
+ private:
+  int guess() { return numbers_.below(3) - 1; }
+  Numbers& numbers_;
+};
+
+void guards(Numbers& numbers) {
+  InputRules input{};
+  input.fresh = {12, 6, 0.2};
+  input.calm = {32, 12, 0.5};
+  input.alert = {6, 3, 0.1};
+  input.calm_batches = 2;
+  input.carried_batches = 4;
+  input.first_sizes = 5;
+  std::fill(input.widths, input.widths + kPairs, 0.3);
+  std::fill(input.feature_sizes, input.feature_sizes + 5, 0.3);
+  input.largest_deviation = input.rigid_spread = input.quartiles_apart = 1.0;
+  input.shortest_step = 1e-3;
+  input.longest_step = 0.5;
+  input.shortest_hand = 0.01;
+  input.longest_hand = 10.0;
+  input.no_hand = input.better_by = 9.0;
+  input.sure_side = input.contradiction = -9.0;
+  input.resized = 100.0;
+  input.carried = 1e-3;
+  input.conventions = {Mat3{}};
+  input.farthest = input.steady = -2.0;
+  input.farthest_apart = 1.0;
+  for (int i = 0; i < kPairs; ++i) {
+    input.first.push_back(i % kLandmarks);
+    input.second.push_back((i + 5) % kLandmarks);
+    input.places.push_back((i + 1) % kPairs);
+  }
+  input.orders = 1;
+  GuardRules rules{};
+  rules.longest_step = 2.0;
+  rules.gap = 0.5;
+  rules.set_back = rules.set_forward = 10.0;
+  rules.period_share = 0.1;
+  rules.shortest_step = 0.2;
+  rules.late_samples = 3;
+  rules.rate_window = 0.2;
+  rules.noise = {0.7, 0.1, 2.0, 1e-6};
+  for (int k = 0; k < kFixed; ++k) {
+    rules.starts[k] = k % kLandmarks;
+    rules.ends[k] = (k + 1) % kLandmarks;
+  }
+  std::fill(rules.believed, rules.believed + kSizes, 100.0);
+  rules.palm_ratios[1] = 1e3;
+  rules.frozen_after = 0.2;
+  rules.brief = 0.1;
+  Guesser guesser(numbers);
+  for (int round = 0; round < 60; ++round) {
+    const double hostile = kShares[round % 3];
+    StreamGuard guard(rules, input, 1.0, guesser);
+    guard.palm = 0.03;
+    guard.person.fill(0.02);
+    double time = 0.0;
+    for (int i = 0; i < 80; ++i) {
+      const std::vector<Vec3> hand = hands(numbers, 1, hostile);
+      double pose[16];
+      for (double& each : pose) each = numbers.number(hostile);
+      time += numbers.below(6) ? 0.02 : numbers.number(hostile, 0.2);
+      guard.check({time, &hand[0].x, numbers.below(2) ? pose : nullptr, numbers.below(9) > 0, 1.0,
+                   numbers.below(2) ? time : NAN});
+      ++calls;
+    }
+    guard.input.finish();
+  }
+}
+
+// Two fingers of two joints on a palm that may float, with a box on each tip.
+Tree fingers(bool is_floating) {
+  Tree tree;
+  const int first = is_floating ? 1 : 0;
+  if (is_floating) tree.joints.push_back({-1, JointKind::floating, {}, {}, 0, 0});
+  tree.nq = is_floating ? 7 : 0;
+  tree.nv = is_floating ? 6 : 0;
+  for (int finger = 0; finger < 2; ++finger)
+    for (int k = 0; k < 2; ++k) {
+      const int parent = k ? static_cast<int>(tree.joints.size()) - 1 : first - 1;
+      const Vec3 at = k ? Vec3{0.0, 0.04, 0.0} : Vec3{0.03 * finger, 0.05, 0.0};
+      tree.joints.push_back({parent, JointKind::revolute, {1, 0, 0}, {{}, at}, tree.nq++, tree.nv++});
+      tree.q_indices.push_back(tree.nq - 1);
+      tree.joint_columns.push_back(tree.nv - 1);
+    }
+  tree.size = tree.nv;
+  for (int c = 0; c < tree.nv; ++c) {
+    tree.leader.push_back(c);
+    tree.factor.push_back(1.0);
+  }
+  tree.points = {{first + 1, {0, 0.03, 0}}, {first + 3, {0, 0.03, 0}}};
+  tree.wrist_origin = tree.palm_origin = {first - 1, {}};
+  tree.parts = {{first - 1, {}, 0, 2}};
+  tree.rest.assign(tree.nq, 0.0);
+  if (is_floating) tree.rest[6] = 1.0;
+  tree.finish();
+  return tree;
+}
+
+std::shared_ptr<PairBounds> boxes_of(const Tree& tree) {
+  auto bounds = std::make_shared<PairBounds>();
+  const int first = tree.is_floating ? 1 : 0;
+  for (const int joint : {first + 1, first + 3})
+    bounds->bodies.push_back({joint, {}, make_box({0.01, 0.02, 0.01}), {}, 0.03});
+  Sparse levers, turns, signs;
+  for (const int joint : {first, first + 1, first + 2, first + 3}) {
+    const int c = tree.joints[joint].v;
+    for (Sparse* each : {&levers, &turns, &signs}) each->columns.push_back(c);
+    levers.values.push_back(0.08);
+    turns.values.push_back(1.0);
+    signs.values.push_back(joint < first + 2 ? 1.0 : -1.0);
+  }
+  bounds->pairs.push_back({0, 1, levers, turns, signs});
+  bounds->finish();
+  return bounds;
+}
+
+void solvers(Numbers& numbers) {
+  for (int round = 0; round < 60; ++round) {
+    const double hostile = kShares[round % 3];
+    Ik ik(fingers(round % 2 == 0));
+    const int n = ik.tree.size;
+    ik.weights = {{100.0, 100.0}, 100.0, 10.0, 1e-3, 0.5};
+    ik.settings = {8, 1e-4, 1e-4, 0.01, 0.0, 0.0, round % 5 == 0};
+    ik.limits.size = n;
+    ik.limits.lowest.assign(ik.tree.nq, -kInfinity);
+    ik.limits.highest.assign(ik.tree.nq, kInfinity);
+    ik.limits.lower.assign(n, -1.5);
+    ik.limits.upper.assign(n, 1.5);
+    ik.limits.speeds.assign(n, 3.0);
+    ik.limits.together.assign(n, static_cast<char>(round % 4 == 0));
+    for (const Joint& joint : ik.tree.joints) {
+      const int count = joint.kind == JointKind::floating ? 6 : 1;
+      for (int k = 0; k < count; ++k) ik.limits.coordinates.push_back(joint.q + k);
+    }
+    if (round % 3) ik.limits.acceleration = 40.0;
+    ik.fingers = {Vector(4, 1.0)};
+    if (round % 4 < 2) {
+      ik.pairs = std::make_unique<Pairs>(ik.tree, boxes_of(ik.tree));
+      ik.pairs->margin = 1e-3;
+    }
+    if (round % 6 == 0)
+      ik.detour_rules = {0.1, 0.3, 0.05, 0.5, 0.5, 0.7, 0.9, 1.0, 0.05, 0.01, 1.2, 0.5, 4, 4};
+    ik.stop_detours();
+    ik.motion = {ik.tree.rest, Vector(n, 0.0), 1.0 / 60.0, Vector(n, 0.0)};
+    const Motion start = ik.motion;
+    Result result;
+    for (int i = 0; i < 30; ++i) {
+      Goal goal;
+      goal.points = numbers.points(2, hostile, 0.1);
+      if (numbers.below(2)) goal.wrists = {numbers.pose(hostile)};
+      goal.postures = {{0.01, numbers.vector(4, hostile)}};
+      const double dt = std::abs(numbers.number(hostile, 0.02));
+      seek(ik, goal, dt, {}, numbers.number(hostile) > 0.0 ? 1.0 : 0.2, result);
+      if (numbers.below(5) == 0) ik.hold(dt, result);
+      // Where hostile numbers have led, nobody goes on.
+      bool is_finite = true;
+      for (const double q : ik.motion.q) is_finite &= std::isfinite(q);
+      check(is_finite || hostile > 0.0, "a configuration");
+      if (!is_finite) ik.motion = start;
+      ++calls;
+    }
+  }
+}
+
+void postures(Numbers& numbers) {
+  const Tree tree = fingers(true);
+  for (int round = 0; round < 200; ++round) {
+    const double hostile = kShares[round % 3];
+    NearestPosture problem(tree);
+    problem.settings = {30, 1e-9, 1e-4, 1e-6, 1e-12, 1e-3};
+    problem.points = tree.points;
+    problem.configuration = tree.rest;
+    problem.rest.assign(4, 0.0);
+    problem.lower.assign(4, -1.5);
+    problem.upper.assign(4, 1.5);
+    problem.targets = numbers.points(2, hostile, 0.1);
+    problem.costs = {1.0, 1.0};
+    problem.rest_cost = 1e-3;
+    problem.solve(numbers.vector(4, hostile));
+    const std::shared_ptr<PairBounds> bounds = boxes_of(tree);
+    SmallestDistances distances(*bounds);
+    Placed placed(tree);
+    Vector q = numbers.vector(tree.nq, hostile);
+    placed.place(q.data());
+    distances.place(placed);
+    distances.among(0, 1, 0.5);
+    ++calls;
+  }
+}
+
+}  // namespace
+
+int main(int count, char** arguments) {
+  Numbers numbers(count > 1 ? static_cast<unsigned>(std::atoi(arguments[1])) : 1u);
+  order_statistics(numbers);
+  rotations(numbers);
+  problems(numbers);
+  shapes(numbers);
+  persons(numbers);
+  smoothing(numbers);
+  guards(numbers);
+  solvers(numbers);
+  postures(numbers);
+  std::printf("%ld calls\n", calls);
+}

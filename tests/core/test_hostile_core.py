@@ -1,0 +1,329 @@
+"""Every function of the compiled core, with arguments that nobody should give it.
+
+They may raise; they must not read or write what is not theirs. `make sanitize` shows where they do.
+A crash would end the tests, so the calls are made in a process of their own.
+"""
+
+from __future__ import annotations
+
+import random
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROUNDS = 60  # hostile calls of each function
+
+
+class Watched:
+    """An object that notes which of its attributes are read."""
+
+    def __init__(self, real: Any) -> None:
+        self.real = real
+        self.names: set[str] = set()
+
+    def __getattr__(self, name: str) -> Any:
+        self.names.add(name)
+        return getattr(self.real, name)
+
+
+class Altered:
+    """An object of which some attributes are others."""
+
+    def __init__(self, real: Any, others: dict[str, Any]) -> None:
+        self.real = real
+        self.others = others
+
+    def __getattr__(self, name: str) -> Any:
+        return self.others[name] if name in self.others else getattr(self.real, name)
+
+
+def hostile_array(rng: random.Random, array: np.ndarray) -> Any:
+    """Return an array that is like another one, but for size, shape, kind or numbers."""
+    if array.dtype.kind not in "biuf":
+        return array[:0]
+    wild = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300, 1e9, -1.0, 1e6]
+    if array.dtype.kind == "f":
+        changed = array.copy()
+    else:
+        wild = [-1, -1000, 1, 1000, 2**31 - 1]
+        changed = array.astype(np.int64)
+    for _ in range(rng.choice([1, 1, 3, changed.size]) if changed.size else 0):
+        changed.flat[rng.randrange(changed.size)] = rng.choice(wild)
+    flat = array.ravel()
+    rows = np.atleast_1d(array)
+    return rng.choice(
+        [
+            changed,
+            changed,
+            changed.astype(array.dtype),
+            flat[:-1],
+            np.append(flat, flat[:2]),
+            np.repeat(rows, 3, axis=0),
+            array[..., None],
+            array.T,
+            flat[:0],
+            rows[:0],
+            rows[:, None],
+            np.zeros(()),
+            flat.astype(np.float32),
+            np.asfortranarray(rows[::-1]),
+            array.tolist(),
+        ]
+    )
+
+
+def hostile(rng: random.Random, value: Any, others: list[Any]) -> Any:
+    """Return something in the place of an argument or an attribute."""
+    if isinstance(value, np.ndarray) and rng.random() < 0.85:
+        return hostile_array(rng, value)
+    if isinstance(value, list | tuple) and value and rng.random() < 0.7:
+        items = list(value)
+        place = rng.randrange(len(items))
+        items[place] = hostile(rng, items[place], others)
+        whole = rng.choice([items, items[:-1], items * 3, items[:0]])
+        return type(value)(whole) if type(value) in (list, tuple) else whole
+    numbers = [0, -1, 1, 1000, 2**31, 2**62, 0.0, -1.0, 1e300, np.nan, np.inf, 1e-300]
+    if isinstance(value, int | float) and rng.random() < 0.8:
+        return rng.choice(numbers)
+    return rng.choice(
+        [None, "", "x" * 999, b"", [], {}, (), object(), *numbers, *others]
+    )
+
+
+def altered(rng: random.Random, value: Any, names: set[str], others: list[Any]) -> Any:
+    """Return an object with hostile attributes among those that were read."""
+    chosen = rng.sample(sorted(names), min(len(names), rng.choice([1, 1, 2])))
+    return Altered(value, {n: hostile(rng, getattr(value, n), others) for n in chosen})
+
+
+Call = tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+def calls_of(core: Any) -> dict[str, Call]:
+    """Return a call of each function with arguments that are right."""
+    from handmap_qp import Follower, HandMapper, load_hand, read_recording
+    from handmap_qp.human.recording import sample_columns
+    from handmap_qp.ik.tasks import Goal
+    from handmap_qp.stream.step_table import StepTable
+
+    recording = read_recording("demo", "right").part(slice(0, 60))
+    columns = sample_columns(recording)
+    human = load_hand("human", points="landmarks")
+    robot = load_hand("allegro_right")
+    follower = Follower(HandMapper(human, robot, "paper"))
+    mapper = follower.mapper
+    teleoperated = HandMapper(human, robot)
+    for each in (mapper, teleoperated):
+        each.map_landmarks(recording.landmarks[0])
+    follower.map_sample(columns.sample(0))
+    joints = load_hand("human")
+    ik = teleoperated.point_ik
+    robot = ik.hand
+    gate, tree = ik.gate, core.Tree(robot)
+    assert gate.collisions is not None
+    bounds = gate.collisions.bounds
+    points = ik.configuration.points
+    motion = gate.motion
+    wrist = np.eye(4)
+    dt = 1.0 / 60.0
+    sample = columns.sample(1)
+    pose = mapper.landmarks.read(sample.landmarks)[0]
+    guard: Any = follower._guard
+    smoother: Any = follower._smoother
+    own_map: Any = mapper.target_map
+    reader: Any = mapper.landmarks.core
+    teleoperation: Any = teleoperated.target_map
+    table = StepTable(mapper.robot, len(columns.time))
+    trajectory = SimpleNamespace(
+        point_error=np.ones((60, 5)),
+        q=np.ones((60, 16)),
+        valid=np.ones(60, dtype=bool),
+        at_limit=np.zeros((60, 16), dtype=bool),
+        at_speed_limit=np.zeros((60, 16), dtype=bool),
+    )
+    goal = Goal(points, wrist[None], ik.postures(dt, None), (), dt, None, 1.0)
+    geometry = bounds.geometry.geometryObjects
+    solver, in_core = ik.core, mapper.core
+    many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
+    solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
+    check: Any = guard._input
+    return {
+        "measure_shape": (
+            core.measure_shape,
+            (recording.landmarks, recording.landmarks[0, [0, 5, 9, 13, 17]]),
+        ),
+        "log3": (core.log3, (np.eye(3),)),
+        "exp3": (core.exp3, (np.ones(3),)),
+        "quat_xyzw": (core.quat_xyzw, (np.eye(3),)),
+        "smallest_gap": (core.smallest_gap, (recording.time, recording.landmarks)),
+        "measure_episode": (core.measure_episode, (recording, trajectory)),
+        "solve_qp": (
+            core.solve_qp,
+            (np.eye(3), *np.ones((3, 3)), np.ones((2, 3)), np.ones(2)),
+        ),
+        "measure_shapes": (
+            core.measure_shapes,
+            (geometry[0].geometry, wrist, geometry[1].geometry, 2.0 * wrist),
+        ),
+        "Tree": (core.Tree, (robot,)),
+        "Tree.moved": (tree.moved, ({},)),
+        "Tree.points": (tree.points, (robot.rest, robot.spec.points)),
+        "Tree.poses": (tree.poses, (motion.q, list(robot.point_frames))),
+        "Tree.nearest_posture": (
+            tree.nearest_posture,
+            (robot, points, np.ones(len(points)), 0.1, robot.rest),
+        ),
+        "Tree.smallest_distances": (
+            tree.smallest_distances,
+            (bounds.core, robot.rest[None], [0, 3], 1.0),
+        ),
+        "PairBounds": (core.PairBounds, (bounds,)),
+        "PointDistances": (core.PointDistances, (teleoperation.method.distances,)),
+        "Ik": (core.Ik, (tree, ik.hand, ik.options, gate)),
+        "Ik.set_motion": (
+            solver.set_motion,
+            (motion.q, motion.displacement, dt, motion.stop_times),
+        ),
+        "Ik.hold": (solver.hold, (dt,)),
+        "Ik.solve": (solver.solve, (goal,)),
+        "Ik.solve_many": (solver.solve_many, solve_many),
+        "Ik.go_on": (solver.go_on, (list(solver.detours),)),
+        "SampleMapper": (
+            core.SampleMapper,
+            (mapper.point_ik.core, mapper.robot, own_map),
+        ),
+        "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
+        "SampleMapper.map": (
+            in_core.map,
+            (reader, sample.landmarks, None, dt),
+        ),
+        "SampleMapper.map_sample": (
+            in_core.map_sample,
+            (guard.core, smoother.core, reader, sample, None, None),
+        ),
+        "SampleMapper.run": (
+            in_core.run,
+            (
+                guard.core,
+                smoother.core,
+                reader,
+                columns,
+                2,
+                9,
+                table.rows,
+            ),
+        ),
+        "TeleoperationMap": (core.TeleoperationMap, (teleoperation,)),
+        "HomogeneousMap": (core.HomogeneousMap, (own_map,)),
+        "LandmarkReader": (core.LandmarkReader, (mapper.landmarks,)),
+        "LandmarkReader.read": (
+            reader.read,
+            (sample.landmarks, wrist),
+        ),
+        "JointReader": (core.JointReader, (mapper._joints,)),
+        "JointReader.read": (
+            core.JointReader(mapper._joints).read,
+            (joints.rest, wrist),
+        ),
+        "StreamGuard": (core.StreamGuard, (guard,)),
+        "StreamGuard.check": (guard.core.check, (sample, None)),
+        "StreamGuard.holds": (guard.core.holds, (columns,)),
+        "StreamGuard.judge": (guard.core.judge, (columns,)),
+        "InputCheck": (core.InputCheck, (check,)),
+        "InputCheck.update": (
+            core.InputCheck(check).update,
+            (0.1, sample.landmarks, wrist),
+        ),
+        "InputCheck.examine": (core.InputCheck(check).examine, (recording,)),
+        "Smoother": (core.Smoother, (smoother,)),
+        "Smoother.smooth": (smoother.core.smooth, (pose, dt)),
+        "Smoother.wait": (smoother.core.wait, (dt,)),
+    }
+
+
+def attack(core: Any, seed: int) -> int:
+    """Make hostile calls of every function; return how many raised."""
+    rng = random.Random(seed)
+    calls = calls_of(core)
+    others = [value for _, values in calls.values() for value in values]
+    raised = 0
+    for name, (function, right) in calls.items():
+        watched = [Watched(value) for value in right]
+        try:
+            function(*right)
+            function(*watched)
+        except Exception:
+            pass
+        for _ in range(ROUNDS):
+            values = list(right)
+            for i in rng.sample(
+                range(len(right)), min(len(right), rng.choice([1, 1, 2]))
+            ):
+                names = watched[i].names
+                if names and rng.random() < 0.7:
+                    values[i] = altered(rng, right[i], names, others)
+                else:
+                    values[i] = hostile(rng, right[i], others)
+            print(name, file=sys.stderr, flush=True)
+            try:
+                function(*values)
+            except Exception:
+                raised += 1
+    return raised
+
+
+def test_no_argument_ends_the_process() -> None:
+    from handmap_qp.ik.core import core, description
+
+    if core is None:
+        pytest.skip(description)
+    for seed in ("1", "2"):
+        run = subprocess.run(
+            [sys.executable, __file__, seed],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert run.returncode == 0, run.stderr[-3000:]
+        assert int(run.stdout) > 1000
+
+
+def test_the_calls_are_right_and_all_there_are() -> None:
+    from handmap_qp.ik.core import core, description
+
+    if core is None:
+        pytest.skip(description)
+    calls = calls_of(core)
+    for function, values in calls.values():
+        function(*values)
+    functions = {n for n, v in vars(core).items() if callable(v) and n[0].islower()}
+    assert functions <= calls.keys()
+
+
+def test_every_hand_of_the_library_is_taken() -> None:
+    from handmap_qp import IkOptions, hand_names, load_hand
+    from handmap_qp.ik import PointIk
+    from handmap_qp.ik.core import core, description
+
+    if core is None:
+        pytest.skip(description)
+    for name in hand_names():
+        # A hand that it does not take would move on the slow path, without a word.
+        assert PointIk(load_hand(name), IkOptions()).core is not None, name
+
+
+if __name__ == "__main__":
+    sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
+    import os
+
+    if "HANDMAP_CORE" in os.environ:
+        import other_core  # noqa: F401
+    from handmap_qp.ik.core import core as loaded
+
+    print(attack(loaded, int(sys.argv[1])))
