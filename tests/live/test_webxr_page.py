@@ -25,7 +25,7 @@ from handmap_qp.ik.core import core
 from handmap_qp.trackers.layouts.points import PointLayout
 from handmap_qp.trackers.layouts.tables import load_layout
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("patient")]
 EMULATION = Path(__file__).with_name("xr_emulation.js").read_text(encoding="utf-8")
 TOKEN = "a-token-of-the-tests"
 RATE = 30.0
@@ -186,9 +186,7 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
         wait_until(
             lambda: bool(np.abs(np.array(watcher.status().q) - before).max() > 0.05)
         )
-    browser.wait_for(
-        "parseInt(document.querySelector('#right .sent').textContent) > 15"
-    )
+    browser.wait_for("parseInt(document.querySelector('#right .sent').textContent) > 0")
     assert int(text(browser, "#right .sent").split()[0]) <= 1.2 * RATE
     followed = ("converged", "limited", "unsettled", "unreachable")
     wait_until(
@@ -207,7 +205,7 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     browser.evaluate("delete joints.left; delete emulated.hands.left; 0")
     wait_for_text(browser, "#left .state", "hand lost: the robot holds")
     wait_until(lambda: text(browser, "#left .robot") in ("held", "hold"))
-    assert text(browser, "#right .state") == "streaming"
+    wait_for_text(browser, "#right .state", "streaming")
     # The buttons hold and engage.
     click(browser, "#right .hold")
     wait_for_text(browser, "#right .state", "held until Engage")
