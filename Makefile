@@ -112,11 +112,11 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	"$$python" -m venv "$$folder" && \
 	pip="$$folder/bin/python -m pip --disable-pip-version-check" && \
 	$$pip install -qq --upgrade pip && \
-	HANDMAP_PURE=1 $$pip install -qq --editable '.[all,cluster]' --group dev && \
+	HANDMAP_PURE=1 $$pip install -qq '.[all,cluster]' --group dev && \
 	$$pip install -qq --no-deps $(MODELS) && \
 	{ \
 	    echo "# Exact versions that .venv is made of. Written by \`make lock\`: change pyproject.toml, not this file." && \
-	    $$pip freeze --all --exclude-editable --exclude setuptools; \
+	    $$pip freeze --all --exclude handmap-qp --exclude setuptools; \
 	} > $(CONSTRAINTS).new && \
 	mv $(CONSTRAINTS).new $(CONSTRAINTS)
 	@echo "Wrote $(CONSTRAINTS); now run make test."
