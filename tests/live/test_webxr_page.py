@@ -80,15 +80,30 @@ def text(browser: Browser, selector: str) -> str:
 
 
 def click(browser: Browser, selector: str) -> None:
-    """Click in the middle of an element, as a user does."""
-    browser.wait_for(f"!document.querySelector({json.dumps(selector)}).disabled")
-    x, y = browser.evaluate(
-        f"(() => {{ const element = document.querySelector({json.dumps(selector)});"
-        "element.scrollIntoView({block: 'center'});"
-        "const box = element.getBoundingClientRect();"
-        "return [box.x + box.width / 2, box.y + box.height / 2]; })()"
+    """Click in the middle of an element, as a user does.
+
+    The page may move the element after its place was read, so look whether the click reached it.
+    """
+    element = f"document.querySelector({json.dumps(selector)})"
+    browser.evaluate(
+        "window.wasClicked = false;"
+        f"{element}.addEventListener('click', () => {{ window.wasClicked = true; }},"
+        " { capture: true, once: true }); 0"
     )
-    browser.click(x, y)
+
+    def is_clicked() -> bool:
+        if browser.evaluate(f"{element}.disabled"):
+            return False
+        x, y = browser.evaluate(
+            f"(() => {{ const element = {element};"
+            "element.scrollIntoView({block: 'center'});"
+            "const box = element.getBoundingClientRect();"
+            "return [box.x + box.width / 2, box.y + box.height / 2]; })()"
+        )
+        browser.click(x, y)
+        return browser.evaluate("window.wasClicked")
+
+    wait_until(is_clicked, f"no click reaches {selector}")
 
 
 def wait_for_text(browser: Browser, selector: str, part: str) -> None:
