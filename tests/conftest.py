@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from patience import PATIENCE
 
 # Draw the same examples on every run, so that a failure is reproducible.
 # `--hypothesis-profile=explore` draws others.
@@ -155,6 +156,12 @@ def shared_hands() -> Path:
             f"no hands (*/*.urdf) in {folder}: set HANDMAP_HANDS to the folder of them"
         )
     return folder
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands wait long for a service, which answers late on a busy machine."""
+    monkeypatch.setattr("handmap_qp.apps.connection.TIMEOUT", PATIENCE)
 
 
 @pytest.fixture

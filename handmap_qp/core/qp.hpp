@@ -12,9 +12,11 @@
 #include <limits>
 #include <vector>
 
-// Compiles a function, and what it calls, a second time for wide registers, which a processor that has
-// them takes. Nothing rounds differently.
-#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GLIBC__)
+// GCC compiles a function, and all that it calls, a second time for wide registers; a processor that
+// has them runs that version. Nothing rounds differently. Clang refuses the two attributes together,
+// and one without the other gains nothing, so it compiles the function once.
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__GLIBC__) && \
+    defined(__gnu_linux__)
 #define HANDMAP_WIDE __attribute__((target_clones("avx2", "default"), flatten))
 #else
 #define HANDMAP_WIDE

@@ -28,7 +28,7 @@ SCRIPTS = sorted(FOLDER.glob("bench_*.py"))
 
 def run(script: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(script), *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, timeout=600)
 
 
 @pytest.fixture(scope="module")

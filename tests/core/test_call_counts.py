@@ -96,7 +96,7 @@ def test_binding_a_mapper_to_a_new_person(people: Iterator[Hand], name: str) -> 
     assert bind_count(people, load_hand(name)) <= 1_150
 
 
-BINDS = {"object": 150, "fingertip-vectors": 230, "joint-to-joint": 2_800}
+BINDS = {"object": 160, "fingertip-vectors": 230, "joint-to-joint": 2_800}
 
 
 @pytest.mark.parametrize("preset", BINDS)

@@ -351,7 +351,9 @@ def fake_environment(folder: Path, peers: Any) -> None:
     for peer in peers.build.PEERS:
         python = folder / peer.name / "bin" / "python"
         python.parent.mkdir(parents=True)
-        python.symlink_to(sys.executable)
+        # Not a link: an interpreter finds its environment by the folder that it is called in.
+        python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+        python.chmod(0o755)
         stamp = folder / peer.name / ".installed"
         stamp.write_text(
             peer.requirements.read_text(encoding="utf-8"), encoding="utf-8"

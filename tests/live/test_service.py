@@ -33,7 +33,7 @@ from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("patient")]
 
 
 @pytest.fixture(scope="module")
@@ -190,6 +190,7 @@ def test_a_service_that_is_not_there_is_one_line(
         ServiceSink(nobody, "three_finger", "right")
     with pytest.raises(InvalidInputError, match=r"--from: .*handmap serve"):
         ServiceSource(nobody)
+    monkeypatch.setattr("handmap_qp.apps.connection.TIMEOUT", PATIENCE)
     with pytest.raises(InvalidInputError, match=r"--to: .*no hand 'nonsense'"):
         ServiceSink(address_of(server), "nonsense", "right")
     for wrong in ("", ":", "127.0.0.1:port", "127.0.0.1:99999"):

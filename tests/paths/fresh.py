@@ -25,7 +25,14 @@ WHEELS = ROOT / "build" / "paths"
 LIMIT = 1800.0
 """Longest time of one command [s]."""
 # All that a wheel is made of.
-_SOURCES = ("handmap_qp", "urdf", ".ci/compile.py", ".ci/metadata.py", "pyproject.toml")
+_SOURCES = (
+    "handmap_qp",
+    "urdf",
+    ".ci/backend.py",
+    ".ci/compile.py",
+    ".ci/metadata.py",
+    "pyproject.toml",
+)
 _SIZES = """
 from importlib.metadata import distributions
 sizes = {}

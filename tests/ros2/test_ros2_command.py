@@ -32,8 +32,16 @@ from handmap_qp.client import Client, ServiceTimeoutError
 
 STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
 # As `handmap ros2` where the package is installed: here its folder is only on the path.
-RUN = f"import sys, tyro; sys.path.insert(0, {str(PACKAGE)!r}); "
-RUN += "from handmap_ros2.cli import Ros2; tyro.cli(Ros2).run()"
+RUN = f"""
+import sys
+import tyro
+sys.path.insert(0, {str(PACKAGE)!r})
+from handmap_qp.apps import connection
+from handmap_ros2.cli import Ros2
+# The service answers late on a busy machine.
+connection.TIMEOUT = {PATIENCE}
+tyro.cli(Ros2).run()
+"""
 # No other program has it, nor another run of the suite.
 DOMAIN = 100 + os.getpid() % 100
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 from service_tools import address_of, connected, human_q, serving
 
 from handmap_qp.apps.service.keys import make_keys
@@ -81,7 +82,7 @@ def test_a_task_that_waits_for_commands_takes_the_stream_that_another_task_opens
     server: Server,
 ) -> None:
     async def main() -> None:
-        async with AsyncClient(address_of(server), timeout=30.0) as client:
+        async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
             await client.open("three_finger", watchdog=10.0)
             waiting = asyncio.create_task(client.latest(60.0))
             await asyncio.sleep(0)
@@ -103,7 +104,7 @@ def test_a_task_that_waits_for_commands_takes_the_stream_that_another_task_opens
 
 def test_closing_ends_a_wait_whose_command_arrives_just_then(server: Server) -> None:
     async def main(turns: int) -> None:
-        client = AsyncClient(address_of(server), timeout=30.0)
+        client = AsyncClient(address_of(server), timeout=PATIENCE)
         await client.watch("lab")
         waiting = asyncio.create_task(client.latest(60.0))
         await asyncio.sleep(0.05)
@@ -124,7 +125,7 @@ def test_a_message_taken_by_another_task_is_not_an_error(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def main() -> None:
-        async with AsyncClient(address_of(server), timeout=30.0) as client:
+        async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
             await client.open("three_finger")
             events = iter([True])
 

@@ -22,7 +22,7 @@ import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.msgpack import decode, encode
-from patience import wait_until
+from patience import PATIENCE, wait_until
 from service_tools import (
     LOCAL,
     WEB,
@@ -63,8 +63,6 @@ pytestmark = pytest.mark.slow
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "service.md").read_text(
     encoding="utf-8"
 )
-PATIENCE = 20.0
-"""Longest wait of a test that fails [s]."""
 
 
 def complaint(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:

@@ -341,7 +341,7 @@ def test_the_page_draws_both_hands_and_its_controls_move_the_robot(
 
 @pytest.mark.slow
 def test_the_page_of_a_service_draws_both_hands_and_releases(
-    browser: Browser, monkeypatch: pytest.MonkeyPatch
+    browser: Browser, patient: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip(
         "zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'"
@@ -351,8 +351,7 @@ def test_the_page_of_a_service_draws_both_hands_and_releases(
     from handmap_qp.apps.viewer.live import LiveViewer
     from handmap_qp.apps.viewer.remote import ServiceSession
 
-    for name in ("viewer.remote._TIMEOUT", "connection.TIMEOUT"):
-        monkeypatch.setattr(f"handmap_qp.apps.{name}", PATIENCE)
+    monkeypatch.setattr("handmap_qp.apps.viewer.remote._TIMEOUT", PATIENCE)
     with (
         service_tools.serving() as service,
         service_tools.connected(service, name="lab", is_shared=True) as client,

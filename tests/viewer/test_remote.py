@@ -54,10 +54,9 @@ WRIST[:3, 3] = 0.1, 0.2, 0.3
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Set a long timeout, because replies take long on a busy machine."""
-    for name in ("viewer.remote._TIMEOUT", "connection.TIMEOUT"):
-        monkeypatch.setattr(f"handmap_qp.apps.{name}", PATIENCE)
+def patient_view(patient: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the view wait long for a service, too."""
+    monkeypatch.setattr("handmap_qp.apps.viewer.remote._TIMEOUT", PATIENCE)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ pytest.importorskip(
 )
 
 import viser
-from patience import wait_until
+from patience import PATIENCE, wait_until
 from websockets.asyncio import server as websocket_server
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -49,7 +49,7 @@ def test_pages_of_other_sites_are_refused(
         with connect(
             f"ws://127.0.0.1:{port}", origin=said, subprotocols=[page], max_size=None
         ) as connection:
-            connection.recv(timeout=30.0)
+            connection.recv(timeout=PATIENCE)
 
     if is_accepted:
         open_connection()
@@ -66,7 +66,7 @@ def test_foreign_host_names_are_refused_on_loopback(
     server: Any, name: str, status: int
 ) -> None:
     connection = http.client.HTTPConnection(
-        "127.0.0.1", server.get_port(), timeout=30.0
+        "127.0.0.1", server.get_port(), timeout=PATIENCE
     )
     connection.request("GET", "/", headers={"Host": f"{name}:{server.get_port()}"})
     assert connection.getresponse().status == status

@@ -1,0 +1,54 @@
+"""The build backend: hatchling, which also gives metadata to pip without building anything.
+
+hatchling leaves out the two hooks for metadata where pip asks, because hooks of a build may add
+dependencies. Ours does not. Without the hooks pip builds the whole wheel to read its metadata, so
+that the core compiled for minutes behind the words "Preparing metadata".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeAlias
+
+from hatchling.build import (
+    build_editable,
+    build_sdist,
+    build_wheel,
+    get_requires_for_build_editable,
+    get_requires_for_build_sdist,
+    get_requires_for_build_wheel,
+)
+from hatchling.builders.wheel import WheelBuilder
+
+__all__ = [
+    "build_editable",
+    "build_sdist",
+    "build_wheel",
+    "get_requires_for_build_editable",
+    "get_requires_for_build_sdist",
+    "get_requires_for_build_wheel",
+    "prepare_metadata_for_build_editable",
+    "prepare_metadata_for_build_wheel",
+]
+
+ConfigSettings: TypeAlias = "dict[str, str | list[str]] | None"
+
+
+def prepare_metadata_for_build_wheel(
+    metadata_directory: str, config_settings: ConfigSettings = None
+) -> str:
+    """Write METADATA into a folder of its own; return the folder's name (PEP 517)."""
+    del config_settings
+    builder = WheelBuilder(str(Path.cwd()))
+    folder = Path(metadata_directory, f"{builder.artifact_project_id}.dist-info")
+    folder.mkdir(exist_ok=True)
+    metadata = builder.config.core_metadata_constructor(builder.metadata)
+    (folder / "METADATA").write_text(metadata, encoding="utf-8")
+    return folder.name
+
+
+def prepare_metadata_for_build_editable(
+    metadata_directory: str, config_settings: ConfigSettings = None
+) -> str:
+    """Write the metadata of an editable install, which has that of a wheel (PEP 660)."""
+    return prepare_metadata_for_build_wheel(metadata_directory, config_settings)

@@ -1,0 +1,210 @@
+// Motion of a robot for a goal, sample by sample or many samples at once.
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <optional>
+
+#include "bind.hpp"
+#include "mapper.hpp"
+
+using namespace nb::literals;
+
+namespace handmap {
+namespace {
+
+// What makes the rows of tasks that are written in Python, at a configuration.
+std::function<void(const Vector&, TaskRows&)> rows_of(PythonIk& ik, const nb::list& tasks) {
+  if (tasks.size() == 0) return {};
+  if (!ik.placed.is_valid()) ik.placed = ik.hand.attr("configuration")();
+  return [&ik, &tasks](const Vector& q, TaskRows& rows) {
+    static const nb::object& plain = numpy_attribute("ascontiguousarray");
+    const auto numbers = [](const nb::handle& of) {
+      return vector_of(nb::cast<Array>(plain(of, "float64")));
+    };
+    const size_t size = ik.tree.size;
+    ik.placed.attr("place")(array_of(q));
+    rows.residual.clear();
+    rows.jacobian.clear();
+    rows.damping.assign(size, 0.0);
+    for (const nb::handle& task : tasks) {
+      const nb::object found = task.attr("linearise")(ik.placed);
+      const Vector residual = numbers(item(found, 0)), jacobian = numbers(item(found, 1)),
+                   damping = numbers(item(found, 2));
+      if (jacobian.size() != residual.size() * size ||
+          (damping.size() != size && damping.size() != 1))
+        throw std::invalid_argument("wrong sizes of a task's rows");
+      append(residual, rows.residual);
+      append(jacobian, rows.jacobian);
+      for (size_t i = 0; i < size; ++i) rows.damping[i] += damping[damping.size() == 1 ? 0 : i];
+    }
+    rows.count = static_cast<int>(rows.residual.size());
+  };
+}
+
+using Postures = std::vector<std::pair<double, Array>>;
+
+std::vector<Posture> postures_of(const Ik& ik, const Postures& given) {
+  std::vector<Posture> postures;
+  for (const auto& [weight, q] : given) {
+    expect_size(q, ik.tree.joint_columns.size(), "postures");
+    postures.push_back({weight, vector_of(q)});
+  }
+  return postures;
+}
+
+Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
+  if (!margins) return {};
+  if (!ik.pairs || margins->size() != ik.pairs->size())
+    throw std::invalid_argument("wrong size of margins");
+  return vector_of(*margins);
+}
+
+// Move the hand for a `Goal` of Python.
+nb::object solve(PythonIk& ik, const nb::object& wanted) {
+  const Fields given(wanted);
+  Goal goal;
+  goal.points = points_of(given.array("points", 3 * ik.tree.points.size()));
+  if (const auto wrists = given.get<std::optional<Array>>("wrists")) {
+    expect_size(*wrists, 16 * ik.tree.parts.size(), "wrists");
+    for (size_t i = 0; i < ik.tree.parts.size(); ++i)
+      goal.wrists.push_back(pose_of(wrists->data() + 16 * i));
+  }
+  goal.postures = postures_of(ik, given.get<Postures>("postures"));
+  static const nb::object& PointOffset =
+      *new nb::object(module_of("ik.tasks").object("PointOffset"));
+  nb::list others;
+  for (const nb::handle& each : given.object("tasks")) {
+    const Fields task(nb::borrow(each));
+    const DistanceTask* own = nullptr;
+    if (nb::try_cast(nb::getattr(each, "core", nb::none()), own, false) && own) {
+      goal.distances.push_back({own, task.numbers("distances"), task.numbers("weights")});
+      const AimedDistances& aimed = goal.distances.back();
+      expect(aimed.aims.size() == own->first.size() && aimed.weights.size() == own->first.size(),
+             "wrong size of distances or weights");
+      expect_joints(ik.tree, own->points);
+    } else if (nb::isinstance(each, PointOffset)) {
+      goal.offsets.push_back(offset_of(task));
+      expect_joints(ik.tree, {goal.offsets.back().from, goal.offsets.back().to});
+    } else {
+      others.append(each);
+    }
+  }
+  goal.further = rows_of(ik, others);
+  expect(!ik.detour_rules || !goal.postures.empty(), "detours need a posture at rest");
+  take_motion(ik);
+  PythonStep step;
+  seek(ik, goal, given.get<double>("dt"),
+       margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
+       step.result);
+  finish(ik, step);
+  nb::object made = nb::cast(std::move(step));
+  leave_motion(ik, made);
+  return result_of(nb::cast<const PythonStep&>(made), ik.hand, nb::getattr(ik.gate, "links"));
+}
+
+// Take the stop that was admitted last, for one sample.
+nb::object hold_still(PythonIk& ik, double dt) {
+  take_motion(ik);
+  PythonStep step;
+  hold(ik, dt, step);
+  nb::object made = nb::cast(std::move(step));
+  leave_motion(ik, made);
+  return result_of(nb::cast<const PythonStep&>(made), ik.hand, nb::getattr(ik.gate, "links"));
+}
+
+// The detour of each hand, as a `Detour` of Python has it; none where something else has moved the
+// robot since.
+nb::list detours_of(PythonIk& ik) {
+  nb::list found;
+  if (was_set(ik)) return found;
+  for (size_t i = 0; i < ik.detours.size(); ++i) {
+    const Detour& detour = ik.detours[i];
+    const nb::object via = detour.via.empty() ? nb::none() : nb::cast(array_of(detour.via));
+    std::vector<Vec3> points = detour.points;
+    if (points.empty()) points.push_back({kInfinity, kInfinity, kInfinity});
+    Vector known = detour.known;
+    known.resize(ik.tree.parts[i].end - ik.tree.parts[i].first, 0.0);
+    found.append(
+        nb::make_tuple(via, array_of(points), array_of(known), detour.left, detour.wait));
+  }
+  return found;
+}
+
+// Continue the gate's motion on detours, as the hands do that these are copies of.
+void go_on(PythonIk& ik, const nb::object& given) {
+  take_motion(ik);
+  std::vector<Detour> detours(ik.detours.size());
+  for (size_t i = 0; i < detours.size(); ++i) {
+    const nb::object detour = item(given, i), via = item(detour, 0);
+    const Array points = nb::cast<Array>(item(detour, 1));
+    const Array known = nb::cast<Array>(item(detour, 2));
+    const size_t count = ik.tree.parts[i].end - ik.tree.parts[i].first;
+    Vector posture;
+    if (!via.is_none()) {
+      posture = vector_of(nb::cast<Array>(via));
+      expect(posture.size() == ik.tree.q_indices.size(), "wrong size of a detour");
+    }
+    detours[i] = {
+        std::move(posture),
+        points.size() == 3 * ik.tree.points.size() ? points_of(points) : std::vector<Vec3>(),
+        known.size() == count ? vector_of(known) : Vector(), nb::cast<double>(item(detour, 3)),
+        nb::cast<double>(item(detour, 4))};
+  }
+  ik.moved = nb::getattr(ik.gate, "read_motion");
+  ik.detours = std::move(detours);
+}
+
+// Many samples of one goal each, one after the other and without the GIL, from where the hand is.
+// Returns for each sample its configuration, displacement, stop times and status, one after the other.
+NumpyArray solve_many(PythonIk& ik, const Array& points,
+                                          const std::optional<Array>& wrists, const Array& dt,
+                                          const Array& speed, const std::optional<Array>& margins,
+                                          const Postures& postures) {
+  const size_t count = dt.size(), m = 3 * ik.tree.points.size();
+  expect_size(points, count * m, "points");
+  expect_size(speed, count, "speed");
+  if (wrists) expect_size(*wrists, 16 * count, "wrists");
+  if (ik.tree.parts.size() > 1) throw std::invalid_argument("several hands");
+  Goal goal;
+  goal.points.resize(ik.tree.points.size());
+  goal.postures = postures_of(ik, postures);
+  const Vector kept = margins_of(ik, margins);
+  double* to;
+  NumpyArray numbers = array_of({count * (ik.tree.nq + 2 * ik.tree.size + 1)}, to);
+  nb::gil_scoped_release released;
+  Result result;
+  for (size_t i = 0; i < count; ++i) {
+    const double* from = points.data() + i * m;
+    for (size_t k = 0; k < goal.points.size(); ++k)
+      goal.points[k] = {from[3 * k], from[3 * k + 1], from[3 * k + 2]};
+    if (wrists) goal.wrists = {pose_of(wrists->data() + 16 * i)};
+    ik.solve(goal, dt.data()[i], kept, speed.data()[i], result);
+    for (const Vector* part : {&ik.motion.q, &ik.motion.displacement, &ik.motion.stop_times})
+      to = std::copy(part->begin(), part->end(), to);
+    *to++ = static_cast<double>(result.status);
+  }
+  return numbers;
+}
+
+}  // namespace
+
+void bind_ik(nb::module_& m) {
+  nb::class_<DistanceTask>(m, "PointDistances").def("__init__", &make_distances);
+  nb::class_<PythonIk>(m, "Ik")
+      .def("__init__", &make_ik)
+      .def("set_motion",
+           [](PythonIk& ik, const Array& q, const Array& displacement, double dt,
+              const Array& stop_times) {
+             const Work work(ik);
+             set_motion(ik, q, displacement, dt, stop_times);
+           })
+      .def_prop_ro("detours", exclusively(&detours_of))
+      .def("go_on", exclusively(&go_on), "detours"_a)
+      .def("hold", exclusively(&hold_still), "dt"_a)
+      .def("solve", exclusively(&solve), "goal"_a)
+      .def("solve_many", exclusively(&solve_many), "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
+           "margins"_a.none(), "postures"_a);
+  nb::class_<PythonStep>(m, "Step")
+      .def("__call__", &motion_of);
+}
+
+}  // namespace handmap
