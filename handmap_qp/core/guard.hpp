@@ -217,6 +217,7 @@ struct Verdict {
   double dt, consistency;
   int finding;
   double lost = HUGE_VAL;
+  double time = 0.0;  // of the stream
 };
 
 struct GuardState {
@@ -251,6 +252,7 @@ class StreamGuard {
     const double now = state.now + tick.elapsed;
     Verdict verdict{tick.rule, true, false, tick.dt, std::numeric_limits<double>::quiet_NaN(),
                     kNone};
+    verdict.time = now;
     Landmarks landmarks;
     const bool is_new = tick.rule != kDuplicate && tick.rule != kDisorder;
     int rule = kNothing;
@@ -266,6 +268,7 @@ class StreamGuard {
     }
     const int cause = state.cause;
     verdict = follow(first_track(rules, now, landmarks), tick, was_late);
+    verdict.time = now;
     if (state.cause != kNothing && cause == kNothing) input.alert();
     if (sample.wrist && !input.state.seen.is_proven && !verdict.is_held) verdict.rule = kUnproven;
     return verdict;

@@ -103,7 +103,7 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
   goal.further = rows_of(ik, others);
   take_motion(ik);
   PythonStep step;
-  seek(ik, goal, given.get<double>("dt"),
+  seek(ik, goal, when_from(given.object("dt")),
        margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
        step.result);
   finish(ik, step);
@@ -113,10 +113,10 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
 }
 
 // Take the stop that was admitted last, for one sample.
-nb::object hold_still(PythonIk& ik, double dt) {
+nb::object hold_still(PythonIk& ik, const nb::object& when) {
   take_motion(ik);
   PythonStep step;
-  hold(ik, dt, step);
+  hold(ik, when_from(when), step);
   nb::object made = nb::cast(std::move(step));
   leave_motion(ik, made);
   return result_of(nb::cast<const PythonStep&>(made), ik.hand, nb::getattr(ik.gate, "links"));
@@ -181,7 +181,7 @@ NumpyArray solve_many(PythonIk& ik, const Array& points,
     for (size_t k = 0; k < goal.points.size(); ++k)
       goal.points[k] = {from[3 * k], from[3 * k + 1], from[3 * k + 2]};
     if (wrists) goal.wrists = {pose_of(wrists->data() + 16 * i)};
-    ik.solve(goal, dt.data()[i], kept, speed.data()[i], result);
+    ik.solve(goal, When::after(dt.data()[i]), kept, speed.data()[i], result);
     for (const Vector* part : {&ik.motion.q, &ik.motion.displacement, &ik.motion.stop_times})
       to = std::copy(part->begin(), part->end(), to);
     *to++ = static_cast<double>(result.status);
@@ -356,10 +356,13 @@ NB_MODULE(_core, m) {
       .def("__init__", &make_ik)
       .def("set_motion",
            [](PythonIk& ik, const Array& q, const Array& displacement, double dt,
-              const Array& stop_times) { set_motion(ik, q, displacement, dt, stop_times); })
+              const Array& stop_times, double time) {
+             set_motion(ik, q, displacement, dt, stop_times, time);
+           },
+           "q"_a, "displacement"_a, "dt"_a, "stop_times"_a, "time"_a = 0.0)
       .def_prop_ro("detours", &detours_of)
       .def("go_on", &go_on, "detours"_a)
-      .def("hold", &hold_still, "dt"_a)
+      .def("hold", &hold_still, "when"_a)
       .def("solve", &solve, "goal"_a)
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
@@ -380,7 +383,7 @@ NB_MODULE(_core, m) {
       .def("map", &SampleReader::map_landmarks, "reader"_a.none(), "landmarks"_a.none(),
            "wrist"_a.none(), "dt"_a.none())
       .def("map_sample", &SampleReader::map_sample, "guard"_a, "smoother"_a, "reader"_a,
-           "sample"_a.none(), "dt"_a.none(), "arrival"_a.none());
+           "sample"_a.none(), "dt"_a.none(), "arrival"_a.none(), "origin"_a.none());
   nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
       .def(nb::init<nb::object, const nb::object&, const nb::object&>(), "ik"_a, "robot"_a,
            "target_map"_a)
@@ -400,8 +403,8 @@ NB_MODULE(_core, m) {
       .def(nb::init<nb::object, const nb::object&, const nb::list&, nb::dict, double>(), "ik"_a,
            "robot"_a, "pinching"_a, "leaders"_a, "turns_in"_a)
       .def("__reduce__", &without_copy<RobotMover>)
-      .def("map", &RobotMover::map, "reader"_a, "numbers"_a, "wrists"_a, "dt"_a.none(), "base"_a)
-      .def("move", &RobotMover::move, "base"_a, "dt"_a);
+      .def("map", &RobotMover::map, "reader"_a, "numbers"_a, "wrists"_a, "when"_a, "base"_a)
+      .def("move", &RobotMover::move, "base"_a, "when"_a);
   nb::class_<HumanPose>(m, "HumanPose")
       .def("__reduce__", &reduced_pose)
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })

@@ -19,7 +19,7 @@ from msgspec import structs
 
 from handmap_qp.errors import HandmapError, expect
 from handmap_qp.human import HumanSample, Recording, Verdict
-from handmap_qp.ik import SHORTEST_DT, Compiled, Task, in_core
+from handmap_qp.ik import SHORTEST_DT, Compiled, Instant, Task, When, in_core
 from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
 from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
@@ -312,6 +312,8 @@ class Follower:
         self._guard = StreamGuard(mapper.human)
         self._return = Rejoin(rejoin)
         self._reference: HumanPose | None = None
+        # Where the time of the stream begins on the robot's clock [s]; None before the first command.
+        self._origin: float | None = None
         # What `forget` takes back.
         self._before: tuple[Any, ...] = ()
 
@@ -328,8 +330,9 @@ class Follower:
         """Map one sample of a tracker, if it makes sense; else hold.
 
         Args:
-            sample: The sample. Its time stamps say how much time has passed.
-            dt: Time that the step may account for [s]; that of the time stamps if omitted.
+            sample: The sample. Its time stamps say how much time has passed. The robot takes the
+                time since its last command, whatever that was for.
+            dt: Time since the robot's last command [s]; by the time stamps if omitted.
             arrival: When the sample arrived, on a monotonic clock [s], to check the rate of the
                 time stamps; not checked if omitted.
 
@@ -347,8 +350,11 @@ class Follower:
         self._before = self._return, self._reference
         if cores := self._cores():
             # The step, or the verdict about a sample that Python has to look at, if it is known.
-            found = self.mapper.core.map_sample(*cores, sample, dt, arrival)
+            origin = self._origin
+            found = self.mapper.core.map_sample(*cores, sample, dt, arrival, origin)
         if isinstance(found, MapStep):
+            if dt is not None:
+                self._origin = None
             self._return = self._return._replace(seen=found.stages.pose)
             return found
         verdict = found or self._guard.check(sample, arrival=arrival)
@@ -373,9 +379,11 @@ class Follower:
         while i < count:
             # That about a sample which the core has judged, and leaves to the return here.
             verdict = None
-            if cores := self._cores():
+            cores = self._cores()
+            origin = self._origin
+            if cores and origin is not None:
                 i, verdict, seen = self.mapper.core.run(
-                    *cores, samples, i, min(count, i + _RUN), table.rows
+                    *cores, origin, samples, i, min(count, i + _RUN), table.rows
                 )
                 if seen:
                     self._return = self._return._replace(seen=seen)
@@ -397,13 +405,27 @@ class Follower:
         if not step.is_held:
             self._smoother.forget()
 
-    def map(self, pose: HumanPose, dt: float, *, speed: float = 1.0) -> MapStep:
-        """Smooth a pose, and map it without judging it; arguments as of `HandMapper.map`."""
+    def map(
+        self,
+        pose: HumanPose,
+        dt: float,
+        *,
+        speed: float = 1.0,
+        when: Instant | None = None,
+    ) -> MapStep:
+        """Smooth a pose, and map it without judging it.
+
+        Args:
+            pose: The pose.
+            dt: Time since the last one, for the filter [s].
+            speed: As of `HandMapper.map`.
+            when: The instant of the command; dt after the robot's last one if omitted.
+        """
         if self._has_new_reference:
             self._smoother.restart()
         smooth = self._smoother.smooth(pose, check_dt(dt))
         try:
-            step = self.mapper.map(smooth, dt, speed=speed)
+            step = self.mapper.map(smooth, when or dt, speed=speed)
         except HandmapError:
             self._smoother.forget()
             raise
@@ -428,21 +450,48 @@ class Follower:
         said: dict[str, Any] = {"verdict": verdict, "confidence": sample.confidence}
         try:
             granted = max(verdict.dt, SHORTEST_DT) if dt is None else check_dt(dt)
+            when = None if dt is not None else self._instant(verdict, granted)
             if verdict.is_held:
                 self._smoother.wait(granted)
-                return structs.replace(self.mapper.hold(granted, back.seen), **said)
+                held = self.mapper.hold(when or granted, back.seen)
+                self._note_origin(verdict, dt)
+                return structs.replace(held, **said)
             pose, _ = self.mapper.landmarks.read(sample.landmarks, sample.wrist)
             if verdict.is_return:
                 back = back.start(pose, verdict.lost)
                 self._smoother.restart()
             moved, back = back.advance(pose, verdict.dt)
-            step = self.map(moved, granted, speed=verdict.speed)
+            step = self.map(moved, granted, speed=verdict.speed, when=when)
         except HandmapError:
             self._guard.forget()
             raise
         self._return = back._replace(seen=step.stages.pose)
+        self._note_origin(verdict, dt)
         said |= {"is_gliding": back.is_fading, "duration": perf_counter() - started}
         return structs.replace(step, **said)
+
+    def _instant(self, verdict: Verdict, longest: float) -> Instant | None:
+        """Return when the command for a sample is; None if the stream is not on the robot's clock.
+
+        Args:
+            verdict: About the sample.
+            longest: Longest time that the command may take [s].
+        """
+        if self._origin is None:
+            return None
+        return Instant(self._origin + verdict.time, longest)
+
+    def _note_origin(self, verdict: Verdict, dt: float | None) -> None:
+        """Note where the stream's time begins, after the command for a sample.
+
+        Args:
+            verdict: About the sample.
+            dt: The time that the caller gave for it; time stamps then count from the next one.
+        """
+        if dt is not None:
+            self._origin = None
+        elif self._origin is None:
+            self._origin = self.mapper.motion.time - verdict.time
 
     @property
     def _has_new_reference(self) -> bool:

@@ -33,7 +33,7 @@ from handmap_qp.human import (
     palm_sizes,
     sample_columns,
 )
-from handmap_qp.ik import Compiled, in_core
+from handmap_qp.ik import LONGEST_STEP, Compiled, in_core
 from handmap_qp.se3 import Array, lengths, nearest_rotation
 from handmap_qp.trackers import (
     BONES,
@@ -46,11 +46,6 @@ from handmap_qp.trackers import (
 
 # -- time
 
-LONGEST_STEP = 3.0
-"""Longest time that one sample accounts for, in usual periods.
-
-After a longer one the robot has stood still, and must not make up for it in one command.
-"""
 GAP = 0.25
 """A longer time between stamps is a gap: samples are missing, or the clock was set [s]."""
 # A stamp earlier by more than this is of a clock that was set back, not of a late sample [s].
@@ -413,7 +408,7 @@ class StreamGuard(Compiled):
         clock = former.clock.advance(sample.time)
         now = former.now + clock.elapsed
         state = self._state = replace(former, clock=clock, now=now)
-        held = Verdict(clock.rule, True, False, clock.dt, math.nan)
+        held = Verdict(clock.rule, True, False, clock.dt, math.nan, time=now)
         if clock.is_idle:
             return held
         rule, finding = self._input_fault(sample, arrival)
