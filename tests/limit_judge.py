@@ -37,7 +37,9 @@ def in_turns(
     return sorted(events)
 
 
-def without(events: Sequence[Event], side: Side, start: float, end: float) -> list[Event]:
+def without(
+    events: Sequence[Event], side: Side, start: float, end: float
+) -> list[Event]:
     """Leave the samples of one hand out from one instant to another [s]."""
     return [
         event

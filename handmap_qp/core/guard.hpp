@@ -36,7 +36,7 @@ struct GuardRules {
 
 struct Tick {
   Rule rule;
-  double elapsed, dt;
+  double elapsed, dt, passed;
 };
 
 struct SampleClock {
@@ -51,11 +51,11 @@ struct SampleClock {
     if (!has_stamp) {
       has_stamp = true;
       stamp = time;
-      return {kNothing, period, period};
+      return {kNothing, period, period, period};
     }
     if (step == 0.0) {
       is_idle = true;
-      return {kDuplicate, 0.0, 0.0};
+      return {kDuplicate, 0.0, 0.0, 0.0};
     }
     if (-rules.set_back <= step && step < 0.0) {
       const int count = 1 + (time > late_stamp ? late_count : 0);
@@ -63,17 +63,19 @@ struct SampleClock {
         late_stamp = time;
         late_count = count;
         is_idle = true;
-        return {kDisorder, 0.0, 0.0};
+        return {kDisorder, 0.0, 0.0, 0.0};
       }
     }
     *this = SampleClock();
     has_stamp = true;
     stamp = time;
     period = usual;
-    if (step < 0.0 || step > rules.set_forward) return {kClockJump, period, period};
-    if (step > rules.gap) return {kGapped, step, period};
+    const double passed = std::max(step, 0.0);
+    if (step < 0.0 || step > rules.set_forward) return {kClockJump, period, period, passed};
+    if (step > rules.gap) return {kGapped, step, period, passed};
     period = usual + rules.period_share * (step - usual);
-    return {kNothing, step, std::min(step, was_idle ? usual : rules.longest_step * usual)};
+    const double longest = was_idle ? usual : rules.longest_step * usual;
+    return {kNothing, step, std::min(step, longest), passed};
   }
 };
 
@@ -222,7 +224,7 @@ struct Verdict {
 
 struct GuardState {
   SampleClock clock;
-  double now = 0.0;
+  double now = 0.0, time = 0.0;
   bool has_good = false, has_last = false;
   Track good, last;
   double noise = 0.0;
@@ -249,10 +251,10 @@ class StreamGuard {
     SampleClock clock = state.clock;
     const bool was_late = clock.late_count > 0;
     const Tick tick = clock.advance(rules, sample.time);
-    const double now = state.now + tick.elapsed;
+    const double now = state.now + tick.elapsed, time = state.time + tick.passed;
     Verdict verdict{tick.rule, true, false, tick.dt, std::numeric_limits<double>::quiet_NaN(),
                     kNone};
-    verdict.time = now;
+    verdict.time = time;
     Landmarks landmarks;
     const bool is_new = tick.rule != kDuplicate && tick.rule != kDisorder;
     int rule = kNothing;
@@ -260,6 +262,7 @@ class StreamGuard {
     // Nothing is thrown from here on.
     state.clock = clock;
     state.now = now;
+    state.time = time;
     if (!is_new) return verdict;
     if (rule != kNothing) {
       hold(rule);
@@ -268,7 +271,7 @@ class StreamGuard {
     }
     const int cause = state.cause;
     verdict = follow(first_track(rules, now, landmarks), tick, was_late);
-    verdict.time = now;
+    verdict.time = time;
     if (state.cause != kNothing && cause == kNothing) input.alert();
     if (sample.wrist && !input.state.seen.is_proven && !verdict.is_held) verdict.rule = kUnproven;
     return verdict;

@@ -85,15 +85,10 @@ class Asked(NamedTuple):
 
 
 class Mover:
-    """Base of what moves a robot by a solver, its `point_ik`.
-
-    Attributes:
-        dt: Usual time between commands [s], where a step gives none of its own.
-    """
+    """Base of what moves a robot by a solver, its `point_ik`."""
 
     point_ik: PointIk
     core: Any
-    dt: float
     # The robot's clock minus the caller's [s]; None until the caller gives a first instant.
     _clock_offset: float | None = None
     # A shallow copy would move the same robot.
@@ -127,15 +122,20 @@ class Mover:
             InvalidInputError: If they cannot be used.
         """
         if time is None:
-            return self.dt if dt is None else check_dt(dt)
+            return self._usual_dt if dt is None else check_dt(dt)
         expect(dt is None, "time", "either a time or a dt", value=time)
         expect(is_real(time), "time", "an instant [s]", value=time)
         if self._clock_offset is None:
-            return self.dt
-        return Instant(time + self._clock_offset, LONGEST_STEP * self.dt)
+            return self._usual_dt
+        return Instant(time + self._clock_offset, LONGEST_STEP * self._usual_dt)
+
+    @property
+    def _usual_dt(self) -> float:
+        """Usual time between commands [s], where a caller gives none."""
+        raise NotImplementedError
 
     def _note_time(self, time: float | None) -> None:
-        """Take the command just made to be at an instant of the caller's clock, if it is a first one."""
+        """Take the command just made to be at an instant of the caller's clock, if a first one."""
         if time is not None and self._clock_offset is None:
             self._clock_offset = self.motion.time - time
 
@@ -230,6 +230,10 @@ class HandMapper(Mover):
         self.reset()
 
     @property
+    def _usual_dt(self) -> float:
+        return self.dt
+
+    @property
     def robot(self) -> Hand:
         """The hand that follows, with the reference points that the method moves."""
         return self.bound.robot
@@ -280,8 +284,8 @@ class HandMapper(Mover):
                 or 7 numbers if the mapper was given a `quat_order`.
             dt: Time since the robot's last command [s]; the mapper's own if omitted.
             time: Instant of the command on any clock that runs evenly [s]. After the first one, a
-                command takes the time since the last, and at most three times the mapper's `dt`; one
-                that is not later takes (nearly) none.
+                command takes the time since the last, and at most three times the mapper's `dt`;
+                one that is not later takes (nearly) none.
 
         Returns:
             Every stage of the step, `command` being what a robot takes.

@@ -284,8 +284,7 @@ class RobotMapper(Mover):
         self.reset()
 
     @property
-    def dt(self) -> float:
-        """Usual time between commands [s], where a step gives none of its own."""
+    def _usual_dt(self) -> float:
         return self.leaders[self.robot.side].dt
 
     @property
@@ -420,7 +419,7 @@ class RobotMapper(Mover):
             HandmapError: Any of a leader; the mapper is then as it was before.
         """
         started = perf_counter()
-        when = self.dt if when is None else check_when(when)
+        when = self._usual_dt if when is None else check_when(when)
         granted = self.point_ik.gate.interval(when).granted
         with self._unless_refused():
             asking = []

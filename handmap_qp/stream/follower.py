@@ -19,7 +19,7 @@ from msgspec import structs
 
 from handmap_qp.errors import HandmapError, expect
 from handmap_qp.human import HumanSample, Recording, Verdict
-from handmap_qp.ik import SHORTEST_DT, Compiled, Instant, Task, When, in_core
+from handmap_qp.ik import SHORTEST_DT, Compiled, Instant, Task, in_core
 from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
 from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
@@ -312,7 +312,7 @@ class Follower:
         self._guard = StreamGuard(mapper.human)
         self._return = Rejoin(rejoin)
         self._reference: HumanPose | None = None
-        # Where the time of the stream begins on the robot's clock [s]; None before the first command.
+        # Where the time of the stream begins on the robot's clock [s]; None before a first command.
         self._origin: float | None = None
         # What `forget` takes back.
         self._before: tuple[Any, ...] = ()
