@@ -35,6 +35,9 @@ struct When {
   double time = 0.0;           // the instant, or the time since the last command [s]
   double longest = kInfinity;  // longest time that the command may take [s]
 
+  // See mapper.own_time.
+  double own_time() const { return is_instant ? longest : time; }
+
   static When after(double dt) { return {false, dt, kInfinity}; }
   static When at(double time, double longest) { return {true, time, longest}; }
 };

@@ -266,8 +266,10 @@ class SampleReader {
   nb::object map_sample(PythonGuard& guard, PythonSmoother& smoother, const LandmarkReader& reader,
                         const nb::object& sample, const nb::object& dt, const nb::object& arrival,
                         const nb::object& origin) {
-    const std::optional<double> given = dt.is_none() ? 0.0 : plain_dt(dt);
-    if (!given || (dt.is_none() && origin.is_none()) || !guard.is_own(sample)) return nb::none();
+    std::optional<When> given;
+    if (!dt.is_none() && !(given = plain_when(dt))) return nb::none();
+    if (!given && origin.is_none()) return nb::none();
+    if (!guard.is_own(sample)) return nb::none();
     const PythonGuard::Given from(guard, sample, arrival);
     std::optional<Pose> wrist;
     if (from.sample.wrist && !(wrist = exact_pose(from.sample.wrist))) return nb::none();
@@ -278,10 +280,9 @@ class SampleReader {
     const Clock::time_point started = Clock::now();
     try {
       const double speed = verdict.rule == kUnproven ? unproven_speed() : 1.0;
-      const double granted = dt.is_none() ? std::max(verdict.dt, kShortestDt) : *given;
+      const double granted = given ? given->own_time() : std::max(verdict.dt, kShortestDt);
       HumanPose pose = reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr);
-      const When when = dt.is_none() ? at(nb::cast<double>(origin) + verdict.time, granted)
-                                     : When::after(granted);
+      const When when = given ? *given : When::at(nb::cast<double>(origin) + verdict.time, granted);
       nb::object stages = moved(smoother.smoother.smooth(std::move(pose), granted), when, speed);
       return map_step_(stages, nb::tuple(), seconds_since(started), said, from.sample.confidence);
     } catch (...) {
@@ -296,8 +297,6 @@ class SampleReader {
   const TargetMap& map_;
 
   virtual nb::object moved(HumanPose&& pose, const When& when, double speed) = 0;
-  // When a sample's command is, by its instant and the longest time that it may take.
-  virtual When at(double time, double longest) const { return When::at(time, longest); }
   static double unproven_speed() {
     static const double speed =
         module_of("human.sample").get<double>("UNPROVEN_SPEED");

@@ -41,13 +41,11 @@ class Asker : public SampleReader {
       : SampleReader(target_map), reader_(reader_of(target_map, hand, ik.gate)) {}
 
  protected:
-  // A hand asks by the time since its own last sample; the robot has a time of its own.
-  When at(double, double longest) const override { return When::after(longest); }
-
+  // A hand asks by the time since its own last sample; the robot has a clock of its own.
   nb::object moved(HumanPose&& pose, const When& when, double speed) override {
     if (pose.points.size() != map_.human_points || (map_.needs_wrist && !pose.has_wrist))
       throw std::invalid_argument("the map is of another hand");
-    return nb::cast(Ask{map_owner_, &map_, reader_, std::move(pose), when.time, speed});
+    return nb::cast(Ask{map_owner_, &map_, reader_, std::move(pose), when.own_time(), speed});
   }
 
  private:

@@ -115,14 +115,14 @@ class Mover:
         self.point_ik.gate.motion = motion
         self._was_moved()
 
-    def _when(self, dt: float | None, time: float | None) -> When:
+    def _when(self, dt: When | None, time: float | None) -> When:
         """Return when a command is that a caller gives one of these times for, or none.
 
         Raises:
             InvalidInputError: If they cannot be used.
         """
         if time is None:
-            return self._usual_dt if dt is None else check_dt(dt)
+            return self._usual_dt if dt is None else check_when(dt)
         expect(dt is None, "time", "either a time or a dt", value=time)
         expect(is_real(time), "time", "an instant [s]", value=time)
         if self._clock_offset is None:
@@ -268,7 +268,7 @@ class HandMapper(Mover):
         human_q: ArrayLike,
         wrist_pose: PoseLike,
         *,
-        dt: float | None = None,
+        dt: When | None = None,
         time: float | None = None,
     ) -> MapStep:
         """Map one sample of the human hand.
@@ -282,7 +282,8 @@ class HandMapper(Mover):
                 `MapStep.out_of_range`.
             wrist_pose: Pose of the human's wrist in its world: a (4, 4) matrix, a `pinocchio.SE3`,
                 or 7 numbers if the mapper was given a `quat_order`.
-            dt: Time since the robot's last command [s]; the mapper's own if omitted.
+            dt: Time since the robot's last command [s]; the mapper's own if omitted. Or the
+                `Instant` of this one, on the robot's clock (`mapper.motion.time`).
             time: Instant of the command on any clock that runs evenly [s]. After the first one, a
                 command takes the time since the last, and at most three times the mapper's `dt`;
                 one that is not later takes (nearly) none.
@@ -302,7 +303,7 @@ class HandMapper(Mover):
         points: ArrayLike,
         wrist_pose: PoseLike | None = None,
         *,
-        dt: float | None = None,
+        dt: When | None = None,
         time: float | None = None,
     ) -> MapStep:
         """Map one sample of measured reference points, without joint angles.
@@ -331,7 +332,7 @@ class HandMapper(Mover):
         landmarks: ArrayLike,
         wrist_pose: PoseLike | None = None,
         *,
-        dt: float | None = None,
+        dt: When | None = None,
         time: float | None = None,
     ) -> MapStep:
         """Map one sample of measured landmarks: no joint angles of the human are fitted.
@@ -397,7 +398,7 @@ class HandMapper(Mover):
         reader: JointReader | LandmarkReader,
         numbers: ArrayLike,
         wrist: PoseLike | None,
-        dt: float | None,
+        dt: When | None,
         time: float | None = None,
     ) -> MapStep:
         """Map one sample as it comes in."""
@@ -768,6 +769,11 @@ def check_joints(
             value=float(angles[i]),
         )
     return angles, excess
+
+
+def own_time(when: When) -> float:
+    """Return the longest time that a command may take, in which filters of a hand count [s]."""
+    return when.longest if isinstance(when, Instant) else when
 
 
 def check_when(when: When) -> When:

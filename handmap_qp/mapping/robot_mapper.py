@@ -34,7 +34,6 @@ from handmap_qp.ik import (
     AttachedPoints,
     IkOptions,
     IkResult,
-    Instant,
     Motion,
     PointIk,
     PointOffset,
@@ -60,6 +59,7 @@ from .mapper import (
     check_dt,
     check_joints,
     check_when,
+    own_time,
     posture_of,
     stages_of,
 )
@@ -109,10 +109,10 @@ class Leader(HandMapper):
         self.waited = 0.0
         self.last = MapStep(self.asked, (), 0.0)
 
-    def _when(self, dt: float | None, time: float | None) -> float:
+    def _when(self, dt: When | None, time: float | None) -> float:
         """Return the time since the last sample of this hand; the robot has a clock of its own."""
         expect(time is None, "time", "none: give it to the `RobotMapper`", value=time)
-        return self.dt if dt is None else check_dt(dt)
+        return self.dt if dt is None else check_dt(own_time(dt))
 
     def map(
         self, sample: HumanPose, dt: When | None = None, *, speed: float = 1.0
@@ -164,11 +164,6 @@ class Leader(HandMapper):
         asked = self.asked
         own = check_dt(own_time(dt))
         return MapStep(asked._replace(pose=seen or asked.pose, dt=own), (), 0.0)
-
-
-def own_time(when: When) -> float:
-    """Return the time since a hand's last sample, of what its follower gives [s]."""
-    return when.longest if isinstance(when, Instant) else when
 
 
 def _aimed(
@@ -329,7 +324,7 @@ class RobotMapper(Mover):
         landmarks: Mapping[Side, ArrayLike],
         wrist_poses: Mapping[Side, PoseLike] | None = None,
         *,
-        dt: float | None = None,
+        dt: When | None = None,
         time: float | None = None,
     ) -> RobotStep:
         """Map the landmarks of one or both hands; see `HandMapper.map_landmarks`.
@@ -357,7 +352,7 @@ class RobotMapper(Mover):
         human_q: Mapping[Side, ArrayLike],
         wrist_pose: Mapping[Side, PoseLike],
         *,
-        dt: float | None = None,
+        dt: When | None = None,
         time: float | None = None,
     ) -> RobotStep:
         """Map joint angles of one or both hands; see `HandMapper.map_step` and `map_landmarks`."""
@@ -369,7 +364,7 @@ class RobotMapper(Mover):
         reader: str,
         numbers: Mapping[Side, ArrayLike],
         wrists: Mapping[Side, PoseLike],
-        dt: float | None,
+        dt: When | None,
         time: float | None,
     ) -> RobotStep:
         """Map samples as they come in, by the readers that leaders have under a name."""

@@ -19,8 +19,15 @@ from msgspec import structs
 
 from handmap_qp.errors import HandmapError, expect
 from handmap_qp.human import HumanSample, Recording, Verdict
-from handmap_qp.ik import SHORTEST_DT, Compiled, Instant, Task, in_core
-from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
+from handmap_qp.ik import SHORTEST_DT, Compiled, Instant, Task, When, in_core
+from handmap_qp.mapping import (
+    HandMapper,
+    HumanPose,
+    MapStep,
+    check_dt,
+    check_when,
+    own_time,
+)
 from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
 from handmap_qp.trackers import change_rate, learnt_noise, noise_of
@@ -324,7 +331,7 @@ class Follower:
         self,
         sample: HumanSample,
         *,
-        dt: float | None = None,
+        dt: When | None = None,
         arrival: float | None = None,
     ) -> MapStep:
         """Map one sample of a tracker, if it makes sense; else hold.
@@ -332,7 +339,8 @@ class Follower:
         Args:
             sample: The sample. Its time stamps say how much time has passed. The robot takes the
                 time since its last command, whatever that was for.
-            dt: Time since the robot's last command [s]; by the time stamps if omitted.
+            dt: Time since the robot's last command [s], or the instant of this one on the robot's
+                clock; by the time stamps if omitted.
             arrival: When the sample arrived, on a monotonic clock [s], to check the rate of the
                 time stamps; not checked if omitted.
 
@@ -411,7 +419,7 @@ class Follower:
         dt: float,
         *,
         speed: float = 1.0,
-        when: Instant | None = None,
+        when: When | None = None,
     ) -> MapStep:
         """Smooth a pose, and map it without judging it.
 
@@ -442,18 +450,22 @@ class Follower:
         return self._guard.core, self._smoother.core, mapper.landmarks.core
 
     def _judged(
-        self, sample: HumanSample, verdict: Verdict, dt: float | None
+        self, sample: HumanSample, verdict: Verdict, dt: When | None
     ) -> MapStep:
         """Map a sample that makes sense, else hold; an error leaves all as it was before."""
         started = perf_counter()
         back = Rejoin(self.rejoin) if self._has_new_reference else self._return
         said: dict[str, Any] = {"verdict": verdict, "confidence": sample.confidence}
         try:
-            granted = max(verdict.dt, SHORTEST_DT) if dt is None else check_dt(dt)
-            when = None if dt is not None else self._instant(verdict, granted)
+            if dt is None:
+                granted = max(verdict.dt, SHORTEST_DT)
+                when = self._when(verdict, granted)
+            else:
+                when = check_when(dt)
+                granted = check_dt(own_time(when))
             if verdict.is_held:
                 self._smoother.wait(granted)
-                held = self.mapper.hold(when or granted, back.seen)
+                held = self.mapper.hold(when, back.seen)
                 self._note_origin(verdict, dt)
                 return structs.replace(held, **said)
             pose, _ = self.mapper.landmarks.read(sample.landmarks, sample.wrist)
@@ -470,18 +482,19 @@ class Follower:
         said |= {"is_gliding": back.is_fading, "duration": perf_counter() - started}
         return structs.replace(step, **said)
 
-    def _instant(self, verdict: Verdict, longest: float) -> Instant | None:
-        """Return when the command for a sample is; None if the stream is not on the robot's clock.
+    def _when(self, verdict: Verdict, longest: float) -> When:
+        """Return when the command for a sample is.
 
         Args:
             verdict: About the sample.
             longest: Longest time that the command may take [s].
         """
         if self._origin is None:
-            return None
+            # The stream is not on the robot's clock yet.
+            return longest
         return Instant(self._origin + verdict.time, longest)
 
-    def _note_origin(self, verdict: Verdict, dt: float | None) -> None:
+    def _note_origin(self, verdict: Verdict, dt: When | None) -> None:
         """Note where the stream's time begins, after the command for a sample.
 
         Args:

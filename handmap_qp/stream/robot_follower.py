@@ -113,7 +113,7 @@ class RobotFollower:
         self,
         samples: Mapping[Side, HumanSample],
         *,
-        dt: float | None = None,
+        dt: When | None = None,
         arrival: float | None = None,
     ) -> RobotStep:
         """Map one sample of each hand that has one; errors as of `Follower`.
@@ -123,8 +123,9 @@ class RobotFollower:
 
         Args:
             samples: The samples by side.
-            dt: Time since the robot's last command [s]; by the time stamps if omitted. A sample
-                whose stamp is not later than that of the last command takes (nearly) no time.
+            dt: Time since the robot's last command [s], or the instant of this one on the robot's
+                clock; by the time stamps if omitted. A sample whose stamp is not later than that
+                of the last command takes (nearly) no time.
             arrival: When the samples arrived, on a monotonic clock [s]: to check the rate of the
                 time stamps, and to relate hands whose senders have different clocks.
         """
