@@ -37,9 +37,10 @@ class CommandClock(NamedTuple):
     """The clocks of all hands of a robot, and when its commands are.
 
     Hands whose stamps can be of one clock are taken to have one. Where a stamp cannot be, because a
-    clock was set or a hand has a sender of its own, the times of arrival say how much time has
+    clock was set back or a hand has a sender of its own, the times of arrival say how much time has
     passed since the robot's last command. Without them, that is not known, and the sample takes
-    (nearly) none.
+    (nearly) none. A clock that jumps ahead is taken to be right, unless the times of arrival
+    contradict it: no sample may have come for so long.
 
     Attributes:
         offsets: The robot's clock minus the stamps of each hand, by side [s].
@@ -61,21 +62,22 @@ class CommandClock(NamedTuple):
             now: Instant of the robot's last command, on its clock [s].
             arrival: When the samples arrived, on a monotonic clock [s]; None if that is not known.
         """
+        is_known = arrival is not None and self.arrival is not None
+        waited = max(arrival - self.arrival, 0.0) if is_known else 0.0
         if not self.offsets:
             waited = self.rate.period
-        elif arrival is None or self.arrival is None:
-            waited = 0.0
-        else:
-            waited = max(arrival - self.arrival, 0.0)
         offsets = dict(self.offsets)
         for side, stamp in stamps.items():
-            own = [offsets[side]] if side in offsets else []
-            is_near = (
+            # Its own clock first, then those of the other hands.
+            farthest = _AHEAD if is_known else math.inf
+            candidates = [(offsets[side], farthest)] if side in offsets else []
+            candidates += [(offset, _AHEAD) for offset in offsets.values()]
+            fitting = (
                 offset
-                for offset in (*own, *offsets.values())
-                if -_BEHIND <= stamp + offset - now <= _AHEAD
+                for offset, most in candidates
+                if -_BEHIND <= stamp + offset - now <= most
             )
-            offsets[side] = next(is_near, now + waited - stamp)
+            offsets[side] = next(fitting, now + waited - stamp)
         time = max(stamp + offsets[side] for side, stamp in stamps.items())
         rate = self.rate.advance(time)
         instant = Instant(time, max(rate.dt, SHORTEST_DT))

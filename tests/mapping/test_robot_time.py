@@ -162,17 +162,28 @@ def test_hands_with_clocks_of_their_own_are_related_by_their_arrival(
     assert worst.acceleration <= MOST * (1.0 + 1e-4)
 
 
+@pytest.mark.parametrize("arrivals", [(None, None), (3.0, None), (None, 3.005)])
+@pytest.mark.parametrize("ahead", [1e6, -1e6])
 def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
-    fresh: RobotFollower,
+    fresh: RobotFollower, ahead: float, arrivals: tuple[float | None, float | None]
 ) -> None:
     follower = copy.deepcopy(fresh)
-    for samples in samples_of(STREAMS["together"][:10]):
-        follower.map_samples(samples)
+    events = [Event(k / 60.0, ("right",)) for k in range(10)]
+    for samples in samples_of(events):
+        follower.map_samples(samples, arrival=arrivals[0])
     before = follower.mapper.motion.time
-    (other,) = samples_of([Event(10.0 / 60.0, ("left",))], {"left": 1e6})
-    moved = copy.deepcopy(follower)
-    moved.map_samples(other)
-    assert moved.mapper.motion.time - before == pytest.approx(SHORTEST_DT, rel=1e-6)
+    (other,) = samples_of([Event(10.0 / 60.0, ("left",))], {"left": ahead})
+    follower.map_samples(other, arrival=arrivals[1])
+    taken = follower.mapper.motion.time - before
+    assert taken == pytest.approx(SHORTEST_DT, rel=1e-6)
+
+
+def test_a_robot_that_waits_for_both_hands_starts_from_rest(
+    fresh: RobotFollower,
+) -> None:
+    events = in_turns((60.0, 60.0), 0.6)
+    events += [Event(event.time + 30.0, event.sides) for event in events]
+    check(followed(copy.deepcopy(fresh), events))
 
 
 def test_a_clock_that_both_hands_share_is_set_for_both(fresh: RobotFollower) -> None:
