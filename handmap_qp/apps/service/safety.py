@@ -162,7 +162,7 @@ class SessionClock:
         self._request = request
         self.waited = 0.0
         self._held_since = self._last_command = self.last_sample = now
-        self._granted = self._arrival = now
+        self._granted = self._arrival = self._commanded_at = now
         self._stamp = None
 
     def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
@@ -189,13 +189,13 @@ class SessionClock:
         if wanted > self._request.max_dt:
             flags.append("dt_clamped")
         self._stamp = stamp
-        self._arrival = now
-        self.waited = wanted
+        self._arrival = self._granted = now
+        self.waited = now - self._commanded_at if is_ours else stamped
         return self._limited(wanted), flags
 
     def note_command(self, now: float) -> None:
-        """Note a command, from which on the next one may account for the time."""
-        self._granted = now
+        """Note a command: the next one waits from here on."""
+        self._commanded_at = now
 
     def feed(self, now: float) -> None:
         """Note a sample that can be used, and the command that answers it."""
@@ -238,9 +238,10 @@ class SessionClock:
         period = RETURN_PERIOD if is_moving else HEARTBEAT
         if now - self._last_command < period:
             return 0.0
-        self.waited = now - self._granted
-        self._last_command = now
-        return self._limited(self.waited)
+        elapsed = now - self._granted
+        self.waited = now - self._commanded_at
+        self._last_command = self._granted = now
+        return self._limited(elapsed)
 
     def will_return(self, state: SessionState) -> bool:
         """Return whether silence would make the robot return to rest from this state."""
