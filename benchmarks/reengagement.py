@@ -126,10 +126,15 @@ class Run:
     def reopen(self, former: Record | None) -> None:
         """Continue in a new session, as a client that reconnects does."""
         self.limit = self._first_limit
-        motion = self.session.motion if former is None else None
-        former = self.session.record if former is None else former
+        running = self.session if former is None else None
         self.session = Session(
-            self._request, self._hands(), "lab", self._now, former=former, motion=motion
+            self._request,
+            self._hands(),
+            "lab",
+            self._now,
+            former=self.session.record if former is None else former,
+            motion=running.motion if running else None,
+            waited=running.since_command(self._now) if running else 0.0,
         )
 
     def shift(self, seconds: float) -> None:

@@ -150,6 +150,7 @@ class SessionClock:
     Args:
         request: The request that opened the session, which has its times.
         now: The present [s].
+        waited: Time since the robot's last command [s].
 
     Attributes:
         last_sample: Time of the last sample that could be used, or of the last reset [s]. Set it to
@@ -158,11 +159,12 @@ class SessionClock:
             one [s].
     """
 
-    def __init__(self, request: Open, now: float) -> None:
+    def __init__(self, request: Open, now: float, waited: float = 0.0) -> None:
         self._request = request
         self.waited = 0.0
         self._held_since = self._last_command = self.last_sample = now
-        self._granted = self._arrival = self._commanded_at = now
+        self._granted = self._arrival = now
+        self._commanded_at = now - waited
         self._stamp = None
 
     def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
@@ -190,8 +192,12 @@ class SessionClock:
             flags.append("dt_clamped")
         self._stamp = stamp
         self._arrival = self._granted = now
-        self.waited = now - self._commanded_at if is_ours else stamped
+        self.waited = self.since_command(now) if is_ours else stamped
         return self._limited(wanted), flags
+
+    def since_command(self, now: float) -> float:
+        """Return the time since the last command [s]."""
+        return now - self._commanded_at
 
     def note_command(self, now: float) -> None:
         """Note a command: the next one waits from here on."""
@@ -239,7 +245,7 @@ class SessionClock:
         if now - self._last_command < period:
             return 0.0
         elapsed = now - self._granted
-        self.waited = now - self._commanded_at
+        self.waited = self.since_command(now)
         self._last_command = self._granted = now
         return self._limited(elapsed)
 

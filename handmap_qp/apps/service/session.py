@@ -201,6 +201,7 @@ class Session:
         former: Record of the session to continue; the request decides if omitted.
         owner: Its owner, see `Caller.owner`. The epoch of another owner ends.
         motion: How the robot of that session moves, if it is running; at rest if omitted.
+        waited: Time since the last command of that session [s].
 
     Attributes:
         request: The request that opened it, with all changes of options since.
@@ -227,6 +228,7 @@ class Session:
         former: Record | None = None,
         owner: str = "",
         motion: Motion | None = None,
+        waited: float = 0.0,
     ) -> None:
         self.request = request
         self.name = name
@@ -242,7 +244,7 @@ class Session:
         self._hands = hands
         start = self._start(self.robot.rest, None, request)
         self._place(*(start if former is None else former.posture), motion)
-        self._clock = SessionClock(request, now)
+        self._clock = SessionClock(request, now, waited)
         self._state = SessionState.WAITING
         self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
         self._stamp = 0.0
@@ -264,6 +266,10 @@ class Session:
     def motion(self) -> Motion:
         """How the robot moves."""
         return self._commanded.motion
+
+    def since_command(self, now: float) -> float:
+        """Return the time since the last command [s]."""
+        return self._clock.since_command(now)
 
     @property
     def mode(self) -> str:
