@@ -32,6 +32,7 @@ from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.robot import load_robot, robot_files
 
 _STEPS_PER_RUN = 2000
+_REPORTED = 10
 _COUNT = 10
 
 
@@ -83,6 +84,8 @@ def measure(
             for _ in range(count):
                 advance()
             seed += 1
+            if seed % _REPORTED == 0:
+                print(f"{tally.steps} steps, next seed {seed}", file=sys.stderr)
     return tally, commands
 
 
