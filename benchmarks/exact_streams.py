@@ -125,7 +125,9 @@ def main(words: Sequence[str] | None = None) -> int:
         ("Worst", tally.worst),
         ("Statuses", tally.statuses),
     ):
-        common.print_table(title, [dict(numbers)], to_stderr=is_json)
+        # A tally keeps no zeros.
+        if numbers:
+            common.print_table(title, [dict(numbers)], to_stderr=is_json)
     if arguments.json:
         results |= {
             "commands": dict(commands),
