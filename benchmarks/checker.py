@@ -1,9 +1,13 @@
 """An independent judge of streams of commands: no code of the QP, limits, gate or core is in it.
 
 Positions are judged exactly; a robot that starts outside its limits must not go farther out.
-Velocities are finite differences of configurations, and accelerations those of velocities. Both
-have the tolerance that rounding of the configurations gives them. The acceleration limit in force
-is the largest one since the robot last stood still. Samples shorter than 1 us count as 1 us.
+Only the time stamps of commands say how much time has passed, and never the time that was granted
+to them: a command that is not later than the one before counts as 1 us later. The velocity of a
+step is the difference of its two configurations over that of their stamps. Its acceleration is the
+difference from the velocity of the step before, over the time of the later step, in which a motor
+has to change its speed; so |v_k - v_(k-1)| <= a (t_k - t_(k-1)), for steps of any lengths. Both
+have the tolerance that rounding of configurations and stamps gives them. The acceleration limit in
+force is the largest one since the robot last stood still.
 Overlaps are looked for by coal, and those that it finds are measured by `overlap.py`; for every
 2000th command that measures all pairs, whatever coal says.
 """
@@ -22,6 +26,8 @@ from handmap_qp.hands.shape_pairs import ShapePairs
 
 OVERLAP = 1e-4
 """Largest overlap that counts as none [m]."""
+SHORTEST = 1e-6
+"""A command that is not later than the one before counts as later by this [s]."""
 _JOINT, _POSE, _SHARE = 1e-12, 1e-9, 1e-6
 _STEP = 0.04
 _SURE = 2000
@@ -54,6 +60,7 @@ class Checker:
         self.meter = None if shapes is None else OverlapMeter(hand, shapes)
         self.violations, self.worst = Counter[str](), dict[str, float]()
         self.first, self._paths = dict[str, int](), paths
+        self._time = -np.inf
         wrist = hand.spec.wrist
         self._free = free = 6 if hand.is_floating else 0
         twist = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)[:free]
@@ -61,24 +68,36 @@ class Checker:
         self._speed = np.concatenate([twist, hand.velocity_limits])
         self._rounding = np.repeat([_POSE, _JOINT], [free, len(hand.joint_names)])
 
-    def start(self, q: np.ndarray) -> None:
-        """Begin at a Pinocchio configuration, at rest."""
+    def start(self, q: np.ndarray, time: float = 0.0) -> None:
+        """Begin at a Pinocchio configuration, at rest, at an instant [s]."""
         self._q = q.copy()
         self._last = np.zeros(len(self._speed))
         self._dt, self._force = 1.0, 0.0
+        self._time = time
+
+    @property
+    def time(self) -> float:
+        """Time stamp of the last command, as it counts [s]; -inf before the first."""
+        return self._time
 
     def take(
-        self, q: np.ndarray, dt: npt.ArrayLike, limit: float | None = None
+        self, q: np.ndarray, time: npt.ArrayLike, limit: float | None = None
     ) -> None:
         """Judge one command, or many in their order.
 
         Args:
             q: Configuration of each command, shape (nq,) or (T, nq).
-            dt: Time of each [s], one number or shape (T,).
+            time: Time stamp of each [s], one number or shape (T,).
             limit: The limit of acceleration configured [rad/s^2]; None for none.
         """
         hand, q = self._hand, np.atleast_2d(q)
-        dt = np.maximum(np.broadcast_to(dt, len(q)), 1e-6)
+        instants = [self._time]
+        for stamp in np.broadcast_to(time, len(q)):
+            instants.append(max(float(stamp), instants[-1] + SHORTEST))
+        self._time = instants[-1]
+        dt = np.diff(instants)
+        # The sums and differences of stamps are rounded.
+        slack = 2.0 * np.spacing(np.abs(instants[1:]))
         before = np.vstack([self._q, q[:-1]])
         joints, start = q[:, hand.q_indices], before[:, hand.q_indices]
         low = np.minimum(hand.lower_limits, start)
@@ -95,9 +114,9 @@ class Checker:
         rounding[:, : self._free // 2] += np.spacing(
             np.abs(q[:, : self._free // 2]).max(axis=1, initial=0.0, keepdims=True)
         )
-        speed = (np.abs(moved) - rounding) / (self._speed * dt[:, None])
+        speed = (np.abs(moved) - rounding) / (self._speed * (dt + slack)[:, None])
         self._note("speed", speed.max(axis=1), 1.0 + _SHARE)
-        self._judge_acceleration(moved, rounding, is_ambiguous, dt, limit)
+        self._judge_acceleration(moved, rounding, is_ambiguous, dt, slack, limit)
         if self.meter is not None:
             self._judge_overlaps(self.meter, before, q, np.abs(moved).max(axis=1))
         self._q = q[-1].copy()
@@ -109,6 +128,7 @@ class Checker:
         rounding: np.ndarray,
         is_ambiguous: np.ndarray,
         dt: np.ndarray,
+        slack: np.ndarray,
         limit: float | None,
     ) -> None:
         limit = np.inf if limit is None else limit
@@ -121,6 +141,8 @@ class Checker:
         last = np.vstack([self._last, velocity[:-1]])
         last_dt = np.concatenate([[self._dt], dt[:-1]])
         noise = rounding * (1.0 / dt + 1.0 / last_dt)[:, None]
+        noise += np.abs(velocity) * (slack / dt)[:, None]
+        noise += np.abs(last) * (slack / last_dt)[:, None]
         change = (np.abs(velocity - last) - noise) / (force * dt)[:, None]
         self._note("acceleration", np.fmax.reduce(change, axis=1), 1.0 + _SHARE)
         self._last, self._dt = velocity[-1], float(dt[-1])

@@ -87,7 +87,8 @@ class RobotRun:
                 step.command.q, step.targets, step.points, step.ik.wrists
             )
             vector = mapper.robot.configuration_vector(step.command.q)
-            self.checker.take(vector, dt, mapper.ik.max_acceleration)
+            time = self.checker.time + dt
+            self.checker.take(vector, time, mapper.ik.max_acceleration)
 
     def _start(self) -> None:
         self._mapper.reset()
@@ -110,7 +111,7 @@ class RobotRun:
         elif kind == 4:
             motion = mapper.motion
             mapper.motion = Motion.at_rest(motion.q, mapper.point_ik.configuration.nv)
-            self.checker.start(motion.q)
+            self.checker.start(motion.q, self.checker.time)
 
     def _map(self, dt: float) -> RobotStep:
         rng = self._rng

@@ -2,8 +2,10 @@
 
 `IkRun` runs the inverse kinematics alone, from postures inside, at and outside limits to targets
 near, far and absurd. `MapperRun` runs the whole mapping with samples of a human hand, some of them
-invalid, and changes its acceleration limit. `checker.Checker` judges the motion of both; NaN,
-infinities and undocumented exceptions are counted here.
+invalid, and changes its acceleration limit. `FollowerRun` and `RobotRun` follow time stamps: those
+of a hand alone, and those of both hands of a robot in turns, at unequal rates, with gaps, with
+stamps that repeat or go back, one hand lost and back. `checker.Checker` judges the motion of all by
+the instants of the commands; NaN, infinities and undocumented exceptions are counted here.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from typing import Any, Protocol, get_args
 
 import numpy as np
 import pinocchio as pin
-from checker import Checker
+from checker import SHORTEST, Checker
 
 from handmap_qp import (
     HandmapError,
@@ -186,12 +188,16 @@ class IkRun:
         try:
             q, statuses = self._solve(points, wrists, dt, speed, margins)
         except Exception as error:
-            _note(tally, self.name, error)
+            note(tally, self.name, error)
             self._place()
             return
         tally.statuses.update(statuses)
         tally.not_finite += int((~np.isfinite(q).all(axis=1)).sum())
-        self.checker.take(q, dt, ik.options.max_acceleration)
+        self.checker.take(q, self._instants(dt), ik.options.max_acceleration)
+
+    def _instants(self, dt: np.ndarray) -> np.ndarray:
+        """Return the instants of commands that are by these times behind each other [s]."""
+        return self.checker.time + np.cumsum(np.maximum(dt, SHORTEST))
 
     def _solve(
         self,
@@ -215,7 +221,8 @@ class IkRun:
                 for i in range(len(dt))
             ]
             return np.array([each.q for each in found]), [each.status for each in found]
-        core.set_motion(*ik.gate.motion)
+        before = ik.gate.motion
+        core.set_motion(*before)
         postures = ik.postures(1.0, None)
         numbers = core.solve_many(points, wrists, dt, speed, margins, postures)
         n = ik.gate.limits.size
@@ -227,6 +234,7 @@ class IkRun:
             displacements[-1].copy(),
             max(float(dt[-1]), SHORTEST_DT),
             times[-1].copy(),
+            before.time + float(np.maximum(dt, SHORTEST_DT).sum()),
         )
         return q, [_STATUSES[int(status)] for status in statuses[:, 0]]
 
@@ -246,7 +254,9 @@ class IkRun:
             for dt in _times(rng, int(rng.integers(1, 8))):
                 self.ik.hold(dt)
                 self.checker.take(
-                    self.ik.gate.motion.q, dt, self.ik.options.max_acceleration
+                    self.ik.gate.motion.q,
+                    self._instants(np.array([dt])),
+                    self.ik.options.max_acceleration,
                 )
 
     def _change_limit(self, limit: float | None) -> None:
@@ -374,6 +384,9 @@ class MapperRun:
         self.checker = Checker(robot, shapes, paths)
         self._q, self._wrist = human.rest.copy(), np.eye(4)
         self._last: np.ndarray | None = None
+        # Runs give the time since the robot's last command, or instants of a clock of their own.
+        self._gives_instants = self._rng.random() < 0.5
+        self._now = 0.0
 
     def advance(self, count: int, tally: Tally) -> None:
         """Take steps into the tally."""
@@ -383,12 +396,19 @@ class MapperRun:
     def _step(self, tally: Tally) -> None:
         mapper, rng = self._mapper, self._rng
         before, dt = mapper.point_ik.configuration.q.copy(), float(_times(rng, 1)[0])
+        times: dict[str, float] = {"dt": dt}
+        if self._gives_instants:
+            # One in ten is not later than the last.
+            self._now += dt if rng.random() < 0.9 else -min(dt, 0.5)
+            times = {"time": self._now}
         try:
             if rng.random() < 0.03:
                 self._interrupt()
             # One sample in a hundred is invalid.
             step = (
-                self._map_invalid(dt) if rng.random() < 0.01 else self._map_random(dt)
+                self._map_invalid(times)
+                if rng.random() < 0.01
+                else self._map_random(times)
             )
         except HandmapError as error:
             tally.refused[type(error).__name__] += 1
@@ -396,10 +416,10 @@ class MapperRun:
             if self._last is not None and not np.array_equal(
                 mapper.point_ik.configuration.q, before
             ):
-                _note(tally, self.name, RuntimeError("moved by a rejected sample"))
+                note(tally, self.name, RuntimeError("moved by a rejected sample"))
             return
         except Exception as error:
-            _note(tally, self.name, error)
+            note(tally, self.name, error)
             self._last = None
             return
         tally.statuses[step.status] += 1
@@ -422,9 +442,13 @@ class MapperRun:
         if self._last is None:
             # It has moved from the posture of its reference already.
             mapper.motion = Motion.at_rest(now, mapper.point_ik.configuration.nv)
-            self.checker.start(now)
+            # The robot's clock is never set back.
+            self.checker.start(now, max(self._now, self.checker.time))
         else:
-            self.checker.take(now, dt, mapper.ik.max_acceleration)
+            time = self._now
+            if not self._gives_instants:
+                time = self.checker.time + max(dt, SHORTEST)
+            self.checker.take(now, time, mapper.ik.max_acceleration)
         self._last = now
 
     def _interrupt(self) -> None:
@@ -452,7 +476,7 @@ class MapperRun:
                 return q
         return robot.rest
 
-    def _map_random(self, dt: float) -> MapStep:
+    def _map_random(self, times: dict[str, float]) -> MapStep:
         mapper, rng = self._mapper, self._rng
         human = mapper.human
         if rng.random() < 0.1:
@@ -467,7 +491,7 @@ class MapperRun:
             self._wrist = self._wrist @ pin.exp6(0.05 * rng.normal(size=6)).homogeneous
             self._wrist[:3, :3] = nearest_rotation(self._wrist[:3, :3])
         if rng.random() < 0.8:
-            return mapper.map_step(self._q, self._wrist, dt=dt)
+            return mapper.map_step(self._q, self._wrist, **times)
         points = human.points(
             np.clip(self._q, human.lower_limits, human.upper_limits), self._wrist
         )
@@ -480,17 +504,17 @@ class MapperRun:
             points = points[0] + np.outer(
                 rng.normal(size=len(points)), rng.normal(size=3)
             )
-        return mapper.map_points(points, self._wrist, dt=dt)
+        return mapper.map_points(points, self._wrist, **times)
 
-    def _map_invalid(self, dt: float) -> MapStep:
+    def _map_invalid(self, times: dict[str, float]) -> MapStep:
         invalid = (
             self._map_invalid_joints,
             self._map_invalid_wrist,
             self._map_invalid_points,
         )
-        return invalid[self._rng.integers(len(invalid))](dt)
+        return invalid[self._rng.integers(len(invalid))](times)
 
-    def _map_invalid_joints(self, dt: float) -> MapStep:
+    def _map_invalid_joints(self, times: dict[str, float]) -> MapStep:
         rng, q = self._rng, self._q.copy()
         kind = rng.integers(5)
         if kind == 0:
@@ -500,10 +524,15 @@ class MapperRun:
         elif kind == 2:
             q = q + rng.choice([-1.0, 1.0]) * 4.0
         elif kind == 3:
-            dt = rng.choice([0.0, -1.0, np.nan, np.inf])
-        return self._mapper.map_step("hand" if kind == 4 else q, self._wrist, dt=dt)
+            times = {
+                name: rng.choice([0.0, -1.0, np.nan, np.inf])
+                if name == "dt"
+                else rng.choice([np.nan, np.inf, -np.inf])
+                for name in times
+            }
+        return self._mapper.map_step("hand" if kind == 4 else q, self._wrist, **times)
 
-    def _map_invalid_wrist(self, dt: float) -> MapStep:
+    def _map_invalid_wrist(self, times: dict[str, float]) -> MapStep:
         rng, wrist = self._rng, self._wrist.copy()
         kind = rng.integers(3)
         if kind == 0:
@@ -514,9 +543,9 @@ class MapperRun:
             wrist[:3, :3] *= rng.choice([-1.0, 0.0, 1.01])
         else:
             wrist = wrist[:3]
-        return self._mapper.map_step(self._q, wrist, dt=dt)
+        return self._mapper.map_step(self._q, wrist, **times)
 
-    def _map_invalid_points(self, dt: float) -> MapStep:
+    def _map_invalid_points(self, times: dict[str, float]) -> MapStep:
         mapper, rng = self._mapper, self._rng
         points = mapper.human.points(mapper.human.rest)
         kind = rng.integers(4)
@@ -526,7 +555,7 @@ class MapperRun:
             points = points[:-1]
         elif kind == 2:
             points = 10.0 ** rng.uniform(3, np.log10(FARTHEST)) * points
-        return mapper.map_points(points, None if kind == 3 else self._wrist, dt=dt)
+        return mapper.map_points(points, None if kind == 3 else self._wrist, **times)
 
 
 def wild_options(rng: np.random.Generator) -> IkOptions:
@@ -633,8 +662,8 @@ def _hand(name: str, mount: Mount, points: str | None) -> Hand:
     return hand.with_points(points) if points in hand.spec.sets else hand
 
 
-def _note(tally: Tally, name: str, error: Exception) -> None:
-    # Keep the first few.
+def note(tally: Tally, name: str, error: Exception) -> None:
+    """Count an exception that is not documented; the first few are kept."""
     if len(tally.undocumented) < 20:
         tally.undocumented.append(f"{name}: {type(error).__name__}: {error}")
 

@@ -24,7 +24,7 @@ import pinocchio as pin
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.limits import Gate, Motion, Rows
+from handmap_qp.ik.limits import Gate, Motion, Rows, When
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk, point_rows, wrist_rows
 from handmap_qp.ik.tasks import Goal
@@ -143,7 +143,7 @@ class PseudoinverseIk(PointIk):
 class _NoLimits(Gate):
     """Admits every displacement."""
 
-    def bounds(self, dt: float, share: float = 1.0) -> np.ndarray:
+    def bounds(self, when: When, share: float = 1.0) -> np.ndarray:
         """Return infinite bounds."""
         free = np.full(len(self.motion.displacement), np.inf)
         return np.array([-free, free])
@@ -152,12 +152,13 @@ class _NoLimits(Gate):
         self,
         wanted: np.ndarray,
         first: np.ndarray,
-        dt: float,
+        when: When,
         around: object = None,
         tries: int = 0,
     ) -> np.ndarray:
         """Move the robot by a displacement, whatever it is."""
         placed = self.hand.configuration()
         placed.displace(self.motion.q, wanted)
-        self.motion = Motion(placed.q.copy(), wanted, dt, np.zeros(len(wanted)))
+        dt, _, time = self.interval(when)
+        self.motion = Motion(placed.q.copy(), wanted, dt, np.zeros(len(wanted)), time)
         return wanted

@@ -87,6 +87,11 @@ class Run:
         self.commands: list[Command] = []
         self.limits: list[float | None] = []
 
+    @property
+    def now(self) -> float:
+        """The present on the server's clock [s]."""
+        return self._now
+
     def _hands(self) -> Hands:
         return prepare_hands(self._request, self.cache)
 
@@ -121,10 +126,15 @@ class Run:
     def reopen(self, former: Record | None) -> None:
         """Continue in a new session, as a client that reconnects does."""
         self.limit = self._first_limit
-        motion = self.session.motion if former is None else None
-        former = self.session.record if former is None else former
+        running = self.session if former is None else None
         self.session = Session(
-            self._request, self._hands(), "lab", self._now, former=former, motion=motion
+            self._request,
+            self._hands(),
+            "lab",
+            self._now,
+            former=self.session.record if former is None else former,
+            motion=running.motion if running else None,
+            waited=running.since_command(self._now) if running else 0.0,
         )
 
     def shift(self, seconds: float) -> None:
@@ -216,13 +226,13 @@ class Judge:
         self.checker, self.longest_stop = Checker(self._hand, shapes), 0.0
         self._epoch, self._stopping = run.session.record.epoch, 0.0
         self._q = self._vector(*run.session.posture)
-        self.checker.start(self._q)
+        self.checker.start(self._q, run.now)
 
     def take(self) -> None:
         """Judge the commands since the last time."""
         run = self._run
         if run.stands:
-            self.checker.start(self._q)
+            self.checker.start(self._q, self.checker.time)
             run.stands = False
         for command, limit in zip(run.commands, run.limits, strict=True):
             wrist = command.wrist
@@ -230,13 +240,15 @@ class Judge:
             q = self._vector(np.array(command.q), matrix)
             if command.epoch != self._epoch:
                 self._epoch = command.epoch
-                self.checker.start(q)
+                self.checker.start(q, command.server_time)
             else:
-                self.checker.take(q, command.dt, limit)
+                before = self.checker.time
+                self.checker.take(q, command.server_time, limit)
                 is_stopping = command.status == "stopped" and not np.allclose(
                     q, self._q, atol=1e-12
                 )
-                self._stopping = self._stopping + command.dt if is_stopping else 0.0
+                self._stopping += self.checker.time - before
+                self._stopping *= is_stopping
                 self.longest_stop = max(self.longest_stop, self._stopping)
             self._q = q
         run.commands.clear()
@@ -286,7 +298,7 @@ def measure(
 def _jerk(commands: Sequence[Command]) -> float:
     """Return the largest jerk of a joint [rad/s^3]."""
     q = np.array([command.q for command in commands])
-    dt = np.array([command.dt for command in commands])[1:, None]
+    dt = np.diff([command.server_time for command in commands])[:, None]
     acceleration = np.diff(np.diff(q, axis=0) / dt, axis=0) / dt[1:]
     return float(np.abs(np.diff(acceleration, axis=0) / dt[2:]).max())
 

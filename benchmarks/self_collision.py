@@ -17,7 +17,7 @@ from typing import Any
 import common
 import numpy as np
 import shared_hands
-from checker import Checker
+from checker import SHORTEST, Checker
 from overlap import OverlapMeter
 
 from handmap_qp import HandMapper, IkOptions, load_hand
@@ -55,12 +55,12 @@ class Tally:
 
         Args:
             q: Configuration at its end.
-            dt: Its time [s].
+            dt: Time since the step before [s].
             most: Its limit of acceleration; None for none.
             spent: CPU time [s].
         """
         self.times.append(spent)
-        self.checker.take(q, dt, most)
+        self.checker.take(q, self.checker.time + max(dt, SHORTEST), most)
 
     def row(self, **names: Any) -> dict[str, Any]:
         """Return the figures under their names."""

@@ -70,29 +70,28 @@ class Driver:
 
     Args:
         robot: The robot hand.
-        hears_all: Whether it receives every command. Otherwise one command may account for the
-            time since the last one that it received.
 
     Attributes:
         checker: Judges the commands of one epoch after the other.
         speed: Speed limits of the joints [rad/s].
         commands: Number of commands.
         epochs: Number of changes of the epoch.
-        missed: Time of commands that were made and never arrived, after a kill or a timeout [s].
         flags: All flags of the commands.
     """
 
-    def __init__(self, robot: str, *, hears_all: bool = False) -> None:
-        self._hand, self._hears_all = load_hand(robot, mount="fixed"), hears_all
-        self.checker, self.speed = Checker(self._hand), self._hand.velocity_limits
-        self.commands, self.epochs, self.missed = 0, 0, 0.0
+    def __init__(self, robot: str) -> None:
+        self._hand = load_hand(robot, mount="fixed")
+        self.checker = Checker(self._hand)
+        self.speed = self._hand.velocity_limits
+        self.commands = self.epochs = 0
         self.flags: set[str] = set()
         self._last: Command | None = None
 
     def take(self, command: Command) -> None:
-        """Take one command.
+        """Take one command, and judge it by the server's time stamps.
 
-        Times are of the server's monotonic clock, which is the machine's and survives a restart.
+        They are of a monotonic clock, which is the machine's and survives a restart. Commands that
+        were not heard are within the time between two that were.
         """
         self.flags |= set(command.flags)
         last, self._last = self._last, command
@@ -100,23 +99,19 @@ class Driver:
         q = self._hand.configuration_vector(command.q)
         if last is None or last.epoch != command.epoch:
             self.epochs += last is not None
-            self.checker.start(q)
+            self.checker.start(q, command.server_time)
             return
-        since = command.server_time - last.server_time
-        self.checker.take(q, command.dt + self.missed if self._hears_all else since)
-        self.missed = 0.0
+        self.checker.take(q, command.server_time)
 
 
 def open_driver(
     client: Client,
     robot: str = "three_finger",
-    *,
-    hears_all: bool = False,
     **choices: Any,
 ) -> Driver:
     """Open a session, and return a driver for its robot."""
     client.open(robot, **choices)
-    return Driver(robot, hears_all=hears_all)
+    return Driver(robot)
 
 
 def pace(rate: float, duration: float) -> Iterator[float]:
@@ -165,12 +160,7 @@ class Honest(threading.Thread):
         # Only opening may take longer, while hands are loaded.
         self.client = Client(service.address, timeout=_OPENING, keys=keys)
         choices = {"name": f"honest-{seed}", "max_dt": _MAX_DT, "is_shared": is_shared}
-        self.driver: Driver = open_driver(
-            self.client,
-            "three_finger",
-            hears_all=not streams and not is_shared,
-            **choices,
-        )
+        self.driver: Driver = open_driver(self.client, "three_finger", **choices)
         self.client.timeout = TIMEOUT
         self._listener = Client(service.address, timeout=TIMEOUT, keys=keys)
         if streams:
@@ -210,8 +200,6 @@ class Honest(threading.Thread):
                     last = time.monotonic()
             except ServiceTimeoutError:
                 self.timeouts += 1
-                # The server may have commanded without being heard.
-                self.driver.missed += _MAX_DT
             except ServiceError as error:
                 self.refusals.append(str(error))
             self.longest = max(self.longest, time.monotonic() - started)
@@ -236,8 +224,6 @@ class Honest(threading.Thread):
                 self.driver.speed * 3.0 * _MAX_DT
             )
             self.start_offset = max(self.start_offset, float(offset.max()))
-            # The command during which the service was killed.
-            self.driver.missed = _MAX_DT
         self._reopened = self.client.reopened
 
     def _work(self, now: float) -> Command | None:

@@ -77,7 +77,7 @@ class Slews:
             else:
                 is_there = guard.advance(goal, None, dt, share)
             self.times.append(time.thread_time() - started)
-            checker.take(guard.motion.q, dt, most)
+            checker.take(guard.motion.q, checker.time + dt, most)
             is_moving = np.abs(guard.q - before).max() > _STANDING
             if is_there or not (is_braking or is_moving or guard.motion.is_braking):
                 break

@@ -25,16 +25,14 @@ def main(duration: float) -> None:
     mapper = HandMapper(
         load_hand("human", points="landmarks"), load_hand("allegro_right")
     )
-    start = before = time.monotonic()
+    start = now = time.monotonic()
     steps = []
-    while before - start < duration:
+    while now - start < duration:
         now = time.monotonic()
-        # The real time since the last sample: speed limits depend on it.
-        dt = max(now - before, 1e-3)
-        step = mapper.map_landmarks(landmarks_now(now - start), dt=dt)
+        # The robot's limits hold in the time since its last command.
+        step = mapper.map_landmarks(landmarks_now(now - start), time=now)
         steps.append(step)
         # Send step.command.q to your robot here.
-        before = now
         time.sleep(max(0.0, 1.0 / RATE - (time.monotonic() - now)))
     duration_ms = 1e3 * np.median([step.duration for step in steps])
     print(f"{len(steps)} commands, the last one {steps[-1].status}")

@@ -92,7 +92,7 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
   expect(!ik.detour_rules || !goal.postures.empty(), "detours need a posture at rest");
   take_motion(ik);
   PythonStep step;
-  seek(ik, goal, given.get<double>("dt"),
+  seek(ik, goal, when_from(given.object("dt")),
        margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
        step.result);
   finish(ik, step);
@@ -102,10 +102,10 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
 }
 
 // Take the stop that was admitted last, for one sample.
-nb::object hold_still(PythonIk& ik, double dt) {
+nb::object hold_still(PythonIk& ik, const nb::object& when) {
   take_motion(ik);
   PythonStep step;
-  hold(ik, dt, step);
+  hold(ik, when_from(when), step);
   nb::object made = nb::cast(std::move(step));
   leave_motion(ik, made);
   return result_of(nb::cast<const PythonStep&>(made), ik.hand, nb::getattr(ik.gate, "links"));
@@ -177,7 +177,7 @@ NumpyArray solve_many(PythonIk& ik, const Array& points,
     for (size_t k = 0; k < goal.points.size(); ++k)
       goal.points[k] = {from[3 * k], from[3 * k + 1], from[3 * k + 2]};
     if (wrists) goal.wrists = {pose_of(wrists->data() + 16 * i)};
-    ik.solve(goal, dt.data()[i], kept, speed.data()[i], result);
+    ik.solve(goal, When::after(dt.data()[i]), kept, speed.data()[i], result);
     for (const Vector* part : {&ik.motion.q, &ik.motion.displacement, &ik.motion.stop_times})
       to = std::copy(part->begin(), part->end(), to);
     *to++ = static_cast<double>(result.status);
@@ -193,13 +193,14 @@ void bind_ik(nb::module_& m) {
       .def("__init__", &make_ik)
       .def("set_motion",
            [](PythonIk& ik, const Array& q, const Array& displacement, double dt,
-              const Array& stop_times) {
+              const Array& stop_times, double time) {
              const Work work(ik);
-             set_motion(ik, q, displacement, dt, stop_times);
-           })
+             set_motion(ik, q, displacement, dt, stop_times, time);
+           },
+           "q"_a, "displacement"_a, "dt"_a, "stop_times"_a, "time"_a = 0.0)
       .def_prop_ro("detours", exclusively(&detours_of))
       .def("go_on", exclusively(&go_on), "detours"_a)
-      .def("hold", exclusively(&hold_still), "dt"_a)
+      .def("hold", exclusively(&hold_still), "when"_a)
       .def("solve", exclusively(&solve), "goal"_a)
       .def("solve_many", exclusively(&solve_many), "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);

@@ -13,8 +13,8 @@ void bind_robot(nb::module_& m) {
       .def(nb::init<nb::object, const nb::object&, const nb::list&, nb::dict, double>(), "ik"_a,
            "robot"_a, "pinching"_a, "leaders"_a, "turns_in"_a)
       .def("__reduce__", &without_copy<RobotMover>)
-      .def("map", &RobotMover::map, "reader"_a, "numbers"_a, "wrists"_a, "dt"_a.none(), "base"_a)
-      .def("move", &RobotMover::move, "base"_a, "dt"_a);
+      .def("map", &RobotMover::map, "reader"_a, "numbers"_a, "wrists"_a, "when"_a, "base"_a)
+      .def("move", &RobotMover::move, "base"_a, "when"_a);
 }
 
 }  // namespace handmap

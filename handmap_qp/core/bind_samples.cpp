@@ -53,7 +53,7 @@ void bind_samples(nb::module_& m) {
       .def("map", &SampleReader::map_landmarks, "reader"_a.none(), "landmarks"_a.none(),
            "wrist"_a.none(), "dt"_a.none())
       .def("map_sample", &SampleReader::map_sample, "guard"_a, "smoother"_a, "reader"_a,
-           "sample"_a.none(), "dt"_a.none(), "arrival"_a.none());
+           "sample"_a.none(), "dt"_a.none(), "arrival"_a.none(), "origin"_a.none());
   nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
       .def(nb::init<nb::object, const nb::object&, const nb::object&>(), "ik"_a, "robot"_a,
            "target_map"_a)

@@ -528,7 +528,8 @@ class PythonGuard : public Exclusive {
   nb::object verdict_of(const Verdict& verdict) const {
     const nb::tuple fields =
         nb::make_tuple(rules_[verdict.rule], verdict.is_held, verdict.is_return, verdict.dt,
-                       verdict.consistency, explainer.finding(verdict.finding), verdict.lost);
+                       verdict.consistency, explainer.finding(verdict.finding), verdict.lost,
+                       verdict.time);
     return new_tuple_(verdict_, fields);
   }
 

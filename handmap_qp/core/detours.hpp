@@ -7,7 +7,7 @@ namespace handmap {
 
 // Solves a sample with detours of the hands before `end`, each where that leads it nearer to its
 // targets.
-inline void solve_with_detours(Ik& ik, size_t end, const Goal& goal, double dt,
+inline void solve_with_detours(Ik& ik, size_t end, const Goal& goal, const When& when,
                                const Vector& margins, double speed, Result& result);
 
 // The detours of one hand.
@@ -21,17 +21,19 @@ class Detours {
         is_finger_(ik.fingers[part]),
         detour_(ik.detours[part]) {}
 
-  void solve(const Goal& goal, double dt, const Vector& margins, double speed, Result& result) {
+  void solve(const Goal& goal, const When& when, const Vector& margins, double speed,
+             Result& result) {
+    const double dt = ik_.motion.next(when).granted;
     detour_.wait -= dt;
     if (!detour_.via.empty() && moved_by(goal) > rules_.moved) detour_.via.clear();
     if (!detour_.via.empty()) {
-      solve_with_detours(ik_, index_, pulled(goal, detour_.via), dt, margins, speed, result);
+      solve_with_detours(ik_, index_, pulled(goal, detour_.via), when, margins, speed, result);
       const bool is_late = detour_.left < dt;
       detour_.left -= dt;
       if (is_late || is_at(detour_.via)) detour_ = {{}, {}, {}, 0.0, rules_.again};
       return;
     }
-    solve_with_detours(ik_, index_, goal, dt, margins, speed, result);
+    solve_with_detours(ik_, index_, goal, when, margins, speed, result);
     if (detour_.wait <= -rules_.forgotten) detour_.known.clear();
     if (detour_.wait <= 0.0) look_ahead(goal, margins, result, dt * speed);
   }
@@ -70,16 +72,17 @@ class Detours {
   // Errors of the points and joints where the hand ends.
   End foresee(const Goal& given, const Vector& margins, const Vector& via) {
     const Motion motion = ik_.motion;
+    const When next = When::after(rules_.sample);
     Goal goal = given;
     goal.postures.resize(1);
     Result result;
     for (int k = 0; !via.empty() && k < rules_.longest; ++k) {
-      ik_.solve(pulled(goal, via), rules_.sample, margins, 1.0, result);
+      ik_.solve(pulled(goal, via), next, margins, 1.0, result);
       if (is_at(via)) break;
     }
     End end;
     for (int k = 0; k < rules_.samples; ++k) {
-      ik_.solve(goal, rules_.sample, margins, 1.0, result);
+      ik_.solve(goal, next, margins, 1.0, result);
       end.errors = errors(result);
       if (*std::max_element(end.errors.begin(), end.errors.end()) <= rules_.away) break;
     }
@@ -156,25 +159,25 @@ class Detours {
   }
 };
 
-inline void solve_with_detours(Ik& ik, size_t end, const Goal& goal, double dt,
+inline void solve_with_detours(Ik& ik, size_t end, const Goal& goal, const When& when,
                                const Vector& margins, double speed, Result& result) {
   if (end == 0)
-    ik.solve(goal, dt, margins, speed, result);
+    ik.solve(goal, when, margins, speed, result);
   else
-    Detours(ik, end - 1).solve(goal, dt, margins, speed, result);
+    Detours(ik, end - 1).solve(goal, when, margins, speed, result);
 }
 
 // Move the hand for one sample, by detours if its options allow any.
-inline void seek(Ik& ik, const Goal& goal, double dt, const Vector& margins, double speed,
-                  Result& result) {
+inline void seek(Ik& ik, const Goal& goal, const When& when, const Vector& margins, double speed,
+                 Result& result) {
   if (!ik.detour_rules) {
-    ik.solve(goal, dt, margins, speed, result);
+    ik.solve(goal, when, margins, speed, result);
     return;
   }
   const Motion motion = ik.motion;
   try {
     const size_t count = ik.tree.parts.size();
-    solve_with_detours(ik, count, goal, std::max(dt, kShortestDt), margins, speed, result);
+    solve_with_detours(ik, count, goal, when, margins, speed, result);
   } catch (...) {
     // What was foreseen is not where the hand is.
     ik.motion = motion;

@@ -36,7 +36,7 @@ struct GuardRules {
 
 struct Tick {
   Rule rule;
-  double elapsed, dt;
+  double elapsed, dt, passed;
 };
 
 struct SampleClock {
@@ -51,11 +51,11 @@ struct SampleClock {
     if (!has_stamp) {
       has_stamp = true;
       stamp = time;
-      return {kNothing, period, period};
+      return {kNothing, period, period, period};
     }
     if (step == 0.0) {
       is_idle = true;
-      return {kDuplicate, 0.0, 0.0};
+      return {kDuplicate, 0.0, 0.0, 0.0};
     }
     if (-rules.set_back <= step && step < 0.0) {
       const int count = 1 + (time > late_stamp ? late_count : 0);
@@ -63,17 +63,19 @@ struct SampleClock {
         late_stamp = time;
         late_count = count;
         is_idle = true;
-        return {kDisorder, 0.0, 0.0};
+        return {kDisorder, 0.0, 0.0, 0.0};
       }
     }
     *this = SampleClock();
     has_stamp = true;
     stamp = time;
     period = usual;
-    if (step < 0.0 || step > rules.set_forward) return {kClockJump, period, period};
-    if (step > rules.gap) return {kGapped, step, period};
+    const double passed = std::max(step, 0.0);
+    if (step < 0.0 || step > rules.set_forward) return {kClockJump, period, period, passed};
+    if (step > rules.gap) return {kGapped, step, period, passed};
     period = usual + rules.period_share * (step - usual);
-    return {kNothing, step, std::min(step, was_idle ? usual : rules.longest_step * usual)};
+    const double longest = was_idle ? usual : rules.longest_step * usual;
+    return {kNothing, step, std::min(step, longest), passed};
   }
 };
 
@@ -231,11 +233,12 @@ struct Verdict {
   double dt, consistency;
   int finding;
   double lost = HUGE_VAL;
+  double time = 0.0;  // of the stream
 };
 
 struct GuardState {
   SampleClock clock;
-  double now = 0.0;
+  double now = 0.0, time = 0.0;
   bool has_good = false, has_last = false;
   Track good, last;
   double noise = 0.0;
@@ -262,10 +265,16 @@ class StreamGuard {
     SampleClock clock = state.clock;
     const bool was_late = clock.late_count > 0;
     Tick tick = clock.advance(rules, sample.time);
-    const double now = state.now + tick.elapsed;
-    if (!std::isnan(sample.arrival)) tick.dt = rate.grant(rules, tick.dt, sample.arrival);
+    if (!std::isnan(sample.arrival)) {
+      const double granted = rate.grant(rules, tick.dt, sample.arrival);
+      // Stamps that outrun arrival do not move the robot's clock either.
+      if (granted < tick.dt) tick.passed = std::min(tick.passed, granted);
+      tick.dt = granted;
+    }
+    const double now = state.now + tick.elapsed, time = state.time + tick.passed;
     Verdict verdict{tick.rule, true, false, tick.dt, std::numeric_limits<double>::quiet_NaN(),
                     kNone};
+    verdict.time = time;
     Landmarks landmarks;
     const bool is_new = tick.rule != kDuplicate && tick.rule != kDisorder;
     int rule = kNothing;
@@ -273,6 +282,7 @@ class StreamGuard {
     // Nothing is thrown from here on.
     state.clock = clock;
     state.now = now;
+    state.time = time;
     if (!is_new) return verdict;
     if (rule != kNothing) {
       hold(rule);
@@ -281,6 +291,7 @@ class StreamGuard {
     }
     const int cause = state.cause;
     verdict = follow(first_track(rules, now, landmarks), tick, was_late);
+    verdict.time = time;
     if (state.cause != kNothing && cause == kNothing) input.alert();
     if (sample.wrist && !input.state.seen.is_proven && !verdict.is_held) verdict.rule = kUnproven;
     return verdict;

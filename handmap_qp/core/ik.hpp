@@ -116,10 +116,12 @@ class Ik {
   Ik(const Ik&) = delete;
 
   // Move the hand towards its targets for one sample.
-  void solve(const Goal& goal, double dt, const Vector& margins, double speed, Result& result) {
-    dt = std::max(dt, kShortestDt);
+  void solve(const Goal& goal, const When& when, const Vector& margins, double speed,
+             Result& result) {
+    const Interval interval = motion.next(when);
+    const double dt = interval.dt;
     at.place(motion.q.data());
-    bounds(dt, speed);
+    bounds(interval, speed);
     const int n = tree.size;
     bool has_rows = false;
     if (pairs) {
@@ -180,7 +182,7 @@ class Ik {
       at.displace(motion.q.data(), total_.data());
     }
     has_stopped_ = false;
-    admit(total_, first_, dt, [&] { around(false); });
+    admit(total_, first_, interval, [&] { around(false); });
     if (!has_stopped_) find_holding();
     at.place(motion.q.data());
     if (pairs) pairs->arrive(at, path_end_);
@@ -188,13 +190,14 @@ class Ik {
   }
 
   // Take the stop that was admitted last, for one sample; see qp.PointIk.hold.
-  void hold(double dt, Result& result) {
-    dt = std::max(dt, kShortestDt);
+  void hold(const When& when, Result& result) {
+    const Interval interval = motion.next(when);
+    const double dt = interval.dt;
     stop_detours();
     braking(dt, taken_);
     times_.resize(tree.size);
     for (int i = 0; i < tree.size; ++i) times_[i] = std::max(motion.stop_times[i] - dt, 0.0);
-    move(taken_, times_, dt);
+    move(taken_, times_, interval);
     at.place(motion.q.data());
     result.points.resize(tree.points.size());
     for (size_t k = 0; k < tree.points.size(); ++k) result.points[k] = at.point(tree.points[k]);
@@ -228,9 +231,10 @@ class Ik {
   // Move by a displacement, or by another one that is admitted; see limits.Gate.admit. `around`
   // leaves another one in `total_`.
   template <class Around>
-  void admit(const Vector& wanted, const Vector& first, double dt, const Around& around,
-             int tries = kTries) {
+  void admit(const Vector& wanted, const Vector& first, const Interval& interval,
+             const Around& around, int tries = kTries) {
     const int n = tree.size;
+    const double dt = interval.dt;
     limits.box(motion, dt, box_);
     taken_.resize(n);
     bool is_inside = true;
@@ -242,7 +246,7 @@ class Ik {
     if (!(is_inside && is_clear(taken_, times_, dt))) {
       if (is_inside && tries > 0 && pairs->has_met()) {
         around();
-        return admit(total_, total_, dt, around, tries - 1);
+        return admit(total_, total_, interval, around, tries - 1);
       }
       has_stopped_ = is_inside && pairs->has_met();
       if (has_stopped_) held_by_ = pairs->nearest_met();
@@ -251,20 +255,32 @@ class Ik {
         short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
       shorten(taken_, short_first, dt);
     }
-    move(taken_, times_, dt);
+    move(taken_, times_, interval);
   }
 
   Placed at;  // where the hand is
 
  private:
-  void bounds(double dt, double share) {
+  // See limits.Gate.bounds.
+  void bounds(const Interval& interval, double share) {
+    const auto [dt, granted, time] = interval;
     limits.box(motion, dt, box_);
     lower_.resize(tree.size);
     upper_.resize(tree.size);
+    const double change = limits.change(granted);
     for (int i = 0; i < tree.size; ++i) {
-      const double farthest = share * dt * limits.speeds[i];
-      lower_[i] = clip(-farthest, box_.lower[i], box_.upper[i]);
-      upper_[i] = clip(farthest, box_.lower[i], box_.upper[i]);
+      const double farthest = share * granted * limits.speeds[i];
+      double least = -farthest, most = farthest;
+      if (granted < dt) {
+        // Without commands, the robot has braked in the time beyond the grant.
+        const double beyond = (dt - granted) / std::max(motion.stop_times[i], 1e-300);
+        const double velocity = motion.displacement[i] / motion.dt;
+        const double middle = velocity * std::max(1.0 - beyond, 0.0) * granted;
+        least = clip(least, middle - change, middle + change);
+        most = clip(most, middle - change, middle + change);
+      }
+      lower_[i] = clip(least, box_.lower[i], box_.upper[i]);
+      upper_[i] = clip(most, box_.lower[i], box_.upper[i]);
     }
   }
 
@@ -619,7 +635,7 @@ class Ik {
     times_ = times;
   }
 
-  void move(const Vector& displacement, const Vector& times, double dt) {
+  void move(const Vector& displacement, const Vector& times, const Interval& interval) {
     Vector &step = path_, &reached = reached_;
     step.resize(tree.nv);
     reached.resize(tree.nq);
@@ -632,7 +648,8 @@ class Ik {
     }
     motion.q = reached;
     motion.displacement = displacement;
-    motion.dt = dt;
+    motion.dt = interval.dt;
+    motion.time = interval.time;
     motion.stop_times = times;
   }
 

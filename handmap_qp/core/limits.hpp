@@ -29,11 +29,42 @@ inline double clip(double value, double least, double most) {
   return std::min(std::max(value, least), most);
 }
 
+// When a command is: an instant on the robot's clock, or a time since its last command; see limits.When.
+struct When {
+  bool is_instant = false;
+  double time = 0.0;           // the instant, or the time since the last command [s]
+  double longest = kInfinity;  // longest time that the command may take [s]
+
+  // See mapper.own_time.
+  double own_time() const { return is_instant ? longest : time; }
+
+  static When after(double dt) { return {false, dt, kInfinity}; }
+  static When at(double time, double longest) { return {true, time, longest}; }
+};
+
+// The time of a robot's next command; see limits.Interval.
+struct Interval {
+  double dt, granted, time;
+};
+
 // How a robot moves.
 struct Motion {
   Vector q, displacement;
   double dt = 1.0;
   Vector stop_times;
+  double time = 0.0;
+
+  // The time of the next command; see limits.Gate.interval.
+  Interval next(const When& when) const {
+    // `max` keeps its first argument where the other one is NaN.
+    if (!when.is_instant) {
+      const double dt = std::max(kShortestDt, when.time);
+      return {dt, dt, time + dt};
+    }
+    const double since = std::max(kShortestDt, when.time - time);
+    return {since, std::min(since, std::max(kShortestDt, when.longest)),
+            std::max(time + kShortestDt, when.time)};
+  }
 };
 
 struct Box {

@@ -14,7 +14,7 @@ namespace handmap {
 // -- the motion, which the core shares with a `Gate` of Python
 
 inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double dt,
-                       const Array& stop_times) {
+                       const Array& stop_times, double time) {
   expect_size(q, ik.tree.nq, "q");
   expect_size(displacement, ik.tree.size, "displacement");
   expect_size(stop_times, ik.tree.size, "stop_times");
@@ -23,6 +23,7 @@ inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double
   ik.motion.displacement = vector_of(displacement);
   ik.motion.dt = dt;
   ik.motion.stop_times = vector_of(stop_times);
+  ik.motion.time = time;
 }
 
 // Whether something else has moved the hand since.
@@ -37,7 +38,8 @@ inline void take_motion(PythonIk& ik) {
   if (!was_set(ik)) return;
   const nb::object from = nb::getattr(ik.gate, motion);
   set_motion(ik, nb::cast<Array>(item(from, 0)), nb::cast<Array>(item(from, 1)),
-             nb::cast<double>(item(from, 2)), nb::cast<Array>(item(from, 3)));
+             nb::cast<double>(item(from, 2)), nb::cast<Array>(item(from, 3)),
+             nb::cast<double>(item(from, 4)));
 }
 
 // Let the gate read the motion from the step that has moved the hand, when it is asked.
@@ -54,6 +56,20 @@ inline std::optional<double> plain_dt(const nb::handle& given) {
   if (!PyFloat_Check(given.ptr())) return {};
   const double dt = PyFloat_AsDouble(given.ptr());
   return dt > 0.0 && dt < HUGE_VAL ? std::optional(dt) : std::nullopt;
+}
+
+// When a command is, as a `When` of Python says it.
+inline When when_from(const nb::object& given) {
+  if (nb::isinstance<nb::tuple>(given))
+    return When::at(nb::cast<double>(item(given, 0)), nb::cast<double>(item(given, 1)));
+  return When::after(nb::cast<double>(given));
+}
+
+// Likewise of a caller of the package, or none for one that Python has to look at.
+inline std::optional<When> plain_when(const nb::object& given) {
+  if (nb::isinstance<nb::tuple>(given)) return when_from(given);
+  const std::optional<double> dt = plain_dt(given);
+  return dt ? std::optional(When::after(*dt)) : std::nullopt;
 }
 
 // Whether Python has nothing to say about numbers: no coordinate is farther than any hand.
@@ -253,7 +269,7 @@ inline nb::object motion_of(PythonStep& step) {
       *new nb::object(module_of("ik.limits").object("Motion"));
   return step.motion_ = Motion(frozen(array_of(step.motion.q)),
                                frozen(array_of(step.motion.displacement)), step.motion.dt,
-                               frozen(array_of(step.motion.stop_times)));
+                               frozen(array_of(step.motion.stop_times)), step.motion.time);
 }
 
 // Reads the samples after a reference as they come in, and hands them on; one call each.
@@ -267,8 +283,8 @@ class SampleReader {
   virtual ~SampleReader() = default;
 
   // The stages for a pose.
-  nb::object follow(const nb::object& pose, double dt, double speed) {
-    return moved(pose_from(pose), dt, speed);
+  nb::object follow(const nb::object& pose, const nb::object& when, double speed) {
+    return moved(pose_from(pose), when_from(when), speed);
   }
 
   // Map a sample as it comes in; None for one that Python has to look at.
@@ -284,11 +300,15 @@ class SampleReader {
   }
 
   // Judge a `HumanSample` and map it. Return the step; only the verdict about a sample that is to be
-  // held, or that the follower returns with; or None for one that Python has to judge.
+  // held, or that the follower returns with; or None for one that Python has to judge. `origin` is
+  // where the stream's time begins on the robot's clock [s]; None if that is not known.
   nb::object map_sample(PythonGuard& guard, PythonSmoother& smoother, const LandmarkReader& reader,
-                        const nb::object& sample, const nb::object& dt, const nb::object& arrival) {
-    const std::optional<double> given = dt.is_none() ? 0.0 : plain_dt(dt);
-    if (!given || !guard.is_own(sample)) return nb::none();
+                        const nb::object& sample, const nb::object& dt, const nb::object& arrival,
+                        const nb::object& origin) {
+    std::optional<When> given;
+    if (!dt.is_none() && !(given = plain_when(dt))) return nb::none();
+    if (!given && origin.is_none()) return nb::none();
+    if (!guard.is_own(sample)) return nb::none();
     const PythonGuard::Given from(guard, sample, arrival);
     std::optional<Pose> wrist;
     if (from.sample.wrist && !(wrist = exact_pose(from.sample.wrist))) return nb::none();
@@ -300,9 +320,10 @@ class SampleReader {
     const Clock::time_point started = Clock::now();
     try {
       const double speed = verdict.rule == kUnproven ? unproven_speed() : 1.0;
-      const double granted = dt.is_none() ? std::max(verdict.dt, kShortestDt) : *given;
+      const double granted = given ? given->own_time() : std::max(verdict.dt, kShortestDt);
       HumanPose pose = reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr);
-      nb::object stages = moved(smoother.smoother.smooth(std::move(pose), granted), granted, speed);
+      const When when = given ? *given : When::at(nb::cast<double>(origin) + verdict.time, granted);
+      nb::object stages = moved(smoother.smoother.smooth(std::move(pose), granted), when, speed);
       return map_step_(stages, nb::tuple(), seconds_since(started), said, from.sample.confidence);
     } catch (...) {
       guard.forget();
@@ -315,7 +336,7 @@ class SampleReader {
   nb::object map_owner_;
   const TargetMap& map_;
 
-  virtual nb::object moved(HumanPose&& pose, double dt, double speed) = 0;
+  virtual nb::object moved(HumanPose&& pose, const When& when, double speed) = 0;
   static double unproven_speed() {
     static const double speed =
         module_of("human.sample").get<double>("UNPROVEN_SPEED");
@@ -333,9 +354,9 @@ class SampleReader {
 
   nb::object step_of(std::optional<HumanPose>&& pose, const nb::object& given,
                      Clock::time_point started) {
-    const std::optional<double> dt = plain_dt(given);
-    if (!pose || !dt) return nb::none();
-    nb::object stages = moved(std::move(*pose), *dt, 1.0);
+    const std::optional<When> when = plain_when(given);
+    if (!pose || !when) return nb::none();
+    nb::object stages = moved(std::move(*pose), *when, 1.0);
     return map_step_(stages, nb::tuple(), seconds_since(started));
   }
 };
@@ -348,10 +369,11 @@ class SampleMapper : public SampleReader {
       : SampleReader(target_map), ik_owner_(std::move(ik)),
         ik_(nb::cast<PythonIk&>(ik_owner_)), reader_(reader_of(target_map, robot, ik_.gate)) {}
 
-  // Map samples of a recording; see run.hpp. Return the first that is left out, the verdict about it
-  // if it was judged, and the pose that was mapped last, if any.
+  // Map samples of a recording, whose time begins at `origin` on the robot's clock; see run.hpp.
+  // Return the first that is left out, the verdict about it if it was judged, and the pose that was
+  // mapped last, if any.
   nb::tuple run(PythonGuard& guard, PythonSmoother& smoother, const LandmarkReader& reader,
-                const nb::object& columns, size_t first, size_t last,
+                double origin, const nb::object& columns, size_t first, size_t last,
                 const nb::ndarray<double, nb::c_contig, nb::device::cpu>& rows) {
     const Samples samples(columns, true);
     const size_t width = row_width(ik_);
@@ -361,7 +383,7 @@ class SampleMapper : public SampleReader {
     check_map(ik_, map_, {std::vector<Vec3>(reader.used.size()), true, {}});
     const Work moving(ik_), judging(guard), smoothing(smoother);
     take_motion(ik_);
-    Run run{ik_, map_, reader, guard.guard, smoother.smoother, unproven_speed()};
+    Run run{ik_, map_, reader, guard.guard, smoother.smoother, unproven_speed(), origin};
     size_t next = first;
     std::exception_ptr failure;
     {
@@ -380,13 +402,13 @@ class SampleMapper : public SampleReader {
   }
 
  protected:
-  nb::object moved(HumanPose&& pose, double dt, double speed) override {
+  nb::object moved(HumanPose&& pose, const When& when, double speed) override {
     check_map(ik_, map_, pose);
     const Work moving(ik_);
     take_motion(ik_);
     auto [made, stages] = new_stages(reader_);
     stages.pose = std::move(pose);
-    handmap::follow(ik_, map_, stages.pose, dt, speed, goal_, stages);
+    handmap::follow(ik_, map_, stages.pose, when, speed, goal_, stages);
     leave_motion(ik_, made);
     return made;
   }

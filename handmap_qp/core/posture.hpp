@@ -235,7 +235,7 @@ inline void approach(Ik& ik, const AimedDistances& aimed, const Vector& rest, do
   Result result;
   for (int k = 0; k < samples; ++k) {
     goal.postures = ik.postures(rest, dt);
-    ik.solve(goal, dt, {}, 1.0, result);
+    ik.solve(goal, When::after(dt), {}, 1.0, result);
     placed.place(ik.motion.q.data());
     if (is_reached(aimed, placed, tolerance)) return;
   }

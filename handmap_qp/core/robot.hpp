@@ -41,10 +41,11 @@ class Asker : public SampleReader {
       : SampleReader(target_map), reader_(reader_of(target_map, hand, ik.gate)) {}
 
  protected:
-  nb::object moved(HumanPose&& pose, double dt, double speed) override {
+  // A hand asks by the time since its own last sample; the robot has a clock of its own.
+  nb::object moved(HumanPose&& pose, const When& when, double speed) override {
     if (pose.points.size() != map_.human_points || (map_.needs_wrist && !pose.has_wrist))
       throw std::invalid_argument("the map is of another hand");
-    return nb::cast(Ask{map_owner_, &map_, reader_, std::move(pose), dt, speed});
+    return nb::cast(Ask{map_owner_, &map_, reader_, std::move(pose), when.own_time(), speed});
   }
 
  private:
@@ -96,17 +97,20 @@ class RobotMover {
   RobotMover(const RobotMover&) = delete;
 
   // Map a sample of every hand as they come in, by the readers that leaders have under a name; None
-  // for samples that Python has to look at. `base` is that of `move`.
+  // for samples that Python has to look at. `when` and `base` are those of `move`.
   nb::object map(const nb::str& reader, const nb::object& given, const nb::object& given_wrists,
-                 const nb::object& dt, const nb::object& base) {
+                 const nb::object& given_when, const nb::object& base) {
     static const nb::object &core = interned("core"), &map = interned("map"),
-                            &own_dt = interned("dt"), &last = interned("last"),
+                            &waited = interned("waited"), &last = interned("last"),
                             &since = interned("since"), &stages = interned("stages");
     const Clock::time_point started = Clock::now();
     nb::dict numbers, wrists;
-    if (!nb::try_cast(given, numbers) || !nb::try_cast(given_wrists, wrists) ||
+    const std::optional<When> when = plain_when(given_when);
+    if (!when || !nb::try_cast(given, numbers) || !nb::try_cast(given_wrists, wrists) ||
         numbers.size() != leaders_.size())
       return nb::none();
+    take_motion(ik_);
+    const double granted = ik_.motion.next(*when).granted;
     std::vector<nb::object> steps;
     std::vector<const Ask*> asks;
     for (const auto [side, leader] : leaders_) {
@@ -116,26 +120,25 @@ class RobotMover {
       const nb::object before = nb::getattr(nb::getattr(leader, last), stages);
       if (!nb::isinstance<Ask>(before)) return nb::none();
       const nb::object wrist = wrists.contains(side) ? nb::object(wrists[side]) : nb::none();
+      const double own = nb::cast<double>(nb::getattr(leader, waited)) + granted;
       steps.push_back(nb::getattr(asker, map)(nb::getattr(nb::getattr(leader, reader), core),
-                                              numbers[side], wrist,
-                                              dt.is_none() ? nb::getattr(leader, own_dt) : dt));
+                                              numbers[side], wrist, own));
       if (steps.back().is_none()) return nb::none();
       asks.push_back(nb::cast<const Ask*>(nb::getattr(steps.back(), stages)));
     }
     Vector times;
-    double longest = 0.0;
     for (const auto [side, leader] : leaders_) {
       const double own = asks[times.size()]->dt;
       times.push_back(nb::cast<double>(nb::getattr(leader, since)) + own);
-      longest = std::max(longest, own);
     }
-    const auto [whole, parts] = moved(asks, times, worlds_from(base), longest);
+    const auto [whole, parts] = moved(asks, times, worlds_from(base), *when);
     const double duration = std::chrono::duration<double>(Clock::now() - started).count();
     nb::dict hands;
     size_t k = 0;
     for (const auto [side, leader] : leaders_) {
       nb::setattr(leader, last, steps[k]);
       nb::setattr(leader, since, nb::float_(times[k]));
+      nb::setattr(leader, waited, nb::float_(0.0));
       hands[side] = map_step_(parts[k++], nb::tuple(), duration);
     }
     return robot_step_(whole, nb::tuple(), duration, nb::arg("hands") = hands);
@@ -143,7 +146,7 @@ class RobotMover {
 
   // Move the robot for what its leaders have asked last, with its base at a pose. Return the stages of
   // the robot, and those of each hand; None if one has asked in Python.
-  nb::object move(const nb::object& base, double dt) {
+  nb::object move(const nb::object& base, const nb::object& when) {
     static const nb::object &last = interned("last"), &since = interned("since"),
                             &stages = interned("stages");
     std::vector<nb::object> owners;
@@ -155,7 +158,7 @@ class RobotMover {
       asks.push_back(nb::cast<const Ask*>(owners.back()));
       times.push_back(nb::cast<double>(nb::getattr(leader, since)));
     }
-    const auto [whole, parts] = moved(asks, times, worlds_from(base), dt);
+    const auto [whole, parts] = moved(asks, times, worlds_from(base), when_from(when));
     nb::list of_hands;
     for (const nb::object& part : parts) of_hands.append(part);
     return nb::make_tuple(whole, of_hands);
@@ -183,7 +186,7 @@ class RobotMover {
 
   using Moved = std::pair<nb::object, std::vector<nb::object>>;
   Moved moved(const std::vector<const Ask*>& asks, const Vector& times,
-              const std::vector<Pose>& worlds, double dt) {
+              const std::vector<Pose>& worlds, const When& when) {
     if (asks.size() != hands_.size() || times.size() != hands_.size() ||
         (!worlds.empty() && worlds.size() != hands_.size()))
       throw std::invalid_argument("wrong number of hands");
@@ -192,9 +195,9 @@ class RobotMover {
     const Work moving(ik_);
     take_motion(ik_);
     aim(asks, times, worlds);
-    goal_.postures = ik_.postures(wanted_rest_, std::max(dt, kShortestDt));
+    goal_.postures = ik_.postures(wanted_rest_, ik_.motion.next(when).granted);
     auto [made, whole] = new_stages(reader_);
-    seek(ik_, goal_, dt, margins_, speed, whole.result);
+    seek(ik_, goal_, when, margins_, speed, whole.result);
     finish(ik_, whole);
     whole.asked.points = whole.result.targets;
     whole.asked.wrist = goal_.wrists[0];

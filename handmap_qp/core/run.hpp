@@ -27,6 +27,7 @@ struct Run {
   StreamGuard& guard;
   Smoother& smoother;
   double unproven_speed;  // share of the speed limits; see human.sample.UNPROVEN_SPEED
+  double origin;          // where the stream's time begins on the robot's clock [s]
 
   Verdict verdict{};
   GuardState former = guard.state;  // before the last sample
@@ -62,16 +63,17 @@ struct Run {
  private:
   void move(const StreamSample& sample, const std::optional<Pose>& wrist) {
     const double dt = std::max(verdict.dt, kShortestDt);
+    const When when = When::at(origin + verdict.time, dt);
     if (verdict.is_held) {
       smoother.wait(dt);
-      hold(ik, dt, step);
+      hold(ik, when, step);
       return;
     }
     HumanPose pose =
         smoother.smooth(reader.read(sample.landmarks, wrist ? &*wrist : nullptr), dt);
     const double speed = verdict.rule == kUnproven ? unproven_speed : 1.0;
     try {
-      follow(ik, map, pose, dt, speed, goal, step);
+      follow(ik, map, pose, when, speed, goal, step);
     } catch (...) {
       smoother.forget();
       throw;

@@ -121,8 +121,8 @@ inline void finish(const Ik& ik, Step& step) {
 }
 
 // The targets of a map, and the motion towards them; `goal` is a workspace.
-inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double dt, double speed,
-                   Goal& goal, Step& step) {
+inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, const When& when,
+                   double speed, Goal& goal, Step& step) {
   Asked& asked = step.asked;
   map.targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, asked);
   if (asked.points.size() != ik.tree.points.size() ||
@@ -130,17 +130,17 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double d
     throw std::invalid_argument("the map is of another hand");
   goal.points = asked.points;
   goal.wrists = {asked.wrist};
-  goal.postures = ik.postures(map.rest, std::max(dt, kShortestDt));
+  goal.postures = ik.postures(map.rest, ik.motion.next(when).granted);
   goal.distances.clear();
   if (asked.distances) goal.distances.push_back({asked.distances, asked.aims, asked.weights});
-  seek(ik, goal, dt, asked.margins, speed, step.result);
+  seek(ik, goal, when, asked.margins, speed, step.result);
   asked.points = step.result.targets;
   finish(ik, step);
 }
 
 // Take the stop that was admitted last, for one sample.
-inline void hold(Ik& ik, double dt, Step& step) {
-  ik.hold(dt, step.result);
+inline void hold(Ik& ik, const When& when, Step& step) {
+  ik.hold(when, step.result);
   step.asked.points = step.result.points;
   step.asked.wrist = step.result.wrists[0];
   finish(ik, step);

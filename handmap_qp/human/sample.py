@@ -280,6 +280,7 @@ class Verdict(NamedTuple):
             the palm) from the person's [m]; NaN if there are no landmarks.
         finding: What the input is instead of what it says, in words (`trackers.plausibility`).
         lost: At a return from a brief loss alone, its time [s]; else infinite.
+        time: Instant of the sample in the time of its stream, which never goes back [s].
     """
 
     rule: Rule
@@ -289,6 +290,7 @@ class Verdict(NamedTuple):
     consistency: float
     finding: Finding | None = None
     lost: float = math.inf
+    time: float = 0.0
 
     @property
     def speed(self) -> float:

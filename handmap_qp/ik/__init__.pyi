@@ -6,9 +6,12 @@ from .collision import pair_bounds as pair_bounds
 from .compiled import core_tree as core_tree
 from .core import Compiled as Compiled
 from .core import in_core as in_core
+from .limits import LONGEST_STEP as LONGEST_STEP
 from .limits import SHORTEST_DT as SHORTEST_DT
 from .limits import Gate as Gate
+from .limits import Instant as Instant
 from .limits import Motion as Motion
+from .limits import When as When
 from .limits import braking_displacement as braking_displacement
 from .limits import feasible as feasible
 from .options import LENGTH_UNIT as LENGTH_UNIT

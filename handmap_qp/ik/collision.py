@@ -510,8 +510,8 @@ class Detours:
 
     def solve(self, goal: Goal) -> IkResult:
         """Move the hand for one sample."""
-        dt = goal.dt
         ik = self._ik
+        dt = ik.gate.interval(goal.dt).granted
         before = ik.gate.motion
         via, points, known, left, wait = self.detour
         if lengths(goal.points - points)[self._own].max() > _MOVED:
@@ -522,7 +522,7 @@ class Detours:
             self._motion = ik.gate.motion
             self._detour = Detour(via, points, known, left - dt, wait - dt)
             if via is None:
-                self.look_ahead(goal, result)
+                self.look_ahead(goal, result, dt)
             elif left < dt or self._is_at(via):
                 self._detour = Detour(wait=_AGAIN)
         except BaseException:
@@ -531,10 +531,10 @@ class Detours:
             raise
         return result
 
-    def look_ahead(self, goal: Goal, result: IkResult) -> None:
+    def look_ahead(self, goal: Goal, result: IkResult, dt: float) -> None:
         """Take a detour if the hand is held away from its targets, and that leads nearer.
 
-        Both are of the sample just solved.
+        All are of the sample just solved, whose command was granted dt [s].
         """
         wait = self.detour.wait
         if wait > 0.0:
@@ -542,7 +542,7 @@ class Detours:
         here = self._errors(result)
         known = self.detour.known * (wait > -_FORGOTTEN)
         speeds = self._ik.gate.limits.speeds[self._fingers]
-        most = ON_ITS_WAY * (goal.dt * goal.speed) * speeds
+        most = ON_ITS_WAY * (dt * goal.speed) * speeds
         is_fast = np.abs(result.displacement[self._fingers]) > most
         is_held = ~self._moves.dot(is_fast)
         if not np.any(is_held & (here > AWAY) & (here > _GROWN * known)):

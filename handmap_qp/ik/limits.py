@@ -49,6 +49,15 @@ force until a stop under the new one is admitted.
 
 What is shortened is the displacement of the first iteration of the QP, or of the last one around
 what met: the sum of all iterations is longer, and farther from where the rows are exact.
+
+**The gate owns the time.** It knows the instant of the robot's last command. The next command gives
+its own instant, and takes the time between both, whoever asked for the last one: dt above is that
+time. A command that is not later takes `SHORTEST_DT`. So the speed x / dt and the acceleration
+(x / dt - v) / dt, v the velocity of the command before, hold by the time stamps of the commands.
+
+A command after a pause must not make up for all of it. It moves as far as the time that is granted
+allows, and counts as braking without commands in the time beyond that. If braking over the whole
+time leads farther, the acceleration limit has priority.
 """
 
 from __future__ import annotations
@@ -76,6 +85,12 @@ SHORTEST_DT = 1e-6
 """Least time that a sample accounts for [s].
 
 In less, rounding of positions would be a speed.
+"""
+
+LONGEST_STEP = 3.0
+"""Longest time that one command may take, in usual periods of its samples.
+
+After a longer one the robot has stood still, and must not make up for it in one command.
 """
 
 # A stop that ends outside the limits by no more counts as inside [rad or m].
@@ -302,21 +317,23 @@ class Motion(NamedTuple):
 
     Attributes:
         q: Pinocchio configuration last commanded, shape (nq,).
-        displacement: Displacement of the last sample in the active coordinates, shape (nv,).
-        dt: Time of that sample [s].
+        displacement: Displacement of the last command in the active coordinates, shape (nv,).
+        dt: Time from the command before to the last one [s].
         stop_times: Time in which each coordinate can stop on the line that was admitted [s], shape
             (nv,); 0 for at once.
+        time: Instant of the last command, on the robot's clock [s].
     """
 
     q: Array
     displacement: Array
     dt: float
     stop_times: Array
+    time: float = 0.0
 
     @classmethod
-    def at_rest(cls, q: Array, nv: int) -> Motion:
-        """Return the motion of a robot that stands at a configuration."""
-        return cls(np.array(q), np.zeros(nv), 1.0, np.zeros(nv))
+    def at_rest(cls, q: Array, nv: int, time: float = 0.0) -> Motion:
+        """Return the motion of a robot that stands at a configuration since an instant [s]."""
+        return cls(np.array(q), np.zeros(nv), 1.0, np.zeros(nv), time)
 
     @property
     def velocity(self) -> Array:
@@ -329,8 +346,38 @@ class Motion(NamedTuple):
         return bool(self.stop_times.any() and self.displacement.any())
 
 
+class Instant(NamedTuple):
+    """When a command is.
+
+    Attributes:
+        time: Its instant on the robot's clock, which counts from an arbitrary zero [s].
+        longest: Longest time that the command may take [s].
+    """
+
+    time: float
+    longest: float = math.inf
+
+
+When = float | Instant
+"""When a command is: its `Instant`, or the time since the robot's last command [s]."""
+
+
+class Interval(NamedTuple):
+    """The time of a robot's next command. Only a gate makes one.
+
+    Attributes:
+        dt: Time since the robot's last command [s].
+        granted: Part of it in which the command may move the robot [s].
+        time: Instant of the command on the robot's clock [s].
+    """
+
+    dt: float
+    granted: float
+    time: float
+
+
 class Gate:
-    """Owns the motion of a robot, and admits its displacements.
+    """Owns the motion of a robot and its time, and admits its displacements.
 
     Args:
         hand: The robot.
@@ -373,39 +420,63 @@ class Gate:
         self.read_motion = lambda: motion
 
     def place(self, q: Array) -> None:
-        """Put the robot at a configuration of Pinocchio, shape (nq,), at rest."""
-        self.motion = Motion.at_rest(q, self.limits.size)
+        """Put the robot at a configuration of Pinocchio, shape (nq,), at rest.
 
-    def bounds(self, dt: float, share: float = 1.0) -> Array:
+        Its clock goes on.
+        """
+        self.motion = Motion.at_rest(q, self.limits.size, self.motion.time)
+
+    def interval(self, when: When) -> Interval:
+        """Return the time of the next command; `SHORTEST_DT` if it is not later than the last."""
+        last = self.motion.time
+        if isinstance(when, Instant):
+            # `max` keeps its first argument where the other one is NaN.
+            dt = max(SHORTEST_DT, when.time - last)
+            granted = min(dt, max(SHORTEST_DT, when.longest))
+            return Interval(dt, granted, max(last + SHORTEST_DT, when.time))
+        dt = max(SHORTEST_DT, when)
+        return Interval(dt, dt, last + dt)
+
+    def bounds(self, when: When, share: float = 1.0) -> Array:
         """Return the lower and upper bounds of the next displacement, shape (2, nv).
 
         Args:
-            dt: Time for it [s].
+            when: When the next command is.
             share: Share of the speed limits to use, as far as braking allows.
         """
-        lower, upper, *_ = self.limits.box(self.motion.q, dt, self.motion.velocity)
-        farthest = share * dt * self.limits.speeds
+        dt, granted, _ = self.interval(when)
+        motion = self.motion
+        lower, upper, *_ = self.limits.box(motion.q, dt, motion.velocity)
+        farthest = share * granted * self.limits.speeds
+        reach = np.array([-farthest, farthest])
+        if granted < dt:
+            # Without commands, the robot has braked in the time beyond the grant.
+            beyond = (dt - granted) / np.maximum(motion.stop_times, 1e-300)
+            middle = motion.velocity * np.maximum(1.0 - beyond, 0.0) * granted
+            change = self.limits.change(granted)
+            reach = np.clip(reach, middle - change, middle + change)
         # Up to that displacement, or the nearest corner of the box.
-        return np.clip([-farthest, farthest], lower, upper)
+        return np.clip(reach, lower, upper)
 
-    def stopping(self, dt: float) -> float:
+    def stopping(self, when: When) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it."""
-        return self.limits.stopping(self.motion.velocity, dt)
+        return self.limits.stopping(self.motion.velocity, self.interval(when).dt)
 
     def rows(
-        self, placed: Configuration, dt: float, margins: Array | None = None
+        self, placed: Configuration, when: When, margins: Array | None = None
     ) -> Rows | None:
         """Return the rows of the pairs of shapes for the next displacement; None without pairs.
 
         Args:
             placed: The robot where it is, with Jacobians.
-            dt: Time of the next sample [s].
+            when: When the next command is.
             margins: Distance that each pair keeps [m], shape (k,); the hand's own if omitted.
         """
         collisions = self.collisions
         if not collisions:
             return None
         q, last, *_ = self.motion
+        dt = self.interval(when).dt
         self.near = near = collisions.measure(q, dt, margins, last)
         self._row_pairs = near.pairs
         return collisions.rows(placed, near, margins)
@@ -442,7 +513,7 @@ class Gate:
         self,
         wanted: Array,
         first: Array,
-        dt: float,
+        when: When,
         around: Callable[[NearPairs], Array] | None = None,
         tries: int = _TRIES,
     ) -> Array:
@@ -451,7 +522,7 @@ class Gate:
         Args:
             wanted: Displacement in the active coordinates, shape (nv,).
             first: Another one that is shortened if the wanted one is not admitted, likewise.
-            dt: Time for it [s].
+            when: When the command is.
             around: Finds another one in place of both, which keeps apart what meets on the line of
                 the wanted one.
             tries: How often that is asked for.
@@ -459,6 +530,7 @@ class Gate:
         Returns:
             The displacement taken: `wanted` itself if it is admitted.
         """
+        dt, _, time = self.interval(when)
         box = self.limits.box(self.motion.q, dt, self.motion.velocity)
         lower, upper, least, most = box
         # This also replaces NaN.
@@ -469,20 +541,20 @@ class Gate:
         if met and len(met.pairs):
             if around and tries:
                 other = around(met)
-                return self.admit(other, other, dt, around, tries - 1)
+                return self.admit(other, other, when, around, tries - 1)
             self.held_by = int(met.pairs[met.found[:, 0].argmin()])
         if not is_inside or met:
             first = np.fmin(np.fmax(first, lower), upper)
             taken, times = self._shortened(taken, first, dt)
-        self._move(taken, times, dt)
+        self._move(taken, times, dt, time)
         return taken
 
-    def brake(self, dt: float) -> Array:
-        """Take the stop that was admitted last, for a sample of dt [s]; return the displacement."""
-        dt = max(dt, SHORTEST_DT)
+    def brake(self, when: When) -> Array:
+        """Take the stop that was admitted last, for one command; return the displacement."""
+        dt, _, time = self.interval(when)
         self.held_by = -1
         displacement, left = self._braking(dt)
-        self._move(displacement, left, dt)
+        self._move(displacement, left, dt, time)
         return displacement
 
     def _braking(self, dt: float) -> tuple[Array, Array]:
@@ -538,8 +610,10 @@ class Gate:
         whole = np.where(self.limits.together, whole, 0.0)
         return self.collisions.met_on(self.motion.q, whole)
 
-    def _move(self, displacement: Array, stop_times: Array, dt: float) -> None:
+    def _move(
+        self, displacement: Array, stop_times: Array, dt: float, time: float
+    ) -> None:
         q = self.motion.q
         step = self.hand.spread.dot(displacement)
         reached = self.limits.clipped(pin.integrate(self.hand.model, q, step), q)
-        self.motion = Motion(reached, displacement, dt, stop_times)
+        self.motion = Motion(reached, displacement, dt, stop_times, time)

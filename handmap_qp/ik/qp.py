@@ -26,7 +26,7 @@ from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands import Configuration, Hand, Names
 from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
-from .limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
+from .limits import TIGHT, Gate, Motion, Rows, When, feasible
 from .options import IkOptions
 from .tasks import Goal, JointPositions, Task, TaskRows, tasks_named
 
@@ -304,7 +304,7 @@ class PointIk:
         self,
         point_targets: Array,
         wrist_target: Array | None,
-        dt: float,
+        dt: When,
         *,
         rest: Array | None = None,
         tasks: Sequence[Task] = (),
@@ -317,7 +317,8 @@ class PointIk:
             point_targets: Targets of the reference points in the world [m], shape (m, 3).
             wrist_target: Target of the wrist frame, shape (4, 4), or of each hand's of a robot, (h,
                 4, 4). None leaves it free; fixed hands need none.
-            dt: Time since the last sample [s]; bounds the displacement through the speed limits.
+            dt: Time since the robot's last command [s], or the instant of this one; bounds the
+                displacement through the limits of speed and acceleration.
             rest: Joint positions that the rest term pulls to, in the order of `Hand.joint_names`
                 [rad or m], shape (n,); the hand's rest posture if omitted.
             tasks: Further terms of the cost.
@@ -329,10 +330,9 @@ class PointIk:
             The result. On `failed`, the configuration is the one before the call, except for
             joints outside their limits.
         """
-        dt = max(dt, SHORTEST_DT)
         tasks = *tasks, *self._tasks
         wrists = None if wrist_target is None else wrist_target.reshape(-1, 4, 4)
-        postures = self.postures(dt, rest)
+        postures = self.postures(self.gate.interval(dt).granted, rest)
         goal = Goal(point_targets, wrists, postures, tasks, dt, margins, speed)
         return self._mover.solve(goal) if self._mover else self.solve_once(goal)
 
@@ -403,11 +403,11 @@ class PointIk:
         active = is_high.astype(np.int8) - is_low
         return self._result(status, targets, total, active, iterations, last_step, off)
 
-    def hold(self, dt: float) -> IkResult:
+    def hold(self, dt: When) -> IkResult:
         """Bring the hand to a stop within its acceleration limit, without targets.
 
         Args:
-            dt: Time since the last sample [s].
+            dt: Time since the robot's last command [s], or the instant of this one.
         """
         displacement = self.gate.brake(dt)
         points = self.configuration.points

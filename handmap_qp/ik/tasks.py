@@ -18,7 +18,7 @@ function from a hand to a task; `IkOptions.tasks` takes them by name.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,9 @@ from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import Array, as_floats, lengths
 from .core import Compiled
 from .options import LENGTH_UNIT
+
+if TYPE_CHECKING:
+    from .limits import When
 
 _SHORTEST = 1e-9
 """Distance below which two points have no direction from one to the other [m]."""
@@ -70,7 +73,7 @@ class Goal(NamedTuple):
         postures: Weights, of each joint or one for all, each with the joint positions that it pulls
             to, shape (n,), in the order of `Hand.joint_names` [rad or m].
         tasks: Further terms.
-        dt: Time for it [s].
+        dt: Time since the robot's last command [s], or the instant of this one.
         margins: Distance that each pair of shapes keeps [m], shape (k,); the hand's own if omitted.
         speed: Share of the speed limits to use.
     """
@@ -79,7 +82,7 @@ class Goal(NamedTuple):
     wrists: Array | None
     postures: Sequence[tuple[float | Array, Array]]
     tasks: Sequence[Task]
-    dt: float = 1.0
+    dt: When = 1.0
     margins: Array | None = None
     speed: float = 1.0
 

@@ -21,6 +21,8 @@ from .mapper import HandMapper as HandMapper
 from .mapper import LandmarkReader as LandmarkReader
 from .mapper import check_dt as check_dt
 from .mapper import check_joints as check_joints
+from .mapper import check_when as check_when
+from .mapper import own_time as own_time
 from .method import FOLLOWING as FOLLOWING
 from .method import PRESETS as PRESETS
 from .method import HumanPose as HumanPose

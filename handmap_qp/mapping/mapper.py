@@ -23,12 +23,15 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands import Hand, Names, Values
 from handmap_qp.human import LANDMARK_COUNT, LANDMARK_NAMES, PALM, landmarks_at_rest
 from handmap_qp.ik import (
+    LONGEST_STEP,
     Compiled,
     IkOptions,
     IkResult,
+    Instant,
     Motion,
     PointIk,
     Task,
+    When,
     core_tree,
 )
 from handmap_qp.ik.core import core
@@ -69,7 +72,8 @@ class Asked(NamedTuple):
         pose: The person's hand.
         targets: Of the robot's hand; of a `Leader`, before its palm is turned.
         rest: Joint positions that the QP's rest term pulls to, shape (n,).
-        dt: Time since the last sample [s].
+        dt: Time since the last sample of this hand, which its own filters and turns count in [s].
+            The robot's limits do not: see `When`.
         speed: Share of the speed limits at which the robot may move.
         map: What made the targets; None where the robot's hand stays.
     """
@@ -92,6 +96,8 @@ class Mover:
     point_ik: PointIk
     core: Any
     work: WorkLock
+    # The robot's clock minus the caller's [s]; None until the caller gives a first instant.
+    _clock_offset: float | None = None
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 
@@ -108,14 +114,44 @@ class Mover:
     @property
     @exclusively
     def motion(self) -> Motion:
-        """How the robot moves. Set it where something else has moved the robot."""
+        """How the robot moves. Set it where something else has moved the robot.
+
+        That does not set the robot's clock back.
+        """
         return self.point_ik.gate.motion
 
     @motion.setter
     @exclusively
     def motion(self, motion: Motion) -> None:
+        now = self.motion.time
+        if motion.time < now:
+            motion = motion._replace(time=now)
         self.point_ik.gate.motion = motion
         self._was_moved()
+
+    def _when(self, dt: When | None, time: float | None) -> When:
+        """Return when a command is that a caller gives one of these times for, or none.
+
+        Raises:
+            InvalidInputError: If they cannot be used.
+        """
+        if time is None:
+            return self._usual_dt if dt is None else check_when(dt)
+        expect(dt is None, "time", "either a time or a dt", value=time)
+        expect(is_real(time), "time", "an instant [s]", value=time)
+        if self._clock_offset is None:
+            return self._usual_dt
+        return Instant(time + self._clock_offset, LONGEST_STEP * self._usual_dt)
+
+    @property
+    def _usual_dt(self) -> float:
+        """Usual time between commands [s], where a caller gives none."""
+        raise NotImplementedError
+
+    def _note_time(self, time: float | None) -> None:
+        """Take the command just made to be at an instant of the caller's clock, if a first one."""
+        if time is not None and self._clock_offset is None:
+            self._clock_offset = self.motion.time - time
 
     def _was_moved(self) -> None:
         """Go on from where something else has moved the robot."""
@@ -146,7 +182,7 @@ class HandMapper(Mover):
         preset: Name of a preset (`PRESETS`), in place of `method`: its method and its weights.
         ik: Weights and settings of the QP; those of the preset if omitted.
         tasks: Further terms of the QP's cost, in every sample.
-        dt: Time between samples [s], where a step gives none of its own.
+        dt: Usual time between samples [s], where a step gives none of its own.
         quat_order: Order of the quaternion in wrist poses given as seven numbers.
         joint_tolerance: How far a human joint may be outside its limits before the sample is
             rejected [rad].
@@ -216,6 +252,10 @@ class HandMapper(Mover):
         self.reset()
 
     @property
+    def _usual_dt(self) -> float:
+        return self.dt
+
+    @property
     def robot(self) -> Hand:
         """The hand that follows, with the reference points that the method moves."""
         return self.bound.robot
@@ -247,9 +287,17 @@ class HandMapper(Mover):
 
     @exclusively
     def map_step(
-        self, human_q: ArrayLike, wrist_pose: PoseLike, *, dt: float | None = None
+        self,
+        human_q: ArrayLike,
+        wrist_pose: PoseLike,
+        *,
+        dt: When | None = None,
+        time: float | None = None,
     ) -> MapStep:
         """Map one sample of the human hand.
+
+        The limits of speed and acceleration hold in the time since the robot's last command. Say it
+        by `dt` or by `time`, not both.
 
         Args:
             human_q: Joint angles in the order of `human.joint_names` [rad], shape (n,). Angles
@@ -257,7 +305,11 @@ class HandMapper(Mover):
                 `MapStep.out_of_range`.
             wrist_pose: Pose of the human's wrist in its world: a (4, 4) matrix, a `pinocchio.SE3`,
                 or 7 numbers if the mapper was given a `quat_order`.
-            dt: Time since the last sample [s]; the mapper's own if omitted.
+            dt: Time since the robot's last command [s]; the mapper's own if omitted. Or the
+                `Instant` of this one, on the robot's clock (`mapper.motion.time`).
+            time: Instant of the command on any clock that runs evenly [s]. After the first one, a
+                command takes the time since the last, and at most three times the mapper's `dt`;
+                one that is not later takes (nearly) none.
 
         Returns:
             Every stage of the step, `command` being what a robot takes.
@@ -267,7 +319,7 @@ class HandMapper(Mover):
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
-        return self._mapped(self._joints, human_q, wrist_pose, dt)
+        return self._mapped(self._joints, human_q, wrist_pose, dt, time)
 
     @exclusively
     def map_points(
@@ -275,7 +327,8 @@ class HandMapper(Mover):
         points: ArrayLike,
         wrist_pose: PoseLike | None = None,
         *,
-        dt: float | None = None,
+        dt: When | None = None,
+        time: float | None = None,
     ) -> MapStep:
         """Map one sample of measured reference points, without joint angles.
 
@@ -287,12 +340,16 @@ class HandMapper(Mover):
             wrist_pose: Pose of the wrist as in `map_step`; may be omitted where the method does not
                 need it.
             dt: As of `map_step` [s].
+            time: Likewise.
         """
+        when = self._when(dt, time)
         wrist = None
         if wrist_pose is not None:
             wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         measured = as_points(points, "points", len(self.human.reference_points))
-        return self.map(HumanPose(measured.copy(), wrist), dt)
+        step = self.map(HumanPose(measured.copy(), wrist), when)
+        self._note_time(time)
+        return step
 
     @exclusively
     def map_landmarks(
@@ -300,7 +357,8 @@ class HandMapper(Mover):
         landmarks: ArrayLike,
         wrist_pose: PoseLike | None = None,
         *,
-        dt: float | None = None,
+        dt: When | None = None,
+        time: float | None = None,
     ) -> MapStep:
         """Map one sample of measured landmarks: no joint angles of the human are fitted.
 
@@ -313,17 +371,18 @@ class HandMapper(Mover):
             landmarks: The 21 landmarks in the human's world [m], in MediaPipe's order, (21, 3).
             wrist_pose: Pose of the human model's wrist frame, as in `map_step`; fitted if omitted.
             dt: As of `map_step` [s].
+            time: Likewise.
 
         Raises:
             InvalidOptionsError: If a reference point of the human is not a landmark.
         """
-        return self._mapped(self.landmarks, landmarks, wrist_pose, dt)
+        return self._mapped(self.landmarks, landmarks, wrist_pose, dt, time)
 
     @exclusively
     def map(
         self,
         sample: HumanPose,
-        dt: float | None = None,
+        dt: When | None = None,
         *,
         speed: float = 1.0,
     ) -> MapStep:
@@ -333,11 +392,11 @@ class HandMapper(Mover):
 
         Args:
             sample: The sample; not checked, but for a wrist that is needed.
-            dt: As of `map_step` [s].
+            dt: As of `map_step` [s], or the instant of the command on the robot's clock.
             speed: Share of the speed limits at which the robot may move.
         """
         started = perf_counter()
-        dt = self.dt if dt is None else check_dt(dt)
+        when = self.dt if dt is None else check_when(dt)
         if sample.wrist is None:
             self._check_wrist()
         bound = self.bound
@@ -351,10 +410,9 @@ class HandMapper(Mover):
         if reference is not self._reference:
             self._begin(reference)
         if targets:
-            asked = Asked(sample, targets, target_map.rest, dt, speed, target_map)
-            stages = self._moved(asked)
+            stages = self._moved(sample, targets, target_map, when, speed)
         else:
-            stages = own.follow(sample, dt, speed)
+            stages = own.follow(sample, when, speed)
         self.core = own
         if bound.renews_reference:
             self.core = None
@@ -366,38 +424,46 @@ class HandMapper(Mover):
         reader: JointReader | LandmarkReader,
         numbers: ArrayLike,
         wrist: PoseLike | None,
-        dt: float | None,
+        dt: When | None,
+        time: float | None = None,
     ) -> MapStep:
         """Map one sample as it comes in."""
         own = self.core
-        seconds = self.dt if dt is None else dt
+        when = self._when(dt, time)
         # None for a sample that Python has to look at.
-        step = own and own.map(reader.core, numbers, wrist, seconds)
-        if step:
-            return step
-        started = perf_counter()
-        sample, outside = reader.read(numbers, wrist)
-        step = self.map(sample, dt)
-        duration = perf_counter() - started
-        return structs.replace(step, out_of_range=outside, duration=duration)
+        step = own and own.map(reader.core, numbers, wrist, when)
+        if not step:
+            started = perf_counter()
+            sample, outside = reader.read(numbers, wrist)
+            step = self.map(sample, when)
+            duration = perf_counter() - started
+            step = structs.replace(step, out_of_range=outside, duration=duration)
+        self._note_time(time)
+        return step
 
-    def _moved(self, asked: Asked) -> Stages:
+    def _moved(
+        self,
+        pose: HumanPose,
+        targets: Targets,
+        target_map: TargetMap,
+        when: When,
+        speed: float,
+    ) -> Stages:
         """Move the robot towards its targets in Python, or in the core by its QP alone."""
-        targets = asked.targets
         if self._is_released:
-            result = self.point_ik.hold(asked.dt)
+            result = self.point_ik.hold(when)
         else:
             result = self.point_ik.solve(
                 targets.points,
                 targets.wrist,
-                asked.dt,
-                rest=asked.rest,
+                when,
+                rest=target_map.rest,
                 tasks=(*targets.tasks, *self.tasks),
                 margins=targets.margins,
-                speed=asked.speed,
+                speed=speed,
             )
             targets = structs.replace(targets, points=result.targets)
-        return stages_of(asked.pose, targets, result)
+        return stages_of(pose, targets, result)
 
     def _core_at(self, target_map: TargetMap) -> Any:
         """Return the core's mapper by the map of a reference; None if Python has to map."""
@@ -409,18 +475,19 @@ class HandMapper(Mover):
         return self.core or kind(ik.core, self.robot, target_map)
 
     @exclusively
-    def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
+    def hold(self, dt: When, seen: HumanPose | None = None) -> MapStep:
         """Brake, and keep the robot's posture.
 
         Args:
-            dt: Time since the last sample [s].
+            dt: Time since the robot's last command [s], or the instant of this one on the robot's
+                clock.
             seen: The sample that was mapped last; NaN stands for it if omitted.
 
         Returns:
             The step, whose targets and points are the robot's own.
         """
         started = perf_counter()
-        held = self.point_ik.hold(check_dt(dt))
+        held = self.point_ik.hold(check_when(dt))
         asked = Targets(held.points, held.wrist)
         stages = stages_of(seen or self._unseen, asked, held)
         return MapStep(stages, (), perf_counter() - started)
@@ -753,6 +820,20 @@ def check_joints(
             value=float(angles[i]),
         )
     return angles, excess
+
+
+def own_time(when: When) -> float:
+    """Return the longest time that a command may take, in which filters of a hand count [s]."""
+    return when.longest if isinstance(when, Instant) else when
+
+
+def check_when(when: When) -> When:
+    """Reject a time since the robot's last command that is not positive and finite.
+
+    Raises:
+        InvalidInputError: With the argument `dt`.
+    """
+    return when if isinstance(when, Instant) else check_dt(when)
 
 
 def check_dt(dt: float) -> float:

@@ -38,6 +38,7 @@ from handmap_qp.ik import (
     PointIk,
     PointOffset,
     Task,
+    When,
 )
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
@@ -58,10 +59,12 @@ from .mapper import (
     Mover,
     check_dt,
     check_joints,
+    check_when,
+    own_time,
     posture_of,
     stages_of,
 )
-from .method import HumanPose, MapStep, Method, Stages, Targets
+from .method import HumanPose, MapStep, Method, Stages, TargetMap, Targets
 from .palm import PalmMap
 
 # Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
@@ -79,11 +82,13 @@ class Leader(HandMapper):
     Attributes:
         last: The step with which it asked last.
         since: Time since its reference [s].
+        waited: Time that the robot has moved since this hand's last sample [s].
         base: Where the robot's base was at its reference, shape (4, 4).
     """
 
     last: Any = None
     since = 0.0
+    waited = 0.0
     base = _HOME
     _core_kind = "Asker"
 
@@ -102,11 +107,38 @@ class Leader(HandMapper):
         """Make the next sample the reference; see `HandMapper.clutch`."""
         super().clutch()
         self.since = 0.0
+        self.waited = 0.0
         self.last = MapStep(self.asked, (), 0.0)
 
-    def _moved(self, asked: Asked) -> Any:
+    def _when(self, dt: When | None, time: float | None) -> float:
+        """Return the time since the last sample of this hand; the robot has a clock of its own."""
+        expect(time is None, "time", "none: give it to the `RobotMapper`", value=time)
+        return self.dt if dt is None else check_dt(own_time(dt))
+
+    def map(
+        self, sample: HumanPose, dt: When | None = None, *, speed: float = 1.0
+    ) -> MapStep:
+        """Ask the robot to move.
+
+        Args:
+            sample: As of `HandMapper.map`.
+            dt: Time since the last sample of this hand [s].
+            speed: As of `HandMapper.map`.
+        """
+        own = None if dt is None else own_time(dt)
+        return super().map(sample, own, speed=speed)
+
+    def _moved(
+        self,
+        pose: HumanPose,
+        targets: Targets,
+        target_map: TargetMap,
+        when: When,
+        speed: float,
+    ) -> Any:
         """Ask the robot to move."""
-        return asked
+        dt = own_time(when)
+        return Asked(pose, targets, target_map.rest, dt, speed, target_map)
 
     @property
     def is_staying(self) -> bool:
@@ -121,14 +153,18 @@ class Leader(HandMapper):
         asked = Asked(self._unseen, targets, at.q, self.dt)
         self.last = structs.replace(self.last, stages=asked)
 
-    def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
-        """Ask that the robot's hand stays where it is; arguments as of `HandMapper.hold`."""
+    def hold(self, dt: When, seen: HumanPose | None = None) -> MapStep:
+        """Ask that the robot's hand stays where it is.
+
+        Args:
+            dt: Time since the last sample of this hand [s].
+            seen: As of `HandMapper.hold`.
+        """
         if not self.is_staying:
             self.stay()
         asked = self.asked
-        return MapStep(
-            asked._replace(pose=seen or asked.pose, dt=check_dt(dt)), (), 0.0
-        )
+        own = check_dt(own_time(dt))
+        return MapStep(asked._replace(pose=seen or asked.pose, dt=own), (), 0.0)
 
 
 def _aimed(
@@ -248,6 +284,10 @@ class RobotMapper(Mover):
         self.reset()
 
     @property
+    def _usual_dt(self) -> float:
+        return self.leaders[self.robot.side].dt
+
+    @property
     def human(self) -> Hand:
         """The first hand that leads; joints and points of the others have the same names."""
         return self.leaders[self.robot.side].human
@@ -290,23 +330,28 @@ class RobotMapper(Mover):
         landmarks: Mapping[Side, ArrayLike],
         wrist_poses: Mapping[Side, PoseLike] | None = None,
         *,
-        dt: float | None = None,
+        dt: When | None = None,
+        time: float | None = None,
     ) -> RobotStep:
         """Map the landmarks of one or both hands; see `HandMapper.map_landmarks`.
 
-        A hand without landmarks goes on to what it asked for last.
+        A hand without landmarks goes on to what it asked for last. The limits of speed and
+        acceleration hold in the time since the robot's last command, whichever hand led to that.
 
         Args:
             landmarks: By side, shape (21, 3) [m].
             wrist_poses: Poses of the wrists by side; fitted where omitted.
-            dt: Time since the last sample [s]; the mapper's own if omitted.
+            dt: Time since the robot's last command, not since the last sample of a hand [s]; the
+                mapper's own if omitted.
+            time: Instant of the command in place of `dt`, as of `HandMapper.map_step` [s]: what
+                hands in turns, each at a rate of its own, need.
 
         Raises:
             InvalidInputError: If a sample cannot be used, or there is none; the mapper is then as
                 it was before.
             DegeneratePointsError: As of `HandMapper.map_landmarks`.
         """
-        return self._mapped("landmarks", landmarks, wrist_poses or {}, dt)
+        return self._mapped("landmarks", landmarks, wrist_poses or {}, dt, time)
 
     @exclusively
     def map_step(
@@ -314,58 +359,87 @@ class RobotMapper(Mover):
         human_q: Mapping[Side, ArrayLike],
         wrist_pose: Mapping[Side, PoseLike],
         *,
-        dt: float | None = None,
+        dt: When | None = None,
+        time: float | None = None,
     ) -> RobotStep:
         """Map joint angles of one or both hands; see `HandMapper.map_step` and `map_landmarks`."""
         _expect_sides(human_q, wrist_pose, "wrist_pose")
-        return self._mapped("_joints", human_q, wrist_pose, dt)
+        return self._mapped("_joints", human_q, wrist_pose, dt, time)
 
     def _mapped(
         self,
         reader: str,
         numbers: Mapping[Side, ArrayLike],
         wrists: Mapping[Side, PoseLike],
-        dt: float | None,
+        dt: When | None,
+        time: float | None,
     ) -> RobotStep:
         """Map samples as they come in, by the readers that leaders have under a name."""
         own = self.core
+        when = self._when(dt, time)
         # None for samples that Python has to look at.
-        step = own and own.map(reader, numbers, wrists, dt, self._base)
-        if step:
-            return step
+        step = own and own.map(reader, numbers, wrists, when, self._base)
+        if not step:
 
-        def ask(side: Side) -> MapStep:
-            leader = self.leaders[side]
-            read = getattr(leader, reader)
-            return leader._mapped(read, numbers[side], wrists.get(side), dt)
+            def ask(side: Side) -> MapStep:
+                leader = self.leaders[side]
+                read = getattr(leader, reader)
+                since = self.time_since_sample(side, when)
+                return leader._mapped(read, numbers[side], wrists.get(side), since)
 
-        return self.step(numbers, ask)
+            step = self.step(numbers, ask, when)
+        self._note_time(time)
+        return step
+
+    def time_since_sample(self, side: Side, when: When) -> float:
+        """Return the time from a hand's last sample to a command that it has one for [s].
+
+        Args:
+            side: The hand.
+            when: When the command is.
+        """
+        return self._leader(side).waited + self.point_ik.gate.interval(when).granted
 
     @exclusively
-    def step(self, sides: Iterable[Side], ask: Callable[[Side], MapStep]) -> RobotStep:
+    def step(
+        self,
+        sides: Iterable[Side],
+        ask: Callable[[Side], MapStep],
+        when: When | None = None,
+    ) -> RobotStep:
         """Let leaders ask, and move the robot.
 
         Args:
             sides: The hands that have a sample.
             ask: Returns a step of the leader of a hand, such as `mapper.leaders[side].map(pose)`.
+                What it takes for the time since the hand's last sample does not count for the
+                robot's limits.
+            when: Time since the robot's last command [s], or the instant of this one on the robot's
+                clock; the mapper's own time if omitted.
 
         Raises:
             InvalidInputError: If there is no hand.
             HandmapError: Any of a leader; the mapper is then as it was before.
         """
         started = perf_counter()
-        dt = 0.0
+        when = self._usual_dt if when is None else check_when(when)
+        granted = self.point_ik.gate.interval(when).granted
         with self._unless_refused():
+            asking = []
             for side in sides:
                 leader = self._leader(side)
                 leader.last = ask(side)
+                asking.append(leader)
                 if not leader.is_staying:
                     if not leader.since:
                         leader.base = self._base
                     leader.since += leader.asked.dt
-                dt = max(dt, leader.asked.dt)
-            expect(dt, "hands", "a sample of one at least")
-            stages, parts = self._moved(dt)
+            expect(asking, "hands", "a sample of one at least")
+            stages, parts = self._moved(when)
+        for leader in self.leaders.values():
+            # A hand that stays comes back as with a first sample.
+            is_behind = leader not in asking and not leader.is_staying
+            leader.waited = leader.waited + granted if is_behind else 0.0
         for leader in self.leaders.values():
             if leader.bound.renews_reference:
                 leader.base = self._base
@@ -395,7 +469,7 @@ class RobotMapper(Mover):
             hands=hands,
         )
 
-    def _moved(self, dt: float) -> tuple[Stages, list[Stages]]:
+    def _moved(self, when: When) -> tuple[Stages, list[Stages]]:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
         leaders = self.leaders.values()
         own = self.point_ik.core
@@ -404,28 +478,28 @@ class RobotMapper(Mover):
                 own, self.robot, self._pinching, self.leaders, self._turns_in
             )
             # None where a leader has asked in Python.
-            if moved := self.core.move(self._base, dt):
+            if moved := self.core.move(self._base, when):
                 return moved
         to_base = inverse_pose(self._base)
         aimed = [_aimed(leader, to_base, self._turns_in) for leader in leaders]
         targets, persons = map(list, zip(*aimed, strict=True))
         asked = [leader.asked for leader in leaders]
         tasks = self._together([each.map for each in asked], targets, persons)
-        return self._stages(asked, targets, self._solved(asked, targets, tasks, dt))
+        return self._stages(asked, targets, self._solved(asked, targets, tasks, when))
 
     def _solved(
-        self, asked: list[Any], targets: list[Targets], tasks: list[Task], dt: float
+        self, asked: list[Any], targets: list[Targets], tasks: list[Task], when: When
     ) -> IkResult:
         """Move the robot to targets by one QP, in Python or in the core."""
         if self._is_released:
-            return self.point_ik.hold(dt)
+            return self.point_ik.hold(when)
         rest = self.robot.rest.copy()
         for own, each in zip(self.robot.finger_joints, asked, strict=True):
             rest[own] = each.rest[own]
         return self.point_ik.solve(
             np.concatenate([each.points for each in targets]),
             np.array([each.wrist for each in targets]),
-            dt,
+            when,
             rest=rest,
             tasks=sum((each.tasks for each in targets), tuple(tasks)),
             margins=self._margins(targets),

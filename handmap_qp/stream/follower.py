@@ -19,8 +19,15 @@ from msgspec import structs
 
 from handmap_qp.errors import HandmapError, expect
 from handmap_qp.human import HumanSample, Recording, Verdict
-from handmap_qp.ik import SHORTEST_DT, Compiled, Task, in_core
-from handmap_qp.mapping import HandMapper, HumanPose, MapStep, check_dt
+from handmap_qp.ik import SHORTEST_DT, Compiled, Instant, Task, When, in_core
+from handmap_qp.mapping import (
+    HandMapper,
+    HumanPose,
+    MapStep,
+    check_dt,
+    check_when,
+    own_time,
+)
 from handmap_qp.mapping.exclusive import exclusively
 from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
@@ -315,6 +322,8 @@ class Follower:
         self._guard = StreamGuard(mapper.human)
         self._return = Rejoin(rejoin)
         self._reference: HumanPose | None = None
+        # Where the time of the stream begins on the robot's clock [s]; None before a first command.
+        self._origin: float | None = None
         # What `forget` takes back.
         self._before: tuple[Any, ...] = ()
 
@@ -331,14 +340,16 @@ class Follower:
         self,
         sample: HumanSample,
         *,
-        dt: float | None = None,
+        dt: When | None = None,
         arrival: float | None = None,
     ) -> MapStep:
         """Map one sample of a tracker, if it makes sense; else hold.
 
         Args:
-            sample: The sample. Its time stamps say how much time has passed.
-            dt: Time that the step may account for [s]; that of the time stamps if omitted.
+            sample: The sample. Its time stamps say how much time has passed. The robot takes the
+                time since its last command, whatever that was for.
+            dt: Time since the robot's last command [s], or the instant of this one on the robot's
+                clock; by the time stamps if omitted.
             arrival: When the sample arrived, on a monotonic clock [s], to check the rate of the
                 time stamps; not checked if omitted.
 
@@ -357,8 +368,11 @@ class Follower:
         self._before = self._return, self._reference
         if cores := self._cores():
             # The step, or the verdict about a sample that Python has to look at, if it is known.
-            found = self.mapper.core.map_sample(*cores, sample, dt, arrival)
+            origin = self._origin
+            found = self.mapper.core.map_sample(*cores, sample, dt, arrival, origin)
         if isinstance(found, MapStep):
+            if dt is not None:
+                self._origin = None
             self._return = self._return._replace(seen=found.stages.pose)
             return found
         verdict = found or self._guard.check(sample, arrival=arrival)
@@ -388,9 +402,11 @@ class Follower:
         while i < count:
             # That about a sample which the core has judged, and leaves to the return here.
             verdict = None
-            if cores := self._cores():
+            cores = self._cores()
+            origin = self._origin
+            if cores and origin is not None:
                 i, verdict, seen = self.mapper.core.run(
-                    *cores, samples, i, min(count, i + _RUN), table.rows
+                    *cores, origin, samples, i, min(count, i + _RUN), table.rows
                 )
                 if seen:
                     self._return = self._return._replace(seen=seen)
@@ -414,13 +430,27 @@ class Follower:
             self._smoother.forget()
 
     @exclusively
-    def map(self, pose: HumanPose, dt: float, *, speed: float = 1.0) -> MapStep:
-        """Smooth a pose, and map it without judging it; arguments as of `HandMapper.map`."""
+    def map(
+        self,
+        pose: HumanPose,
+        dt: float,
+        *,
+        speed: float = 1.0,
+        when: When | None = None,
+    ) -> MapStep:
+        """Smooth a pose, and map it without judging it.
+
+        Args:
+            pose: The pose.
+            dt: Time since the last one, for the filter [s].
+            speed: As of `HandMapper.map`.
+            when: The instant of the command; dt after the robot's last one if omitted.
+        """
         if self._has_new_reference:
             self._smoother.restart()
         smooth = self._smoother.smooth(pose, check_dt(dt))
         try:
-            step = self.mapper.map(smooth, dt, speed=speed)
+            step = self.mapper.map(smooth, when or dt, speed=speed)
         except HandmapError:
             self._smoother.forget()
             raise
@@ -437,29 +467,61 @@ class Follower:
         return self._guard.core, self._smoother.core, mapper.landmarks.core
 
     def _judged(
-        self, sample: HumanSample, verdict: Verdict, dt: float | None
+        self, sample: HumanSample, verdict: Verdict, dt: When | None
     ) -> MapStep:
         """Map a sample that makes sense, else hold; an error leaves all as it was before."""
         started = perf_counter()
         back = Rejoin(self.rejoin) if self._has_new_reference else self._return
         said: dict[str, Any] = {"verdict": verdict, "confidence": sample.confidence}
         try:
-            granted = max(verdict.dt, SHORTEST_DT) if dt is None else check_dt(dt)
+            if dt is None:
+                granted = max(verdict.dt, SHORTEST_DT)
+                when = self._when(verdict, granted)
+            else:
+                when = check_when(dt)
+                granted = check_dt(own_time(when))
             if verdict.is_held:
                 self._smoother.wait(granted)
-                return structs.replace(self.mapper.hold(granted, back.seen), **said)
+                held = self.mapper.hold(when, back.seen)
+                self._note_origin(verdict, dt)
+                return structs.replace(held, **said)
             pose, _ = self.mapper.landmarks.read(sample.landmarks, sample.wrist)
             if verdict.is_return:
                 back = back.start(pose, verdict.lost)
                 self._smoother.restart()
             moved, back = back.advance(pose, verdict.dt)
-            step = self.map(moved, granted, speed=verdict.speed)
+            step = self.map(moved, granted, speed=verdict.speed, when=when)
         except HandmapError:
             self._guard.forget()
             raise
         self._return = back._replace(seen=step.stages.pose)
+        self._note_origin(verdict, dt)
         said |= {"is_gliding": back.is_fading, "duration": perf_counter() - started}
         return structs.replace(step, **said)
+
+    def _when(self, verdict: Verdict, longest: float) -> When:
+        """Return when the command for a sample is.
+
+        Args:
+            verdict: About the sample.
+            longest: Longest time that the command may take [s].
+        """
+        if self._origin is None:
+            # The stream is not on the robot's clock yet.
+            return longest
+        return Instant(self._origin + verdict.time, longest)
+
+    def _note_origin(self, verdict: Verdict, dt: When | None) -> None:
+        """Note where the stream's time begins, after the command for a sample.
+
+        Args:
+            verdict: About the sample.
+            dt: The time that the caller gave for it; time stamps then count from the next one.
+        """
+        if dt is not None:
+            self._origin = None
+        elif self._origin is None:
+            self._origin = self.mapper.motion.time - verdict.time
 
     @property
     def _has_new_reference(self) -> bool:

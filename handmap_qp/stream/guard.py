@@ -33,7 +33,7 @@ from handmap_qp.human import (
     palm_sizes,
     sample_columns,
 )
-from handmap_qp.ik import Compiled, in_core
+from handmap_qp.ik import LONGEST_STEP, Compiled, in_core
 from handmap_qp.se3 import Array, lengths, nearest_rotation
 from handmap_qp.trackers import (
     BONES,
@@ -46,11 +46,6 @@ from handmap_qp.trackers import (
 
 # -- time
 
-LONGEST_STEP = 3.0
-"""Longest time that one sample accounts for, in usual periods.
-
-After a longer one the robot has stood still, and must not make up for it in one command.
-"""
 GAP = 0.25
 """A longer time between stamps is a gap: samples are missing, or the clock was set [s]."""
 # A stamp earlier by more than this is of a clock that was set back, not of a late sample [s].
@@ -85,6 +80,7 @@ class SampleClock(NamedTuple):
         elapsed: Time since the last sample that counted [s]; the usual one after a clock jump.
         dt: Time that the sample accounts for [s], from 0 to `LONGEST_STEP` periods; one period at
             most after a sample that brought nothing new, for its command has taken the time.
+        passed: Time by the stamps since the last sample that counted [s]; 0 where they go back.
     """
 
     stamp: float | None = None
@@ -94,6 +90,7 @@ class SampleClock(NamedTuple):
     rule: Rule = ""
     elapsed: float = 0.0
     dt: float = 0.0
+    passed: float = 0.0
 
     @property
     def is_idle(self) -> bool:
@@ -103,11 +100,11 @@ class SampleClock(NamedTuple):
     def advance(self, stamp: float) -> SampleClock:
         """Return the clock after a sample of a time stamp [s], with what that says."""
         period = self.period
-        usual = SampleClock(stamp, period, elapsed=period, dt=period)
+        usual = SampleClock(stamp, period, elapsed=period, dt=period, passed=period)
         if self.stamp is None:
             return usual
         step = stamp - self.stamp
-        idle = self._replace(rule="duplicate", elapsed=0.0, dt=0.0)
+        idle = self._replace(rule="duplicate", elapsed=0.0, dt=0.0, passed=0.0)
         if step == 0.0:
             return idle
         if -_SET_BACK <= step < 0.0:
@@ -116,13 +113,16 @@ class SampleClock(NamedTuple):
                 return idle._replace(
                     rule="disorder", late_stamp=stamp, late_count=count
                 )
+        usual = usual._replace(passed=max(step, 0.0))
         if step < 0.0 or step > _SET_FORWARD:
             return usual._replace(rule="clock_jump")
         if step > GAP:
             return usual._replace(rule="gap", elapsed=step)
         longest = period if self.is_idle else LONGEST_STEP * period
         period += _PERIOD_SHARE * (step - period)
-        return SampleClock(stamp, period, elapsed=step, dt=min(step, longest))
+        return SampleClock(
+            stamp, period, elapsed=step, dt=min(step, longest), passed=step
+        )
 
     @property
     def shortest(self) -> float:
@@ -340,6 +340,7 @@ class GuardState:
     Attributes:
         clock: The clock of the stream.
         now: Time of the stream [s]: the sum of the time steps.
+        time: Likewise, of the times by the stamps, which the robot's commands go by.
         good: The last sample that was followed.
         last: The last sample that could be a hand's, at the first time that it came.
         noise: Running estimate of the landmarks' noise [m].
@@ -349,6 +350,7 @@ class GuardState:
 
     clock: SampleClock
     now: float = 0.0
+    time: float = 0.0
     good: Track | None = None
     last: Track | None = None
     noise: float = FIRST_NOISE
@@ -447,9 +449,15 @@ class StreamGuard(Compiled):
         former = self._former = self._state
         clock = former.clock.advance(sample.time)
         now = former.now + clock.elapsed
-        state = self._state = replace(former, clock=clock, now=now)
-        dt = clock.dt if arrival is None else self._rate.grant(clock.dt, arrival)
-        held = Verdict(clock.rule, True, False, dt, math.nan)
+        dt, passed = clock.dt, clock.passed
+        if arrival is not None:
+            dt = self._rate.grant(clock.dt, arrival)
+            if dt < clock.dt:
+                # Stamps that outrun arrival do not move the robot's clock either.
+                passed = min(passed, dt)
+        time = former.time + passed
+        state = self._state = replace(former, clock=clock, now=now, time=time)
+        held = Verdict(clock.rule, True, False, dt, math.nan, time=time)
         if clock.is_idle:
             return held
         rule, finding = self._input_fault(sample, arrival)

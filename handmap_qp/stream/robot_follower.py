@@ -1,24 +1,88 @@
 """`RobotFollower`: a robot follows the samples of both hands of a person that make sense.
 
 Each hand has the guard, the return and the smoothing of a `Follower`; the robot moves once for all.
+Hands may come together, in turns, and at rates of their own. Filters of a hand count in the time
+since its own last sample, and the robot's limits in the time since the robot's last command, which
+`CommandClock` reads from the time stamps of all hands.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import HandmapError, expect
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample, Recording, Verdict, sample_columns
+from handmap_qp.ik import SHORTEST_DT, Instant, When
 from handmap_qp.mapping import MapStep, RobotMapper, RobotStep
 from handmap_qp.mapping.exclusive import exclusively
 from .follower import Follower
+from .guard import SampleClock
 
 _SILENCE = 0.25
 """Time without a sample after which a hand is held [s]."""
+
+
+_BEHIND = 1.0
+"""A sample that is earlier than the robot's last command by more is of another clock [s]."""
+_AHEAD = 10.0
+"""A sample that is later than the robot's last command by more is of another clock [s]."""
+
+
+class CommandClock(NamedTuple):
+    """The clocks of all hands of a robot, and when its commands are.
+
+    Hands whose stamps can be of one clock are taken to have one. Where a stamp cannot be, because a
+    clock was set back or a hand has a sender of its own, the times of arrival say how much time has
+    passed since the robot's last command. Without them, that is not known, and the sample takes
+    (nearly) none. A clock that jumps ahead is taken to be right, unless the times of arrival
+    contradict it: no sample may have come for so long.
+
+    Attributes:
+        offsets: The robot's clock minus the stamps of each hand, by side [s].
+        rate: Judges gaps between commands, and knows their usual period.
+        arrival: When the samples of the last command arrived [s]; None if that is not known.
+    """
+
+    offsets: Mapping[Side, float] = {}
+    rate: SampleClock = SampleClock()
+    arrival: float | None = None
+
+    def advance(
+        self, stamps: Mapping[Side, float], now: float, arrival: float | None
+    ) -> tuple[CommandClock, Instant]:
+        """Return the clock after samples, and the instant of the robot's command for them.
+
+        Args:
+            stamps: Time stamps of the samples by side, in the clocks of their senders [s].
+            now: Instant of the robot's last command, on its clock [s].
+            arrival: When the samples arrived, on a monotonic clock [s]; None if that is not known.
+        """
+        is_known = arrival is not None and self.arrival is not None
+        waited = max(arrival - self.arrival, 0.0) if is_known else 0.0
+        if not self.offsets:
+            waited = self.rate.period
+        offsets = dict(self.offsets)
+        for side, stamp in stamps.items():
+            # Its own clock first, then those of the other hands.
+            farthest = _AHEAD if is_known else math.inf
+            candidates = [(offsets[side], farthest)] if side in offsets else []
+            candidates += [(offset, _AHEAD) for offset in offsets.values()]
+            fitting = (
+                offset
+                for offset, most in candidates
+                if -_BEHIND <= stamp + offset - now <= most
+            )
+            offsets[side] = next(fitting, now + waited - stamp)
+        time = max(stamp + offsets[side] for side, stamp in stamps.items())
+        rate = self.rate.advance(time)
+        instant = Instant(time, max(rate.dt, SHORTEST_DT))
+        return CommandClock(offsets, rate, arrival), instant
 
 
 class RobotFollower:
@@ -42,7 +106,9 @@ class RobotFollower:
         self.hands = {
             side: Follower(leader, **options) for side, leader in mapper.leaders.items()
         }
+        # Instants of the robot's commands that had a sample of each hand.
         self._seen = dict.fromkeys(self.hands, -math.inf)
+        self._clock = CommandClock()
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
@@ -52,12 +118,21 @@ class RobotFollower:
         self,
         samples: Mapping[Side, HumanSample],
         *,
-        dt: float | None = None,
+        dt: When | None = None,
         arrival: float | None = None,
     ) -> RobotStep:
-        """Map one sample of each hand that has one; arguments and errors as of `Follower`.
+        """Map one sample of each hand that has one; errors as of `Follower`.
 
-        A hand without a sample goes on to what it asked for last.
+        A hand without a sample goes on to what it asked for last. The robot takes the time since
+        its last command, whichever hand led to that.
+
+        Args:
+            samples: The samples by side.
+            dt: Time since the robot's last command [s], or the instant of this one on the robot's
+                clock; by the time stamps if omitted. A sample whose stamp is not later than that
+                of the last command takes (nearly) no time.
+            arrival: When the samples arrived, on a monotonic clock [s]: to check the rate of the
+                time stamps, and to relate hands whose senders have different clocks.
         """
         expect(
             isinstance(samples, Mapping),
@@ -66,26 +141,38 @@ class RobotFollower:
             value=samples,
         )
         followed: dict[Side, MapStep] = {}
+        mapper = self.mapper
+        clock = self._clock
+        when: When | None = dt
+        # The followers of the hands reject what is no sample.
+        stamps = {
+            side: sample.time
+            for side, sample in samples.items()
+            if isinstance(sample, HumanSample)
+        }
+        if dt is None and stamps:
+            clock, when = clock.advance(stamps, mapper.motion.time, arrival)
 
         def follow(side: Side) -> MapStep:
+            own = None if dt is None else mapper.time_since_sample(side, dt)
             followed[side] = self.hands[side].map_sample(
-                samples[side], dt=dt, arrival=arrival
+                samples[side], dt=own, arrival=arrival
             )
             return followed[side]
 
         try:
-            step = self.mapper.step(samples, follow)
+            step = mapper.step(samples, follow, when)
         except HandmapError:
             # The hand whose sample was refused is as it was before by itself.
             for side, step in followed.items():
                 self.hands[side].forget(step)
             raise
-        newest = max(sample.time for sample in samples.values())
-        self._seen |= dict.fromkeys(samples, newest)
+        self._clock = clock
+        now = mapper.motion.time
+        self._seen |= dict.fromkeys(samples, now)
         for side, time in self._seen.items():
-            # The tracker's clock may also have been set back.
-            if abs(newest - time) > _SILENCE:
-                self.mapper.stay(side, Verdict("missing", True, False, 0.0, math.nan))
+            if now - time > _SILENCE:
+                mapper.stay(side, Verdict("missing", True, False, 0.0, math.nan))
         return step
 
 

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from limit_judge import judge, landmarks_at
 
 from handmap_qp import cli, load_hand
 from handmap_qp.apps import doctor, tables
+from handmap_qp.hands.robot import load_robot
 
 KEYS = {
     "samples",
@@ -25,6 +27,9 @@ KEYS = {
     "speed_limited_share",
     "speed_limited_joints",
     "limit_violation_max",
+    "speed_over_limit_max",
+    "acceleration_max",
+    "steps_ms",
 }
 COLUMNS = {
     "time",
@@ -90,6 +95,42 @@ def test_map_writes_the_trajectory_and_prints_its_summary(
             for q, wrist in zip(columns["q"], columns["wrist"], strict=True)
         ]
         np.testing.assert_allclose(replayed, columns["points"], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_what_map_writes_keeps_the_limits_by_its_own_times(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = []
+    for side, rate in (("left", 60.0), ("right", 30.0)):
+        time = np.arange(0.0, 2.0, 1.0 / rate)
+        landmarks = np.array([landmarks_at(side, each) for each in time])
+        # One hand is lost for .2 s, with its samples.
+        is_kept = (side == "left") | (time < 1.0) | (time >= 1.2)
+        valid = np.ones(is_kept.sum(), dtype=bool)
+        files.append(str(tmp_path / f"{side}.npz"))
+        np.savez(
+            files[-1],
+            time=time[is_kept],
+            landmarks=landmarks[is_kept],
+            valid=valid,
+            handedness=side,
+        )
+    out = tmp_path / "out.npz"
+    command = ["map", *files, "--robot", "g1", "--out", str(out)]
+    assert cli.main([*command, "--ik.max-acceleration", "30", "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    with np.load(out, allow_pickle=False) as columns:
+        worst = judge(load_robot("g1"), columns["time"], columns["q"])
+    assert 0.9 < worst.speed <= 1.0 + 1e-6
+    assert worst.acceleration <= 30.0 * (1.0 + 1e-6)
+    assert summary["speed_over_limit_max"] == pytest.approx(worst.speed, rel=1e-6)
+    assert summary["acceleration_max"] == pytest.approx(worst.acceleration, rel=1e-3)
+    np.testing.assert_allclose(summary["steps_ms"], 1e3 / 60.0, rtol=1e-9)
+    assert cli.main(command) == 0
+    printed = capsys.readouterr().out
+    assert "60 samples a second, steps of 16.67 to 16.67 ms" in printed
+    assert "of its limit" in printed
 
 
 @pytest.mark.slow

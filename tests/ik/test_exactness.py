@@ -93,9 +93,9 @@ def found(checker: Any) -> set[str]:
 def test_the_judge_finds_nothing_in_a_motion_within_all_limits(planted: Any) -> None:
     checker, _, q = planted
     steps = [0.5 * 0.01**2 * k for k in (1, 2, 3, 2, 1, 0)]
-    for step in steps:
+    for k, step in enumerate(steps, 1):
         q = q + step
-        checker.take(q, 0.01, 0.5)
+        checker.take(q, 0.01 * k, 0.5)
     assert checker.commands == len(steps)
     assert not found(checker)
     assert checker.worst["acceleration"] == pytest.approx(1.0, abs=1e-6)
@@ -110,11 +110,11 @@ def test_the_judge_finds_a_position_beyond_a_limit_by_one_rounding(
     checker.take(at, 10.0)
     assert not found(checker)
     at[0] = np.nextafter(at[0], np.inf)
-    checker.take(at, 10.0)
+    checker.take(at, 20.0)
     assert found(checker) == {"position"}
     # A robot that starts outside may stay, but not go on.
     checker.violations.clear()
-    checker.take(at, 10.0)
+    checker.take(at, 30.0)
     assert not found(checker)
 
 
@@ -130,9 +130,38 @@ def test_the_judge_finds_speed_and_acceleration(planted: Any) -> None:
     checker.start(q)
     checker.violations.clear()
     checker.take(q + 2.0 * 0.01**2, 0.01, 2.0)
-    checker.take(q + 6.0 * 0.01**2, 0.01, 2.0)
+    checker.take(q + 6.0 * 0.01**2, 0.02, 2.0)
     assert not found(checker)
-    checker.take(q + 6.0 * 0.01**2, 0.01, 2.0)
+    checker.take(q + 6.0 * 0.01**2, 0.03, 2.0)
+    assert found(checker) == {"acceleration"}
+
+
+def test_the_judge_goes_by_time_stamps_alone(planted: Any) -> None:
+    checker, hand, q = planted
+    # Two commands of 10 ms each, 5 ms apart: twice the speed.
+    step = hand.velocity_limits * 0.01
+    checker.take(q + step, 0.01)
+    assert not found(checker)
+    checker.take(q + 1.5 * step, 0.015)
+    assert not found(checker)
+    checker.take(q + 2.5 * step, 0.02)
+    assert found(checker) == {"speed"}
+    assert checker.worst["speed"] == pytest.approx(2.0)
+    # Stamps that repeat or go back leave 1 us, and what is behind them is judged from there.
+    checker.start(q, 1.0)
+    checker.violations.clear()
+    checker.take(np.array([q, q]), [1.0, 0.5])
+    assert checker.time == pytest.approx(1.0 + 2e-6, abs=1e-12)
+    checker.take(q + step, 1.01)
+    assert found(checker) == {"speed"}
+    assert checker.worst["speed"] == pytest.approx(2.0)
+    # A gap makes nothing up, and unequal steps count in the time of the later one.
+    checker.start(q)
+    checker.violations.clear()
+    checker.take(q + 0.5 * step, 1.0, 2.0)
+    checker.take(q + 0.5 * step + 2.0 * 0.01**2, 1.01, 2.0)
+    assert found(checker) == set()
+    checker.take(q + 0.5 * step + 2.0 * 0.01**2 * 3.0, 1.015, 2.0)
     assert found(checker) == {"acceleration"}
 
 
@@ -141,10 +170,10 @@ def test_the_judge_counts_by_the_largest_limit_since_the_robot_stood(
 ) -> None:
     checker, _, q = planted
     checker.take(q + 20.0 * 0.01**2, 0.01, 20.0)
-    checker.take(q + 20.0 * 0.01**2, 0.01, 1.0)
+    checker.take(q + 20.0 * 0.01**2, 0.02, 1.0)
     assert not found(checker)
-    checker.take(q + 20.0 * 0.01**2, 0.01, 1.0)
-    checker.take(q + 22.0 * 0.01**2, 0.01, 1.0)
+    checker.take(q + 20.0 * 0.01**2, 0.03, 1.0)
+    checker.take(q + 22.0 * 0.01**2, 0.04, 1.0)
     assert found(checker) == {"acceleration"}
 
 
@@ -178,8 +207,8 @@ def test_the_judge_finds_a_wrist_that_jumps(hostile: ModuleType) -> None:
     assert found(checker) == {"speed"}
     # In a sample in which the wrist may turn by more than half a turn, its twist is ambiguous.
     checker.violations.clear()
-    for dt in (10.0, 0.01):
-        checker.take(hand.configuration_vector(hand.rest, wrist), dt, 1e-3)
+    for time in (10.01, 10.02):
+        checker.take(hand.configuration_vector(hand.rest, wrist), time, 1e-3)
     assert not found(checker)
 
 
@@ -211,9 +240,9 @@ def test_a_wrist_whose_turn_is_ambiguous_is_not_at_rest(hostile: ModuleType) -> 
     # Half a second may hide half a turn; the wrist goes on at .6 m/s, then stops at 60 m/s^2.
     for dt, moved, limit in [(0.5, 0.3, 100.0), (0.01, 0.006, 0.5), (0.01, 0.0, 0.5)]:
         q[0] += moved
-        judge.take(q, dt, limit)
+        judge.take(q, judge.time + dt, limit)
     assert not judge.violations["acceleration"]
     # From rest, it may not.
     q[0] += 0.006
-    judge.take(q, 0.01, 0.5)
+    judge.take(q, judge.time + 0.01, 0.5)
     assert judge.violations["acceleration"] == 1

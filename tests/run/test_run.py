@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from faulty_recordings import DEMO
+from limit_judge import HUMANS, in_turns, judge, samples_of, without
 from run_cases import (
     ALONE,
     FAULTS,
@@ -38,9 +39,9 @@ import handmap_qp
 from handmap_qp import Follower, HandMapper, HumanSample, IkOptions, load_hand
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.errors import HandError, InvalidOptionsError
-from handmap_qp.hands import Side
+from handmap_qp.hands import Side, load_robot
 from handmap_qp.ik.core import core
-from handmap_qp.mapping import RobotMapper
+from handmap_qp.mapping import RobotMapper, get_preset
 from handmap_qp.stream import RobotFollower
 
 # The core is compiled once more, as that of another package.
@@ -136,6 +137,35 @@ def saved_robot(site: Path, g1: RobotMapper, tmp_path: Path) -> Path:
     """Save a robot with two hands."""
     write_case(tmp_path, "robot", g1, *PINCH.values())
     return tmp_path / "robot.hand"
+
+
+@pytest.mark.parametrize("rates", [(60.0, 60.0), (60.0, 45.0)])
+def test_a_saved_robot_keeps_its_limits_by_time_stamps(
+    site: Path, tmp_path: Path, rates: tuple[float, float]
+) -> None:
+    import handmap_run
+    from handmap_run.saving import saved
+
+    most = 30.0
+    ik = get_preset("teleoperation").ik.replaced(max_acceleration=most)
+    mapper = RobotMapper(load_robot("g1"), HUMANS, "teleoperation", ik=ik)
+    file = tmp_path / "g1.hand"
+    file.write_bytes(saved(mapper))
+    follower, other = handmap_run.load_robot(file), RobotFollower(mapper)
+    # Hands in turns; one is away for .2 s.
+    events = without(in_turns(rates, 1.0), "right", 0.5, 0.7)
+    q, expected = [], []
+    for samples in samples_of(events):
+        own = {
+            side: handmap_run.HumanSample(each.time, side, each.landmarks)
+            for side, each in samples.items()
+        }
+        q.append(follower.map_samples(own).command.q)
+        expected.append(other.map_samples(samples).command.q)
+    worst = judge(mapper.robot, [event.time for event in events], q)
+    assert 0.9 < worst.speed <= 1.0 + 1e-6
+    assert 0.9 * most < worst.acceleration <= most * (1.0 + 1e-6)
+    np.testing.assert_allclose(q, expected, atol=1e-9)
 
 
 def test_a_robot_goes_on_as_that_of_the_library(

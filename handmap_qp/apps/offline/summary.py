@@ -29,6 +29,11 @@ def summarise(trajectory: Trajectory) -> Values:
     `arm_out_of_reach` has the share of samples, what holds the arm in them (`arm_held_by`), the
     largest error, the extent of the motion and a scale to try (None for a robot with two hands), of
     an arm that does not follow; None if it does.
+
+    What was written is judged by its own instants: `speed_over_limit_max` is the largest speed of a
+    joint over its limit, `acceleration_max` the largest acceleration [rad/s^2 or m/s^2], and
+    `steps_ms` the shortest, the median and the longest time between samples; None where there are
+    too few samples.
     """
     robot = trajectory.robot
     seen = trajectory.valid
@@ -54,6 +59,7 @@ def summarise(trajectory: Trajectory) -> Values:
         "wrist_error_mm_mean": 1e3 * trajectory.wrist_error[seen].mean(),
         "samples_at_limit": trajectory.at_limit.any(axis=1).sum(),
         "limit_violation_max": trajectory.limit_violation,
+        **_by_instants(trajectory),
         "speed_limited_share": is_slow.any(axis=1).mean(),
         # The joints that speed limits held most often.
         "speed_limited_joints": [
@@ -151,7 +157,40 @@ def table_rows(summary: Values) -> dict[str, str]:
         "samples at a limit": f"{summary['samples_at_limit']}",
         "samples held by a speed limit": f"{100.0 * summary['speed_limited_share']:.1f} %",
         "largest limit violation": f"{summary['limit_violation_max']:.1e} rad",
+        **_time_rows(summary),
     }
+
+
+def _by_instants(trajectory: Trajectory) -> Values:
+    """Judge what is written by its own instants; see `summarise`."""
+    found: Values = dict.fromkeys(
+        ("speed_over_limit_max", "acceleration_max", "steps_ms")
+    )
+    steps = 1e3 * np.diff(trajectory.time)
+    if len(steps) > 0:
+        shares = np.abs(trajectory.speeds) / trajectory.robot.velocity_limits
+        found["speed_over_limit_max"] = shares.max()
+        found["steps_ms"] = [steps.min(), np.median(steps), steps.max()]
+    if len(steps) > 1:
+        found["acceleration_max"] = np.abs(trajectory.accelerations).max()
+    return found
+
+
+def _time_rows(summary: Values) -> dict[str, str]:
+    """Return what was judged by the instants of the samples as text, by label."""
+    if summary["steps_ms"] is None:
+        return {}
+    shortest, median, longest = summary["steps_ms"]
+    rows = {
+        "times, as the file has them": (
+            f"{1e3 / median:.4g} samples a second, steps of {shortest:.4g} to "
+            f"{longest:.4g} ms"
+        ),
+        "largest speed": f"{summary['speed_over_limit_max']:.3f} of its limit",
+    }
+    if summary["acceleration_max"] is not None:
+        rows["largest acceleration"] = f"{summary['acceleration_max']:.3g} per s^2"
+    return rows
 
 
 def _arm(trajectory: Trajectory) -> Values | None:

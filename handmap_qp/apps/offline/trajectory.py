@@ -60,6 +60,22 @@ class RobotMotion:
     about: str = ""
     moves_wrist: bool = True
 
+    @property
+    def speeds(self) -> Array:
+        """Speeds of the joints from each sample to the next [rad/s or m/s], shape (T - 1, n).
+
+        By the instants of the samples, and not by the times that the mapper granted.
+        """
+        return np.diff(self.q, axis=0) / np.diff(self.time)[:, None]
+
+    @property
+    def accelerations(self) -> Array:
+        """Changes of the speeds over the time of the later step [rad/s^2], shape (T - 2, n).
+
+        In that time a motor has to change its speed, also where steps are unequal.
+        """
+        return np.diff(self.speeds, axis=0) / np.diff(self.time)[1:, None]
+
     def at(self, i: int) -> Array:
         """Return the configuration of the robot in a sample, shape (nq,)."""
         wrist = self.wrist[i] if self.robot.is_floating else None

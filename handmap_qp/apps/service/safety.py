@@ -27,6 +27,7 @@ from handmap_qp.ik import (
     IkOptions,
     Motion,
     PointIk,
+    When,
     braking_displacement,
     feasible,
     solve_by_daqp,
@@ -151,16 +152,21 @@ class SessionClock:
     Args:
         request: The request that opened the session, which has its times.
         now: The present [s].
+        waited: Time since the robot's last command [s].
 
     Attributes:
         last_sample: Time of the last sample that could be used, or of the last reset [s]. Set it to
             count silence from there on.
+        waited: Time since the last command, of which no more than `max_dt` is granted to the next
+            one [s].
     """
 
-    def __init__(self, request: Open, now: float) -> None:
+    def __init__(self, request: Open, now: float, waited: float = 0.0) -> None:
         self._request = request
+        self.waited = 0.0
         self._held_since = self._last_command = self.last_sample = now
         self._granted = self._arrival = now
+        self._commanded_at = now - waited
         self._stamp = None
 
     def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
@@ -188,7 +194,16 @@ class SessionClock:
             flags.append("dt_clamped")
         self._stamp = stamp
         self._arrival = self._granted = now
+        self.waited = self.since_command(now) if is_ours else stamped
         return self._limited(wanted), flags
+
+    def since_command(self, now: float) -> float:
+        """Return the time since the last command [s]."""
+        return now - self._commanded_at
+
+    def note_command(self, now: float) -> None:
+        """Note a command: the next one waits from here on."""
+        self._commanded_at = now
 
     def feed(self, now: float) -> None:
         """Note a sample that can be used, and the command that answers it."""
@@ -232,6 +247,7 @@ class SessionClock:
         if now - self._last_command < period:
             return 0.0
         elapsed = now - self._granted
+        self.waited = self.since_command(now)
         self._last_command = self._granted = now
         return self._limited(elapsed)
 
@@ -254,16 +270,19 @@ class CommandedRobot(Gate):
         q: Joint angles where it is now, at rest [rad], shape (n,).
         wrist: Pose of its wrist, shape (4, 4); None if it is not known yet. Ignored if the wrist is
             fixed.
+        time: Instant on its clock [s].
 
     Attributes:
         is_placed: Whether the pose of its wrist is known.
     """
 
-    def __init__(self, robot: Hand, q: Array, wrist: Array | None = None) -> None:
+    def __init__(
+        self, robot: Hand, q: Array, wrist: Array | None = None, time: float = 0.0
+    ) -> None:
         self.is_placed = wrist is not None or not robot.is_floating
         self._placed = robot.configuration()
         vector = robot.configuration_vector(q, wrist if robot.is_floating else None)
-        super().__init__(robot, Motion.at_rest(vector, len(robot.active_columns)))
+        super().__init__(robot, Motion.at_rest(vector, len(robot.active_columns), time))
         self._has_free_wrist = robot.is_floating and robot.wrist_frame.parentJoint == 1
         can_move = robot.is_floating or robot.moves_wrist.any()
         self._fixed_wrist = None if can_move else self._wrist_at(vector)
@@ -307,7 +326,7 @@ class CommandedRobot(Gate):
         self,
         q: Array,
         wrist: Array | None,
-        dt: float,
+        when: When,
         share: float = 1.0,
         *,
         stops: bool = False,
@@ -324,7 +343,7 @@ class CommandedRobot(Gate):
         Args:
             q: Target joint angles [rad], shape (n,).
             wrist: Target pose of the wrist, shape (4, 4); None keeps it. The first one places it.
-            dt: Time since the last command [s].
+            when: Time since the last command [s], or the instant of this one.
             share: Share of the speed limits to use.
             stops: Whether the robot must be able to stop there at once.
 
@@ -332,19 +351,19 @@ class CommandedRobot(Gate):
             Whether the posture is reached. If it is not finite, the robot brakes.
         """
         if not np.isfinite(np.append(q, 0.0 if wrist is None else wrist)).all():
-            self.brake(dt)
+            self.brake(when)
             return False
         if not self.is_placed and wrist is not None:
             self.place(self.hand.configuration_vector(self.q, wrist))
             self.is_placed = True
         start = self.motion.q
         goal = self._at(q, wrist)
-        dt = max(dt, SHORTEST_DT)
+        granted = self.interval(when).granted
         change = pin.difference(self.hand.model, start, goal)[self.hand.active_columns]
-        lower, upper = self.bounds(dt, share)
-        limit = self.limits.speeds * (dt * share)
+        lower, upper = self.bounds(when, share)
+        limit = self.limits.speeds * (granted * share)
         slack = 1e-12 + 1e-9 * limit
-        braking = self.limits.change(dt)
+        braking = self.limits.change(granted)
         reach = braking if stops else np.inf
         near = np.clip(np.clip(change, -reach, reach), lower, upper)
         is_there = (np.abs(change - near) <= slack).all()
@@ -357,8 +376,8 @@ class CommandedRobot(Gate):
         nearest = np.clip(np.copysign(allowed, change), lower, upper)
         wanted = change if is_there else nearest
         if self.collisions is not None:
-            nearest = self._along_links(wanted, lower, upper, dt)
-        taken = self.admit(wanted, nearest, dt)
+            nearest = self._along_links(wanted, lower, upper, when)
+        taken = self.admit(wanted, nearest, when)
         if not (is_there and (np.abs(taken - change) <= slack).all()):
             return False
         self.motion = self.motion._replace(q=self.limits.clipped(goal, start))
@@ -375,13 +394,13 @@ class CommandedRobot(Gate):
         wanted: Array,
         lower: Array,
         upper: Array,
-        dt: float,
+        when: When,
     ) -> Array:
         """Return the displacement nearest to a wanted one that the rows of the pairs allow."""
         self._placed.place(self.motion.q)
-        rows = self.rows(self._placed, dt)
+        rows = self.rows(self._placed, when)
         assert rows is not None
-        G, h = feasible(rows, lower, upper, stopping=self.stopping(dt))
+        G, h = feasible(rows, lower, upper, stopping=self.stopping(when))
         if not (G.dot(wanted) > h).any():
             return wanted
         found = solve_by_daqp(

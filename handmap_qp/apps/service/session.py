@@ -40,7 +40,7 @@ from handmap_qp.client.messages import (
 from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hands import LONGEST_STOP, Hand, Side, Values
 from handmap_qp.human import UNSEEN, HumanSample, PalmShape
-from handmap_qp.ik import Motion
+from handmap_qp.ik import Instant, Motion, When
 from handmap_qp.mapping import MapStep, check_joints
 from handmap_qp.se3 import Array
 from handmap_qp.stream import FollowingCheck
@@ -220,6 +220,7 @@ class Session:
         owner: Its owner, see `Caller.owner`. The epoch of another owner ends.
         account: Whose share of the service it uses, see `Caller.account`.
         motion: How the robot of that session moves, if it is running; at rest if omitted.
+        waited: Time since the last command of that session [s].
 
     Attributes:
         request: The request that opened it, with all changes of options since.
@@ -248,6 +249,7 @@ class Session:
         owner: str = "",
         account: str = "",
         motion: Motion | None = None,
+        waited: float = 0.0,
     ) -> None:
         self.request = request
         self.name = name
@@ -265,11 +267,12 @@ class Session:
         self._hands = hands
         start = self._start(self.robot.rest, None, request)
         self._place(*(start if former is None else former.posture), motion)
-        self._clock = SessionClock(request, now)
+        self._clock = SessionClock(request, now, waited)
         self._state = SessionState.WAITING
         self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
         self._stamp = 0.0
         self._dt = 0.0
+        self._when: When = 0.0
         self._stop = 0
         self._is_lost = False
         self._reset_mapper()
@@ -286,6 +289,10 @@ class Session:
     def motion(self) -> Motion:
         """How the robot moves."""
         return self._commanded.motion
+
+    def since_command(self, now: float) -> float:
+        """Return the time since the last command [s]."""
+        return self._clock.since_command(now)
 
     @property
     def mode(self) -> str:
@@ -375,7 +382,8 @@ class Session:
         try:
             humans = self._form.each(sample, self._form.read)
             self.measure(sample, now)
-            self._dt, flags = self._clock.grant(sample.time, now)
+            dt, flags = self._clock.grant(sample.time, now)
+            self._grant(dt)
             if calibration := self._hands.calibration:
                 return self._calibrate(calibration, humans, sample, now)
             self._prepare_mapper()
@@ -396,7 +404,7 @@ class Session:
         if is_held:
             # The sample makes no sense: the robot holds, and the watchdog ignores the sample.
             self.counts["held"] += 1
-            self._commanded.brake(self._dt)
+            self._commanded.brake(self._when)
         else:
             self.counts["steps"] += 1
             flags = self._accept(now) + flags
@@ -404,7 +412,7 @@ class Session:
                 flags += self._follow(step)
                 self._measure_gap(sample.time, humans)
             else:
-                self._commanded.brake(self._dt)
+                self._commanded.brake(self._when)
             flags += step.stages.summary.flags
             if self._state.is_halted:
                 status = self._state.mode
@@ -431,17 +439,19 @@ class Session:
         # A heartbeat counts too: the driver starts its next motion there.
         if not (dt := self._clock.take_turn(self._state, now, self._commanded)):
             return None
-        self._dt = dt
+        self._grant(dt)
         status = self._state.mode
         if self._state is SessionState.RETURNING:
             share = self.request.return_speed
-            self._commanded.advance(self.robot.rest, None, self._dt, share, stops=True)
+            self._commanded.advance(
+                self.robot.rest, None, self._when, share, stops=True
+            )
             # The mapper starts again from there, even if the client has clutched meanwhile.
             self._reset_mapper()
             if self._is_at_rest:
                 self._handle("arrival")
         else:
-            self._commanded.brake(self._dt)
+            self._commanded.brake(self._when)
         flags = ["watchdog"] + ["at_rest"] * self._is_at_rest
         return self._command(now, status, flags)
 
@@ -554,7 +564,9 @@ class Session:
         """Take the robot to be at a posture, or in a motion if that is one of this robot."""
         if self._following:
             self._following.restart()
-        self._commanded = CommandedRobot(self.robot, q, wrist)
+        # The robot's clock goes on.
+        time = self._hands.mapper.motion.time
+        self._commanded = CommandedRobot(self.robot, q, wrist, time)
         nq = self.robot.model.nq
         if motion is not None and len(motion.q) == nq and wrist is not None:
             self._commanded.motion = motion
@@ -590,6 +602,16 @@ class Session:
     def _handle(self, event: Event) -> None:
         self._state = next_state(self._state, event)
 
+    def _grant(self, dt: float) -> None:
+        """Grant time to the next command [s].
+
+        Where more has passed, limits of acceleration hold in all of it.
+        """
+        self._dt = dt
+        self._when = dt
+        if self._clock.waited > dt:
+            self._when = Instant(self._commanded.motion.time + self._clock.waited, dt)
+
     def _map(self, humans: Humans, sample: Step, now: float) -> MapStep:
         """Map a sample within the time granted."""
         mapper: Any = self._hands.mapper
@@ -598,7 +620,7 @@ class Session:
         if sample.base is not None:
             refuse_if(not self.robot.parts, "a hand alone has no floating base", "base")
             mapper.base_pose = sample.base.matrix
-        held["dt"] = self._dt
+        held["dt"] = self._when
         if self.request.input != "landmarks":
             # The core takes arrays; of tuples it leaves the sample to Python.
             wrist = None if sample.wrist is None else sample.wrist.matrix
@@ -693,7 +715,7 @@ class Session:
             self._commanded.motion = mapper.motion
             return []
         target = step.command
-        is_there = self._commanded.advance(target.q, target.wrist, self._dt)
+        is_there = self._commanded.advance(target.q, target.wrist, self._when)
         self._is_slewing = not is_there
         return ["slewing"] * self._is_slewing
 
@@ -781,6 +803,7 @@ class Session:
             self._stamp = sample.time
             self._stamped = sample.seq
         state = self._state
+        self._clock.note_command(now)
         q, wrist = self.posture
         if self._following:
             self._following.command(q, now)

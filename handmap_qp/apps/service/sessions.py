@@ -201,15 +201,17 @@ class Sessions:
                     f"no record of a session {name!r}: give the robot's joint angles in robot_q",
                     "restore",
                 )
+            now = self.clock()
             session = Session(
                 request,
                 hands,
                 name,
-                self.clock(),
+                now,
                 former=former,
                 owner=owner,
                 account=by.account,
                 motion=running.motion if running else None,
+                waited=running.since_command(now) if running else 0.0,
             )
         finally:
             del self._opening[request.session]

@@ -6,7 +6,7 @@ from typing import Any
 
 from handmap_qp.ik import qp
 from handmap_qp.ik.core import core
-from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion
+from handmap_qp.ik.limits import Gate, Motion, When
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult
 
@@ -36,6 +36,6 @@ class PointIk(qp.PointIk):
         """Build a copy that continues the same motion."""
         return PointIk, super().__reduce__()[1]
 
-    def hold(self, dt: float) -> IkResult:
+    def hold(self, dt: When) -> IkResult:
         """Bring the hand to a stop within its acceleration limit, without targets."""
-        return self.core.hold(max(dt, SHORTEST_DT))
+        return self.core.hold(dt)

@@ -1,0 +1,332 @@
+"""The gate owns the time: limits hold by the time stamps of commands, whoever asked for them."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from limit_judge import (
+    HUMANS,
+    SIDES,
+    Event,
+    Worst,
+    in_turns,
+    judge,
+    landmarks_at,
+    samples_of,
+    without,
+)
+
+from handmap_qp import Hand, HandMapper, load_hand
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.robot import load_robot
+from handmap_qp.ik import core as core_module
+from handmap_qp.ik.limits import SHORTEST_DT, Gate, Instant, Motion
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.presets import get_preset
+from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.robot_follower import RobotFollower
+
+MOST = 30.0
+"""Limit of acceleration [rad/s^2]."""
+PRESET = get_preset("teleoperation")
+FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+PAUSE = without(in_turns((60.0, 60.0), 1.2), "right", 0.6, 0.8)
+STREAMS = {
+    "in turns": in_turns((60.0, 60.0), 1.0),
+    "one back after .2 s": PAUSE,
+    "60 and 45 Hz": in_turns((60.0, 45.0), 1.0, 0.3),
+    "120 and 10 Hz": in_turns((120.0, 10.0), 1.0, 0.1),
+    "both back after .4 s": without(
+        without(in_turns((60.0, 60.0), 1.2), "right", 0.5, 0.9), "left", 0.5, 0.9
+    ),
+    "together": [Event(k / 60.0, SIDES) for k in range(60)],
+    "one stamp, in turns": [
+        Event(k / 60.0, (side,)) for k in range(60) for side in SIDES
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def g1() -> Hand:
+    return load_robot("g1")
+
+
+def mapper_of(robot: Hand, most: float | None = MOST, kind: str = "") -> RobotMapper:
+    ik = PRESET.ik.replaced(max_acceleration=most)
+    if kind:
+        ik = ik.replaced(formulation=kind)
+    return RobotMapper(robot, HUMANS, "teleoperation", ik=ik)
+
+
+def followed(follower: RobotFollower, events: Sequence[Event]) -> Worst:
+    """Follow samples by their time stamps, and judge the commands."""
+    q = [follower.map_samples(each).command.q for each in samples_of(events)]
+    return judge(follower.mapper.robot, [event.time for event in events], q)
+
+
+def mapped(mapper: RobotMapper, events: Sequence[Event]) -> Worst:
+    """Map landmarks at their instants, and judge the commands."""
+    q = []
+    for time, sides in events:
+        landmarks = {side: landmarks_at(side, time) for side in sides}
+        q.append(mapper.map_landmarks(landmarks, time=1e3 + time).command.q)
+    return judge(mapper.robot, [event.time for event in events], q)
+
+
+def check(worst: Worst, most: float = MOST) -> None:
+    """Compare with the limits, which the stream has to reach."""
+    assert 0.9 < worst.speed <= 1.0 + 1e-6, worst
+    assert 0.9 * most < worst.acceleration <= most * (1.0 + 1e-6), worst
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_a_follower_keeps_its_limits_by_time_stamps(g1: Hand, name: str) -> None:
+    check(followed(RobotFollower(mapper_of(g1)), STREAMS[name]))
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_a_mapper_keeps_its_limits_by_the_instants_it_is_given(
+    g1: Hand, name: str
+) -> None:
+    check(mapped(mapper_of(g1), STREAMS[name]))
+
+
+@pytest.mark.parametrize("name", ["in turns", "one back after .2 s"])
+def test_the_python_path_keeps_them_as_the_core_does(g1: Hand, name: str) -> None:
+    events = STREAMS[name][:40] + STREAMS[name][90:110]
+    ends = []
+    for kind in FORMULATIONS:
+        follower = RobotFollower(mapper_of(g1, kind=kind), smoothing=None)
+        q = [follower.map_samples(each).command.q for each in samples_of(events)]
+        worst = judge(follower.mapper.robot, [event.time for event in events], q)
+        assert worst.speed <= 1.0 + 1e-6
+        assert worst.acceleration <= MOST * (1.0 + 1e-6)
+        ends.append(q)
+    np.testing.assert_allclose(ends[0], ends[-1], atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def fresh(g1: Hand) -> RobotFollower:
+    """A follower to copy, that has not moved."""
+    return RobotFollower(mapper_of(g1))
+
+
+@st.composite
+def interleavings(draw: st.DrawFn) -> list[Event]:
+    """Samples of both hands in any order, with gaps, repeated stamps and stamps that go back."""
+    steps = st.sampled_from([0.0, 1e-4, 0.004, 1.0 / 120.0, 1.0 / 60.0, 0.05, 0.2, 0.6])
+    sides = st.sampled_from([SIDES, ("left",), ("right",)])
+    late = st.sampled_from([0.0, 0.0, 0.0, 0.0, 0.003, 0.1])
+    time = 0.0
+    events = []
+    for _ in range(draw(st.integers(5, 40))):
+        time += draw(steps)
+        events.append(Event(time - draw(late), draw(sides)))
+    return events
+
+
+@settings(
+    max_examples=15,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+@given(events=interleavings())
+def test_limits_hold_in_any_order_of_samples(
+    fresh: RobotFollower, events: list[Event]
+) -> None:
+    worst = followed(copy.deepcopy(fresh), events)
+    assert worst.speed <= 1.0 + 1e-6
+    assert worst.acceleration <= MOST * (1.0 + 1e-6)
+
+
+def test_hands_with_clocks_of_their_own_are_related_by_their_arrival(
+    fresh: RobotFollower,
+) -> None:
+    events = STREAMS["60 and 45 Hz"]
+    follower = copy.deepcopy(fresh)
+    q = []
+    # One of the tracker's clocks is set on the way, too.
+    for samples, event in zip(
+        samples_of(events, {"left": 1.7e6, "right": -40.0}), events, strict=True
+    ):
+        q.append(follower.map_samples(samples, arrival=event.time).command.q)
+    worst = judge(follower.mapper.robot, [event.time for event in events], q)
+    assert worst.speed <= 1.0 + 1e-4
+    # The stamps of the left hand are rounded to 2e-10 s.
+    assert worst.acceleration <= MOST * (1.0 + 1e-4)
+
+
+@pytest.mark.parametrize("arrivals", [(None, None), (3.0, None), (None, 3.005)])
+@pytest.mark.parametrize("ahead", [1e6, -1e6])
+def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
+    fresh: RobotFollower, ahead: float, arrivals: tuple[float | None, float | None]
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = [Event(k / 60.0, ("right",)) for k in range(10)]
+    for samples in samples_of(events):
+        follower.map_samples(samples, arrival=arrivals[0])
+    before = follower.mapper.motion.time
+    (other,) = samples_of([Event(10.0 / 60.0, ("left",))], {"left": ahead})
+    follower.map_samples(other, arrival=arrivals[1])
+    taken = follower.mapper.motion.time - before
+    assert taken == pytest.approx(SHORTEST_DT, rel=1e-6)
+
+
+def test_a_robot_that_waits_for_both_hands_starts_from_rest(
+    fresh: RobotFollower,
+) -> None:
+    events = in_turns((60.0, 60.0), 0.6)
+    events += [Event(event.time + 30.0, event.sides) for event in events]
+    check(followed(copy.deepcopy(fresh), events))
+
+
+def test_a_clock_that_both_hands_share_is_set_for_both(fresh: RobotFollower) -> None:
+    follower = copy.deepcopy(fresh)
+    events = in_turns((60.0, 60.0), 0.4)
+    for samples in samples_of(events):
+        follower.map_samples(samples)
+    later = [Event(event.time + 0.4, event.sides) for event in events]
+    times = []
+    for samples in samples_of(later, {"left": -50.0, "right": -50.0}):
+        follower.map_samples(samples)
+        times.append(follower.mapper.motion.time)
+    # The first sample after it takes no time; all others take that since the one before.
+    np.testing.assert_allclose(np.diff(times)[1:], 1.0 / 120.0, rtol=1e-6)
+
+
+def test_each_hand_counts_the_time_since_its_own_sample(g1: Hand) -> None:
+    mapper = mapper_of(g1)
+    for time, sides in in_turns((60.0, 20.0), 0.5):
+        landmarks = {side: landmarks_at(side, time) for side in sides}
+        mapper.map_landmarks(landmarks, time=time)
+    left, right = (mapper.leaders[side] for side in SIDES)
+    assert left.asked.dt == pytest.approx(1.0 / 60.0, rel=0.2)
+    assert right.asked.dt == pytest.approx(1.0 / 20.0, rel=0.2)
+    # Palms turn as soon at any rate.
+    assert left.since == pytest.approx(right.since, abs=0.06)
+
+
+def test_a_stop_between_samples_takes_its_time_from_them(g1: Hand) -> None:
+    single = g1.by_side["left"]
+    ik = PRESET.ik.replaced(max_acceleration=MOST)
+    mapper = HandMapper(HUMANS["left"], single, "teleoperation", ik=ik)
+    follower = Follower(mapper)
+    q, times = [], []
+    for k in range(60):
+        time = k / 60.0
+        for samples in samples_of([Event(time, ("left",))]):
+            q.append(follower.map_sample(samples["left"]).command.q)
+            times.append(time)
+        if k % 7 == 6:
+            q.append(mapper.hold(0.01).command.q)
+            times.append(time + 0.01)
+    worst = judge(mapper.robot, times, q)
+    assert worst.speed <= 1.0 + 1e-6
+    assert worst.acceleration <= MOST * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("gap", [0.06, 0.12, 0.2, 0.3, 0.6, 5.0])
+@pytest.mark.parametrize("most", [3.0, MOST])
+def test_a_single_hand_starts_from_rest_after_a_gap(
+    g1: Hand, gap: float, most: float
+) -> None:
+    single = g1.by_side["left"]
+    ik = PRESET.ik.replaced(max_acceleration=most)
+    mapper = HandMapper(HUMANS["left"], single, "teleoperation", ik=ik)
+    follower = Follower(mapper)
+    times = [k / 60.0 for k in range(40)]
+    times += [times[-1] + gap + k / 60.0 for k in range(20)]
+    q = []
+    for time in times:
+        (samples,) = samples_of([Event(time, ("left",))])
+        q.append(follower.map_sample(samples["left"]).command.q)
+    worst = judge(mapper.robot, times, q)
+    assert worst.speed <= 1.0 + 1e-6
+    assert worst.acceleration <= most * (1.0 + 1e-6)
+    # It does not make up for the gap, but for the stop that it was on.
+    moved = np.abs(q[40] - q[39])
+    last = np.abs(q[39] - q[38]) * 60.0
+    braking = last * gap * max(1.0 - gap / 0.5, 0.0)
+    assert (moved <= mapper.robot.velocity_limits * 0.05 + braking + 1e-9).all()
+
+
+# -- the gate
+
+
+@pytest.fixture
+def gate(g1: Hand) -> Gate:
+    q = g1.configuration_vector(g1.rest)
+    motion = Motion.at_rest(q, len(g1.active_columns), time=5.0)
+    return Gate(g1, motion, IkOptions(max_acceleration=10.0))
+
+
+@pytest.mark.parametrize("when", [5.0, 4.0, -np.inf, np.nan, 5.0 + 1e-9])
+def test_a_command_that_is_not_later_takes_no_time(gate: Gate, when: float) -> None:
+    far = np.full(gate.limits.size, 10.0)
+    taken = gate.admit(far, far, Instant(when))
+    assert np.abs(taken).max() <= 10.0 * SHORTEST_DT**2 * (1.0 + 1e-6)
+    assert gate.motion.time == 5.0 + SHORTEST_DT
+    assert gate.motion.dt == SHORTEST_DT
+
+
+def test_the_time_of_a_command_is_taken_once(gate: Gate) -> None:
+    for k in range(100):
+        far = np.full(gate.limits.size, 10.0)
+        before = gate.motion
+        taken = gate.admit(far, far, Instant(5.5))
+        assert gate.motion.dt == (0.5 if k == 0 else SHORTEST_DT)
+        assert np.abs(taken).max() <= 10.0 * gate.motion.dt * (gate.motion.dt + 1.0)
+        assert gate.motion.time > before.time
+    assert gate.motion.time < 5.5 + 1e-3
+
+
+def test_what_moves_a_robot_does_not_set_its_clock_back(g1: Hand) -> None:
+    mapper = mapper_of(g1)
+    mapper.map_landmarks({"left": landmarks_at("left", 0.0)}, dt=0.5)
+    mapper.reset()
+    assert mapper.motion.time == 0.5
+    mapper.motion = Motion.at_rest(mapper.motion.q, mapper.point_ik.gate.limits.size)
+    assert mapper.motion.time == 0.5
+    mapper.motion = mapper.motion._replace(time=2.0)
+    assert mapper.motion.time == 2.0
+
+
+@pytest.mark.parametrize(
+    "times", [{"time": np.nan}, {"time": "now"}, {"time": 1.0, "dt": 0.1}]
+)
+def test_an_instant_that_cannot_be_used_changes_nothing(g1: Hand, times: dict) -> None:
+    mapper = mapper_of(g1)
+    landmarks = {side: landmarks_at(side, 0.0) for side in SIDES}
+    mapper.map_landmarks(landmarks, time=100.0)
+    before = mapper.motion
+    with pytest.raises(InvalidInputError):
+        mapper.map_landmarks(landmarks, **times)
+    assert mapper.motion is before
+    single = HandMapper(HUMANS["left"], load_hand("three_finger"), "teleoperation")
+    with pytest.raises(InvalidInputError):
+        single.map_landmarks(landmarks["left"], **times)
+    with pytest.raises(InvalidInputError, match="RobotMapper"):
+        mapper.leaders["left"].map_landmarks(landmarks["left"], time=101.0)
+
+
+def test_a_hand_alone_takes_instants_too() -> None:
+    mapper = HandMapper(
+        HUMANS["right"],
+        load_hand("three_finger"),
+        ik=PRESET.ik.replaced(max_acceleration=MOST),
+    )
+    times = [0.0, 0.01, 0.03, 0.03, 0.02, 0.05, 0.3, 0.31, 0.33, 0.36]
+    q = []
+    for time in times:
+        step = mapper.map_landmarks(landmarks_at("right", time), time=50.0 + time)
+        q.append(step.command.q)
+    worst = judge(mapper.robot, times, q)
+    assert worst.speed <= 1.0 + 1e-6
+    assert worst.acceleration <= MOST * (1.0 + 1e-6)
+    assert mapper.motion.time == pytest.approx(mapper.dt + 0.36, abs=1e-4)
