@@ -11,11 +11,14 @@ changed, or in a temporary folder if the source cannot be written.
 
 from __future__ import annotations
 
+import fcntl
 import importlib.util
 import os
 import shutil
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +56,8 @@ class Compile(ScikitBuildHook):
         before = dict(build_data)
         started = time.perf_counter()
         try:
-            super().initialize("standard", build_data)
+            with _alone(Path(self.root, "build")):
+                super().initialize("standard", build_data)
         except (FailedLiveProcessError, SystemExit) as error:
             build_data.clear()
             build_data.update(before)
@@ -86,6 +90,17 @@ def _is_writable(folder: Path) -> bool:
             return True
     except OSError:
         return False
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Wait for other builds in a folder; where it cannot be written, each build has its own."""
+    if not _is_writable(folder):
+        yield
+        return
+    with (folder / "core.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def _problem() -> str:

@@ -385,9 +385,9 @@ void solvers(Numbers& numbers) {
       goal.points = numbers.points(2, hostile, 0.1);
       if (numbers.below(2)) goal.wrists = {numbers.pose(hostile)};
       goal.postures = {{0.01, numbers.vector(4, hostile)}};
-      const double dt = std::abs(numbers.number(hostile, 0.02));
-      seek(ik, goal, dt, {}, numbers.number(hostile) > 0.0 ? 1.0 : 0.2, result);
-      if (numbers.below(5) == 0) ik.hold(dt, result);
+      const When when = When::after(std::abs(numbers.number(hostile, 0.02)));
+      seek(ik, goal, when, {}, numbers.number(hostile) > 0.0 ? 1.0 : 0.2, result);
+      if (numbers.below(5) == 0) ik.hold(when, result);
       // Where hostile numbers have led, nobody goes on.
       bool is_finite = true;
       for (const double q : ik.motion.q) is_finite &= std::isfinite(q);

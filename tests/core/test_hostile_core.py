@@ -205,7 +205,7 @@ def calls_of(core: Any) -> dict[str, Call]:
         ),
         "SampleMapper.map_sample": (
             in_core.map_sample,
-            (guard.core, smoother.core, reader, sample, None, None),
+            (guard.core, smoother.core, reader, sample, None, None, None),
         ),
         "SampleMapper.run": (
             in_core.run,
@@ -213,6 +213,7 @@ def calls_of(core: Any) -> dict[str, Call]:
                 guard.core,
                 smoother.core,
                 reader,
+                0.0,
                 columns,
                 2,
                 9,
