@@ -18,7 +18,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, did_you_mean, expect
 from handmap_qp.hands import Hand, Names
-from handmap_qp.human import measure_hand, scaled_human
+from handmap_qp.human import scaled_human
 from handmap_qp.mapping import PRESETS, HandMapper
 from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.se3 import Array
@@ -168,8 +168,7 @@ def make_mapping(
         return Straight(robot)
     if name.endswith(".npz"):
         return _trajectory(Path(name))
-    recording = operator.calibrate(calibration)
-    human = scaled_human(recording, lengths=measure_hand(recording))
+    human = scaled_human(operator.calibrate(calibration))
     if ".py:" in name:
         return _of_user(name, human, robot)
     return Mapped(human, robot, name)

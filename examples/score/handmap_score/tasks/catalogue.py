@@ -1,0 +1,54 @@
+"""Tasks by name, with the hands and the operators that they have.
+
+To add a task, add an entry. Packages that it needs are imported when it is made.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from . import adroit, experts, judge
+from .operator import Operator
+from .task import Task
+
+
+class Entry(NamedTuple):
+    """A task.
+
+    Attributes:
+        make: Returns the task for a robot hand, by its name or the path of its hand.yaml.
+        hands: Robot hands by name, of which the first ones are taken without --hands.
+        describe: Writes the hand.yaml of a hand of `hands` into a folder and returns its path;
+            None if they are hands of `handmap hands list`.
+        operators: Makers of operators by name.
+        recount: Returns the second judge.
+        own_hand: Whether the operators move their own hand, so that `unmapped` must succeed.
+    """
+
+    make: Callable[[str], Task]
+    hands: tuple[str, ...]
+    describe: Callable[[str, Path], Path] | None
+    operators: Mapping[str, Callable[[], Operator]]
+    recount: Callable[[], judge.Recount]
+    own_hand: bool
+
+
+def _adroit(kind: str, recount: Callable[..., bool]) -> Entry:
+    return Entry(
+        make=partial(adroit.AdroitTask, kind),
+        hands=(adroit.ADROIT,),
+        describe=adroit.describe_hand,
+        operators={
+            name: partial(experts.Expert, kind, name) for name in experts.STYLES
+        },
+        recount=lambda: partial(recount, scene=adroit.scene_file(kind)),
+        own_hand=True,
+    )
+
+
+CATALOGUE: dict[str, Entry] = {
+    adroit.DOOR: _adroit(adroit.DOOR, judge.recount_door),
+    adroit.RELOCATE: _adroit(adroit.RELOCATE, judge.recount_relocate),
+}
+"""All tasks by name."""
