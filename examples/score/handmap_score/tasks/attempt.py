@@ -27,7 +27,7 @@ class Attempt(NamedTuple):
         force: Largest normal force between hand and object [N].
         cause: Why it failed; empty after a success.
         steps: Steps that were made.
-        record: Physics of the attempt.
+        record: Physics of the attempt; None if it was not kept.
     """
 
     seed: int
@@ -38,7 +38,7 @@ class Attempt(NamedTuple):
     force: float
     cause: str
     steps: int
-    record: Record
+    record: Record | None
 
 
 def attempt(task: Task, operator: Operator, mapping: Mapping, seed: int) -> Attempt:
