@@ -73,8 +73,9 @@ class Score:
     --full takes 6 hands, 5 seeds, 60 samples a second, and pictures of all.
 
     --tasks lets operators do tasks in closed loop in place of gestures, and writes tasks.html and
-    tasks.json. Methods are presets, FILE.py:NAME or a trajectory FILE.npz; `unmapped` and `straight`
-    always run. Each of --seeds begins a block: a calibration of the person, and --attempts scenes.
+    tasks.json. Methods are presets, FILE.py:NAME or a trajectory FILE.npz; `unmapped` and
+    `straight` always run. Each of --seeds begins a block: a calibration of the person, and
+    --attempts scenes.
 
     Examples:
         handmap score
@@ -107,7 +108,9 @@ class Score:
     full: bool = False
     json: bool = False
     tasks: Annotated[Names | None, hinted("TASK...", "(default: gestures)")] = None
-    operators: Annotated[Names, hinted("OPERATOR...", "(default: all)")] = ()
+    operators: Annotated[
+        Names, hinted("OPERATOR...", "(default: as the task says)")
+    ] = ()
     attempts: Annotated[int | None, hinted("N", "(default: 4, or 40)")] = None
     processes: Annotated[int | None, hinted("N", "(default: processors)")] = None
     films: bool = True

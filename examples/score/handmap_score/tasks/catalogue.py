@@ -22,6 +22,7 @@ class Entry(NamedTuple):
         describe: Writes the hand.yaml of a hand of `hands` into a folder and returns its path;
             None if they are hands of `handmap hands list`.
         operators: Makers of operators by name.
+        usual: Operators that are taken without --operators.
         recount: Returns the second judge.
         own_hand: Whether the operators move their own hand, so that `unmapped` must succeed.
     """
@@ -30,6 +31,7 @@ class Entry(NamedTuple):
     hands: tuple[str, ...]
     describe: Callable[[str, Path], Path] | None
     operators: Mapping[str, Callable[[], Operator]]
+    usual: tuple[str, ...]
     recount: Callable[[], judge.Recount]
     own_hand: bool
 
@@ -42,6 +44,7 @@ def _adroit(kind: str, recount: Callable[..., bool]) -> Entry:
         operators={
             name: partial(experts.Expert, kind, name) for name in experts.STYLES
         },
+        usual=experts.SOUND,
         recount=lambda: partial(recount, scene=adroit.scene_file(kind)),
         own_hand=True,
     )

@@ -4,7 +4,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from handmap_qp.mapping import PRESETS
 from handmap_qp.output_files import make_folder, replaced_file
 from .benches import Blocks, Cell, CellResult, cells_of, run_cells
 from .catalogue import CATALOGUE
-from .film import FilmError, film_of
+from .film import FilmError, FilmJob, draw_films
 from .mapping import STRAIGHT, UNMAPPED, check_mapping
 from .page import tasks_page
 from .report import (
@@ -45,7 +45,7 @@ class TasksRequest(NamedTuple):
         tasks: Tasks of `CATALOGUE`; all if empty.
         out: Folder to write to.
         hands: Hands, by name or the path of their hand.yaml; the usual ones if empty.
-        operators: Operators; all of each task if empty.
+        operators: Operators; the usual ones of each task if empty.
         methods: Mappings besides `unmapped` and `straight`; all presets if empty.
         blocks: Seeds.
         processes: Processes that run attempts; as many as the machine has processors if 0.
@@ -88,9 +88,8 @@ def score_tasks(request: TasksRequest) -> None:
         if request.films:
             with progress("films:") as say:
                 try:
-                    films = _films(results, labels)
+                    films = _films(results, labels, processes, say)
                 except FilmError as error:
-                    warn(str(error))
                     notes.append(str(error))
     _write(request, [_named(one, labels) for one in results], films, notes)
 
@@ -130,8 +129,9 @@ def _cells(
         return found
 
     def operators(task: str) -> list[str]:
-        own = CATALOGUE[task].operators
-        return [name for name in request.operators or own if name in own]
+        entry = CATALOGUE[task]
+        wanted = request.operators or entry.usual
+        return [name for name in wanted if name in entry.operators]
 
     def methods(task: str) -> Names:
         # Both always run, because they show whether the judge is sound.
@@ -148,21 +148,35 @@ def _named(result: CellResult, labels: dict[str, str]) -> CellResult:
     return result._replace(cell=result.cell._replace(hand=hand))
 
 
-def _films(results: Sequence[CellResult], labels: dict[str, str]) -> dict[str, bytes]:
-    """Return the film of each cell's first attempt, by its caption."""
-    films = {}
+def _films(
+    results: Sequence[CellResult],
+    labels: dict[str, str],
+    processes: int,
+    say: Callable[[int, str], None],
+) -> dict[str, bytes]:
+    """Return the film of each cell's first attempt, by its caption.
+
+    Raises:
+        FilmError: If this machine cannot draw.
+    """
+    captions = []
+    jobs = []
     for result in results:
-        if result.problem:
-            continue
-        first = result.attempts[0]
-        if first.record is None:
+        first = result.attempts[0] if result.attempts else None
+        if first is None or first.record is None:
             continue
         cell = result.cell
         ending = "success" if first.is_success else first.cause
-        caption = f"{cell.task}, {labels[cell.hand]}, {cell.operator}, {cell.method}"
-        task = CATALOGUE[cell.task].make(cell.hand)
-        films[f"{caption}: {ending}"] = film_of(task, first.record)
-    return films
+        hand = labels[cell.hand]
+        captions.append(
+            f"{cell.task}, {hand}, {cell.operator}, {cell.method}: {ending}"
+        )
+        jobs.append(FilmJob(cell.task, cell.hand, first.record))
+    films = []
+    for film in draw_films(jobs, processes):
+        films.append(film)
+        say(len(films), f"{len(films)} of {len(jobs)}")
+    return dict(zip(captions, films, strict=True))
 
 
 def _write(

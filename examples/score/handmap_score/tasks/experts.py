@@ -55,6 +55,8 @@ STYLES = {
     "expert-5hz-150ms": Style(_CUTOFF, _DELAY),
 }
 """Experts by name."""
+SOUND = ("expert", "expert-5hz")
+"""Experts that succeed unmapped. The delayed one does not: its policy expects no delay."""
 
 
 def weights_folder() -> Path:

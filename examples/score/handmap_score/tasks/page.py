@@ -21,9 +21,9 @@ figcaption { font-size: 12px }
 _INTRODUCTION = """An operator sees the scene and shows a hand, a mapping commands the robot's
 fingers, and the operator sees what the robot did: the loop is closed. Shares of successes have 95 %
 intervals by Wilson's score, over all attempts. <b>by block</b>: successes in each block of seeds; a
-block has a calibration of the person of its own. <b>time</b>: median over the successes.
-<b>tries</b>: how often the hand began to touch the object, <b>drops</b>: how often it lost it, means
-over the attempts. <b>force</b>: median of the largest normal force between hand and object."""
+block has its own calibration of the person. <b>time</b>: median over the successes. <b>tries</b>:
+how often the hand began to touch the object, <b>drops</b>: how often it lost it, means over the
+attempts. <b>force</b>: median of the largest normal force between hand and object."""
 
 
 def tasks_page(

@@ -124,8 +124,8 @@ class Order(NamedTuple):
 
     @property
     def is_stable(self) -> bool:
-        """Whether no pair that is told apart turns round in any of at least two blocks."""
-        return self.blocks > 1 and not self.reversed
+        """Whether pairs are told apart, and none turns round in any of at least two blocks."""
+        return self.blocks > 1 and bool(self.apart) and not self.reversed
 
 
 def order_of(outcomes: dict[str, Array]) -> Order:
