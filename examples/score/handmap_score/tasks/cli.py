@@ -78,6 +78,13 @@ def score_tasks(request: TasksRequest) -> None:
         check_mapping(method)
     request.blocks.check()
     make_folder(request.out, "--out")
+    # Before the attempts, because all that may fail comes first.
+    about = {
+        "command": shlex.join(["handmap", *sys.argv[1:]]),
+        "first seeds of blocks": " ".join(map(str, request.blocks.firsts)),
+        "attempts of each block": str(request.blocks.attempts),
+        "versions": ", ".join(package_versions()),
+    }
     with TemporaryDirectory(prefix="handmap-") as folder:
         cells, labels = _cells(request, tasks, Path(folder))
         processes = request.processes or os.cpu_count() or 1
@@ -91,7 +98,8 @@ def score_tasks(request: TasksRequest) -> None:
                     films = _films(results, labels, processes, say)
                 except FilmError as error:
                     notes.append(str(error))
-    _write(request, [_named(one, labels) for one in results], films, notes)
+    named = [_named(one, labels) for one in results]
+    _write(request, named, films, notes, about)
 
 
 def _check_names(argument: str, names: Names, known: Names) -> None:
@@ -184,6 +192,7 @@ def _write(
     results: Sequence[CellResult],
     films: dict[str, bytes],
     notes: list[str],
+    about: dict[str, str],
 ) -> None:
     """Write tasks.json and tasks.html, and print the tables."""
     rows = rows_of_results(results)
@@ -191,12 +200,6 @@ def _write(
     own = [task for task, entry in CATALOGUE.items() if entry.own_hand]
     checks = checks_of(results, own)
     notes = [*problems_of(results), *notes]
-    about = {
-        "command": shlex.join(["handmap", *sys.argv[1:]]),
-        "first seeds of blocks": " ".join(map(str, request.blocks.firsts)),
-        "attempts of each block": str(request.blocks.attempts),
-        "versions": ", ".join(package_versions()),
-    }
     document = {
         "about": about,
         "results": rows,

@@ -97,7 +97,10 @@ def _frames(model: mujoco.MjModel, states: np.ndarray) -> list[Image.Image]:
     camera = _CAMERA if _CAMERA in cameras else -1
     data = mujoco.MjData(model)
     frames = []
+    # Shadows and reflections take most of the time without a graphics card.
     with mujoco.Renderer(model, _HEIGHT, _WIDTH) as renderer:
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         for state in states:
             data.qpos[:] = state
             mujoco.mj_forward(model, data)
