@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -124,6 +123,7 @@ class Pusher:
 
     def __init__(self, way: float = 0.05) -> None:
         self.way = way
+        self.joint = load_hand("human").joint_names[0]
         self.seen: list[float] = []
 
     def calibrate(self, seed: int) -> Recording:
@@ -135,8 +135,7 @@ class Pusher:
     def see(self, scene: Scene) -> HumanHand:
         place = float(scene.observation[0])
         self.seen.append(place)
-        joint = load_hand("human").joint_names[0]
-        return HumanHand(np.zeros((21, 3)), np.eye(4), {joint: place + self.way})
+        return HumanHand(np.zeros((21, 3)), np.eye(4), {self.joint: place + self.way})
 
 
 def recount_toy(record: Record) -> bool:
@@ -151,7 +150,10 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> Entry:
         make=Toy,
         hands=("human",),
         describe=None,
-        operators={"pusher": Pusher, "slow pusher": partial(Pusher, 0.04)},
+        operators={
+            "pusher": lambda robot: Pusher(),
+            "slow pusher": lambda robot: Pusher(0.04),
+        },
         usual=("pusher",),
         recount=lambda: recount_toy,
         own_hand=True,

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.se3 import Array
 from .mapping import Mapping
 from .operator import Operator
 from .task import Record, Task
@@ -82,7 +81,7 @@ def attempt(task: Task, operator: Operator, mapping: Mapping, seed: int) -> Atte
         force=max(one.force for one in course),
         cause="" if is_success else task.cause(course),
         steps=len(course) - 1,
-        record=Record(_column(times), _column(positions), body_pos, site_pos),
+        record=Record(seed, np.array(times), np.array(positions), body_pos, site_pos),
     )
 
 
@@ -109,7 +108,3 @@ def count_drops(grips: int, *, is_lost: bool, is_success: bool) -> int:
     if grips == 0:
         return 0
     return grips if is_lost and not is_success else grips - 1
-
-
-def _column(values: Sequence[float] | Sequence[Array]) -> Array:
-    return np.array(values, dtype=float)

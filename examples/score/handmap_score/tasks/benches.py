@@ -182,7 +182,7 @@ def run_job(job: Job) -> Outcome:
     """Run one block; a mapping that cannot be used is an outcome too."""
     cell = job.cell
     task = _task(cell.task, cell.hand)
-    operator = _operator(cell.task, cell.operator)
+    operator = _operator(cell.task, cell.hand, cell.operator)
     try:
         mapping = make_mapping(cell.method, operator, task.robot, job.calibration)
         attempts = [attempt(task, operator, mapping, seed) for seed in job.seeds]
@@ -217,9 +217,9 @@ def _task(name: str, hand: str) -> Task:
 
 
 @cache
-def _operator(task: str, name: str) -> Operator:
+def _operator(task: str, hand: str, name: str) -> Operator:
     """Make an operator once a process."""
-    return CATALOGUE[task].operators[name]()
+    return CATALOGUE[task].operators[name](_task(task, hand).robot)
 
 
 def cells_of(

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from handmap_qp.hands import Hand
 from . import adroit, experts, judge
 from .operator import Operator
 from .task import Task
@@ -21,7 +22,7 @@ class Entry(NamedTuple):
         hands: Robot hands by name, of which the first ones are taken without --hands.
         describe: Writes the hand.yaml of a hand of `hands` into a folder and returns its path;
             None if they are hands of `handmap hands list`.
-        operators: Makers of operators by name.
+        operators: Makers of operators by name; each takes the robot hand.
         usual: Operators that are taken without --operators.
         recount: Returns the second judge.
         own_hand: Whether the operators move their own hand, so that `unmapped` must succeed.
@@ -30,10 +31,15 @@ class Entry(NamedTuple):
     make: Callable[[str], Task]
     hands: tuple[str, ...]
     describe: Callable[[str, Path], Path] | None
-    operators: Mapping[str, Callable[[], Operator]]
+    operators: Mapping[str, Callable[[Hand], Operator]]
     usual: tuple[str, ...]
     recount: Callable[[], judge.Recount]
     own_hand: bool
+
+
+def _expert(kind: str, name: str, robot: Hand) -> Operator:
+    """Return an expert, which has a hand of its own and does not look at the robot's."""
+    return experts.Expert(kind, name)
 
 
 def _adroit(kind: str, recount: Callable[..., bool]) -> Entry:
@@ -41,9 +47,7 @@ def _adroit(kind: str, recount: Callable[..., bool]) -> Entry:
         make=partial(adroit.AdroitTask, kind),
         hands=(adroit.ADROIT,),
         describe=adroit.describe_hand,
-        operators={
-            name: partial(experts.Expert, kind, name) for name in experts.STYLES
-        },
+        operators={name: partial(_expert, kind, name) for name in experts.STYLES},
         usual=experts.SOUND,
         recount=lambda: partial(recount, scene=adroit.scene_file(kind)),
         own_hand=True,

@@ -75,7 +75,9 @@ def film_of(job: FilmJob) -> bytes:
         FilmError: If there is no OpenGL.
     """
     record = job.record
-    model = CATALOGUE[job.task].make(job.hand).model
+    task = CATALOGUE[job.task].make(job.hand)
+    task.reset(record.seed)
+    model = task.model
     model.body_pos[:] = record.body_pos
     model.site_pos[:] = record.site_pos
     count = min(_FRAMES, len(record.qpos))
