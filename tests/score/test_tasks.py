@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -25,6 +26,7 @@ from handmap_score.tasks.benches import (
 from handmap_score.tasks.catalogue import CATALOGUE, Entry
 from handmap_score.tasks.cli import TasksRequest, score_tasks
 from handmap_score.tasks.experts import Filter, Style
+from handmap_score.tasks.film import FilmError, FilmJob, draw_films
 from handmap_score.tasks.mapping import (
     Replayed,
     Straight,
@@ -51,6 +53,7 @@ from handmap_score.tasks.shares import (
 from handmap_score.tasks.task import Record, Scene, Signals, Task
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image, ImageSequence
 from scipy.stats import binomtest
 
 from handmap_qp import read_recording
@@ -492,7 +495,7 @@ def test_the_page_needs_no_other_file_and_no_text_breaks_it() -> None:
     assert "&lt;b&gt;" in page
     assert "<td><b>" not in page
     assert "http" not in page
-    assert "1 of 1 conditions are not met" in page
+    assert "1 of 1 conditions are not met: see below" in page
 
 
 def test_the_command_writes_what_it_prints(
@@ -645,7 +648,7 @@ def adroit_hand(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_experts_win_unmapped_and_lose_with_straight_fingers(
     kind: str, recount: Recount, adroit_hand: str, tmp_path: Path
 ) -> None:
-    task: Task = adroit.AdroitTask(kind, adroit_hand)
+    task: Task = CATALOGUE[kind].make(adroit_hand)
     operator: Operator = experts.Expert(kind, "expert")
     file = tmp_path / "mine.py"
     file.write_text(
@@ -676,11 +679,47 @@ def test_experts_win_unmapped_and_lose_with_straight_fingers(
 
 
 @pytest.mark.parametrize(("kind", "recount"), KINDS)
+def test_processes_change_no_outcome(
+    kind: str, recount: Recount, adroit_hand: str
+) -> None:
+    cells = [
+        Cell(kind, adroit_hand, "expert", name)
+        for name in ("teleoperation", "straight")
+    ]
+    one, two = (
+        run_cells(cells, Blocks((3, 7), 1), processes, lambda *_: None)
+        for processes in (1, 2)
+    )
+    for alone, beside in zip(one, two, strict=True):
+        assert [a[:-1] for a in alone.attempts] == [a[:-1] for a in beside.attempts]
+
+
+@pytest.mark.parametrize(("kind", "recount"), KINDS[:1])
+def test_a_film_shows_what_was_recorded(
+    kind: str, recount: Recount, adroit_hand: str
+) -> None:
+    operator = experts.Expert(kind, "expert")
+    done = attempt(CATALOGUE[kind].make(adroit_hand), operator, Unmapped(), 0)
+    assert done.record is not None
+    try:
+        (film,) = draw_films([FilmJob(kind, adroit_hand, done.record)], 1)
+    except FilmError as error:
+        pytest.skip(str(error))
+    with Image.open(io.BytesIO(film)) as pictures:
+        frames = [
+            np.asarray(picture.convert("RGB"), dtype=float)
+            for picture in ImageSequence.Iterator(pictures)
+        ]
+    assert len(frames) == 40
+    assert np.abs(frames[0] - frames[-1]).mean() > 1.0
+
+
+@pytest.mark.parametrize(("kind", "recount"), KINDS)
 def test_landmarks_are_those_of_the_commanded_posture(
     kind: str, recount: Recount, adroit_hand: str
 ) -> None:
     operator = experts.Expert(kind, "expert")
-    task = adroit.AdroitTask(kind, adroit_hand)
+    task = CATALOGUE[kind].make(adroit_hand)
     operator.reset(0)
     hand = operator.see(task.reset(0))
     assert {*task.robot.joint_names} < {*hand.joints}

@@ -5,11 +5,14 @@ step takes 10 ms and an attempt 200 steps; the goal must hold for 25 steps. The 
 and wrist by its own joints; the mapping commands the fingers.
 """
 
+import io
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import redirect_stderr
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -44,26 +47,10 @@ _TURNED = 0.1
 """Angle from which a door counts as moved [rad]."""
 
 
-class _Kind(NamedTuple):
-    """What the tasks differ in.
-
-    Attributes:
-        environment: Class of gymnasium_robotics.envs.adroit_hand.
-        scene: Its MuJoCo file.
-        bodies: Bodies that the hand is to touch; the first is the object.
-    """
-
-    environment: str
-    scene: str
-    bodies: tuple[str, ...]
-
-
 DOOR = "door"
 RELOCATE = "relocate"
-KINDS = {
-    DOOR: _Kind("AdroitHandDoorEnv", "adroit_door.xml", ("latch", "door")),
-    RELOCATE: _Kind("AdroitHandRelocateEnv", "adroit_relocate.xml", ("Object",)),
-}
+SCENES = {DOOR: "adroit_door.xml", RELOCATE: "adroit_relocate.xml"}
+"""MuJoCo files of the tasks."""
 
 
 class _Environment(Protocol):
@@ -109,7 +96,7 @@ def scene_file(kind: str) -> Path:
     if spec is None or spec.origin is None:
         raise MissingTasksError
     folder = Path(spec.origin).parent / "envs" / "assets" / "adroit_hand"
-    return folder / KINDS[kind].scene
+    return folder / SCENES[kind]
 
 
 def describe_hand(name: str, folder: Path) -> Path:
@@ -136,26 +123,33 @@ def describe_hand(name: str, folder: Path) -> Path:
     return file
 
 
-class AdroitTask:
-    """One of the two tasks.
+class AdroitTask(ABC):
+    """What the tasks have in common.
 
     Args:
-        kind: `door` or `relocate`.
         hand: The robot hand that mappings are made for, as path of its hand.yaml. Its joints have
             the maker's names.
+
+    Attributes:
+        name: Name of the task.
+        time_limit: Longest time of an attempt [s].
+        hold: Steps in a row for which the goal must hold.
 
     Raises:
         MissingTasksError: If gymnasium-robotics is not installed.
     """
 
+    name: str
     time_limit = STEPS * 0.01
     hold = HOLD
+    _environment_class: str
+    """Class of gymnasium_robotics.envs.adroit_hand."""
+    _bodies: tuple[str, ...]
+    """Bodies that the hand is to touch; the first one is the object."""
 
-    def __init__(self, kind: str, hand: str) -> None:
-        self.name = kind
+    def __init__(self, hand: str) -> None:
         self.robot: Hand = load_hand(hand)
-        self._kind = KINDS[kind]
-        self._environment = _make(self._kind)
+        self._environment = _make(self._environment_class)
         model = self._environment.model
         self._joints = actuated_joints(model)
         expect(
@@ -167,13 +161,12 @@ class AdroitTask:
         low, high = model.actuator_ctrlrange.T
         self._middle = 0.5 * (low + high)
         self._half = 0.5 * (high - low)
-        self._object = model.body(self._kind.bodies[0]).id
+        self._object = model.body(self._bodies[0]).id
         self._palm = model.body("palm").id
         self._tips = [model.site(f"S_{prefix}tip").id for prefix in _FINGER_OF]
         self._parts = _hand_parts(model)
-        self._is_object = np.isin(
-            np.arange(model.nbody), [model.body(name).id for name in self._kind.bodies]
-        )
+        touched = [model.body(name).id for name in self._bodies]
+        self._is_object = np.isin(np.arange(model.nbody), touched)
 
     @property
     def time_step(self) -> float:
@@ -214,38 +207,36 @@ class AdroitTask:
         self._steps += 1
         return self._scene(observation, is_reached=bool(about["success"]))
 
+    @abstractmethod
     def cause(self, course: Sequence[Signals]) -> str:
         """Return why an attempt failed, by the classes of this task."""
-        return door_cause(course) if self.name == DOOR else relocate_cause(course)
+
+    @abstractmethod
+    def _moved(self) -> float:
+        """Return how far the object is from its start, as of `Signals`."""
+
+    @abstractmethod
+    def _is_gripped(self, touching: frozenset[str]) -> bool:
+        """Return whether the hand has the object, by the parts that touch it."""
 
     def _scene(self, observation: Array, *, is_reached: bool) -> Scene:
-        poses = {
-            "object": _pose(self.data, self._object),
-            "wrist": _pose(self.data, self._palm),
-        }
-        if self.name == RELOCATE:
-            target = np.eye(4)
-            target[:3, 3] = self.data.site("target").xpos
-            poses["target"] = target
-        pads = self.data.site_xpos[self._tips].copy()
+        touching, force = self._contacts()
         return Scene(
             time=self._steps * self.time_step,
             observation=np.asarray(observation, dtype=float),
-            poses=poses,
-            points={"pads": pads},
-            signals=self._signals(is_reached=is_reached),
+            poses={
+                "object": _pose(self.data, self._object),
+                "wrist": _pose(self.data, self._palm),
+            },
+            points={"pads": self.data.site_xpos[self._tips].copy()},
+            signals=Signals(
+                is_reached=is_reached,
+                touching=touching,
+                is_gripped=self._is_gripped(touching),
+                force=force,
+                moved=self._moved(),
+            ),
         )
-
-    def _signals(self, *, is_reached: bool) -> Signals:
-        touching, force = self._contacts()
-        if self.name == DOOR:
-            moved = float(self.data.joint("door_hinge").qpos[0])
-            is_gripped = len(touching) > 1
-        else:
-            travel = self.data.xpos[self._object] - self._start
-            moved = float(np.linalg.norm(travel))
-            is_gripped = bool(touching) and float(travel[2]) > _LIFTED
-        return Signals(is_reached, touching, is_gripped, force, moved)
 
     def _contacts(self) -> tuple[frozenset[str], float]:
         """Return the parts of the hand that touch the object, and the largest force [N]."""
@@ -264,6 +255,46 @@ class AdroitTask:
             touching.add(part)
             force = max(force, float(wrench[0]))
         return frozenset(touching), force
+
+
+class Door(AdroitTask):
+    """Turn the latch of a door, and pull the door open."""
+
+    name = DOOR
+    _environment_class = "AdroitHandDoorEnv"
+    _bodies = ("latch", "door")
+
+    def cause(self, course: Sequence[Signals]) -> str:
+        """Return why the door was not opened."""
+        return door_cause(course)
+
+    def _moved(self) -> float:
+        return float(self.data.joint("door_hinge").qpos[0])
+
+    def _is_gripped(self, touching: frozenset[str]) -> bool:
+        return len(touching) > 1
+
+
+class Relocate(AdroitTask):
+    """Lift a ball, and carry it to a place in the air."""
+
+    name = RELOCATE
+    _environment_class = "AdroitHandRelocateEnv"
+    _bodies = ("Object",)
+
+    def cause(self, course: Sequence[Signals]) -> str:
+        """Return why the ball did not arrive."""
+        return relocate_cause(course)
+
+    def _moved(self) -> float:
+        return float(np.linalg.norm(self._travel()))
+
+    def _is_gripped(self, touching: frozenset[str]) -> bool:
+        return bool(touching) and float(self._travel()[2]) > _LIFTED
+
+    def _travel(self) -> Array:
+        """Return the way of the ball from its start [m], shape (3,)."""
+        return self.data.xpos[self._object] - self._start
 
 
 def door_cause(course: Sequence[Signals]) -> str:
@@ -294,11 +325,13 @@ def relocate_cause(course: Sequence[Signals]) -> str:
     return "touched, never gripped"
 
 
-def _make(kind: _Kind) -> _Environment:
+def _make(name: str) -> _Environment:
     """Return a new environment, without the wrappers that check and count for learners."""
     require_gymnasium()
-    classes = import_module("gymnasium_robotics.envs.adroit_hand")
-    return vars(classes)[kind.environment]()
+    # The package prints notes for learners, on rewards that nobody uses here.
+    with redirect_stderr(io.StringIO()):
+        classes = import_module("gymnasium_robotics.envs.adroit_hand")
+    return vars(classes)[name]()
 
 
 def actuated_joints(model: mujoco.MjModel) -> tuple[str, ...]:

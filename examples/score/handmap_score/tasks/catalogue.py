@@ -42,9 +42,18 @@ def _expert(kind: str, name: str, robot: Hand) -> Operator:
     return experts.Expert(kind, name)
 
 
-def _adroit(kind: str, recount: Callable[..., bool]) -> Entry:
+def _adroit(
+    kind: str, task: Callable[[str], Task], recount: Callable[..., bool]
+) -> Entry:
+    """Return the entry of a task with the Adroit hand.
+
+    Args:
+        kind: Its name.
+        task: Makes it for a hand.
+        recount: Judges its records with the scene's file.
+    """
     return Entry(
-        make=partial(adroit.AdroitTask, kind),
+        make=task,
         hands=(adroit.ADROIT,),
         describe=adroit.describe_hand,
         operators={name: partial(_expert, kind, name) for name in experts.STYLES},
@@ -55,7 +64,7 @@ def _adroit(kind: str, recount: Callable[..., bool]) -> Entry:
 
 
 CATALOGUE: dict[str, Entry] = {
-    adroit.DOOR: _adroit(adroit.DOOR, judge.recount_door),
-    adroit.RELOCATE: _adroit(adroit.RELOCATE, judge.recount_relocate),
+    adroit.DOOR: _adroit(adroit.DOOR, adroit.Door, judge.recount_door),
+    adroit.RELOCATE: _adroit(adroit.RELOCATE, adroit.Relocate, judge.recount_relocate),
 }
 """All tasks by name."""

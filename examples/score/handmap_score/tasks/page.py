@@ -46,17 +46,17 @@ def tasks_page(
     """
     unmet = [check for check in checks if not check.is_met]
     verdict = (
-        f"{len(unmet)} of {len(checks)} conditions are not met: read the figures with them."
+        f"{len(unmet)} of {len(checks)} conditions are not met: see below, before the figures."
         if unmet
-        else "All conditions are met."
+        else f"All {len(checks)} conditions below are met."
     )
     parts = [
         "<h1>Tasks in closed loop</h1>",
         f"<p>{_INTRODUCTION}</p>",
+        f"<p><b>Is the judge sound?</b> {escape(verdict)}</p>",
         _table(rows),
         _list(notes),
         "<h2>Whether the judge is sound</h2>",
-        f"<p>{escape(verdict)}</p>",
         _checks(checks),
         "<h2>Neighbours over the same scenes</h2>",
         "<p>Scenes in which one of the two alone succeeds, and McNemar's exact probability of so "
