@@ -345,6 +345,27 @@ def test_a_method_of_a_user_maps_landmarks(tmp_path: Path) -> None:
         make_mapping(f"{file}:NOTHING", operator, robot, 0)
 
 
+@pytest.mark.parametrize(
+    ("returned", "problem"),
+    [("1 / 0", "ZeroDivisionError"), ("{'joint': float('nan')}", "joint is nan")],
+)
+def test_a_mapping_of_a_user_fails_alone(
+    returned: str, problem: str, toy: Entry, tmp_path: Path
+) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "class Broken:\n"
+        "    def __init__(self, human, robot): pass\n"
+        "    def reset(self): pass\n"
+        f"    def map(self, hand, dt): return {returned}\n"
+    )
+    names = f"{file}:Broken", "unmapped"
+    cells = [Cell("toy", "human", "pusher", name) for name in names]
+    broken, unmapped = run_cells(cells, Blocks((0,), 2), 1, lambda *_: None)
+    assert problem in broken.problem
+    assert unmapped.wins.all()
+
+
 def test_a_mapper_forgets_the_attempt_before() -> None:
     operator = Pusher()
     hands = [
@@ -569,6 +590,8 @@ def test_a_missing_package_or_file_is_named(
     monkeypatch.setenv(experts.FOLDER, str(tmp_path))
     with pytest.raises(InvalidInputError, match="HANDMAP_OPERATORS"):
         experts.Policy(experts.weights_folder() / "door.npz")
+    with pytest.raises(InvalidInputError, match="adroit-assumed"):
+        adroit.describe_hand("leap_right", tmp_path)
     monkeypatch.setattr(adroit, "find_spec", lambda _: None)
     with pytest.raises(HandmapError, match="gymnasium-robotics is not installed"):
         adroit.scene_file("door")

@@ -107,8 +107,11 @@ def describe_hand(name: str, folder: Path) -> Path:
         folder: Folder to write to; created if it does not exist.
 
     Raises:
+        InvalidInputError: If there is no such name.
         MissingTasksError: If gymnasium-robotics is not installed.
     """
+    known = f"{', '.join(SPEEDS)}, or the path of a hand.yaml with the same joints"
+    expect(name in SPEEDS, "--hands", known, got=name)
     file = folder / name / "hand.yaml"
     file.parent.mkdir(parents=True, exist_ok=True)
     source = open_source(scene_file(RELOCATE), file.parent, overwrite=True)
