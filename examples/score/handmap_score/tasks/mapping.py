@@ -1,0 +1,216 @@
+"""The seam of mappings, and those that the command line can name.
+
+    unmapped            the operator's own joints; for an operator on its own hand
+    straight            all fingers straight: what a task gives away for nothing
+    NAME                a preset, such as `teleoperation` or `finger-vectors`
+    FILE.py:NAME        of a user: a method (it has `bind`), or a callable that takes the person's
+                        hand and the robot and returns a mapping (it has `reset` and `map`)
+    FILE.npz            a trajectory, as `handmap map --out` writes it, whatever the person does
+
+Mappings run live in the loop: what the robot does with a command is what the operator sees next.
+"""
+
+import runpy
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError, did_you_mean, expect
+from handmap_qp.hands import Hand, Names
+from handmap_qp.human import measure_hand, scaled_human
+from handmap_qp.mapping import PRESETS, HandMapper
+from handmap_qp.mapping.method import MethodOptions
+from handmap_qp.se3 import Array
+from .operator import HumanHand, Joints, Operator
+
+UNMAPPED = "unmapped"
+STRAIGHT = "straight"
+
+
+@runtime_checkable
+class Mapping(Protocol):
+    """Turns human hands into commands of a robot's joints, one attempt after another."""
+
+    def reset(self) -> None:
+        """Begin an attempt: forget all samples."""
+        ...
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the command for one sample.
+
+        Args:
+            hand: The operator's hand.
+            dt: Time since the sample before [s].
+        """
+        ...
+
+
+class Unmapped:
+    """The operator's own joints."""
+
+    def reset(self) -> None:
+        """Do nothing: there is no state."""
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the operator's joints."""
+        return hand.joints
+
+
+class Straight:
+    """All joints of the fingers at 0, or at the limit next to it."""
+
+    def __init__(self, robot: Hand) -> None:
+        straight = np.clip(np.zeros(len(robot.joint_names)), *robot.limits)
+        self._command = dict(zip(robot.joint_names, straight.tolist(), strict=True))
+
+    def reset(self) -> None:
+        """Do nothing: there is no state."""
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the same posture for any hand."""
+        return self._command
+
+
+class Mapped:
+    """A method of the package, or one that fits its seam.
+
+    Every attempt begins with the mapper as it was made: at the robot's rest, without a reference.
+    """
+
+    def __init__(self, human: Hand, robot: Hand, method: str | MethodOptions) -> None:
+        self._human = human
+        self._robot = robot
+        self._method = method
+        self.reset()
+
+    def reset(self) -> None:
+        """Make a new mapper."""
+        self._mapper = HandMapper(self._human, self._robot, self._method)
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Map the landmarks; the palm is fitted to them."""
+        step = self._mapper.map_landmarks(hand.landmarks, dt=dt)
+        names = self._mapper.robot.joint_names
+        return dict(zip(names, step.command.q.tolist(), strict=True))
+
+
+class Replayed:
+    """A trajectory that plays whatever the operator shows.
+
+    Args:
+        time: Instants, increasing [s], shape (T,).
+        q: Joint positions [rad or m], shape (T, n).
+        names: Names of the n joints.
+    """
+
+    def __init__(self, time: Array, q: Array, names: Names) -> None:
+        self._time = time - time[0]
+        self._q = q
+        self._names = names
+        self.reset()
+
+    def reset(self) -> None:
+        """Play from the beginning."""
+        self._now = 0.0
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the posture at this instant, linearly between samples; at last the last one."""
+        posture = [np.interp(self._now, self._time, column) for column in self._q.T]
+        self._now += dt
+        return dict(zip(self._names, map(float, posture), strict=True))
+
+
+def check_mapping(name: str) -> None:
+    """Reject a name that no mapping has, before any attempt.
+
+    Raises:
+        InvalidInputError: If there is no such mapping or file.
+    """
+    file, _, _ = name.partition(":")
+    if file.endswith((".py", ".npz")):
+        expect(Path(file).is_file(), "--methods", "a file that exists", got=file)
+        expect(
+            file.endswith(".npz") or ":" in name,
+            "--methods",
+            "FILE.py:NAME",
+            got=name,
+        )
+        return
+    known = {UNMAPPED, STRAIGHT, *PRESETS}
+    if name not in known:
+        raise InvalidInputError(
+            f"no mapping {name!r}",
+            argument="--methods",
+            value=name,
+            advice=did_you_mean(name, known) or f"one of {', '.join(sorted(known))}",
+        )
+
+
+def make_mapping(
+    name: str, operator: Operator, robot: Hand, calibration: int
+) -> Mapping:
+    """Return a mapping by name, for a person measured in a calibration recording.
+
+    Args:
+        name: As at the top of this file.
+        operator: Who will be mapped.
+        robot: The robot hand.
+        calibration: Seed of the operator's calibration recording.
+
+    Raises:
+        HandmapError: If there is no such mapping, or it cannot be used with these hands.
+    """
+    check_mapping(name)
+    if name == UNMAPPED:
+        return Unmapped()
+    if name == STRAIGHT:
+        return Straight(robot)
+    if name.endswith(".npz"):
+        return _trajectory(Path(name))
+    recording = operator.calibrate(calibration)
+    human = scaled_human(recording, lengths=measure_hand(recording))
+    if ".py:" in name:
+        return _of_user(name, human, robot)
+    return Mapped(human, robot, name)
+
+
+def _trajectory(file: Path) -> Replayed:
+    """Read a trajectory that `handmap map` wrote."""
+    with np.load(file) as archive:
+        missing = {"time", "q", "joint_names"} - {*archive.files}
+        expect(
+            not missing,
+            "--methods",
+            "a trajectory with time, q and joint_names",
+            got=f"{file} without {', '.join(sorted(missing))}",
+        )
+        names = tuple(map(str, archive["joint_names"]))
+        return Replayed(archive["time"], archive["q"], names)
+
+
+def _of_user(name: str, human: Hand, robot: Hand) -> Mapping:
+    """Run a user's file, and make the mapping that it defines under a name."""
+    file, _, attribute = name.rpartition(":")
+    defined = runpy.run_path(file)
+    if attribute not in defined:
+        raise InvalidInputError(
+            f"{file} does not define {attribute}", argument="--methods", value=name
+        )
+    found = defined[attribute]
+    if isinstance(found, MethodOptions):
+        return Mapped(human, robot, found)
+    expect(
+        callable(found),
+        "--methods",
+        "a method, or a callable that takes the person's hand and the robot",
+        got=f"{name} = {found!r:.60}",
+    )
+    mapping = found(human, robot)
+    expect(
+        isinstance(mapping, Mapping),
+        "--methods",
+        "a mapping with reset and map",
+        got=f"{name}(...) = {mapping!r:.60}",
+    )
+    return mapping
