@@ -72,10 +72,16 @@ class Score:
     Quick by default: 3 hands, 3 seeds, 30 samples a second, and pictures of every third gesture.
     --full takes 6 hands, 5 seeds, 60 samples a second, and pictures of all.
 
+    --tasks lets operators do tasks in closed loop in place of gestures, and writes tasks.html and
+    tasks.json. Methods are presets, FILE.py:NAME or a trajectory FILE.npz; `unmapped` and
+    `straight` always run. Each of --seeds begins a block: a calibration of the person, and
+    --attempts scenes.
+
     Examples:
         handmap score
         handmap score --full --peers --out score
         handmap score --hands my_hand.yaml --methods teleoperation finger-vectors --seeds 7 8
+        handmap score --tasks door relocate --methods teleoperation
 
     Attributes:
         out: Folder to write to; created if it does not exist.
@@ -86,6 +92,11 @@ class Score:
         peers: Run the peers too.
         full: Take all hands, five seeds, twice as many samples a second, and all pictures.
         json: Print JSON instead of a table.
+        tasks: Tasks in closed loop; all if none is named.
+        operators: Operators of the tasks.
+        attempts: Attempts of each block of the tasks.
+        processes: Processes that run attempts of tasks.
+        films: Draw films of the tasks.
     """
 
     out: Annotated[Path, arg(metavar="FOLDER")] = Path("score")
@@ -96,6 +107,13 @@ class Score:
     peers: bool = False
     full: bool = False
     json: bool = False
+    tasks: Annotated[Names | None, hinted("TASK...", "(default: gestures)")] = None
+    operators: Annotated[
+        Names, hinted("OPERATOR...", "(default: as the task says)")
+    ] = ()
+    attempts: Annotated[int | None, hinted("N", "(default: 4, or 40)")] = None
+    processes: Annotated[int | None, hinted("N", "(default: processors)")] = None
+    films: bool = True
 
     def run(self) -> None:
         """Check everything, measure, print and write.
@@ -103,6 +121,10 @@ class Score:
         Raises:
             HandmapError: If a hand, mapping, seed, recording or folder cannot be used.
         """
+        if self.tasks is not None:
+            self._score_tasks(self.tasks)
+            return
+        self._reject_options_of_tasks()
         amount = FULL if self.full else Amount()
         seeds = self.seeds or amount.seeds
         is_right = min(seeds) >= 0 and len({*seeds}) == len(seeds)
@@ -140,6 +162,57 @@ class Score:
         tables = {"Score, mean over the seeds": results["overview"]}
         written = map(self.out.joinpath, pages)
         print_result(results, tables, written, as_json=self.json)
+
+    def _score_tasks(self, tasks: Names) -> None:
+        """Run tasks in place of gestures.
+
+        Raises:
+            HandmapError: If something cannot be used.
+        """
+        # MuJoCo and all that tasks need are not needed for gestures.
+        from .tasks.benches import Blocks
+        from .tasks.cli import (
+            ATTEMPTS,
+            BLOCKS,
+            FULL_ATTEMPTS,
+            TasksRequest,
+            score_tasks,
+        )
+
+        expect(not self.peers, "--peers", "no peers with --tasks", got="--peers")
+        expect(not self.recordings, "--recordings", "none with --tasks", got="files")
+        usual = FULL_ATTEMPTS if self.full else ATTEMPTS
+        attempts = usual if self.attempts is None else self.attempts
+        processes = 0 if self.processes is None else self.processes
+        is_right = self.processes is None or processes > 0
+        expect(is_right, "--processes", "at least 1", value=self.processes)
+        request = TasksRequest(
+            tasks=tasks,
+            out=self.out,
+            hands=self.hands,
+            operators=self.operators,
+            methods=self.methods,
+            blocks=Blocks(self.seeds or BLOCKS, attempts),
+            processes=processes,
+            films=self.films,
+            as_json=self.json,
+        )
+        score_tasks(request)
+
+    def _reject_options_of_tasks(self) -> None:
+        """Reject options that have no effect on gestures.
+
+        Raises:
+            InvalidInputError: If one is given.
+        """
+        given = {
+            "--operators": bool(self.operators),
+            "--attempts": self.attempts is not None,
+            "--processes": self.processes is not None,
+            "--no-films": not self.films,
+        }
+        for option, is_given in given.items():
+            expect(not is_given, option, "--tasks too", got="gestures")
 
     def _wanted(
         self,

@@ -12,6 +12,8 @@ Files, in the order of reading:
     shares.py     intervals of shares, paired comparisons, stable orders
     judge.py      a second judge, which shares no function with the tasks
     benches.py    all attempts of a run, in processes
-    page.py       the page, its tables and films
+    report.py     rows of tables, comparisons, and whether the judge is sound
+    film.py       films of attempts
+    page.py       the page
     cli.py        `handmap score --tasks`
 """

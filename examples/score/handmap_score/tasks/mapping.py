@@ -10,15 +10,16 @@
 Mappings run live in the loop: what the robot does with a command is what the operator sees next.
 """
 
+import math
 import runpy
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, did_you_mean, expect
+from handmap_qp.errors import HandmapError, InvalidInputError, did_you_mean, expect
 from handmap_qp.hands import Hand, Names
-from handmap_qp.human import measure_hand, scaled_human
+from handmap_qp.human import scaled_human
 from handmap_qp.mapping import PRESETS, HandMapper
 from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.se3 import Array
@@ -121,6 +122,64 @@ class Replayed:
         return dict(zip(self._names, map(float, posture), strict=True))
 
 
+class UserMappingError(HandmapError):
+    """A mapping of a user failed.
+
+    Attributes:
+        name: Its name, as on the command line.
+    """
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(f"{name}: {problem}")
+        self.name = name
+
+
+class OfUser:
+    """A mapping of a user, whose errors end its own attempts and not those of others.
+
+    Args:
+        name: Its name, as on the command line.
+        mapping: The mapping.
+    """
+
+    def __init__(self, name: str, mapping: Mapping) -> None:
+        self._name = name
+        self._mapping = mapping
+
+    def reset(self) -> None:
+        """Begin an attempt.
+
+        Raises:
+            UserMappingError: If the user's code raises an error.
+        """
+        try:
+            self._mapping.reset()
+        except Exception as error:
+            raise self._failed(error) from error
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the command.
+
+        Raises:
+            UserMappingError: If the user's code raises an error, or returns a number that is not
+                finite.
+        """
+        try:
+            command = {
+                joint: float(value)
+                for joint, value in self._mapping.map(hand, dt).items()
+            }
+        except Exception as error:
+            raise self._failed(error) from error
+        for joint, value in command.items():
+            if not math.isfinite(value):
+                raise UserMappingError(self._name, f"{joint} is {value}")
+        return command
+
+    def _failed(self, error: Exception) -> UserMappingError:
+        return UserMappingError(self._name, f"{type(error).__name__}: {error}")
+
+
 def check_mapping(name: str) -> None:
     """Reject a name that no mapping has, before any attempt.
 
@@ -168,8 +227,7 @@ def make_mapping(
         return Straight(robot)
     if name.endswith(".npz"):
         return _trajectory(Path(name))
-    recording = operator.calibrate(calibration)
-    human = scaled_human(recording, lengths=measure_hand(recording))
+    human = scaled_human(operator.calibrate(calibration))
     if ".py:" in name:
         return _of_user(name, human, robot)
     return Mapped(human, robot, name)
@@ -192,7 +250,11 @@ def _trajectory(file: Path) -> Replayed:
 def _of_user(name: str, human: Hand, robot: Hand) -> Mapping:
     """Run a user's file, and make the mapping that it defines under a name."""
     file, _, attribute = name.rpartition(":")
-    defined = runpy.run_path(file)
+    try:
+        defined = runpy.run_path(file)
+    except Exception as error:
+        problem = f"{type(error).__name__}: {error}"
+        raise UserMappingError(name, problem) from error
     if attribute not in defined:
         raise InvalidInputError(
             f"{file} does not define {attribute}", argument="--methods", value=name
@@ -206,11 +268,15 @@ def _of_user(name: str, human: Hand, robot: Hand) -> Mapping:
         "a method, or a callable that takes the person's hand and the robot",
         got=f"{name} = {found!r:.60}",
     )
-    mapping = found(human, robot)
+    try:
+        mapping = found(human, robot)
+    except Exception as error:
+        problem = f"{type(error).__name__}: {error}"
+        raise UserMappingError(name, problem) from error
     expect(
         isinstance(mapping, Mapping),
         "--methods",
         "a mapping with reset and map",
         got=f"{name}(...) = {mapping!r:.60}",
     )
-    return mapping
+    return OfUser(name, mapping)

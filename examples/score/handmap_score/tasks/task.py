@@ -54,6 +54,7 @@ class Record(NamedTuple):
     """Physics of an attempt, enough to show it and to judge it again.
 
     Attributes:
+        seed: Seed of the task, which chose the scene.
         times: Instants, from 0 [s], shape (T,).
         qpos: MuJoCo's joint positions at each instant, shape (T, nq).
         body_pos: The model's positions of bodies in their parents [m], shape (nbody, 3); a task
@@ -61,6 +62,7 @@ class Record(NamedTuple):
         site_pos: The same of sites, shape (nsite, 3).
     """
 
+    seed: int
     times: Array
     qpos: Array
     body_pos: Array
