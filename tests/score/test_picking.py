@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from handmap_score.tasks.mapping import Straight, Unmapped
+from handmap_score.tasks.attempt import attempt
+from handmap_score.tasks.catalogue import CATALOGUE
+from handmap_score.tasks.judge_picking import recount_pick
+from handmap_score.tasks.mapping import Mapping, Straight, Unmapped, make_mapping
 from handmap_score.tasks.operator import HumanHand
 from handmap_score.tasks.person import Person
 from handmap_score.tasks.picking import (
@@ -46,18 +49,12 @@ def stand_still(task: PickTask, scene: Scene, seconds: float) -> Scene:
     return scene
 
 
-def play(
-    task: PickTask, person: Person, mapping: Straight | Unmapped, seed: int
-) -> bool:
-    """Make an attempt; return whether it succeeded."""
-    scene = task.reset(seed)
-    person.reset(seed)
-    held = 0
-    while held < task.hold and scene.time < task.time_limit:
-        hand = person.see(scene)
-        scene = task.step(hand, mapping.map(hand, task.time_step))
-        held = held + 1 if scene.signals.is_reached else 0
-    return held == task.hold
+def play(task: PickTask, person: Person, mapping: Mapping, seed: int) -> bool:
+    """Make an attempt; return whether it succeeded, as both judges say."""
+    outcome = attempt(task, person, mapping, seed)
+    assert outcome.record is not None
+    assert recount_pick(outcome.record) == outcome.is_success
+    return outcome.is_success
 
 
 @pytest.mark.parametrize("number", range(len(HOUSEHOLD)))
@@ -114,6 +111,17 @@ def test_straight_fingers_pick_nothing(allegro: PickTask) -> None:
     cause = allegro.cause([])
     assert not cause.startswith("gripped")
     assert cause
+
+
+def test_a_mapping_picks(allegro: PickTask) -> None:
+    """The task is in the catalogue, with its operator; a die is within reach of the default."""
+    entry = CATALOGUE["pick"]
+    assert allegro.name == "pick"
+    (make_person,) = entry.operators.values()
+    person = make_person(allegro.robot)
+    assert isinstance(person, Person)
+    mapping = make_mapping("teleoperation", person, allegro.robot, 0)
+    assert play(allegro, person, mapping, 2)
 
 
 def test_motors_have_the_torque_of_the_maker(allegro: PickTask) -> None:

@@ -46,8 +46,10 @@ or in a quotation of its data; *memory* that it was not.
 
 import math
 from collections import deque
+from collections.abc import Callable, Mapping
 from enum import Enum, auto
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -757,6 +759,10 @@ class Person:
     def _try_again(self) -> None:
         is_over = self._time > self._first_try + PATIENCE
         self._start(Phase.DONE if is_over else Phase.APPROACH, closes=False)
+
+
+OPERATORS: Mapping[str, Callable[[Hand], Person]] = MappingProxyType({"person": Person})
+"""Makers of operators by name; each takes the robot hand."""
 
 
 def people(robot: Hand, files: list[Path]) -> dict[str, Person]:

@@ -26,7 +26,7 @@ from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.errors import expect
-from handmap_qp.hands import THUMB, Hand
+from handmap_qp.hands import THUMB, Hand, load_hand
 from handmap_qp.mapping import (
     Box,
     Cylinder,
@@ -48,6 +48,8 @@ from .operator import HumanHand, Joints
 from .person import home
 from .task import Scene, Signals
 
+PICK = "pick"
+"""Name of the task."""
 TORQUES: Mapping[str, float] = MappingProxyType(
     {"allegro_right": 0.7, "leap_right": 0.95, "shadow_right": 2.0}
 )
@@ -210,7 +212,7 @@ class PickTask:
     @property
     def name(self) -> str:
         """Short name, for tables."""
-        return "pick and place"
+        return PICK
 
     @property
     def object_name(self) -> str:
@@ -352,6 +354,15 @@ class PickTask:
             force=max(forces.values(), default=0.0),
             moved=float(np.linalg.norm(travel)),
         )
+
+
+def make_pick(hand: str) -> PickTask:
+    """Return the task with all objects for a robot hand, by its name or the path of hand.yaml.
+
+    Raises:
+        HandmapError: If the hand cannot be loaded, or has no thumb, index finger or shapes.
+    """
+    return PickTask(load_hand(hand))
 
 
 def pick_cause(course: Sequence[Touch]) -> str:
