@@ -18,12 +18,18 @@ from .physics import Physics
 
 OBJECT = "/object"
 WRIST = "/wrist"
-"""Names of the object's body and of the wrist's site; others bear the names of joints."""
+TABLE = "/table"
+"""Names of the object's body, of the wrist's site and of the table's shape; others bear the names
+of joints."""
 
 _MOCAP = "/mocap"
 # Who collides with whom.
 _HAND = {"contype": 1, "conaffinity": 2}
 _HELD = {"contype": 2, "conaffinity": 1}
+# The table carries the object and lets the hand pass.
+_CARRIES = {"contype": 1, "conaffinity": 0}
+# Half the length of a side of the table, as far as it is drawn [m].
+_TABLE_SIDE = 0.5
 # Least mass and inertia of a link [kg, kg m^2], and those of a floating base.
 _LEAST = (2e-3, 1e-6)
 _LEAST_OF_BASE = (1.0, 1e-3)
@@ -35,13 +41,17 @@ _ARM_STIFFNESS = 3000.0
 _UNLIMITED = 1e5
 
 
-def build_model(hand: Hand, shape: Shape, physics: Physics) -> Any:
+def build_model(
+    hand: Hand, shape: Shape, physics: Physics, table: float | None = None
+) -> Any:
     """Build the model of a hand and an object.
 
     Args:
         hand: The hand; its root floats, or is fixed to the world.
         shape: The object's shape.
         physics: Contacts, stiffness and time steps.
+        table: Height of a level table that carries the object [m], in a world with z up. The hand
+            passes through it. No table if omitted.
 
     Returns:
         The `mujoco.MjModel`, with one actuator for each of `hand.joint_names`, in their order.
@@ -71,6 +81,14 @@ def build_model(hand: Hand, shape: Shape, physics: Physics) -> Any:
         case _:
             solid = geometry_of(shape)
     held.add_geom(name=OBJECT, mass=physics.mass, **_shape(spec, solid), **_HELD)
+    if table is not None:
+        spec.worldbody.add_geom(
+            name=TABLE,
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[_TABLE_SIDE, _TABLE_SIDE, 0.01],
+            pos=[0.0, 0.0, table],
+            **_CARRIES,
+        )
     _couple_followers(spec, hand)
     # A spring with critical damping for each joint of the hand, and of its arm.
     stiffness = np.where(hand.moves_wrist, _ARM_STIFFNESS, physics.joint_stiffness)

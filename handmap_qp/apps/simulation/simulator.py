@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from handmap_qp.hands import Hand
 from handmap_qp.mapping import Shape
 from handmap_qp.se3 import Array, Arrays, affine, check_pose, quat_wxyz_from_rotation
-from .model import OBJECT, WRIST, build_model
+from .model import OBJECT, TABLE, WRIST, build_model
 from .physics import Physics
 
 # Friction of the stand against turning the object acts at the last levers [m]: 2/3 of the radius of
@@ -89,6 +89,8 @@ class Simulator:
         hand: The hand; floating, or on an arm, or fixed to the world.
         shape: The object's shape.
         physics: Contacts, actuators and time steps; the usual ones if omitted.
+        table: Height of a level table that carries the object [m], in a world with z up. The hand
+            passes through it. No table if omitted.
 
     Attributes:
         hand: The hand.
@@ -102,14 +104,22 @@ class Simulator:
         HandError: If the hand has no collision shapes.
     """
 
-    def __init__(self, hand: Hand, shape: Shape, physics: Physics = Physics()) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        shape: Shape,
+        physics: Physics = Physics(),
+        table: float | None = None,
+    ) -> None:
         self.hand = hand
         self.shape = shape
         self.physics = physics
-        self.model = build_model(hand, shape, self.physics)
+        self.model = build_model(hand, shape, self.physics, table)
         self.data = mujoco.MjData(self.model)
         self.target = hand.configuration_vector(hand.rest)
         self._due = 0.0
+        # No shape has the number -1.
+        self._table = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, TABLE)
         # The actuators are in the order of the joints' names.
         self._places = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
 
@@ -222,8 +232,10 @@ class Simulator:
         found: dict[str, float] = {}
         for row, contact in enumerate(self.data.contact):
             if held in contact.geom and contact.efc_address >= 0:
-                mujoco.mj_contactForce(model, self.data, row, force)
                 (link,) = contact.geom[contact.geom != held]
+                if link == self._table:
+                    continue
+                mujoco.mj_contactForce(model, self.data, row, force)
                 name = model.body(model.geom_bodyid[link]).name
                 found[name] = found.get(name, 0.0) + force[0]
         return found
@@ -235,8 +247,8 @@ class Simulator:
             bodies: Joints, named as of `body_pose`, whose links count; all if omitted.
         """
         model = self.model
-        # The object's shape is the last one.
-        *shapes, held = range(model.ngeom)
+        held = model.geom(OBJECT).id
+        shapes = {*range(model.ngeom)} - {held, self._table}
         return min(
             mujoco.mj_geomDistance(model, self.data, shape, held, _FAR, None)
             for shape in shapes

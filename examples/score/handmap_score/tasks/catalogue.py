@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handmap_qp.hands import Hand
-from . import adroit, experts, judge
+from . import adroit, experts, judge, judge_picking, person, picking
 from .operator import Operator
 from .task import Task
 
@@ -66,5 +66,14 @@ def _adroit(
 CATALOGUE: dict[str, Entry] = {
     adroit.DOOR: _adroit(adroit.DOOR, adroit.Door, judge.recount_door),
     adroit.RELOCATE: _adroit(adroit.RELOCATE, adroit.Relocate, judge.recount_relocate),
+    picking.PICK: Entry(
+        make=picking.make_pick,
+        hands=tuple(picking.TORQUES),
+        describe=None,
+        operators=person.OPERATORS,
+        usual=tuple(person.OPERATORS),
+        recount=lambda: judge_picking.recount_pick,
+        own_hand=False,
+    ),
 }
 """All tasks by name."""
