@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from handmap_qp.se3 import Array
+from handmap_qp.se3 import Array, lengths
 from .collision_shapes import read_collision_shapes
-from .fingers import Finger, find_fingers
+from .fingers import PARALLEL, Finger, PalmKinematics, find_fingers
 from .hand import Hand
 from .human import THUMB
 from .spec import Links, Names
@@ -27,6 +27,8 @@ _PARTED = 3e-3
 # coarse shapes at a joint.
 _COARSE = 5e-3
 _OVERLAPPING = 0.4
+# Joints that are no farther apart than this have crossing axes [m].
+_CROSSING = 1e-3
 
 
 class ShapePairs(NamedTuple):
@@ -100,24 +102,24 @@ def named_pairs(hand: Hand, pairs: Sequence[Links]) -> ShapePairs:
 def all_pairs(hand: Hand) -> ShapePairs:
     """Pair all shapes that may collide.
 
-    Pairs on one joint, on neighbouring joints, on one finger, that overlap at rest or with the hand
-    stretched, or that never part are left out. Shapes of one finger overlap at its joints as it
-    bends, and its limits keep it from touching itself. A pair that never parts would hold its
-    joints for good.
+    Pairs on one joint, on neighbouring joints (those of a knuckle's crossing axes count as one), on
+    one finger, that overlap at rest or with the hand stretched, or that never part are left out.
+    Shapes of one finger overlap at its joints as it bends, and its limits keep it from touching
+    itself. A pair that never parts would hold its joints for good.
 
     Raises:
         HandError: If a shape cannot be read.
     """
     shapes = read_collision_shapes(hand)
     chains = find_fingers(hand)
-    parents = hand.model.parents
     joints = [shape.parentJoint for shape in shapes.geometryObjects]
+    carriers = {joint: _carrier(hand, joint, joints) for joint in {*joints}}
     owner = {joint: name for name, chain in chains.items() for joint in chain.joints}
     ends = np.array(
         [
             (i, j)
             for (i, a), (j, b) in combinations(enumerate(joints), 2)
-            if b != parents[a] and a != parents[b]
+            if b != carriers[a] and a != carriers[b]
             if owner.get(a, a) != owner.get(b, b)
         ]
     )
@@ -133,6 +135,24 @@ def all_pairs(hand: Hand) -> ShapePairs:
     geometry = paired(shapes, ends[is_apart])
     joined = tuple(compress(ShapePairs(near, ()).links, never))
     return ShapePairs(geometry, _pinching_fingers(geometry, chains), joined)
+
+
+def _carrier(hand: Hand, joint: int, with_shapes: Sequence[int]) -> int:
+    """Return the joint above one, beyond those whose axes cross its own and carry no shape.
+
+    A knuckle of two crossing axes has a link between them that is a mere point: the links that it
+    joins are neighbours.
+    """
+    model = hand.model
+    view = PalmKinematics(hand)
+    above = model.parents[joint]
+    while above and above not in with_shapes:
+        turns, _ = view.axes(hand.zero, [joint, above])
+        is_apart = lengths(model.jointPlacements[joint].translation) > _CROSSING
+        if is_apart or abs(turns[0] @ turns[1]) > PARALLEL:
+            break
+        joint, above = above, model.parents[above]
+    return above
 
 
 # The core takes long to take over pairs that are new.

@@ -298,3 +298,24 @@ def test_moved_by_marks_the_columns_that_change_a_placement() -> None:
             assert (np.abs(data.oMi[joint].homogeneous - before).max() > 1e-9) == bool(
                 moves
             )
+
+
+def test_links_that_a_knuckle_of_crossing_axes_joins_are_neighbours() -> None:
+    """A proximal link that dips into the palm as it bends would hold its finger for good."""
+    joints = "".join(
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{name}"/>'
+        f'<axis xyz="{axis}"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        for parent, name, axis in (
+            ("palm", "spread", "0 0 1"),
+            ("spread", "bent", "0 1 0"),
+        )
+    )
+    urdf = (
+        '<robot name="knuckle"><link name="palm"><collision><geometry><box size="0.1 0.1 0.02"/>'
+        '</geometry></collision></link><link name="spread"/><link name="bent"><collision>'
+        '<origin xyz="0.02 0 0.022"/><geometry><box size="0.04 0.01 0.01"/></geometry>'
+        f"</collision></link>{joints}</robot>"
+    )
+    tip = PointSpec("tip", "bent", (0.04, 0.0, 0.022))
+    robot = two_joint_hand(urdf, ("spread", "bent"), tip, (1.0, 0.0, 0.0))
+    assert not len(all_pairs(robot).fingers)
