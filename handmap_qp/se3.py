@@ -130,20 +130,24 @@ def mirror_sign(orthogonal: Array) -> Array:
     return np.sign(np.linalg.det(orthogonal))
 
 
-def rigid_fit(points: Array, onto: Array) -> Array:
+def rigid_fit(points: Array, onto: Array, weights: Array | None = None) -> Array:
     """Fit the pose that best lays points onto others, in the least-squares sense.
 
     Args:
         points: Points [m], shape (..., n, 3). Where they lie on a line, the turn about it is
             arbitrary.
         onto: Where each of them should come to lie [m], shape (..., n, 3).
+        weights: Weight of each point's squared distance, >= 0, shape (n,); equal if omitted.
 
     Returns:
         Pose that takes `points` to `onto`, shape (..., 4, 4).
     """
-    centre = points.mean(axis=-2, keepdims=True)
-    centre_onto = onto.mean(axis=-2, keepdims=True)
-    covariance = (onto - centre_onto).mT @ (points - centre)
+    if weights is None:
+        weights = np.ones(points.shape[-2])
+    shares = (weights / weights.sum())[:, None]
+    centre = (shares * points).sum(axis=-2, keepdims=True)
+    centre_onto = (shares * onto).sum(axis=-2, keepdims=True)
+    covariance = (shares * (onto - centre_onto)).mT @ (points - centre)
     rotation = nearest_rotation(covariance)
     shift = centre_onto - centre @ rotation.mT
     return affine(rotation, shift[..., 0, :])

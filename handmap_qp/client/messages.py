@@ -153,11 +153,20 @@ class Lengths(Struct, frozen=True, forbid_unknown_fields=True):
         bases: First joint of each finger in the palm frame [m].
         segments: Bone lengths outwards from there [m].
         rolls: Turn of each finger's joint axes about the palm's y axis [rad].
+        palm_weights: Weight of each finger's first joint where the palm is fitted, from 0 to 1; the
+            thumb's is not used.
     """
 
     bases: FingerPlaces
     segments: FingerPlaces
     rolls: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    palm_weights: tuple[Number, Number, Number, Number, Number] = (
+        1.0,
+        1.0,
+        1.0,
+        1.0,
+        1.0,
+    )
 
 
 class Request(

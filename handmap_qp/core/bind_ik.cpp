@@ -1,7 +1,9 @@
 // Motion of a robot for a goal, sample by sample or many samples at once.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/variant.h>
 #include <optional>
+#include <variant>
 
 #include "bind.hpp"
 #include "mapper.hpp"
@@ -40,13 +42,20 @@ std::function<void(const Vector&, TaskRows&)> rows_of(PythonIk& ik, const nb::li
   };
 }
 
-using Postures = std::vector<std::pair<double, Array>>;
+// The weight of all joints, or of each of them, and the posture.
+using Postures = std::vector<std::pair<std::variant<double, Array>, Array>>;
 
 std::vector<Posture> postures_of(const Ik& ik, const Postures& given) {
   std::vector<Posture> postures;
   for (const auto& [weight, q] : given) {
     expect_size(q, ik.tree.joint_columns.size(), "postures");
-    postures.push_back({weight, vector_of(q)});
+    if (const double* of_all = std::get_if<double>(&weight)) {
+      postures.push_back({*of_all, vector_of(q)});
+      continue;
+    }
+    const Array& of_each = std::get<Array>(weight);
+    expect_size(of_each, ik.tree.joint_columns.size(), "postures");
+    postures.push_back({1.0, vector_of(q), vector_of(of_each)});
   }
   return postures;
 }

@@ -45,12 +45,17 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
 nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
   const Fields constants = module_of("human.measure");
   const PersonMeter meter{constants.get<double>("_BENT"), constants.get<size_t>("_FEWEST_BENT"),
-                          constants.get<double>("LARGEST_ROLL")};
+                          constants.get<double>("LARGEST_ROLL"),
+                          constants.get<double>("_STEADY"),
+                          constants.get<double>("_LEAST_WEIGHT"),
+                          constants.get<int>("_ROUNDS"),
+                          constants.get<size_t>("_FEW")};
   expect_size(palm, 15, "palm");
   if (landmarks.size() == 0 || landmarks.size() % (3 * kLandmarks))
     throw std::invalid_argument("wrong size of landmarks");
   const PersonShape shape = meter.measure(points_of(landmarks), points_of(palm));
-  return nb::make_tuple(array_of({5, 3}, &shape.bases[0].x), array_of({5}, shape.rolls.data()));
+  return nb::make_tuple(array_of({5, 3}, &shape.bases[0].x), array_of({5}, shape.rolls.data()),
+                        shape.little_weight);
 }
 
 size_t rows_of(const Flags& flags) {

@@ -493,7 +493,10 @@ inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) 
   map.least_aims = from.numbers("method.least_aims");
   map.largest_aims = from.numbers("method.largest_aims");
   map.extension_weights = from.numbers("method.extension_weights");
-  map.pinch_weight = from.get<double>("method.choices.pinch_weight");
+  map.pinch_weight = from.get<double>("method.pinch_weight");
+  map.carried = from.numbers("carried");
+  map.likeness = from.get<double>("pair.palms.likeness");
+  map.rest_shares = from.numbers("rest_shares");
   map.pinch_far = from.get<double>("method.pinch_from");
   map.pinch_over = from.get<double>("method.pinch_over");
   map.offsets = from.points("offsets");
@@ -565,10 +568,11 @@ inline OffsetTask offset_of(const Fields& task) {
 
 inline void make_landmark_reader(LandmarkReader* self, const nb::object& owner) {
   const Fields from(owner);
-  LandmarkReader& reader =
-      *new (self) LandmarkReader{from.indices("used"), from.points("model")};
+  LandmarkReader& reader = *new (self) LandmarkReader{from.indices("used"), from.points("model"),
+                                                      from.numbers("weights")};
   expect_indices(reader.used, kLandmarks, "used");
   expect(reader.model.size() == std::size(kPalm), "wrong size of model");
+  expect(reader.weights.size() == std::size(kPalm), "wrong size of weights");
 }
 
 inline void make_joint_reader(JointReader* self, const nb::object& owner) {

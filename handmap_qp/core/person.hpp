@@ -27,8 +27,8 @@ inline std::vector<Vec3> medians(const std::vector<Vec3>& samples, size_t count)
 // differ from sample to sample, so the turns that find them begin at the last ones.
 class Layer {
  public:
-  Pose fit(const Vec3* points, const std::vector<Vec3>& onto) {
-    return rigid_fit(points, onto, [this](const Mat3& A) { return rotation(A); });
+  Pose fit(const Vec3* points, const std::vector<Vec3>& onto, const Vector& weights) {
+    return rigid_fit(points, onto, weights, [this](const Mat3& A) { return rotation(A); });
   }
 
  private:
@@ -104,6 +104,7 @@ inline double smallest_gap(const double* time, const std::vector<Vec3>& landmark
 struct PersonShape {
   std::vector<Vec3> bases;
   std::array<double, 5> rolls{};
+  double little_weight = 1.0;
 };
 
 class PersonMeter {
@@ -111,38 +112,82 @@ class PersonMeter {
   double bent;        // see measure._BENT
   size_t fewest_bent;
   double largest_roll;
+  // How the little finger's knuckle is weighed; see measure._little_weight and its constants.
+  double steady, least_weight;
+  int rounds;
+  size_t few;
 
   // Of landmarks of a right hand, 21 a sample; `palm` is the standard one.
   PersonShape measure(const std::vector<Vec3>& landmarks, std::vector<Vec3> palm) const {
     const size_t count = landmarks.size() / 21;
-    std::vector<Vec3> palms, laid(palms.size());
+    std::vector<Vec3> palms;
     for (size_t t = 0; t < count; ++t)
       for (const int i : kPalm) palms.push_back(landmarks[21 * t + i]);
-    laid.resize(palms.size());
-    for (int round = 0; round < 3; ++round) {
-      lay(palms, palm, palms, laid);
-      palm = medians(laid, palm.size());
-      const Vec3 wrist = palm[0];
-      for (Vec3& point : palm) point -= wrist;
+    Vector weights(palm.size(), 1.0);
+    palm = common_shape(palms, palm, weights);
+    for (int round = 0; round < rounds; ++round) {
+      const double weight = little_weight(palms, palm, weights);
+      if (weight == weights.back()) break;
+      weights.back() = weight;
+      palm = common_shape(palms, palm, weights);
     }
-    laid.resize(landmarks.size());
-    lay(palms, palm, landmarks, laid);
+    std::vector<Vec3> laid(landmarks.size());
+    lay(palms, palm, weights, landmarks, laid);
     std::vector<Vec3> first;
     for (size_t t = 0; t < count; ++t)
       for (int finger = 0; finger < 5; ++finger) first.push_back(laid[21 * t + 1 + 4 * finger]);
-    PersonShape shape{medians(first, 5), {}};
+    PersonShape shape{medians(first, 5), {}, weights.back()};
     for (int finger = 1; finger < 5; ++finger) shape.rolls[finger] = roll(laid, finger);
     return shape;
   }
 
  private:
+  // The median of palms that are laid onto it, from a first guess of it.
+  static std::vector<Vec3> common_shape(const std::vector<Vec3>& palms, std::vector<Vec3> palm,
+                                        const Vector& weights) {
+    std::vector<Vec3> laid(palms.size());
+    for (int round = 0; round < 3; ++round) {
+      lay(palms, palm, weights, palms, laid);
+      palm = medians(laid, palm.size());
+      const Vec3 wrist = palm[0];
+      for (Vec3& point : palm) point -= wrist;
+    }
+    return palm;
+  }
+
+  double little_weight(const std::vector<Vec3>& palms, const std::vector<Vec3>& palm,
+                       const Vector& weights) const {
+    const size_t n = palm.size(), count = palms.size() / n, stride = (count + few - 1) / few;
+    std::vector<Vec3> some;
+    for (size_t t = 0; t < count; t += stride)
+      some.insert(some.end(), palms.begin() + n * t, palms.begin() + n * (t + 1));
+    const double ratio = (spread(some, palm, weights, 1) + steady) /
+                         (spread(some, palm, weights, n - 1) + steady);
+    return std::clamp(ratio * ratio * ratio * ratio, least_weight, 1.0);
+  }
+
+  // How far a landmark moves on palms that are laid onto a shape by their other landmarks.
+  static double spread(const std::vector<Vec3>& palms, const std::vector<Vec3>& palm,
+                       Vector weights, size_t landmark) {
+    const size_t n = palm.size();
+    weights[landmark] = 0.0;
+    std::vector<Vec3> laid(palms.size()), places;
+    lay(palms, palm, weights, palms, laid);
+    for (size_t i = landmark; i < laid.size(); i += n) places.push_back(laid[i]);
+    const Vec3 usual = medians(places, 1)[0];
+    double sum = 0.0;
+    for (const Vec3& place : places) sum += dot(place - usual, place - usual);
+    return std::sqrt(sum / static_cast<double>(places.size()));
+  }
+
   // Take the points of each sample along as its palm is laid onto another one.
   static void lay(const std::vector<Vec3>& palms, const std::vector<Vec3>& onto,
-                  const std::vector<Vec3>& points, std::vector<Vec3>& laid) {
+                  const Vector& weights, const std::vector<Vec3>& points,
+                  std::vector<Vec3>& laid) {
     const size_t n = onto.size(), count = palms.size() / n, each = points.size() / count;
     Layer layer;
     for (size_t t = 0; t < count; ++t) {
-      const Pose pose = layer.fit(palms.data() + n * t, onto);
+      const Pose pose = layer.fit(palms.data() + n * t, onto, weights);
       for (size_t i = each * t; i < each * (t + 1); ++i) laid[i] = pose * points[i];
     }
   }

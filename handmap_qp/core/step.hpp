@@ -49,6 +49,7 @@ class LandmarkReader {
  public:
   std::vector<int> used;
   std::vector<Vec3> model;  // the palm's landmarks in wrist axes
+  Vector weights;           // of each of them in the fit
 
   // Without a wrist, it is fitted to the palm.
   HumanPose read(const double* landmarks, const Pose* wrist) const {
@@ -60,7 +61,7 @@ class LandmarkReader {
     } else {
       std::vector<Vec3> seen;
       for (const int i : kPalm) seen.push_back(point(landmarks, i));
-      pose.wrist = rigid_fit(model, seen);
+      pose.wrist = rigid_fit(model.data(), seen, weights, nearest_rotation);
     }
     return pose;
   }
@@ -131,6 +132,7 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, const Wh
   goal.points = asked.points;
   goal.wrists = {asked.wrist};
   goal.postures = ik.postures(map.rest, ik.motion.next(when).granted);
+  if (asked.rest_shares) goal.postures.front().shares = *asked.rest_shares;
   goal.distances.clear();
   if (asked.distances) goal.distances.push_back({asked.distances, asked.aims, asked.weights});
   seek(ik, goal, when, asked.margins, speed, step.result);

@@ -78,24 +78,27 @@ inline Mat3 nearest_rotation(const Mat3& A) {
   return found.U * transposed(found.V);
 }
 
-// The pose that best lays points onto others; see se3.rigid_fit. `nearest` finds the rotation nearest
-// to their covariance.
+// The pose that best lays points onto others by their weights; see se3.rigid_fit. `nearest` finds the
+// rotation nearest to their covariance.
 template <class Nearest>
-Pose rigid_fit(const Vec3* points, const std::vector<Vec3>& onto, Nearest&& nearest) {
-  const double share = 1.0 / static_cast<double>(onto.size());
+Pose rigid_fit(const Vec3* points, const std::vector<Vec3>& onto, const Vector& weights,
+               Nearest&& nearest) {
+  double sum = 0.0;
+  for (const double weight : weights) sum += weight;
   Vec3 centre, centre_onto;
   for (size_t k = 0; k < onto.size(); ++k) {
-    centre += share * points[k];
-    centre_onto += share * onto[k];
+    centre += (weights[k] / sum) * points[k];
+    centre_onto += (weights[k] / sum) * onto[k];
   }
   Mat3 covariance = 0.0 * Mat3{};
   for (size_t k = 0; k < onto.size(); ++k)
-    covariance = covariance + outer(share * (onto[k] - centre_onto), points[k] - centre);
+    covariance =
+        covariance + outer((weights[k] / sum) * (onto[k] - centre_onto), points[k] - centre);
   const Mat3 R = nearest(covariance);
   return {R, centre_onto - R * centre};
 }
 inline Pose rigid_fit(const std::vector<Vec3>& points, const std::vector<Vec3>& onto) {
-  return rigid_fit(points.data(), onto, nearest_rotation);
+  return rigid_fit(points.data(), onto, Vector(onto.size(), 1.0), nearest_rotation);
 }
 
 // See estimation.MotionEstimator: what a sample's points are multiplied with.
@@ -158,6 +161,8 @@ struct Asked {
   Pose wrist;
   const DistanceTask* distances = nullptr;
   Vector aims, weights, margins, diagnostics;
+  // Share of the rest term's weight, of each joint; null for all of it.
+  const Vector* rest_shares = nullptr;
   bool is_clamped = false;
 };
 
@@ -214,13 +219,15 @@ class TeleoperationMap : public TargetMap, public PalmMap {
   std::vector<Vec3> offsets;  // of the robot's points, to be turned by T
   Vec3 robot_centre;
   double ratio = 1.0, gain = 1.0;
-  Vector directions, ratios;
+  Vector directions, ratios, carried;
+  double likeness = 0.0;
   std::vector<Vec3> bases;
   std::vector<int> starts, finger_of;
   Vector base_margins, pinch_margins;
   std::vector<int> pinch_pairs, pinch_of_pair;
   double contact_slope = 0.0, contact_from = 0.0, contact_most = 0.0;
   DistanceTask distances;
+  Vector rest_shares;
 
   const PalmMap* palm() const override { return this; }
   std::vector<ArrayShape> shapes() const override {
@@ -238,6 +245,7 @@ class TeleoperationMap : public TargetMap, public PalmMap {
     const size_t rows = from.size(), pinches = rows - fingers;
     Vector extensions(fingers), gaps(pinches), pinching(pinches);
     asked.distances = &distances;
+    asked.rest_shares = &rest_shares;
     asked.aims.resize(rows);
     asked.weights.resize(rows);
     for (size_t k = 0; k < rows; ++k) {
@@ -264,8 +272,9 @@ class TeleoperationMap : public TargetMap, public PalmMap {
       // Away from a pinch, fingers point as the human's do.
       const int f = finger_of[j];
       const double closing = pinches == 0 ? 0.0 : f == 0 ? most : pinching[f - 1];
-      const Vec3 led = bases[j] + ratios[j] * (now[partners[j]] - now[starts[j]]);
-      moved += directions[j] * (1.0 - closing) * (led - moved);
+      const Vec3 led = bases[j] + ratios[j] * (now[partners[j]] - now[starts[j]]) +
+                       carried[j] * now[starts[j]];
+      moved += directions[j] * (1.0 - (1.0 - likeness) * closing) * (led - moved);
       asked.points[j] = palm * moved;
     }
     asked.wrist = palm * robot_palm_to_wrist;

@@ -42,6 +42,10 @@ _SAMPLES = 200
 # Samples of a joint's range, and of the way from straight to one end of the ranges.
 _GRID = 25
 _SWEEP = 11
+# Least displacement of a finger's base by a joint, relative to the reach.
+_CARRIED = 0.05
+# Least distance of two joints that are places of their own, relative to the reach.
+_APART = 0.1
 # Least relative change of a finger's length that counts as curling.
 _LEAST_CURL = 0.06
 # A joint of a parallelogram turns the tip by less than this per radian: a jaw that moves on a
@@ -243,6 +247,28 @@ class Finger:
         if self.name == THUMB:
             return self.middle
         return self._view.on_axis(self._zero, self.bending[-1], self.tip)
+
+    @cached_property
+    def carries_knuckle(self) -> bool:
+        """Whether a joint of the finger moves its base on the palm, as a metacarpal's does."""
+        for column in self.columns:
+            ends = np.tile(self._zero, (2, 1))
+            ends[:, column] = self.hand.limits[:, column]
+            before, after = self._view.points(ends, [self.knuckle])[:, 0]
+            if math.dist(before, after) > _CARRIED * self.reach:
+                return True
+        return False
+
+    @property
+    def between(self) -> Place | None:
+        """The last joint that is apart from both knuckle and middle: the MCP joint of a thumb."""
+        places = [(joint, np.zeros(3)) for joint in reversed(self.joints)]
+        ends = self._view.points(self._zero, [self.knuckle, self.middle])
+        for place in places[places[0][0] == self.middle[0] :]:
+            (here,) = self._view.points(self._zero, [place])
+            if lengths(ends - here).min() > _APART * self.reach:
+                return place
+        return None
 
     def find_middle(self) -> Place | None:
         """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.

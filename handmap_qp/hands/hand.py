@@ -113,6 +113,7 @@ class Hand:
         wrist_frame: The wrist's frame, likewise.
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
+        palm_weights: Likewise, `HumanLengths.palm_weights`, shape (5,).
         unscaled: Of a hand scaled to a person, the one that was scaled; else None.
         moves: Of a hand scaled to a person, how its joints move: see `joint_moves`.
         stretches: Likewise, factors on the shapes of fingers: see `shape_stretches`.
@@ -126,6 +127,7 @@ class Hand:
     """
 
     contact_gap = CONTACT_GAP
+    palm_weights = frozen(np.ones(5))
     unscaled: Hand | None = None
     parts: tuple[Hand, ...] = ()
     has_floating_base = False
@@ -341,6 +343,7 @@ class Hand:
         hand.unscaled = self
         hand._lengths = lengths
         hand.contact_gap = lengths.contact_gap
+        hand.palm_weights = lengths.palm_weights
         hand.moves = joint_moves(self._lengths, lengths, mirrors=self.spec.mirror)
         hand.stretches = shape_stretches(self._lengths, lengths)
         for of_lengths in ("model", "point_frames", "urdf_text"):

@@ -77,6 +77,9 @@ class HumanLengths(ArrayStruct, frozen=True):
             proximal, middle, distal [m], shape (5, 3).
         rolls: Turn of all joint axes of each finger about the palm's y axis, from their directions
             in the paper's hand [rad], shape (5,), within 45 degrees of 0.
+        palm_weights: Weight of each finger's first joint where the palm is fitted to landmarks,
+            shape (5,), from 0 to 1; the thumb's is not used. Below 1 for a joint that moves on the
+            palm, as the little finger's does by its metacarpal.
         contact_gap: Distance of the tracker's thumb and finger landmarks where the skin touches
             [m].
 
@@ -90,11 +93,25 @@ class HumanLengths(ArrayStruct, frozen=True):
     segments: Array
     rolls: Array = field(default_factory=partial(np.zeros, 5))
     contact_gap: float = CONTACT_GAP
+    palm_weights: Array = field(default_factory=partial(np.ones, 5))
 
     def __post_init__(self) -> None:
-        for name, shape in (("bases", (5, 3)), ("segments", (5, 3)), ("rolls", (5,))):
+        shapes = {
+            "bases": (5, 3),
+            "segments": (5, 3),
+            "rolls": (5,),
+            "palm_weights": (5,),
+        }
+        for name, shape in shapes.items():
             given = as_floats(getattr(self, name), name, shape=shape, is_finite=True)
             force_setattr(self, name, frozen(given.copy()))
+        weights = self.palm_weights
+        expect(
+            weights.min() >= 0.0 and weights.max() <= 1.0 and weights[1:4].min() > 0.0,
+            "palm_weights",
+            "weights from 0 to 1, above 0 of index, middle and ring finger",
+            value=weights,
+        )
         bases = self.bases
         segments = self.segments
         rolls = self.rolls

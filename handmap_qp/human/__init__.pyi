@@ -39,4 +39,5 @@ from .sample import check_side as check_side
 from .sample import finger_chains as finger_chains
 from .sample import human_name as human_name
 from .sample import landmarks_at_rest as landmarks_at_rest
+from .sample import palm_fit_weights as palm_fit_weights
 from .sample import palm_sizes as palm_sizes

@@ -87,7 +87,7 @@ class LandmarkFitter:
         shape = (LANDMARK_COUNT, 3)
         landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
         self.palm.check(landmarks)
-        wrist = rigid_fit(self.palm.points, landmarks[PALM])
+        wrist = rigid_fit(self.palm.points, landmarks[PALM], self.palm.weights)
         # In wrist axes the fingers alone move.
         local = transform_points(inverse_pose(wrist), landmarks)
         postures, costs = map(np.array, zip(*self._fits(local), strict=True))

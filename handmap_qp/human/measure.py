@@ -30,6 +30,12 @@ _BENT = math.sin(math.radians(15.0))
 a plane."""
 _FEWEST_BENT = 20
 """Bent samples that a finger's roll needs."""
+_STEADY = 5e-4
+"""Spread that landmarks of a palm have at least: they are not told apart below it [m]."""
+_LEAST_WEIGHT = 0.02
+_ROUNDS = 5
+_FEW = 64
+"""Samples that the spread of knuckles is measured in, at most."""
 
 
 def check_length(landmarks: Array) -> Array:
@@ -74,11 +80,12 @@ def measure_hand(recording: Recording) -> HumanLengths:
     segments = check_length(landmarks)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
-    bases, rolls = measure_shape(landmarks, _standard_palm())
-    return HumanLengths(bases, segments, rolls)
+    bases, rolls, little_weight = measure_shape(landmarks, _standard_palm())
+    palm_weights = np.append(np.ones(4), little_weight)
+    return HumanLengths(bases, segments, rolls, palm_weights=palm_weights)
 
 
-def measure_shape(landmarks: Array, palm: Array) -> tuple[Array, Array]:
+def measure_shape(landmarks: Array, palm: Array) -> tuple[Array, Array, float]:
     """Measure the palm and the rolls of a right hand.
 
     Args:
@@ -86,17 +93,20 @@ def measure_shape(landmarks: Array, palm: Array) -> tuple[Array, Array]:
         palm: The palm's landmarks of the standard hand [m], shape (5, 3).
 
     Returns:
-        `HumanLengths.bases` and `rolls`.
+        `HumanLengths.bases` and `rolls`, and the little finger's of `palm_weights`.
     """
     if core is not None:
         return core.measure_shape(landmarks, palm)
     palms = landmarks[:, PALM]
-    # Generalised Procrustes: lay every sample on the median shape, then take the median again.
-    # Three rounds are enough to converge.
-    for _ in range(3):
-        palm = np.median(transform_points(rigid_fit(palms, palm), palms), axis=0)
-        palm = palm - palm[0]
-    laid = transform_points(rigid_fit(palms, palm), landmarks)
+    weights = np.ones(len(PALM))
+    palm = _common_shape(palms, palm, weights)
+    for _ in range(_ROUNDS):
+        weight = _little_weight(palms, palm, weights)
+        if weight == weights[-1]:
+            break
+        weights[-1] = weight
+        palm = _common_shape(palms, palm, weights)
+    laid = transform_points(rigid_fit(palms, palm, weights), landmarks)
     # The bones of a bent finger span a plane whose normal is its flexion axis. Abduction turns it
     # about the axis that rolls with it, so that the ratio of its x and z parts is that of the roll.
     # The thumb's bones bend about two axes.
@@ -110,7 +120,43 @@ def measure_shape(landmarks: Array, palm: Array) -> tuple[Array, Array]:
     bent = np.ma.array(angles, mask=~is_bent)
     rolls = np.ma.median(bent, axis=0).filled(0.0)
     rolls[0] = 0.0
-    return np.median(bases, axis=0), np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
+    rolls = np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
+    return np.median(bases, axis=0), rolls, float(weights[-1])
+
+
+def _common_shape(palms: Array, palm: Array, weights: Array) -> Array:
+    """Return the shape that palms (T, 5, 3) have in common, from a first guess, shape (5, 3).
+
+    Generalised Procrustes analysis: lay every sample on the median shape, then take the median
+    again. Three rounds are enough to converge.
+    """
+    for _ in range(3):
+        laid = transform_points(rigid_fit(palms, palm, weights), palms)
+        palm = np.median(laid, axis=0)
+        palm = palm - palm[0]
+    return palm
+
+
+def _little_weight(palms: Array, palm: Array, weights: Array) -> float:
+    """Return the weight of the little finger's knuckle in the fit of the palm.
+
+    The fifth metacarpal moves on the palm, the second does not, and noise moves both knuckles
+    alike. So the weight falls where the little finger's knuckle moves more than the index finger's,
+    seen from all other landmarks.
+    """
+    some = palms[:: -(-len(palms) // _FEW)]
+    index, little = (_spread(some, palm, weights, k) for k in (1, len(PALM) - 1))
+    ratio = (index + _STEADY) / (little + _STEADY)
+    return float(np.clip(ratio**4, _LEAST_WEIGHT, 1.0))
+
+
+def _spread(palms: Array, palm: Array, weights: Array, landmark: int) -> float:
+    """Return how far a landmark moves on palms that are laid by their other landmarks [m]."""
+    others = weights.copy()
+    others[landmark] = 0.0
+    places = transform_points(rigid_fit(palms, palm, others), palms)[:, landmark]
+    off = lengths(places - np.median(places, axis=0))
+    return float(np.sqrt(np.mean(off**2)))
 
 
 def scaled_human(

@@ -87,11 +87,12 @@ def person_text(person: Person) -> str:
         "fingers:",
     ]
     lengths = person.lengths
-    rows = zip(FINGERS, lengths.bases, lengths.segments, lengths.rolls, strict=True)
-    lines += [
-        f"  {name}: {{base: {_row(base)}, bones: {_row(bones)}, roll: {roll:.{_DECIMALS}f}}}"
-        for name, base, bones, roll in rows
-    ]
+    columns = lengths.bases, lengths.segments, lengths.rolls, lengths.palm_weights
+    for name, base, bones, roll, weight in zip(FINGERS, *columns, strict=True):
+        fields = f"base: {_row(base)}, bones: {_row(bones)}, roll: {roll:.{_DECIMALS}f}"
+        if weight < 1.0:
+            fields += f", palm_weight: {weight:.{_DECIMALS}f}"
+        lines.append(f"  {name}: {{{fields}}}")
     return "\n".join(lines) + "\n"
 
 
@@ -112,7 +113,8 @@ def read_person(path: Path | str) -> Person:
     try:
         found = typed(read_yaml(file), _PersonFile, file)
         columns = zip(*map(astuple, astuple(found.fingers)), strict=True)
-        lengths = HumanLengths(*map(np.array, columns))
+        named = dict(zip(_KEYS, map(np.array, columns), strict=True))
+        lengths = HumanLengths(**named)
         return Person(found.name, lengths, found.contact_gap)
     except HandError as error:
         raise _refused(file, error.key or "person", error.problem) from error
@@ -125,16 +127,21 @@ _KEYS = {
     "bases": "fingers.*.base",
     "segments": "fingers.*.bones",
     "rolls": "fingers.*.roll",
+    "palm_weights": "fingers.*.palm_weight",
 }
 """Keys of a person's file by the fields of `HumanLengths`."""
 
 
 class _FingerFile(Document, frozen=True):
-    """One finger of a person's file: its first joint and its bones [m], and its roll [rad]."""
+    """One finger of a person's file: its first joint and its bones [m], and its roll [rad].
+
+    A finger whose first joint moves on the palm has less weight there.
+    """
 
     base: Vector
     bones: Vector
     roll: float = 0.0
+    palm_weight: float = 1.0
 
 
 class _FingersFile(Document, frozen=True):

@@ -122,6 +122,15 @@ def check_side(side: Any) -> None:
     expect(is_side, "side", "'right' or 'left'", value=side)
 
 
+def palm_fit_weights(by_finger: Array) -> Array:
+    """Return the weights of the landmarks `PALM` where the palm is fitted, shape (5,).
+
+    Args:
+        by_finger: `HumanLengths.palm_weights`, shape (5,). The wrist takes the thumb's place.
+    """
+    return np.append(1.0, by_finger[1:])
+
+
 class PalmShape:
     """The palm of a human hand, to recognise landmarks of another size.
 
@@ -130,6 +139,7 @@ class PalmShape:
 
     Attributes:
         points: Its landmarks in the frame of the wrist [m], shape (5, 3).
+        weights: Weights of them where the palm is fitted, shape (5,).
 
     Raises:
         HandError: If the hand has no landmarks.
@@ -137,6 +147,7 @@ class PalmShape:
 
     def __init__(self, human: Hand) -> None:
         self.points = landmarks_at_rest(human)[PALM]
+        self.weights = palm_fit_weights(human.palm_weights)
         self._size = float(palm_sizes(self.points))
 
     def ratios(self, landmarks: Array) -> Array:

@@ -307,6 +307,7 @@ class PointIk:
         dt: When,
         *,
         rest: Array | None = None,
+        rest_shares: Array | None = None,
         tasks: Sequence[Task] = (),
         margins: Array | None = None,
         speed: float = 1.0,
@@ -321,6 +322,8 @@ class PointIk:
                 displacement through the limits of speed and acceleration.
             rest: Joint positions that the rest term pulls to, in the order of `Hand.joint_names`
                 [rad or m], shape (n,); the hand's rest posture if omitted.
+            rest_shares: Share of the rest term's weight of each of them, shape (n,); all of it if
+                omitted.
             tasks: Further terms of the cost.
             margins: Distance that each pair of `contacts` keeps [m]; the hand's own if omitted.
             speed: Share of the speed limits to use. Braking from a higher speed takes the time that
@@ -332,7 +335,7 @@ class PointIk:
         """
         tasks = *tasks, *self._tasks
         wrists = None if wrist_target is None else wrist_target.reshape(-1, 4, 4)
-        postures = self.postures(self.gate.interval(dt).granted, rest)
+        postures = self.postures(self.gate.interval(dt).granted, rest, rest_shares)
         goal = Goal(point_targets, wrists, postures, tasks, dt, margins, speed)
         return self._mover.solve(goal) if self._mover else self.solve_once(goal)
 
@@ -414,11 +417,15 @@ class PointIk:
         active = np.zeros(len(displacement), dtype=np.int8)
         return self._result("released", points, displacement, active, 0, 0.0)
 
-    def postures(self, dt: float, rest: Array | None) -> list[tuple[float, Array]]:
+    def postures(
+        self, dt: float, rest: Array | None, rest_shares: Array | None = None
+    ) -> list[tuple[float | Array, Array]]:
         """Return weights and postures of the cost of a sample; see `Goal` and `solve`."""
         hand = self.hand
         options = self.options
-        postures = [(options.rest_weight, hand.rest if rest is None else rest)]
+        weight = options.rest_weight
+        of_rest = weight if rest_shares is None else weight * rest_shares
+        postures = [(of_rest, hand.rest if rest is None else rest)]
         if options.speed_weight == 0.0 and options.acceleration_weight == 0.0:
             return postures
         # The whole displacement of a sample costs, and its difference from the last one's.

@@ -5,8 +5,10 @@ All of it is measured on the two models, once for each pair of hands.
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import (
@@ -33,7 +35,7 @@ from handmap_qp.ik import (
     core_tree,
 )
 from handmap_qp.ik.nearest_posture import nearest_posture
-from handmap_qp.se3 import Array, frozen, lengths, transform_points, unit
+from handmap_qp.se3 import Array, frozen, lengths, mirror_sign, transform_points, unit
 from .palm import point_indices, require_points
 
 KNUCKLES, _SECONDS, LASTS, TIPS = (
@@ -62,6 +64,15 @@ _RESTING_THUMB = {
 # Cosines of the angle between the resting thumbs where one is not at all like the other, and where
 # it is wholly.
 _LIKE = np.cos(np.radians([10.0, 5.0]))
+# Weights of finger bases where palms are laid on each other; the little finger's moves with its
+# metacarpal. Fewer than this say nothing about the palm.
+_BASE_WEIGHTS = {"little": 0.1}
+_FEWEST_BASES = 3.5
+# Distance of finger bases after a similarity, relative to their extent: where palms are wholly
+# alike, and where they are not at all.
+_LIKE_BASES = 0.02, 0.05
+# The same of the fingers' reaches: difference of their ratios from the palm's, as a logarithm.
+_LIKE_REACHES = 0.1, 0.3
 # Weight of the rest posture in the matched one: it decides only where the points do not.
 _REST_WEIGHT = 0.05
 _OPENING = IkOptions(
@@ -145,8 +156,16 @@ class HandPair:
         self.tips = points[:, 0]
         self.knuckles = points[:, 3]
         self.chains = measured.used
-        self.robot = measured.with_points
         names = point_indices(human)
+        human_rest = points_in_palm(human, resting_posture(human))
+        self.human_reach = bone_lengths(human, self.fingers)
+        self.robot_reach = np.array([chain.reach for chain in self.chains.values()])
+        self.reach_ratios = self.robot_reach / self.human_reach
+        # The finger bases of both hands.
+        self.palms = match_palms(
+            human_rest[self.knuckles], measured.bases, self.fingers, self.reach_ratios
+        )
+        self.robot = measured.hand_with_points(self.palms.likeness)
         self.partners = np.array(
             [names[point.name] for point in self.robot.reference_points]
         )
@@ -155,10 +174,11 @@ class HandPair:
         )
         shape = [table[finger] for finger in FINGERS for table in (TIPS, MIDDLES)]
         self.shape_points = np.array([names[name] for name in shape if name in names])
-        self.human_rest = frozen(points_in_palm(human, resting_posture(human)))
-        self.human_reach = bone_lengths(human, self.fingers)
-        self.robot_reach = np.array([chain.reach for chain in self.chains.values()])
-        self.reach_ratios = self.robot_reach / self.human_reach
+        self.human_rest = frozen(human_rest @ self.palms.turn.T)
+        chains = self.chains.values()
+        self.is_carried = np.array(
+            [self.palms.likeness > 0.0 and chain.carries_knuckle for chain in chains]
+        )
         # All fingers but the thumb; a thumb alone stands for them.
         fingers = enumerate(self.fingers)
         self._others = [i for i, finger in fingers if finger != THUMB] or [0]
@@ -236,6 +256,24 @@ class HandPair:
         )
 
 
+class PalmMatch(NamedTuple):
+    """How the palm of a robot lies on a human's.
+
+    The axes of both palms follow from different evidence: the person's from five landmarks, the
+    robot's from the directions of its fingers. Where the finger bases of both hands lie alike, the
+    bases themselves say how the palms lie on each other.
+
+    Attributes:
+        turn: Rotation from the human's palm axes to the robot's, shape (3, 3).
+        bases: Where the human's finger bases are on the robot's palm [m], shape (f, 3).
+        likeness: From 0 for hands that differ to 1 for a robot hand with the human's own palm.
+    """
+
+    turn: Array
+    bases: Array
+    likeness: float
+
+
 class RobotFingers:
     """What is measured on a hand alone, a robot's or a person's: reading meshes takes longest."""
 
@@ -261,6 +299,32 @@ class RobotFingers:
     def pads(self) -> dict[str, Pad]:
         """The pads of the fingers, by name."""
         return find_pads(self.hand)
+
+    @cached_property
+    def bases(self) -> Array:
+        """Bases of the fingers at rest, in palm axes [m], shape (f, 3)."""
+        places = [chain.knuckle for chain in self.used.values()]
+        return points_in_palm(self.hand, self.hand.rest, places)
+
+    def hand_with_points(self, likeness: float) -> Hand:
+        """Return the robot with its points, and where it is like a human hand, with all joints'.
+
+        These are the bases of fingers that the palm carries by a joint, and the MCP joint of a
+        thumb: without them, the joints of a hand like the person's are not determined.
+        """
+        robot = self.with_points
+        if not likeness:
+            return robot
+        weight = likeness * _JOINT_WEIGHT**2
+        points = [*robot.reference_points]
+        for chain in self.used.values():
+            if chain.carries_knuckle:
+                points.append(
+                    _point(chain, KNUCKLES[chain.name], chain.knuckle, weight)
+                )
+            if chain.name == THUMB and chain.between:
+                points.append(_point(chain, _SECONDS[THUMB], chain.between, weight))
+        return robot.with_points(points)
 
     @cached_property
     def with_points(self) -> Hand:
@@ -334,6 +398,37 @@ class RobotFingers:
     def contacts(self) -> ShapePairs:
         """All pairs of collision shapes that may collide."""
         return all_pairs(self.hand)
+
+
+def match_palms(
+    human: Array, robot: Array, fingers: Sequence[str], ratios: Array
+) -> PalmMatch:
+    """Lay the finger bases of a human hand on those of a robot hand by a similarity.
+
+    Args:
+        human: Bases of f common fingers in the human's palm axes [m], shape (f, 3).
+        robot: The same of the robot in its palm axes.
+        fingers: Names of the fingers.
+        ratios: Robot's reach over the human's, shape (f,).
+    """
+    weights = np.array([_BASE_WEIGHTS.get(finger, 1.0) for finger in fingers])
+    if weights.sum() < _FEWEST_BASES or THUMB not in fingers:
+        return PalmMatch(np.eye(3), robot, 0.0)
+    weights /= weights.sum()
+    centre, robot_centre = weights @ human, weights @ robot
+    arms, robot_arms = human - centre, robot - robot_centre
+    left, stretches, right = np.linalg.svd(robot_arms.T @ (weights[:, None] * arms))
+    mirror = np.array([1.0, 1.0, mirror_sign(left @ right)])
+    turn = (left * mirror) @ right
+    scale = stretches @ mirror / (weights @ (arms**2).sum(axis=1))
+    places = scale * arms @ turn.T
+    missed = weights @ ((robot_arms - places) ** 2).sum(axis=1)
+    size = weights @ (robot_arms**2).sum(axis=1)
+    uneven = np.abs(np.log(ratios / scale)).max()
+    likeness = np.interp(np.sqrt(missed / size), _LIKE_BASES, (1.0, 0.0))
+    likeness *= np.interp(uneven, _LIKE_REACHES, (1.0, 0.0))
+    turn = pin.exp3(likeness * pin.log3(turn))
+    return PalmMatch(turn, robot_centre + places, float(likeness))
 
 
 robot_fingers = lru_cache(maxsize=32)(RobotFingers)

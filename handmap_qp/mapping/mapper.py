@@ -21,7 +21,13 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands import Hand, Names, Values
-from handmap_qp.human import LANDMARK_COUNT, LANDMARK_NAMES, PALM, landmarks_at_rest
+from handmap_qp.human import (
+    LANDMARK_COUNT,
+    LANDMARK_NAMES,
+    PALM,
+    landmarks_at_rest,
+    palm_fit_weights,
+)
 from handmap_qp.ik import (
     LONGEST_STEP,
     Compiled,
@@ -460,6 +466,7 @@ class HandMapper(Mover):
                 rest=target_map.rest,
                 tasks=(*targets.tasks, *self.tasks),
                 margins=targets.margins,
+                rest_shares=targets.rest_shares,
                 speed=speed,
             )
             targets = structs.replace(targets, points=result.targets)
@@ -669,6 +676,7 @@ class LandmarkReader(Compiled):
             )
         self.used = np.array([*map(LANDMARK_NAMES.index, names)])
         self.model = landmarks_at_rest(human)[PALM]
+        self.weights = palm_fit_weights(human.palm_weights)
 
     def read(
         self, landmarks: ArrayLike, wrist: PoseLike | None = None
@@ -687,7 +695,7 @@ class LandmarkReader(Compiled):
             return pose, ()
         points = as_points(landmarks, "landmarks", LANDMARK_COUNT)
         if wrist is None:
-            wrist = rigid_fit(self.model, points[PALM])
+            wrist = rigid_fit(self.model, points[PALM], self.weights)
         else:
             wrist = check_pose(wrist, "wrist_pose", self.quat_order)
         return HumanPose(points[self.used], wrist), ()

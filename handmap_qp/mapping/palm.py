@@ -34,14 +34,20 @@ class PalmMethod:
 
     def __init__(self, choices: AlignedOptions, human: Hand, robot: Hand) -> None:
         self.alignment = choices.alignment
+        self.wrist_to_palm = human.wrist_to_palm
         self.human = human
         self.robot = robot
+
+    def palm_of(self, sample: HumanPose) -> Array:
+        """Return the palm pose of a sample whose wrist was measured, shape (4, 4)."""
+        assert sample.wrist is not None
+        return sample.wrist @ self.wrist_to_palm
 
     def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm in the robot's world; the origin where `palm` aligns them."""
         if self.alignment == "palm":
             return np.eye(4)
-        return affine(rotation_of(self.alignment)) @ palm_of(sample, self.human)
+        return affine(rotation_of(self.alignment)) @ self.palm_of(sample)
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
         """Take both hands as they are for the reference; see `BoundMethod.start`."""
@@ -91,13 +97,12 @@ class PalmMap:
         scale: float = 1.0,
     ) -> None:
         self._method = method
-        human = method.human
         robot = method.robot
         self.rest = robot.rest
-        self.human_wrist_to_palm = human.wrist_to_palm
+        self.human_wrist_to_palm = method.wrist_to_palm
         self.robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
         self.is_still = not robot.has_moving_wrist
-        before = palm_of(sample, human)
+        before = method.palm_of(sample)
         start = posture.wrist @ robot.wrist_to_palm
         self.start = start
         self.robot_points = transform_points(inverse_pose(start), posture.points)
@@ -119,7 +124,7 @@ class PalmMap:
             The human's palm and the target of the robot's palm, shape (4, 4) each; the human's
             points in palm axes [m], shape (n_h, 3).
         """
-        human = palm_of(sample, self._method.human)
+        human = self._method.palm_of(sample)
         points = transform_points(inverse_pose(human), sample.points)
         if self.is_still:
             return human, self.start, points
@@ -143,7 +148,7 @@ class PalmMap:
 
         Its place is times the scale.
         """
-        palm = palm_of(sample, self._method.human)
+        palm = self._method.palm_of(sample)
         anchor = (1.0 + self.further) * transform_points(palm, self.human_anchor)
         return affine(self.alignment @ palm[:3, :3], self.alignment @ anchor)
 

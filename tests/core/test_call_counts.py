@@ -93,7 +93,7 @@ def bind_count(people: Iterator[Hand], robot: Hand, preset: str | None = None) -
 @pytest.mark.parametrize("name", hand_names())
 def test_binding_a_mapper_to_a_new_person(people: Iterator[Hand], name: str) -> None:
     """Arms, jaws and hands whose joints follow others too; each has a matched posture to solve."""
-    assert bind_count(people, load_hand(name)) <= 1_150
+    assert bind_count(people, load_hand(name)) <= 1_250
 
 
 BINDS = {"object": 170, "fingertip-vectors": 230, "joint-to-joint": 2_800}
@@ -113,7 +113,7 @@ def test_scaling_a_hand_to_a_person() -> None:
 def test_measuring_a_person() -> None:
     measure_person(recorded())
     recording = recorded(1.01)
-    assert count_calls(lambda: measure_person(recording)) <= 540
+    assert count_calls(lambda: measure_person(recording)) <= 600
 
 
 def test_reading_a_recording_of_hdf5(egodex: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_recording_that_is_followed(people: Iterator[Hand]) -> None:
     columns = sample_columns(recorded())
     Follower(HandMapper(next(people), ALLEGRO)).map_samples(columns)
     follower = Follower(HandMapper(next(people), ALLEGRO))
-    assert count_calls(lambda: follower.map_samples(columns)) <= 480
+    assert count_calls(lambda: follower.map_samples(columns)) <= 490
 
 
 def test_a_sample_with_a_grip(

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 from person_cases import LENGTHS, worn
 
-from handmap_qp import HumanLengths, InvalidInputError, load_hand
+from handmap_qp import HandMapper, HumanLengths, InvalidInputError, load_hand
 from handmap_qp.human.contact_gap import ContactGapMeter, tip_gaps
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person, read_person, write_person
@@ -220,3 +221,56 @@ def test_a_hand_that_never_touches_keeps_the_contact_gap() -> None:
     for time, landmarks in zip(record.time, record.landmarks, strict=True):
         assert not meter.add(float(time), landmarks)
     assert meter.gap == 0.013
+
+
+def cupped(motion: float, noise: float = 0.0) -> Recording:
+    """Record a hand whose little finger moves with its metacarpal by up to `motion` [m]."""
+    still = worn(300)
+    rng = np.random.default_rng(3)
+    share = np.sin(np.linspace(0.0, 40.0, len(still)))[:, None, None]
+    landmarks = still.landmarks.copy()
+    axes = landmarks[:, 9] - landmarks[:, 0]
+    across = np.cross(axes, landmarks[:, 5] - landmarks[:, 17])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    landmarks[:, 17:21] += motion * share * across[:, None]
+    landmarks += noise * rng.normal(size=landmarks.shape)
+    return replace(still, landmarks=landmarks)
+
+
+def test_a_knuckle_that_moves_on_the_palm_has_less_weight_there() -> None:
+    weights = measure_person(cupped(0.008)).lengths.palm_weights
+    np.testing.assert_array_equal(weights[:4], 1.0)
+    assert weights[4] < 0.05
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001, 0.003])
+def test_noise_alone_leaves_all_knuckles_their_weight(noise: float) -> None:
+    weights = measure_person(cupped(0.0, noise)).lengths.palm_weights
+    assert weights[4] > 0.5
+
+
+def test_the_palm_of_a_cupped_hand_keeps_its_axes() -> None:
+    """With the weights that were measured, the fit does not turn as the little finger moves."""
+    recording = cupped(0.008)
+    reader = HandMapper(scaled_human(recording), load_hand("three_finger")).landmarks
+    still = worn(300)
+    turns = []
+    for moved, at_rest in zip(recording.landmarks, still.landmarks, strict=True):
+        wrists = [reader.read(points)[0].wrist for points in (moved, at_rest)]
+        turns.append(np.linalg.norm(pin.log3(wrists[0][:3, :3].T @ wrists[1][:3, :3])))
+    assert np.degrees(max(turns)) < 0.5
+
+
+def test_a_file_keeps_the_weight_of_a_knuckle(tmp_path: Path) -> None:
+    person = measure_person(cupped(0.008))
+    file = tmp_path / "cupped.yaml"
+    write_person(person, file)
+    weights = read_person(file).lengths.palm_weights
+    np.testing.assert_allclose(weights, person.lengths.palm_weights, atol=1e-5)
+    assert "palm_weight" in file.read_text()
+
+
+@pytest.mark.parametrize("wrong", [[1.0] * 4, [1, 1, 1, 1, 1.5], [1, 0, 1, 1, 1]])
+def test_weights_that_cannot_be_are_refused(wrong: list[float]) -> None:
+    with pytest.raises(InvalidInputError, match="palm_weights"):
+        HumanLengths(LENGTHS.bases, LENGTHS.segments, palm_weights=np.array(wrong))

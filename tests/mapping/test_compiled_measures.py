@@ -141,7 +141,7 @@ def test_people_are_measured_as_in_python() -> None:
         ).stdout
         found.append(np.array(printed.split(), dtype=float))
     np.testing.assert_allclose(found[0], found[1], atol=1e-9)
-    assert len(found[0]) == 5 * 20 + 5
+    assert len(found[0]) == 5 * 21 + 5
 
 
 @pytest.mark.parametrize("name", HANDS)

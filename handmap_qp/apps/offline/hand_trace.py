@@ -19,7 +19,7 @@ from handmap_qp.hands import (
     Side,
     find_fingers,
 )
-from handmap_qp.human import FIRST_JOINTS, PALM, TIPS
+from handmap_qp.human import FIRST_JOINTS, PALM, TIPS, palm_fit_weights
 from handmap_qp.se3 import (
     Array,
     affine,
@@ -96,7 +96,8 @@ def trace_human(
             mean pose on the wrist comes from the landmarks. If omitted, the palm is the rigid fit
             (Kabsch 1976) of landmarks 0, 5, 9, 13 and 17 in every sample.
     """
-    palm = rigid_fit(lengths.palm(side), landmarks[:, PALM])
+    weights = palm_fit_weights(lengths.palm_weights)
+    palm = rigid_fit(lengths.palm(side), landmarks[:, PALM], weights)
     if wrist_poses is not None:
         on_wrist = inverse_pose(wrist_poses) @ palm
         rotation = nearest_rotation(on_wrist[:, :3, :3].mean(axis=0))

@@ -364,7 +364,7 @@ def _human_lengths(request: Open) -> HumanLengths | None:
     if given is None:
         return None if length is None else HumanLengths.from_hand_length(length)
     refuse_if(length is not None, "give hand_length or lengths, not both", "lengths")
-    return HumanLengths(*structs.astuple(given))
+    return HumanLengths(**structs.asdict(given))
 
 
 def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:

@@ -27,7 +27,6 @@ from handmap_qp.mapping import (
     Preset,
     RobotPosture,
     Targets,
-    palm_of,
 )
 from handmap_qp.mapping.hand_pair import (
     finger_landmarks,
@@ -38,6 +37,7 @@ from handmap_qp.mapping.palm import point_indices
 from handmap_qp.options import Share, number
 from handmap_qp.se3 import (
     Array,
+    affine,
     inverse_pose,
     lengths,
     mirror_sign,
@@ -50,6 +50,9 @@ _PINCH_FROM = 0.070
 _PINCH_OVER = 0.050
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
 _SQUEEZE = 0.003
+# Part of the rest posture's pull that a hand like the person's does without.
+_STEADIED = 0.97
+_CONTACT_SLOPE = 0.25
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
 
@@ -71,8 +74,12 @@ class TeleoperationMap(Compiled, PalmMap):
         self.rest = pair.matched
         self.method = method
         self.pair = pair
+        # Points determine the joints of a hand like the person's: the rest posture only steadies.
+        self.rest_shares = np.ones(len(self.rest))
+        for finger in pair.chains.values():
+            self.rest_shares[finger.columns] -= _STEADIED * pair.palms.likeness
         self.estimator = method.estimator
-        self.palm_before = palm_of(sample, method.human)
+        self.palm_before = method.palm_of(sample)
         # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
         # thumb's.
         count = len(method.pinched)
@@ -84,20 +91,40 @@ class TeleoperationMap(Compiled, PalmMap):
         self._prepare_directions()
 
     def _prepare_directions(self) -> None:
-        """Say how the person's vectors from the knuckles become the robot's, for each point."""
+        """Say how the person's vectors from the knuckles become the robot's, for each point.
+
+        On a hand like the person's they are places: the robot's knuckle plus the person's vector,
+        times the ratio of reaches. On another hand they are changes from rest, where fingers are as
+        in the matched posture; a thumb that is like the person's points as it does there too.
+        """
         pair = self.pair
         choices = self.method.choices
-        self.starts = pair.knuckles[pair.finger_of]
-        bases = pair.robot_bases[pair.finger_of]
+        finger = pair.finger_of
+        self.starts = pair.knuckles[finger]
         human = pair.human_rest[pair.partners] - pair.human_rest[self.starts]
-        self.ratios = lengths(pair.robot_rest - bases) / lengths(human)
-        # At rest, fingers are where they are in the matched posture. A thumb that is like the
-        # person's points as it does there too.
-        shifted = pair.robot_rest - self.ratios[:, None] * human
-        is_thumb = np.array(pair.fingers)[pair.finger_of] == THUMB
-        self.bases = np.where(is_thumb[:, None], bases, shifted)
+        robot = pair.robot_rest - pair.robot_bases[finger]
+        reaches = lengths(human)
+        is_base = reaches == 0.0
+        at_rest = lengths(robot) / np.where(is_base, 1.0, reaches)
+        is_thumb = np.array(pair.fingers)[finger] == THUMB
+        changed = np.where(
+            is_thumb[:, None],
+            pair.robot_bases[finger],
+            pair.robot_rest - at_rest[:, None] * human,
+        )
+        like = pair.palms.likeness
+        places = like * pair.reach_ratios[finger]
+        self.ratios = places + (1.0 - like) * at_rest
+        self.bases = (1.0 - like) * changed + like * pair.robot_bases[finger]
         of_thumb = choices.thumb_direction * pair.thumb_likeness
-        self.directions = np.where(is_thumb, of_thumb, choices.finger_direction)
+        directions = np.where(is_thumb, of_thumb, choices.finger_direction)
+        self.directions = like + (1.0 - like) * directions
+        # Bases that a joint moves on the palm follow the person's.
+        self.carried = np.where(pair.is_carried[finger], places, 0.0)
+        at_start = pair.human_rest[self.starts]
+        moved = pair.palms.bases[finger] - pair.robot_bases[finger]
+        moved = np.where(pair.is_carried[finger][:, None], like * moved, 0.0)
+        self.bases += moved - self.carried[:, None] * at_start
 
     def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
@@ -109,14 +136,15 @@ class TeleoperationMap(Compiled, PalmMap):
         distances = lengths(now[self.to_points] - now[self.from_points])
         extensions, gaps = np.split(distances, [len(pair.fingers)])
         pinching = method.pinching(gaps)
-        pinches = method.choices.pinch_weight * pinching
+        pinches = method.pinch_weight * pinching
         points = self._moved(estimate, now)
         # Away from a pinch, fingers point as the human's do.
         closing = np.append(pinching.max(initial=0.0), pinching)
         closing = closing.take(pair.finger_of, mode="clip")
-        shares = self.directions * (1.0 - closing)
+        shares = self.directions * (1.0 - (1.0 - pair.palms.likeness) * closing)
         vectors = now[pair.partners] - now[self.starts]
         led = self.bases + self.ratios[:, None] * vectors
+        led += self.carried[:, None] * now[self.starts]
         points += shares[:, None] * (led - points)
         parts = [
             *self.placed(palm, points),
@@ -163,6 +191,7 @@ class TeleoperationMap(Compiled, PalmMap):
             found | known,
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
+            rest_shares=self.rest_shares,
         )
 
     def _moved(self, estimate: MotionEstimate, now: Array) -> Array:
@@ -186,8 +215,7 @@ class BoundTeleoperation(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
     map_type = TeleoperationMap
-    # Margin between thumb and finger: per human gap beyond where it begins, and most [m].
-    contact_slope = 0.25
+    # Margin between thumb and finger: where it begins, and most [m].
     contact_from = 0.018
     contact_most = 0.005
     pinch_over = _PINCH_OVER
@@ -197,7 +225,11 @@ class BoundTeleoperation(PalmMethod):
         self.pair = hand_pair(human, robot)
         pair = self.pair
         super().__init__(choices, human, pair.robot)
+        self.wrist_to_palm = human.wrist_to_palm @ affine(pair.palms.turn.T)
         self.contacts = pair.measured.contacts if choices.avoids_contact else None
+        # Margin between thumb and finger per human gap beyond where it begins. Places keep the gaps
+        # of a hand like the person's by themselves.
+        self.contact_slope = (1.0 - pair.palms.likeness) * _CONTACT_SLOPE
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge
         )
@@ -234,7 +266,10 @@ class BoundTeleoperation(PalmMethod):
         self.least_aims = np.append(np.zeros(len(pair.fingers)), touching)
         self.largest_aims = np.append(pair.robot_reach, np.full(count, np.inf))
         weights = choices.thumb_extension_weight, choices.extension_weight
-        self.extension_weights = np.where(np.array(pair.fingers) == THUMB, *weights)
+        by_finger = np.where(np.array(pair.fingers) == THUMB, *weights)
+        # Corrections end where places agree: a hand like the person's needs none.
+        self.extension_weights = (1.0 - pair.palms.likeness) * by_finger
+        self.pinch_weight = (1.0 - pair.palms.likeness) * choices.pinch_weight
 
     def aims(self, distances: Array) -> Array:
         """Return the wanted distance of each row for the human's, shape (k,) both."""
