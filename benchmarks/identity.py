@@ -91,10 +91,10 @@ def differences(hand: Hand, size: float, count: int, seed: int) -> tuple[Array, 
     for q in postures(hand, count, seed):
         mapper.reset()
         ways = np.append(np.linspace(0.0, 1.0, MOVING), np.ones(RESTING))
+        reached = hand.rest
         for share in ways * ways * (3.0 - 2.0 * ways):
-            landmarks = points.at(hand.rest + share * (q - hand.rest))
-            step = mapper.map_landmarks(size * landmarks, dt=DT)
-        reached = step.command.q
+            landmarks = size * points.at(hand.rest + share * (q - hand.rest))
+            reached = mapper.map_landmarks(landmarks, dt=DT).command.q
         joints.append(np.degrees(np.abs(reached - q)))
         missed = points.tips_at(reached) - points.tips_at(q)
         tips.append(1e3 * np.linalg.norm(missed, axis=1))
