@@ -105,7 +105,11 @@ class Browser:
         )
         port, path = port_file.read_text().split("\n")[:2]
         self._socket = connect(
-            f"ws://127.0.0.1:{port}{path}", max_size=None, **settings
+            f"ws://127.0.0.1:{port}{path}",
+            max_size=None,
+            # On a busy machine a browser may take long to answer a ping.
+            ping_interval=None,
+            **settings,
         )
         self._number = 0
         self.errors: list[str] = []

@@ -4,8 +4,8 @@ All of it is measured on the two models, once for each pair of hands.
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -73,6 +73,8 @@ _FEWEST_BASES = 3.5
 _LIKE_BASES = 0.02, 0.05
 # The same of the fingers' reaches: difference of their ratios from the palm's, as a logarithm.
 _LIKE_REACHES = 0.1, 0.3
+# Part of the rest posture's pull that a hand like the person's does without.
+_STEADIED = 0.97
 # Weight of the rest posture in the matched one: it decides only where the points do not.
 _REST_WEIGHT = 0.05
 _OPENING = IkOptions(
@@ -132,6 +134,9 @@ class HandPair:
             one that opposes from another side, and for none.
         robot_bases: Base of each robot finger there, in palm axes [m], shape (f, 3).
         robot_centre: Centre of the robot's tips and middle joints in the matched posture [m], (3,).
+        palms: How the robot's palm lies on the human's.
+        is_carried: Whether a joint of each finger moves its base as the person's, shape (f,).
+        rest_shares: Share of the rest posture's pull on each joint, shape (n,).
         robot_distances: Knuckle-to-tip distance of each robot finger in the matched posture [m],
             shape (f,).
 
@@ -191,6 +196,11 @@ class HandPair:
         given = robot.matched
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
+        # Points determine the joints of a hand like the person's: the rest posture only steadies.
+        rest_shares = np.ones(len(self.matched))
+        for chain in self.chains.values():
+            rest_shares[chain.columns] -= _STEADIED * self.palms.likeness
+        self.rest_shares = frozen(rest_shares)
 
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
@@ -256,7 +266,8 @@ class HandPair:
         )
 
 
-class PalmMatch(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class PalmMatch:
     """How the palm of a robot lies on a human's.
 
     The axes of both palms follow from different evidence: the person's from five landmarks, the

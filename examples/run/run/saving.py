@@ -21,7 +21,7 @@ _HAND = """
 name side mount is_floating joint_names all_joint_names limits lower_limits upper_limits
 velocity_limits rest spread active_columns joint_columns q_indices point_weights palm_frame
 wrist_frame wrist_to_palm point_frames reference_points spec model moves_wrist finger_joints
-has_moving_wrist has_floating_base rules _moving_q _motion _shift _wrist_to_root
+has_moving_wrist has_floating_base rules palm_weights _moving_q _motion _shift _wrist_to_root
 """
 _ATTRIBUTES = {
     "Hand": _HAND,
@@ -42,17 +42,19 @@ _ATTRIBUTES = {
     "AttachedPoints": "joints offsets",
     "BoundHomogeneous": """
         alignment options renews_reference needs_wrist reference_needs_wrist partners
+        wrist_to_palm
     """,
     "BoundTeleoperation": """
         alignment choices pair estimator pinch_from pinched distances aim_slopes aim_offsets
-        least_aims largest_aims extension_weights base_margins pinch_pairs pinch_of_pair
-        pinch_margins
+        least_aims largest_aims extension_weights pinch_weight base_margins pinch_pairs
+        pinch_of_pair pinch_margins contact_slope wrist_to_palm
     """,
     "HandPair": """
         fingers partners finger_of tips knuckles finger_ratio matched human_rest robot_rest
         human_knuckles robot_knuckles thumb_likeness robot_bases robot_centre shape_points
-        human_reach
+        human_reach reach_ratios palms is_carried rest_shares
     """,
+    "PalmMatch": "turn bases likeness",
 }
 """What the core, the guard and the maps read of each class; both sides have the same names."""
 

@@ -50,8 +50,6 @@ _PINCH_FROM = 0.070
 _PINCH_OVER = 0.050
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
 _SQUEEZE = 0.003
-# Part of the rest posture's pull that a hand like the person's does without.
-_STEADIED = 0.97
 _CONTACT_SLOPE = 0.25
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
@@ -74,10 +72,7 @@ class TeleoperationMap(Compiled, PalmMap):
         self.rest = pair.matched
         self.method = method
         self.pair = pair
-        # Points determine the joints of a hand like the person's: the rest posture only steadies.
-        self.rest_shares = np.ones(len(self.rest))
-        for finger in pair.chains.values():
-            self.rest_shares[finger.columns] -= _STEADIED * pair.palms.likeness
+        self.rest_shares = pair.rest_shares
         self.estimator = method.estimator
         self.palm_before = method.palm_of(sample)
         # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
