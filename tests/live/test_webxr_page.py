@@ -176,9 +176,13 @@ def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
         session._measured = session._commanded.q
         session._lose()
 
-    in_loop(server, lose)
-    for side in ("right", "left"):
-        wait_for_text(browser, f"#{side} .state", "joints do not follow")
+    def both_say_so() -> bool:
+        # An Engage that is still on its way takes up the session again.
+        in_loop(server, lose)
+        states = [text(browser, f"#{side} .state") for side in ("right", "left")]
+        return all("joints do not follow" in state for state in states)
+
+    wait_until(both_say_so)
     click(browser, "#right .engage")
     wait_for_text(browser, "#right .state", "streaming")
     click(browser, "#stop")
