@@ -237,8 +237,7 @@ class HandPair:
             task = gap_task(self.robot, self.measured.pinching, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
-        places = [chain.knuckle for chain in self.chains.values()]
-        knuckles = points_in_palm(self.measured.hand, robot.rest, places)
+        knuckles = self.measured.bases
         of = self.finger_of
         human = self.human_rest[self.partners]
         vectors = human - self.human_rest[self.knuckles[of]]
