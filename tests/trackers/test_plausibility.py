@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -33,18 +30,6 @@ from handmap_qp.trackers.plausibility import (
     check_recording,
     examine_recording,
 )
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-
-
-@pytest.fixture(scope="module")
-def lies() -> Iterator[ModuleType]:
-    """The mistakes of `benchmarks/bench_lies.py`, which has the whole table."""
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        yield importlib.import_module("lies")
-    finally:
-        sys.path.remove(str(BENCHMARKS))
 
 
 @pytest.fixture(scope="module")
