@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 from demo_recording import GESTURES
+from handmap_score.tasks import household
 
 from handmap_qp import HumanLengths, load_hand
 from handmap_qp.apps.simulation.pinch import PinchTrial
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import human_name
-from handmap_qp.mapping.objects import Box, Cylinder, MeshShape, Sphere
 from handmap_qp.se3 import affine, rotation_from_rpy, smoothstep
 from handmap_qp.trackers.formats import read_recording
 
@@ -149,51 +149,8 @@ def named(recording: Recording, name: str) -> Recording:
     return replace(recording, name=name)
 
 
-def _hull(*points: tuple[float, float, float]) -> MeshShape:
-    return MeshShape(np.array(points))
-
-
-def _rings(*rings: tuple[float, float]) -> MeshShape:
-    """Return the hull of circles about z, given by height and radius [m]."""
-    turns = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    circle = np.column_stack([np.cos(turns), np.sin(turns), 0.0 * turns])
-    return MeshShape(np.concatenate([r * circle + (0.0, 0.0, z) for z, r in rings]))
-
-
-def _bar(width: float, back: float, front: float, height: float) -> MeshShape:
-    """Return a bar along y that is held beside its middle."""
-    x, z = width / 2.0, height / 2.0
-    ends = [(a, b, c) for a in (-x, x) for b in (-back, front) for c in (-z, z)]
-    return _hull(*ends)
-
-
-def _disc(thickness: float, radius: float, inside: float) -> MeshShape:
-    """Return a disc that stands on its edge and is held so far inside its upper edge."""
-    turns = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
-    y, z = radius * np.cos(turns), radius * np.sin(turns) - radius + inside
-    x = np.full(len(turns), thickness / 2.0)
-    sides = [np.column_stack([side * x, y, z]) for side in (-1.0, 1.0)]
-    return MeshShape(np.concatenate(sides))
-
-
-HOUSEHOLD = {
-    "tea box": PinchTrial(Box((0.036, 0.06, 0.09)), 0.06, 0.5),
-    "foam brick": PinchTrial(Box((0.05, 0.075, 0.05)), 0.028, 0.8),
-    "die": PinchTrial(Box((0.02, 0.02, 0.02)), 0.01, 0.6),
-    "can": PinchTrial(Cylinder(0.033, 0.1), 0.2, 0.6),
-    "tube": PinchTrial(Cylinder(0.016, 0.08), 0.04, 0.6),
-    "golf ball": PinchTrial(Sphere(0.0214), 0.046, 0.6),
-    "tennis ball": PinchTrial(Sphere(0.033), 0.058, 0.9),
-    "strawberry": PinchTrial(Sphere(0.015), 0.018, 0.7),
-    "mug's handle": PinchTrial(_bar(0.012, 0.01, 0.1, 0.03), 0.09, 0.7),
-    "bottle": PinchTrial(
-        _rings((-0.08, 0.025), (0.02, 0.025), (0.07, 0.012)), 0.1, 0.6
-    ),
-    "pen": PinchTrial(Cylinder(0.005, 0.14), 0.012, 0.6),
-    "plate's rim": PinchTrial(_disc(0.008, 0.09, 0.015), 0.12, 0.5),
+HOUSEHOLD: dict[str, PinchTrial] = {
+    name: PinchTrial(held.shape, held.mass, held.friction)
+    for name, held in household.HOUSEHOLD.items()
 }
-"""Objects of the sizes and masses of YCB's, made of simple shapes: held at the frame's origin.
-
-The mug's handle is a bar whose weight hangs 45 mm beside the grip, as the mug's does; the mug
-itself is not there to be touched.
-"""
+"""Objects of the task `pick` of `handmap score --tasks`, held at the frame's origin."""

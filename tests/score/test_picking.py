@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 from handmap_score.tasks.attempt import attempt
 from handmap_score.tasks.catalogue import CATALOGUE
+from handmap_score.tasks.household import HOUSEHOLD
 from handmap_score.tasks.judge_picking import recount_pick
 from handmap_score.tasks.mapping import Mapping, Straight, Unmapped, make_mapping
 from handmap_score.tasks.operator import HumanHand
 from handmap_score.tasks.person import Person
-from handmap_score.tasks.picking import (
-    HOUSEHOLD,
-    TORQUES,
-    TRAY,
-    PickTask,
-    Touch,
-    pick_cause,
-)
+from handmap_score.tasks.picking import TRAY, PickTask, pick_cause
+from handmap_score.tasks.table import TORQUES
 from handmap_score.tasks.task import Scene
+from handmap_score.tasks.touch import Touch
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import load_hand
@@ -155,7 +151,7 @@ def test_an_object_that_was_not_lifted_is_not_put_down(allegro: PickTask) -> Non
 def test_unknown_objects_are_refused() -> None:
     """The message says which objects there are."""
     with pytest.raises(InvalidInputError, match="tea box"):
-        PickTask(load_hand("allegro_right"), ["anvil"])
+        PickTask(load_hand("allegro_right"), ("anvil",))
 
 
 def touches(

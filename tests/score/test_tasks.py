@@ -27,6 +27,7 @@ from handmap_score.tasks.catalogue import CATALOGUE, Entry
 from handmap_score.tasks.cli import TasksRequest, score_tasks
 from handmap_score.tasks.experts import Filter, Style
 from handmap_score.tasks.film import FilmError, FilmJob, draw_films
+from handmap_score.tasks.journal import FILE, Kept, Line
 from handmap_score.tasks.mapping import (
     Replayed,
     Straight,
@@ -150,7 +151,7 @@ def recount_toy(record: Record) -> bool:
 def toy(monkeypatch: pytest.MonkeyPatch) -> Entry:
     """Put the toy into the catalogue."""
     entry = Entry(
-        make=Toy,
+        make=lambda hand, objects: Toy(hand),
         hands=("human",),
         describe=None,
         operators={
@@ -159,7 +160,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> Entry:
         },
         usual=("pusher",),
         recount=lambda: recount_toy,
-        own_hand=True,
+        own_hands=("human",),
     )
     monkeypatch.setitem(CATALOGUE, "toy", entry)
     benches._task.cache_clear()
@@ -459,7 +460,7 @@ def result_of(method: str, wins: Sequence[bool], **about: int) -> CellResult:
 
 def unmet(results: Sequence[CellResult]) -> set[str]:
     """Return the conditions that are not met, but for the order over blocks."""
-    checks = checks_of(results, ["toy"])
+    checks = checks_of(results, {"toy": ("human",)})
     return {
         check.what
         for check in checks
@@ -517,11 +518,13 @@ def test_the_command_writes_what_it_prints(
         tasks=("toy",),
         out=tmp_path / "out",
         hands=(),
+        objects=(),
         operators=("pusher", "slow pusher"),
         methods=("finger-vectors",),
         blocks=Blocks((0, 10), 2),
         processes=1,
         films=False,
+        resume=False,
         as_json=True,
     )
     score_tasks(request)
@@ -662,7 +665,7 @@ def adroit_hand(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_experts_win_unmapped_and_lose_with_straight_fingers(
     kind: str, recount: Recount, adroit_hand: str, tmp_path: Path
 ) -> None:
-    task: Task = CATALOGUE[kind].make(adroit_hand)
+    task: Task = CATALOGUE[kind].make(adroit_hand, ())
     operator: Operator = experts.Expert(kind, "expert")
     file = tmp_path / "mine.py"
     file.write_text(
@@ -713,7 +716,7 @@ def test_a_film_shows_what_was_recorded(
     kind: str, recount: Recount, adroit_hand: str
 ) -> None:
     operator = experts.Expert(kind, "expert")
-    done = attempt(CATALOGUE[kind].make(adroit_hand), operator, Unmapped(), 0)
+    done = attempt(CATALOGUE[kind].make(adroit_hand, ()), operator, Unmapped(), 0)
     assert done.record is not None
     try:
         (film,) = draw_films([FilmJob(kind, adroit_hand, done.record)], 1)
@@ -733,7 +736,7 @@ def test_landmarks_are_those_of_the_commanded_posture(
     kind: str, recount: Recount, adroit_hand: str
 ) -> None:
     operator = experts.Expert(kind, "expert")
-    task = CATALOGUE[kind].make(adroit_hand)
+    task = CATALOGUE[kind].make(adroit_hand, ())
     operator.reset(0)
     hand = operator.see(task.reset(0))
     assert {*task.robot.joint_names} < {*hand.joints}
@@ -761,3 +764,110 @@ def test_calibrations_differ_by_their_seeds_alone(kind: str, recount: Recount) -
     # Bones are the hand's own in all samples.
     bones = np.linalg.norm(np.diff(first.landmarks[:, 5:9], axis=1), axis=2)
     assert np.ptp(bones, axis=0) == pytest.approx(0.0, abs=1e-9)
+
+
+# A run that is stopped.
+
+
+def request_of(out: Path, *, resume: bool) -> TasksRequest:
+    """Return a run of the toy."""
+    return TasksRequest(
+        tasks=("toy",),
+        out=out,
+        hands=(),
+        objects=(),
+        operators=(),
+        methods=("finger-vectors",),
+        blocks=Blocks((0, 10), 2),
+        processes=1,
+        films=False,
+        resume=resume,
+        as_json=True,
+    )
+
+
+class StopError(Exception):
+    """Stops a run."""
+
+
+def test_a_stopped_run_goes_on_where_it_was(
+    toy: Entry,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    score_tasks(request_of(tmp_path / "whole", resume=False))
+    whole = json.loads(capsys.readouterr().out)
+    made: list[int] = []
+    run_job = benches.run_job
+
+    def counted(job: benches.Job) -> Outcome:
+        if len(made) == 5:
+            raise StopError
+        made.append(job.seeds.start)
+        return run_job(job)
+
+    monkeypatch.setattr(benches, "run_job", counted)
+    out = tmp_path / "parts"
+    with pytest.raises(StopError):
+        score_tasks(request_of(out, resume=False))
+    # As a process that was killed leaves it.
+    with (out / FILE).open("ab") as file:
+        file.write(b'{"key": "toy')
+    made.clear()
+    monkeypatch.setattr(benches, "run_job", lambda job: made.append(1) or run_job(job))
+    score_tasks(request_of(out, resume=True))
+    # Three mappings, two blocks of two, of which five were there.
+    assert len(made) == 12 - 5
+    parts = json.loads(capsys.readouterr().out)
+    assert parts["attempts"] == whole["attempts"]
+    assert parts["soundness"] == whole["soundness"]
+    made.clear()
+    score_tasks(request_of(out, resume=True))
+    assert not made
+
+
+def test_a_run_without_resume_keeps_the_attempts_of_the_last_one(
+    toy: Entry, tmp_path: Path
+) -> None:
+    score_tasks(request_of(tmp_path, resume=False))
+    before = (tmp_path / FILE).read_bytes()
+    score_tasks(request_of(tmp_path, resume=False))
+    (old,) = tmp_path.glob("*.before.jsonl")
+    assert old.read_bytes() == before
+
+
+def test_attempts_of_other_versions_are_not_resumed(tmp_path: Path) -> None:
+    file = tmp_path / FILE
+    with Kept(file, "numpy 1", resume=False):
+        pass
+    with pytest.raises(InvalidInputError, match="numpy 1"):
+        Kept(file, "numpy 2", resume=True)
+    file.write_text("nothing\n")
+    with pytest.raises(InvalidInputError, match="a journal"):
+        Kept(file, "numpy 2", resume=True)
+
+
+def test_a_kept_attempt_is_the_same(tmp_path: Path) -> None:
+    one = attempt(Toy(), Pusher(), Unmapped(), 3)
+    line = Line.of("key", one, is_recounted=True, is_contradicted=False)
+    with Kept(tmp_path / FILE, "1", resume=False) as kept:
+        kept.add(line)
+    again = Kept(tmp_path / FILE, "1", resume=True).get("key")
+    assert again is not None
+    assert again.attempt[:-1] == one[:-1]
+    assert one.record is not None
+    assert again.attempt.record is not None
+    for first, second in zip(one.record, again.attempt.record, strict=True):
+        assert np.array_equal(first, second)
+
+
+def test_a_changed_file_of_a_user_is_another_mapping(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    cell = Cell("toy", "human", "pusher", f"{file}:Mine")
+    (job,) = jobs_of(cell, Blocks((0,), 1))
+    file.write_text("A = 1\n")
+    first = job.key("human")
+    file.write_text("A = 2\n")
+    assert job.key("human") != first
+    assert job.key("human") == job.key("human")

@@ -82,6 +82,7 @@ class Score:
         handmap score --full --peers --out score
         handmap score --hands my_hand.yaml --methods teleoperation finger-vectors --seeds 7 8
         handmap score --tasks door relocate --methods teleoperation
+        handmap score --tasks pick --hands leap_right --objects can pen --resume
 
     Attributes:
         out: Folder to write to; created if it does not exist.
@@ -97,6 +98,8 @@ class Score:
         attempts: Attempts of each block of the tasks.
         processes: Processes that run attempts of tasks.
         films: Draw films of the tasks.
+        objects: Objects of the tasks, such as `can` and `pen` of `pick`.
+        resume: Go on with the attempts that --out has of a run that was stopped.
     """
 
     out: Annotated[Path, arg(metavar="FOLDER")] = Path("score")
@@ -114,6 +117,8 @@ class Score:
     attempts: Annotated[int | None, hinted("N", "(default: 4, or 40)")] = None
     processes: Annotated[int | None, hinted("N", "(default: processors)")] = None
     films: bool = True
+    objects: Annotated[Names, hinted("OBJECT...", "(default: all)")] = ()
+    resume: bool = False
 
     def run(self) -> None:
         """Check everything, measure, print and write.
@@ -190,11 +195,13 @@ class Score:
             tasks=tasks,
             out=self.out,
             hands=self.hands,
+            objects=self.objects,
             operators=self.operators,
             methods=self.methods,
             blocks=Blocks(self.seeds or BLOCKS, attempts),
             processes=processes,
             films=self.films,
+            resume=self.resume,
             as_json=self.json,
         )
         score_tasks(request)
@@ -210,6 +217,8 @@ class Score:
             "--attempts": self.attempts is not None,
             "--processes": self.processes is not None,
             "--no-films": not self.films,
+            "--objects": bool(self.objects),
+            "--resume": self.resume,
         }
         for option, is_given in given.items():
             expect(not is_given, option, "--tasks too", got="gestures")

@@ -4,6 +4,7 @@ Bodies and joints are those of the hand's Pinocchio model, so mirrored, mounted 
 no second reader. Shapes are its collision shapes; meshes are their convex hulls.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import coal
@@ -42,7 +43,11 @@ _UNLIMITED = 1e5
 
 
 def build_model(
-    hand: Hand, shape: Shape, physics: Physics, table: float | None = None
+    hand: Hand,
+    shape: Shape,
+    physics: Physics,
+    table: float | None = None,
+    furnish: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> Any:
     """Build the model of a hand and an object.
 
@@ -52,6 +57,7 @@ def build_model(
         physics: Contacts, stiffness and time steps.
         table: Height of a level table that carries the object [m], in a world with z up. The hand
             passes through it. No table if omitted.
+        furnish: Adds further parts to the specification before it is compiled.
 
     Returns:
         The `mujoco.MjModel`, with one actuator for each of `hand.joint_names`, in their order.
@@ -96,6 +102,8 @@ def build_model(
         spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         ).set_to_position(kp=own)
+    if furnish is not None:
+        furnish(spec)
     model = spec.compile()
     # Critical for the inertia at each joint alone; that of MuJoCo's own ratio is less.
     inertia = model.dof_M0[model.jnt_dofadr[model.actuator_trnid[:, 0]]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -91,6 +91,7 @@ class Simulator:
         physics: Contacts, actuators and time steps; the usual ones if omitted.
         table: Height of a level table that carries the object [m], in a world with z up. The hand
             passes through it. No table if omitted.
+        furnish: Adds further parts to the specification before it is compiled.
 
     Attributes:
         hand: The hand.
@@ -110,11 +111,12 @@ class Simulator:
         shape: Shape,
         physics: Physics = Physics(),
         table: float | None = None,
+        furnish: Callable[[mujoco.MjSpec], None] | None = None,
     ) -> None:
         self.hand = hand
         self.shape = shape
         self.physics = physics
-        self.model = build_model(hand, shape, self.physics, table)
+        self.model = build_model(hand, shape, self.physics, table, furnish)
         self.data = mujoco.MjData(self.model)
         self.target = hand.configuration_vector(hand.rest)
         self._due = 0.0

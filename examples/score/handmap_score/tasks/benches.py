@@ -1,18 +1,23 @@
 """All attempts of a run: tasks, hands, operators and mappings, in blocks of seeds, in processes."""
 
 import multiprocessing
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import cache
+from functools import cache, lru_cache
+from hashlib import sha256
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import HandmapError, expect, reason_of
+from handmap_qp.hands import Hand, Names
 from handmap_qp.se3 import Array
 from .attempt import Attempt, attempt
 from .catalogue import CATALOGUE
-from .mapping import make_mapping
+from .journal import Kept, Line
+from .mapping import Mapping as HandMapping
+from .mapping import file_of, make_mapping
 from .operator import Operator
 from .shares import Share, drawn, wilson
 from .task import Task
@@ -71,23 +76,38 @@ class Blocks(NamedTuple):
 
 
 class Job(NamedTuple):
-    """One block of one cell.
+    """Attempts of one cell with one calibration.
 
     Attributes:
         cell: The cell.
         calibration: Seed of the person's calibration recording.
         seeds: Seeds of the attempts.
         kept: Seeds of the attempts whose record is kept.
+        objects: Objects of the task by name; all if empty.
     """
 
     cell: Cell
     calibration: int
     seeds: range
     kept: frozenset[int]
+    objects: Names = ()
+
+    def key(self, hand: str) -> str:
+        """Return all that its outcome depends on, as text; of a file of a user its contents too.
+
+        Args:
+            hand: Name of the hand; the path in `cell` may differ from run to run.
+        """
+        file = file_of(self.cell.method)
+        digest = sha256(file.read_bytes()).hexdigest()[:16] if file else ""
+        seeds = f"{self.seeds.start}-{self.seeds.stop}"
+        cell = self.cell._replace(hand=hand)
+        about = (*cell, str(self.calibration), seeds, *self.objects, digest)
+        return " | ".join(about)
 
 
 class Outcome(NamedTuple):
-    """What came of a job.
+    """What came of a job, or of several.
 
     Attributes:
         attempts: The attempts in the order of the seeds; empty if the mapping could not be used.
@@ -100,6 +120,17 @@ class Outcome(NamedTuple):
     problem: str = ""
     recounted: int = 0
     contradicted: tuple[int, ...] = ()
+
+    @classmethod
+    def joined(cls, parts: Sequence["Outcome"]) -> "Outcome":
+        """Return the outcomes of one block in one; a problem of one part is that of all."""
+        problem = next((part.problem for part in parts if part.problem), "")
+        return cls(
+            [] if problem else [one for part in parts for one in part.attempts],
+            problem,
+            sum(part.recounted for part in parts),
+            tuple(seed for part in parts for seed in part.contradicted),
+        )
 
 
 class CellResult(NamedTuple):
@@ -143,48 +174,68 @@ def run_cells(
     blocks: Blocks,
     processes: int,
     say: Callable[[int, str], None],
+    kept: Kept | None = None,
+    objects: Mapping[str, Names] = MappingProxyType({}),
+    labels: Mapping[str, str] = MappingProxyType({}),
 ) -> list[CellResult]:
     """Run all blocks of all cells.
 
     Args:
         cells: The cells; their hands are names of the package, or paths.
         blocks: Seeds.
-        processes: Processes that run blocks; 1 runs them in this one.
-        say: Called with the number of blocks done, and a note.
+        processes: Processes that run attempts; 1 runs them in this one.
+        say: Called with the number of attempts done, and a note.
+        kept: Journal of the run; attempts in it are not made again.
+        objects: Objects by task; all of those that are not named.
+        labels: Names of hands by their paths, for the journal.
     """
-    work = [job for cell in cells for job in jobs_of(cell, blocks)]
+    work = [
+        job
+        for cell in cells
+        for job in jobs_of(cell, blocks, objects.get(cell.task, ()))
+    ]
+    keys = tuple(job.key(labels.get(job.cell.hand, job.cell.hand)) for job in work)
     outcomes: list[Outcome] = []
-    for outcome in _all_of(work, processes):
+    wins = 0
+    made = _all_of(work, keys, processes, kept)
+    for job, outcome in zip(work, made, strict=True):
         outcomes.append(outcome)
-        say(len(outcomes), f"{len(outcomes)} of {len(work)} blocks")
-    count = len(blocks.firsts)
+        wins += sum(one.is_success for one in outcome.attempts)
+        cell = ", ".join(job.cell)
+        say(len(outcomes), f"{len(outcomes)} of {len(work)}, {wins} succeeded; {cell}")
+    size, count = blocks.attempts, len(blocks.firsts)
+    joined = [
+        Outcome.joined(outcomes[i : i + size]) for i in range(0, len(outcomes), size)
+    ]
     return [
-        CellResult(cell, outcomes[i * count : (i + 1) * count])
+        CellResult(cell, joined[i * count : (i + 1) * count])
         for i, cell in enumerate(cells)
     ]
 
 
-def jobs_of(cell: Cell, blocks: Blocks) -> list[Job]:
-    """Return the jobs of a cell; the first attempt and those to recount keep their records.
+def jobs_of(cell: Cell, blocks: Blocks, objects: Names = ()) -> list[Job]:
+    """Return the jobs of a cell, an attempt each.
 
-    The drawn attempts are the same for all cells, so that nobody chose them by their outcome.
+    The first attempt and those to recount keep their records. The drawn attempts are the same for
+    all cells, so that nobody chose them by their outcome.
     """
     every = [seed for i in range(len(blocks.firsts)) for seed in blocks.seeds(i)]
     judged = {every[i] for i in drawn(len(every), JUDGED, seed=every[0])}
     kept = frozenset(judged | {every[0]})
     return [
-        Job(cell, first, blocks.seeds(i), kept & {*blocks.seeds(i)})
+        Job(cell, first, range(seed, seed + 1), kept & {seed}, objects)
         for i, first in enumerate(blocks.firsts)
+        for seed in blocks.seeds(i)
     ]
 
 
 def run_job(job: Job) -> Outcome:
-    """Run one block; a mapping that cannot be used is an outcome too."""
+    """Run one job; a mapping that cannot be used is an outcome too."""
     cell = job.cell
-    task = _task(cell.task, cell.hand)
+    task = _task(cell.task, cell.hand, job.objects)
     operator = _operator(cell.task, cell.hand, cell.operator)
     try:
-        mapping = make_mapping(cell.method, operator, task.robot, job.calibration)
+        mapping = _mapping(cell, job.calibration)
         attempts = [attempt(task, operator, mapping, seed) for seed in job.seeds]
     except HandmapError as error:
         return Outcome((), problem=reason_of(error))
@@ -199,34 +250,85 @@ def run_job(job: Job) -> Outcome:
     return Outcome(light, recounted=len(kept), contradicted=contradicted)
 
 
-def _all_of(work: Sequence[Job], processes: int) -> Iterator[Outcome]:
+def _all_of(
+    work: Sequence[Job], keys: Names, processes: int, kept: Kept | None
+) -> Iterator[Outcome]:
+    """Yield the outcomes of jobs in their order; run those that are not in the journal."""
+    known = [kept.get(key) if kept else None for key in keys]
+    left = [job for job, line in zip(work, known, strict=True) if line is None]
+    made = _made(left, processes)
+    for key, line in zip(keys, known, strict=True):
+        if line is not None:
+            yield _outcome_of(line)
+            continue
+        outcome = next(made)
+        # A mapping that failed is tried again when the run goes on.
+        if kept is not None and not outcome.problem:
+            kept.add(_line_of(key, outcome))
+        yield outcome
+
+
+def _made(work: Sequence[Job], processes: int) -> Iterator[Outcome]:
     """Run jobs, and yield their outcomes in the same order."""
-    if processes == 1:
+    if processes == 1 or not work:
         yield from map(run_job, work)
         return
     # A child that is forked would share locks and a drawing context with this process.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=context) as pool:
-        yield from pool.map(run_job, work)
+        try:
+            yield from pool.map(run_job, work)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _line_of(key: str, outcome: Outcome) -> Line:
+    """Return the outcome of one attempt as a line of the journal."""
+    (one,) = outcome.attempts
+    return Line.of(
+        key,
+        one,
+        is_recounted=outcome.recounted > 0,
+        is_contradicted=bool(outcome.contradicted),
+    )
+
+
+def _outcome_of(line: Line) -> Outcome:
+    one = line.attempt
+    contradicted = (one.seed,) if line.is_contradicted else ()
+    return Outcome([one], "", int(line.is_recounted), contradicted)
 
 
 @cache
-def _task(name: str, hand: str) -> Task:
+def _task(name: str, hand: str, objects: Names) -> Task:
     """Make a task once a process, because it takes longer than an attempt."""
-    return CATALOGUE[name].make(hand)
+    return CATALOGUE[name].make(hand, objects)
 
 
 @cache
 def _operator(task: str, hand: str, name: str) -> Operator:
     """Make an operator once a process."""
-    return CATALOGUE[task].operators[name](_task(task, hand).robot)
+    return CATALOGUE[task].operators[name](_robot(task, hand))
+
+
+@cache
+def _robot(task: str, hand: str) -> Hand:
+    return _task(task, hand, ()).robot
+
+
+@lru_cache(maxsize=4)
+def _mapping(cell: Cell, calibration: int) -> HandMapping:
+    """Make a mapping once for the attempts of a block, which follow one another."""
+    operator = _operator(cell.task, cell.hand, cell.operator)
+    robot = _robot(cell.task, cell.hand)
+    return make_mapping(cell.method, operator, robot, calibration)
 
 
 def cells_of(
     tasks: Iterable[str],
     hands: Callable[[str], Iterable[str]],
     operators: Callable[[str], Iterable[str]],
-    methods: Callable[[str], Iterable[str]],
+    methods: Callable[[str, str], Iterable[str]],
 ) -> list[Cell]:
     """Return all cells, tasks first.
 
@@ -234,12 +336,12 @@ def cells_of(
         tasks: Names of tasks.
         hands: Returns the hands of a task.
         operators: Returns the operators of a task.
-        methods: Returns the mappings of a task.
+        methods: Returns the mappings of a task and hand.
     """
     return [
         Cell(task, hand, operator, method)
         for task in tasks
         for hand in hands(task)
         for operator in operators(task)
-        for method in methods(task)
+        for method in methods(task, hand)
     ]

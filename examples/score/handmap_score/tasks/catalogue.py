@@ -8,8 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from handmap_qp.hands import Hand
-from . import adroit, experts, judge, judge_picking, person, picking
+from handmap_qp.hands import Hand, Names, load_hand
+from . import (
+    adroit,
+    experts,
+    judge,
+    judge_picking,
+    person,
+    picking,
+    table,
+)
 from .operator import Operator
 from .task import Task
 
@@ -18,23 +26,26 @@ class Entry(NamedTuple):
     """A task.
 
     Attributes:
-        make: Returns the task for a robot hand, by its name or the path of its hand.yaml.
+        make: Returns the task for a robot hand, by its name or the path of its hand.yaml, with
+            some of its objects; with all if there are no names.
         hands: Robot hands by name, of which the first ones are taken without --hands.
         describe: Writes the hand.yaml of a hand of `hands` into a folder and returns its path;
             None if they are hands of `handmap hands list`.
         operators: Makers of operators by name; each takes the robot hand.
         usual: Operators that are taken without --operators.
         recount: Returns the second judge.
-        own_hand: Whether the operators move their own hand, so that `unmapped` must succeed.
+        own_hands: Hands that are the operator's own, so that `unmapped` must succeed.
+        objects: Objects of which some can be chosen.
     """
 
-    make: Callable[[str], Task]
+    make: Callable[[str, Names], Task]
     hands: tuple[str, ...]
     describe: Callable[[str, Path], Path] | None
     operators: Mapping[str, Callable[[Hand], Operator]]
     usual: tuple[str, ...]
     recount: Callable[[], judge.Recount]
-    own_hand: bool
+    own_hands: Names
+    objects: Names = ()
 
 
 def _expert(kind: str, name: str, robot: Hand) -> Operator:
@@ -53,27 +64,50 @@ def _adroit(
         recount: Judges its records with the scene's file.
     """
     return Entry(
-        make=task,
+        make=lambda hand, objects: task(hand),
         hands=(adroit.ADROIT,),
         describe=adroit.describe_hand,
         operators={name: partial(_expert, kind, name) for name in experts.STYLES},
         usual=experts.SOUND,
         recount=lambda: partial(recount, scene=adroit.scene_file(kind)),
-        own_hand=True,
+        own_hands=tuple(adroit.SPEEDS),
     )
+
+
+def _on_table(
+    task: type[table.TableTask],
+    operators: Mapping[str, Callable[[Hand], Operator]],
+    recount: judge.Recount,
+) -> Entry:
+    """Return the entry of a task on a table.
+
+    Args:
+        task: The task.
+        operators: As of `Entry`; the first one is the usual one.
+        recount: Judges its records.
+    """
+    return Entry(
+        make=lambda hand, objects: task(_load(hand), objects),
+        hands=(person.OWN, *table.TORQUES),
+        describe=None,
+        operators=operators,
+        usual=tuple(operators)[:1],
+        recount=lambda: recount,
+        own_hands=(person.OWN,),
+        objects=tuple(task.things),
+    )
+
+
+def _load(name: str) -> Hand:
+    """Return a robot hand by its name or path; `own` is the person's."""
+    return person.own_hand() if name == person.OWN else load_hand(name)
 
 
 CATALOGUE: dict[str, Entry] = {
     adroit.DOOR: _adroit(adroit.DOOR, adroit.Door, judge.recount_door),
     adroit.RELOCATE: _adroit(adroit.RELOCATE, adroit.Relocate, judge.recount_relocate),
-    picking.PICK: Entry(
-        make=picking.make_pick,
-        hands=tuple(picking.TORQUES),
-        describe=None,
-        operators=person.OPERATORS,
-        usual=tuple(person.OPERATORS),
-        recount=lambda: judge_picking.recount_pick,
-        own_hand=False,
+    picking.PICK: _on_table(
+        picking.PickTask, person.OPERATORS, judge_picking.recount_pick
     ),
 }
 """All tasks by name."""

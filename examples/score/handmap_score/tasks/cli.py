@@ -4,7 +4,9 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -18,6 +20,7 @@ from handmap_qp.output_files import make_folder, replaced_file
 from .benches import Blocks, Cell, CellResult, cells_of, run_cells
 from .catalogue import CATALOGUE
 from .film import FilmError, FilmJob, draw_films
+from .journal import FILE, Kept
 from .mapping import STRAIGHT, UNMAPPED, check_mapping
 from .page import tasks_page
 from .report import (
@@ -36,6 +39,8 @@ ATTEMPTS = 4
 """Attempts of each block: 20 of each cell."""
 FULL_ATTEMPTS = 40
 """The same with --full: 200 of each cell."""
+_EVERY = 15.0
+"""Time between two lines of progress where there is no terminal [s]."""
 
 
 class TasksRequest(NamedTuple):
@@ -45,22 +50,26 @@ class TasksRequest(NamedTuple):
         tasks: Tasks of `CATALOGUE`; all if empty.
         out: Folder to write to.
         hands: Hands, by name or the path of their hand.yaml; the usual ones if empty.
+        objects: Objects of the tasks that let choose; all if empty.
         operators: Operators; the usual ones of each task if empty.
         methods: Mappings besides `unmapped` and `straight`; all presets if empty.
         blocks: Seeds.
         processes: Processes that run attempts; as many as the machine has processors if 0.
         films: Whether to draw films.
+        resume: Whether to go on with the attempts that the folder has.
         as_json: Whether to print JSON in place of tables.
     """
 
     tasks: Names
     out: Path
     hands: Names
+    objects: Names
     operators: Names
     methods: Names
     blocks: Blocks
     processes: int
     films: bool
+    resume: bool
     as_json: bool
 
 
@@ -74,6 +83,8 @@ def score_tasks(request: TasksRequest) -> None:
     _check_names("--tasks", tasks, tuple(CATALOGUE))
     known = tuple({name: None for task in tasks for name in CATALOGUE[task].operators})
     _check_names("--operators", request.operators, known)
+    things = tuple({name: None for task in tasks for name in CATALOGUE[task].objects})
+    _check_names("--objects", request.objects, things)
     for method in request.methods:
         check_mapping(method)
     request.blocks.check()
@@ -85,21 +96,48 @@ def score_tasks(request: TasksRequest) -> None:
         "attempts of each block": str(request.blocks.attempts),
         "versions": ", ".join(package_versions()),
     }
+    kept = Kept(request.out / FILE, about["versions"], resume=request.resume)
+    objects = {
+        task: tuple(n for n in request.objects if n in CATALOGUE[task].objects)
+        for task in tasks
+    }
     with TemporaryDirectory(prefix="handmap-") as folder:
         cells, labels = _cells(request, tasks, Path(folder))
         processes = request.processes or os.cpu_count() or 1
-        with progress("attempts:") as say:
-            results = run_cells(cells, request.blocks, processes, say)
+        with kept, _told("attempts:") as say:
+            results = run_cells(
+                cells, request.blocks, processes, say, kept, objects, labels
+            )
         films: dict[str, bytes] = {}
         notes = []
         if request.films:
-            with progress("films:") as say:
+            with _told("films:") as say:
                 try:
-                    films = _films(results, labels, processes, say)
+                    films = _films(results, labels, processes, say, objects)
                 except FilmError as error:
                     notes.append(str(error))
     named = [_named(one, labels) for one in results]
     _write(request, named, films, notes, about)
+
+
+@contextmanager
+def _told(what: str) -> Iterator[Callable[[int, str], None]]:
+    """Yield a function that tells progress: a bar on a terminal, else a line now and then.
+
+    Args:
+        what: Label of the progress.
+    """
+    last = time.monotonic()
+    with progress(what) as bar:
+
+        def say(done: int, note: str) -> None:
+            nonlocal last
+            bar(done, note)
+            if not sys.stderr.isatty() and time.monotonic() - last > _EVERY:
+                last = time.monotonic()
+                print(what, note, file=sys.stderr, flush=True)
+
+        yield say
 
 
 def _check_names(argument: str, names: Names, known: Names) -> None:
@@ -141,9 +179,10 @@ def _cells(
         wanted = request.operators or entry.usual
         return [name for name in wanted if name in entry.operators]
 
-    def methods(task: str) -> Names:
+    def methods(task: str, hand: str) -> Names:
         # Both always run, because they show whether the judge is sound.
-        first = (UNMAPPED, STRAIGHT) if CATALOGUE[task].own_hand else (STRAIGHT,)
+        is_own = labels[hand] in CATALOGUE[task].own_hands
+        first = (UNMAPPED, STRAIGHT) if is_own else (STRAIGHT,)
         others = request.methods or tuple(PRESETS)
         return tuple(dict.fromkeys((*first, *others)))
 
@@ -161,6 +200,7 @@ def _films(
     labels: dict[str, str],
     processes: int,
     say: Callable[[int, str], None],
+    objects: Mapping[str, Names],
 ) -> dict[str, bytes]:
     """Return the film of each cell's first attempt, by its caption.
 
@@ -179,7 +219,7 @@ def _films(
         captions.append(
             f"{cell.task}, {hand}, {cell.operator}, {cell.method}: {ending}"
         )
-        jobs.append(FilmJob(cell.task, cell.hand, first.record))
+        jobs.append(FilmJob(cell.task, cell.hand, first.record, objects[cell.task]))
     films = []
     for film in draw_films(jobs, processes):
         films.append(film)
@@ -197,8 +237,7 @@ def _write(
     """Write tasks.json and tasks.html, and print the tables."""
     rows = rows_of_results(results)
     pairs = pair_rows(groups_of(results))
-    own = [task for task, entry in CATALOGUE.items() if entry.own_hand]
-    checks = checks_of(results, own)
+    checks = checks_of(results, {n: entry.own_hands for n, entry in CATALOGUE.items()})
     notes = [*problems_of(results), *notes]
     document = {
         "about": about,

@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image
 
 from handmap_qp.errors import HandmapError, reason_of
+from handmap_qp.hands import Names
 from .catalogue import CATALOGUE
 from .task import Record
 
@@ -43,11 +44,13 @@ class FilmJob(NamedTuple):
         task: Name of the task.
         hand: The robot hand, as name or path of its hand.yaml.
         record: The attempt.
+        objects: Objects of the task by name; all if empty.
     """
 
     task: str
     hand: str
     record: Record
+    objects: Names = ()
 
 
 def draw_films(jobs: Sequence[FilmJob], processes: int) -> Iterator[bytes]:
@@ -75,7 +78,7 @@ def film_of(job: FilmJob) -> bytes:
         FilmError: If there is no OpenGL.
     """
     record = job.record
-    task = CATALOGUE[job.task].make(job.hand)
+    task = CATALOGUE[job.task].make(job.hand, job.objects)
     task.reset(record.seed)
     model = task.model
     model.body_pos[:] = record.body_pos

@@ -180,21 +180,24 @@ class OfUser:
         return UserMappingError(self._name, f"{type(error).__name__}: {error}")
 
 
+def file_of(name: str) -> Path | None:
+    """Return the file of a user's mapping or of a trajectory; None of others."""
+    if name.endswith((".npz", ".py")):
+        return Path(name)
+    file, _, _ = name.rpartition(":")
+    return Path(file) if file.endswith(".py") else None
+
+
 def check_mapping(name: str) -> None:
     """Reject a name that no mapping has, before any attempt.
 
     Raises:
         InvalidInputError: If there is no such mapping or file.
     """
-    file, _, _ = name.partition(":")
-    if file.endswith((".py", ".npz")):
-        expect(Path(file).is_file(), "--methods", "a file that exists", got=file)
-        expect(
-            file.endswith(".npz") or ":" in name,
-            "--methods",
-            "FILE.py:NAME",
-            got=name,
-        )
+    if file := file_of(name):
+        expect(file.is_file(), "--methods", "a file that exists", got=str(file))
+        is_whole = file.suffix == ".npz" or ":" in name
+        expect(is_whole, "--methods", "FILE.py:NAME", got=name)
         return
     known = {UNMAPPED, STRAIGHT, *PRESETS}
     if name not in known:

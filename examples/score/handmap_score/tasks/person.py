@@ -48,6 +48,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from enum import Enum, auto
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -759,6 +760,16 @@ class Person:
     def _try_again(self) -> None:
         is_over = self._time > self._first_try + PATIENCE
         self._start(Phase.DONE if is_over else Phase.APPROACH, closes=False)
+
+
+OWN = "own"
+"""Name of the hand of the package's person, taken as a robot hand."""
+
+
+@cache
+def own_hand() -> Hand:
+    """Return the hand of the person in the package's recording, as a robot hand."""
+    return closing_of(read_recording(Path("pinch"), "right")).hand
 
 
 OPERATORS: Mapping[str, Callable[[Hand], Person]] = MappingProxyType({"person": Person})

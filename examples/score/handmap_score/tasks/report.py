@@ -1,11 +1,12 @@
 """What is said of a run: rows of tables, comparisons, and whether the judge is sound."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations, pairwise
 from statistics import median
 from typing import NamedTuple
 
+from handmap_qp.hands import Names
 from .benches import CellResult
 from .mapping import STRAIGHT, UNMAPPED
 from .shares import Order, contradictions, mcnemar, order_of
@@ -123,12 +124,14 @@ def pair_rows(groups: Sequence[Group]) -> list[Row]:
     return rows
 
 
-def checks_of(results: Sequence[CellResult], on_own_hand: Sequence[str]) -> list[Check]:
+def checks_of(
+    results: Sequence[CellResult], own_hands: Mapping[str, Names]
+) -> list[Check]:
     """Return the conditions of soundness, each with what was measured.
 
     Args:
         results: All cells.
-        on_own_hand: Tasks whose operators move their own hand.
+        own_hands: Hands by task that are the operators' own.
     """
     groups = groups_of(results)
     checks = []
@@ -145,7 +148,7 @@ def checks_of(results: Sequence[CellResult], on_own_hand: Sequence[str]) -> list
                 )
             )
         unmapped = by_method.get(UNMAPPED)
-        if unmapped and group.task in on_own_hand:
+        if unmapped and group.hand in own_hands.get(group.task, ()):
             share = unmapped.share
             checks.append(
                 Check(
