@@ -12,11 +12,17 @@ from handmap_qp.hands import Hand, Names, load_hand
 from . import (
     adroit,
     experts,
+    inserting,
     judge,
     judge_picking,
+    judge_table,
+    lifting,
     person,
     picking,
+    pouring,
+    pressing,
     table,
+    turning,
 )
 from .operator import Operator
 from .task import Task
@@ -108,6 +114,19 @@ CATALOGUE: dict[str, Entry] = {
     adroit.RELOCATE: _adroit(adroit.RELOCATE, adroit.Relocate, judge.recount_relocate),
     picking.PICK: _on_table(
         picking.PickTask, person.OPERATORS, judge_picking.recount_pick
+    ),
+    lifting.LIFT: _on_table(
+        lifting.LiftTask, person.OPERATORS, judge_table.recount_lift
+    ),
+    pressing.BUTTON: _on_table(
+        pressing.ButtonTask, pressing.OPERATORS, judge_table.recount_button
+    ),
+    turning.CAP: _on_table(turning.CapTask, turning.OPERATORS, judge_table.recount_cap),
+    pouring.POUR: _on_table(
+        pouring.PourTask, pouring.OPERATORS, judge_table.recount_pour
+    ),
+    inserting.PEG: _on_table(
+        inserting.PegTask, inserting.OPERATORS, judge_table.recount_peg
     ),
 }
 """All tasks by name."""

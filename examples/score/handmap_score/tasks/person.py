@@ -92,6 +92,8 @@ PRACTICE = 3
 """Closings in the air before the first try."""
 PATIENCE = 12.0
 """Time from the first try in which the person begins new ones [s]."""
+LARGEST_STEP = math.radians(25.0)
+"""Largest turn of one sub-movement about an object that is held [rad]."""
 TRACKER_NOISE = 3e-4
 """Standard deviation of each coordinate of a tracked landmark [m]."""
 
@@ -481,6 +483,7 @@ class Phase(Enum):
     APPROACH = auto()
     ENTER = auto()
     CLOSE = auto()
+    USE = auto()
     LIFT = auto()
     CARRY = auto()
     LOWER = auto()
@@ -501,19 +504,24 @@ class Person:
         recording: The person: measured in it, and closing as in its longest pinch. The package's
             recording `pinch` if omitted.
         name: Name of the operator.
+        closing: How the hand closes; the closing of the recording if omitted.
 
     Raises:
         InvalidInputError: If the recording shows no pick, or is not of a right hand.
     """
 
     def __init__(
-        self, robot: Hand, recording: Recording | None = None, name: str = "person"
+        self,
+        robot: Hand,
+        recording: Recording | None = None,
+        name: str = "person",
+        closing: Closing | None = None,
     ) -> None:
         recording = recording or read_recording(Path("pinch"), "right")
         expect(
             recording.side == "right", "recording", "a right hand", got=recording.side
         )
-        self.closing = closing_of(recording)
+        self.closing = closing or closing_of(recording)
         self._recording = recording
         self._name = name
         self._wrist_to_palm = robot.wrist_to_palm
@@ -561,6 +569,7 @@ class Person:
         self._opened: PadPlace | None = None
         self._met: PadPlace | None = None
         self._phase = Phase.PRACTISE
+        self._hover = LIFT
         self._since = 0.0
         self._time = 0.0
         self._decides_at = 0.0
@@ -636,20 +645,26 @@ class Person:
         """Decide once, by what is seen now."""
         look = self._eyes.look()
         if self._model is None:
-            self._model = PadModel.of_own_hand(self.closing, look.width)
+            self._model = self._own_model(look)
         match self._phase:
             case Phase.PRACTISE:
                 self._practise(look)
             case Phase.APPROACH | Phase.ENTER:
                 self._reach(look, self._model, motion)
             case Phase.CLOSE:
-                self._judge(look)
+                self._judge(look, motion)
+            case Phase.USE:
+                self._use(look, motion)
             case Phase.LIFT | Phase.CARRY | Phase.LOWER:
                 self._transport(look, motion)
             case Phase.RELEASE | Phase.REOPEN:
                 self._finish_opening(motion)
             case Phase.DONE:
                 pass
+
+    def _own_model(self, look: Look) -> PadModel:
+        """Return the internal model before anything was learned: the own hand's."""
+        return PadModel.of_own_hand(self.closing, look.width)
 
     def _finish_opening(self, motion: PalmMotion) -> None:
         """Leave, or try again, when the hand is open."""
@@ -668,7 +683,7 @@ class Person:
         if not self._is_closing and self._is_open:
             if self._practised == PRACTICE:
                 self._first_try = self._time
-                self._start(Phase.APPROACH, closes=False)
+                self._begin_try()
             else:
                 self._close(look, Phase.PRACTISE)
         elif self._is_judged:
@@ -724,12 +739,12 @@ class Person:
             return False
         return not motion.is_moving(self._time)
 
-    def _judge(self, look: Look) -> None:
-        """Lift what is seen between the pads; else learn and open."""
+    def _judge(self, look: Look, motion: PalmMotion) -> None:
+        """Use what is seen between the pads; else learn and open."""
         if not self._is_judged:
             return
         if look.is_between:
-            self._start(Phase.LIFT, closes=True)
+            self._grasped(motion)
         else:
             self._learn(look)
             self._start(Phase.REOPEN, closes=False)
@@ -744,22 +759,61 @@ class Person:
         if self._phase is Phase.LIFT:
             shift[:2] = 0.0
         if self._phase is not Phase.LOWER:
-            shift += LIFT * _UP
+            shift += self._hover * _UP
         since_then = motion.believed_end - motion.believed(look.time)
-        tolerance = DEAD_ZONE if self._phase is Phase.LOWER else ROUGH
+        # Only high above the target a rough place is good enough.
+        is_rough = self._phase is not Phase.LOWER and self._hover == LIFT
+        tolerance = ROUGH if is_rough else DEAD_ZONE
         if not self._correct(motion, shift - since_then, tolerance):
             return
         match self._phase:
             case Phase.LIFT:
                 self._phase = Phase.CARRY
             case Phase.CARRY:
-                self._phase = Phase.LOWER
+                self._arrived(motion)
             case _:
                 self._start(Phase.RELEASE, closes=False)
 
     def _try_again(self) -> None:
-        is_over = self._time > self._first_try + PATIENCE
-        self._start(Phase.DONE if is_over else Phase.APPROACH, closes=False)
+        if self._time > self._first_try + PATIENCE:
+            self._start(Phase.DONE, closes=False)
+        else:
+            self._begin_try()
+
+    # -- what people with another task do in another way
+
+    def _begin_try(self) -> None:
+        """Begin a try: approach with an open hand."""
+        self._start(Phase.APPROACH, closes=False)
+
+    def _grasped(self, motion: PalmMotion) -> None:
+        """Go on with the object in the hand: lift it."""
+        self._hover = LIFT
+        self._start(Phase.LIFT, closes=True)
+
+    def _arrived(self, motion: PalmMotion) -> None:
+        """Go on with the object over its target: lower it."""
+        self._phase = Phase.LOWER
+
+    def _use(self, look: Look, motion: PalmMotion) -> None:
+        """Decide once in `Phase.USE`, which this person never begins."""
+        raise NotImplementedError
+
+    def _turn_about_pads(
+        self, look: Look, motion: PalmMotion, axis: Array, angle: float
+    ) -> None:
+        """Begin a sub-movement that turns the palm about the middle of the pads.
+
+        Args:
+            look: What is seen, for where the pads are on the palm.
+            motion: The palm's motion, which has ended.
+            axis: Unit vector in the world, shape (3,).
+            angle: Angle [rad]; the palm leaves its arc by `r (1 - cos(angle / 2))`.
+        """
+        now = motion.pose(self._time)[:3, :3]
+        lever = now @ look.pads_on_palm.middle
+        turn = Rotation.from_rotvec(angle * axis).as_matrix()
+        motion.begin(self._time, lever - turn @ lever, motion.turn_to(turn @ now))
 
 
 OWN = "own"

@@ -56,8 +56,6 @@ FIXTURE = "/fixture"
 """Name of the body that carries the furniture of a task."""
 _PLACE = 0.03
 """The object stands off its nominal place by up to this along each axis [m]."""
-_YAW = math.radians(20.0)
-"""The object is turned by up to this [rad]."""
 _ABOVE, _BEHIND, _BESIDE = 0.3, 0.15, 0.05
 """Where the palm starts, from the object [m]."""
 _STANDS = 0.002
@@ -91,6 +89,10 @@ class TableTask(ABC):
     time_step = 1.0 / RATE
     time_limit: ClassVar[float] = 26.0  # of practice, 12 s of tries, and what follows
     hold: ClassVar[int] = 15
+    raised: ClassVar[float] = 0.0
+    """Height of the object's lowest point above the table at the beginning [m]."""
+    yaw: ClassVar[float] = math.radians(20.0)
+    """The object is turned by up to this [rad]."""
 
     def __init__(self, robot: Hand, objects: Names = ()) -> None:
         unknown = {*objects} - {*self.things}
@@ -140,10 +142,10 @@ class TableTask(ABC):
         self._simulator = self._bench.simulator
         self._object = self.things[self._object_name]
         random = np.random.default_rng([seed, 57])
-        self._rest_height = self._bench.rest_height
+        self._rest_height = self._bench.rest_height + self.raised
         place = np.append(random.uniform(-_PLACE, _PLACE, 2), self._rest_height)
         # x runs along the line of a person's pinch, which is forward.
-        yaw = math.pi / 2.0 + random.uniform(-_YAW, _YAW)
+        yaw = math.pi / 2.0 + random.uniform(-self.yaw, self.yaw)
         self._start = affine(rotation_from_rpy((0.0, 0.0, yaw)), place)
         self._target = affine(np.eye(3), (place[0] + SIDEWAYS, place[1], 0.0))
         beside = random.uniform(-_BESIDE, _BESIDE)
@@ -198,7 +200,29 @@ class TableTask(ABC):
     def _faces(self, pose: Array) -> Array:
         """Return where the object is to be pinched in the world [m], shape (2, 3)."""
         half = self._bench.across(pose) / 2.0
-        return np.array([pose[:3, 3] - half, pose[:3, 3] + half])
+        middle = self._middle(pose)
+        return np.array([middle - half, middle + half])
+
+    def _middle(self, pose: Array) -> Array:
+        """Return where the object is to be held in the world [m], shape (3,)."""
+        return pose[:3, 3]
+
+    def _bottom(self, pose: Array) -> Array:
+        """Return the object's lowest point in the world [m], shape (3,)."""
+        return self._bench.bottom(pose)
+
+    def _surfaces(self, pads: Array) -> Array:
+        """Return the points of thumb and finger that the operator is to bring to the object.
+
+        Args:
+            pads: Middles of both pads in the world [m], shape (2, 3).
+
+        Returns:
+            Where the surfaces of the pads face each other [m], shape (2, 3).
+        """
+        line = unit(pads[1] - pads[0])
+        pair = self._pads.pair
+        return pads + np.outer((pair.thumb.radius, -pair.finger.radius), line)
 
     # -- the loop
 
@@ -224,10 +248,7 @@ class TableTask(ABC):
     def _scene(self) -> Scene:
         simulator = self._simulator
         pose = simulator.object_pose
-        pads = self._pads.places(simulator)
-        line = unit(pads[1] - pads[0])
-        pair = self._pads.pair
-        surfaces = pads + np.outer((pair.thumb.radius, -pair.finger.radius), line)
+        surfaces = self._surfaces(self._pads.places(simulator))
         signals = self._signals(pose, surfaces)
         return Scene(
             time=self._steps * self.time_step,
@@ -236,7 +257,7 @@ class TableTask(ABC):
             points={
                 "pads": surfaces,
                 "faces": self._faces(pose),
-                "bottom": self._bench.bottom(pose)[None],
+                "bottom": self._bottom(pose)[None],
             },
             signals=signals,
         )
@@ -247,7 +268,7 @@ class TableTask(ABC):
         by_finger = contacts.by_finger(forces)
         thumb = by_finger.get(THUMB, 0.0)
         line = unit(pads[1] - pads[0])
-        off = pose[:3, 3] - pads[0]
+        off = self._middle(pose) - pads[0]
         travel = pose[:3, 3] - self._start[:3, 3]
         touch = Touch(
             time=self._steps * self.time_step,

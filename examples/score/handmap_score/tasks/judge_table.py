@@ -1,0 +1,63 @@
+"""Second judges of tasks on a table: they recount outcomes from states, without the tasks' code.
+
+Lengths, angles and times are written down again here, so that an error in one of the two places
+shows. States are laid out as the model's joints: the hand's wrist (7 numbers) and fingers, the
+object (7), then what the task adds.
+"""
+
+import numpy as np
+
+from .task import Record
+
+_FREE = 7
+
+
+def recount_lift(record: Record) -> bool:
+    """Return whether the object was 50 mm above its place for a second."""
+    height = record.qpos[:, -_FREE + 2]
+    return _longest(height - height[0] > 0.05) >= 60
+
+
+def recount_peg(record: Record) -> bool:
+    """Return whether the peg stood in the hole, upright, after fingers had opened."""
+    state = record.qpos[:, -_FREE:]
+    fingers = record.qpos[:, _FREE:-_FREE]
+    hole = record.body_pos[-1]
+    highest = int(np.argmax(state[:, 2]))
+    from_hole = np.hypot(state[:, 0] - hole[0], state[:, 1] - hole[1])
+    # Of a quaternion wxyz, the cosine of the angle of z to the vertical.
+    level = 1.0 - 2.0 * (state[:, 4] ** 2 + state[:, 5] ** 2)
+    is_in = (from_hole < 0.01) & (state[:, 2] - state[0, 2] < 0.02)
+    change = np.abs(fingers - fingers[highest]).max(axis=1)
+    is_done = is_in & (np.abs(level) > 0.985) & (change > 0.1)
+    is_done[: highest + 1] = False
+    return state[highest, 2] - state[0, 2] > 0.01 and _longest(is_done) >= 15
+
+
+def recount_cap(record: Record) -> bool:
+    """Return whether the thread was at a right angle or beyond, for a quarter of a second."""
+    return _longest(record.qpos[:, -1] >= np.pi / 2.0) >= 15
+
+
+def recount_button(record: Record) -> bool:
+    """Return whether the button was down by 4 mm and its frame by less than 2 mm, for 0.1 s."""
+    button, frame = record.qpos[:, -2:].T
+    return _longest((button <= -0.004) & (frame > -0.002)) >= 6
+
+
+def recount_pour(record: Record) -> bool:
+    """Return whether six of the seven balls lay in the bowl for a quarter of a second."""
+    balls = record.qpos[:, -7 * _FREE :].reshape(len(record.qpos), 7, _FREE)[:, :, :3]
+    bowl = record.body_pos[-8]
+    way = balls - bowl
+    is_in = (np.hypot(way[..., 0], way[..., 1]) < 0.08) & (way[..., 2] < 0.05)
+    return _longest(is_in.sum(axis=1) >= 6) >= 15
+
+
+def _longest(flags: np.ndarray) -> int:
+    """Return the length of the longest run of true flags after the initial state."""
+    longest = run = 0
+    for flag in flags[1:].tolist():
+        run = run + 1 if flag else 0
+        longest = max(longest, run)
+    return longest
