@@ -124,6 +124,7 @@ class Pusher:
     """An operator that moves its joint by the same way each step, and sees what comes of it."""
 
     name = "pusher"
+    has_finished = False
 
     def __init__(self, way: float = 0.05) -> None:
         self.way = way
@@ -299,6 +300,16 @@ def test_the_loop_is_closed_and_ends_when_the_goal_has_held() -> None:
 def test_an_attempt_ends_at_the_time_limit() -> None:
     done = attempt(Toy(), Pusher(), Straight(load_hand("human")), 0)
     assert (done.is_success, done.steps, done.cause) == (False, LIMIT, "never reached")
+
+
+def test_an_attempt_ends_a_while_after_the_operator_has_finished() -> None:
+    task, operator = Toy(), Pusher()
+    task.time_limit = 1e3
+    operator.has_finished = True
+    done = attempt(task, operator, Straight(task.robot), 0)
+    assert done.time == pytest.approx(2.0, abs=2.0 * STEP)
+    # The goal is reached meanwhile.
+    assert attempt(task, operator, Unmapped(), 0).is_success
 
 
 # Mappings.

@@ -10,6 +10,8 @@ from .mapping import Mapping
 from .operator import Operator
 from .task import Record, Task
 
+_AFTERWARDS = 2.0
+"""Time for which an attempt goes on when the operator has finished [s]; things settle."""
 _SEPARATE = 0.1
 """Pause from which a touch or grip counts as another one [s]; contacts flicker."""
 
@@ -44,7 +46,8 @@ def attempt(task: Task, operator: Operator, mapping: Mapping, seed: int) -> Atte
     """Let an operator try a task through a mapping.
 
     The loop is closed: each step, the operator sees what the robot did with the command before. It
-    ends when the goal has held for `task.hold` steps in a row, or at the time limit.
+    ends when the goal has held for `task.hold` steps in a row, a while after the operator has
+    finished, or at the time limit.
 
     Raises:
         HandmapError: If the mapping cannot map a hand.
@@ -58,6 +61,7 @@ def attempt(task: Task, operator: Operator, mapping: Mapping, seed: int) -> Atte
     positions = [task.data.qpos.copy()]
     course = [scene.signals]
     held = 0
+    idle = 0
     for _ in range(round(task.time_limit / task.time_step)):
         hand = operator.see(scene)
         scene = task.step(hand, mapping.map(hand, task.time_step))
@@ -65,7 +69,8 @@ def attempt(task: Task, operator: Operator, mapping: Mapping, seed: int) -> Atte
         positions.append(task.data.qpos.copy())
         course.append(scene.signals)
         held = held + 1 if scene.signals.is_reached else 0
-        if held == task.hold:
+        idle = idle + 1 if operator.has_finished else 0
+        if held == task.hold or idle * task.time_step > _AFTERWARDS:
             break
     is_success = held == task.hold
     pause = max(1, round(_SEPARATE / task.time_step))

@@ -21,6 +21,7 @@ from . import (
     picking,
     pouring,
     pressing,
+    replaying,
     table,
     turning,
 )
@@ -113,10 +114,12 @@ CATALOGUE: dict[str, Entry] = {
     adroit.DOOR: _adroit(adroit.DOOR, adroit.Door, judge.recount_door),
     adroit.RELOCATE: _adroit(adroit.RELOCATE, adroit.Relocate, judge.recount_relocate),
     picking.PICK: _on_table(
-        picking.PickTask, person.OPERATORS, judge_picking.recount_pick
+        picking.PickTask, person.people(), judge_picking.recount_pick
     ),
     lifting.LIFT: _on_table(
-        lifting.LiftTask, person.OPERATORS, judge_table.recount_lift
+        lifting.LiftTask,
+        {**person.people(), **replaying.replayed_people()},
+        judge_table.recount_lift,
     ),
     pressing.BUTTON: _on_table(
         pressing.ButtonTask, pressing.OPERATORS, judge_table.recount_button

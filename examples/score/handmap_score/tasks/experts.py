@@ -207,6 +207,11 @@ class Expert:
         self._half = 0.5 * (high - low)
         self._joints = actuated_joints(model)
 
+    @property
+    def has_finished(self) -> bool:
+        """Whether it will do nothing more: a policy always goes on."""
+        return False
+
     def calibrate(self, seed: int) -> Recording:
         """Return a recording of random postures of the hand, of 4 s at 100 Hz."""
         return calibration_recording(self._hand, seed)

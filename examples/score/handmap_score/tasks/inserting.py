@@ -1,8 +1,8 @@
 """Insert a peg into a hole with 2 mm of play: `PegTask`, and `Inserter`, who does it.
 
 The peg is a round pin below a handle with flat sides: rigid fingertips squeeze a round peg out
-where they meet it off its middle. The hole stands on the table, 40 mm high, with a chamfer of 10 mm.
-The peg counts as inserted when it stands on the ground of the hole, upright and let go.
+where they meet it off its middle. The hole stands on the table, 40 mm high, with a chamfer of
+10 mm. The peg counts as inserted when it stands on the ground of the hole, upright and let go.
 """
 
 import math

@@ -50,7 +50,7 @@ def recount_pour(record: Record) -> bool:
     balls = record.qpos[:, -7 * _FREE :].reshape(len(record.qpos), 7, _FREE)[:, :, :3]
     bowl = record.body_pos[-8]
     way = balls - bowl
-    is_in = (np.hypot(way[..., 0], way[..., 1]) < 0.08) & (way[..., 2] < 0.05)
+    is_in = (np.hypot(way[..., 0], way[..., 1]) < 0.1) & (way[..., 2] < 0.05)
     return _longest(is_in.sum(axis=1) >= 6) >= 15
 
 

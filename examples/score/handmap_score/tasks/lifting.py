@@ -37,7 +37,7 @@ class LiftTask(TableTask):
     things = MappingProxyType(
         {
             "full bottle": Household(
-                rings((-0.09, 0.032), (0.04, 0.032), (0.1, 0.014)),
+                rings((-0.09, 0.028), (0.04, 0.028), (0.1, 0.013)),
                 0.3,
                 0.6,
                 is_round=True,
@@ -73,7 +73,7 @@ class LiftTask(TableTask):
         return signals
 
     def _is_reached(self, touch: Touch, pose: Array) -> bool:
-        return touch.is_pinched and touch.height > HEIGHT and not self._is_broken
+        return touch.height > HEIGHT and not self._is_broken
 
 
 def _set_solid(model: mujoco.MjModel, *, is_solid: bool) -> None:

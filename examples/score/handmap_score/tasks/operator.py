@@ -43,6 +43,11 @@ class Operator(Protocol):
         """Short name, for tables."""
         ...
 
+    @property
+    def has_finished(self) -> bool:
+        """Whether the operator will do nothing more in this attempt."""
+        ...
+
     def calibrate(self, seed: int) -> Recording:
         """Return a recording from which the person is measured, before any attempt.
 

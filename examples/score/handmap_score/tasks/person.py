@@ -45,10 +45,11 @@ or in a quotation of its data; *memory* that it was not.
 """
 
 import math
+import os
 from collections import deque
 from collections.abc import Callable, Mapping
 from enum import Enum, auto
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -56,9 +57,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.apps.offline.comparison import prepare_take
+from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.simulation.commands import find_pinch
-from handmap_qp.errors import HandmapError, expect
+from handmap_qp.errors import expect
 from handmap_qp.hands import Hand
 from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.se3 import Array, affine, inverse_pose, transform_points, unit
@@ -173,11 +174,20 @@ class Closing(NamedTuple):
         return (1.0 - share) * rows[after - 1] + share * rows[after]
 
 
-def closing_of(recording: Recording) -> Closing:
-    """Return the closing of the longest pinch of a recording of a right hand.
+class ClosingSamples(NamedTuple):
+    """Where a recording of a right hand closes.
 
-    Args:
-        recording: The recording.
+    Attributes:
+        take: The recording with the fitted hand.
+        samples: Valid samples from the widest gap to the closest pinch, shape (T,).
+    """
+
+    take: Take
+    samples: Array
+
+
+def closing_samples(recording: Recording) -> ClosingSamples:
+    """Return the samples in which the longest pinch of a right hand's recording closes.
 
     Raises:
         InvalidInputError: If it shows no pick (`find_pinch`).
@@ -194,10 +204,22 @@ def closing_of(recording: Recording) -> Closing:
     near = slice(window.closed, int(last) + 1)
     closest = window.closed + int(np.nanargmin(gaps[near]))
     samples = np.arange(widest, closest + 1)
-    samples = samples[recording.valid[samples]]
+    return ClosingSamples(take, samples[recording.valid[samples]])
+
+
+def closing_of(recording: Recording) -> Closing:
+    """Return the closing of the longest pinch of a recording of a right hand.
+
+    Args:
+        recording: The recording.
+
+    Raises:
+        InvalidInputError: If it shows no pick (`find_pinch`).
+    """
+    take, samples = closing_samples(recording)
     palms = inverse_pose(take.trace.palm[samples])
     landmarks = transform_points(palms, recording.landmarks[samples])
-    elapsed = time[samples] - time[samples[0]]
+    elapsed = recording.time[samples] - recording.time[samples[0]]
     return Closing(elapsed, landmarks, take.human, take.q[samples])
 
 
@@ -533,6 +555,11 @@ class Person:
         return self._name
 
     @property
+    def has_finished(self) -> bool:
+        """Whether the person has left the object, or is out of patience."""
+        return self._phase is Phase.DONE
+
+    @property
     def phase(self) -> Phase:
         """What the person is doing."""
         return self._phase
@@ -816,6 +843,8 @@ class Person:
         motion.begin(self._time, lever - turn @ lever, motion.turn_to(turn @ now))
 
 
+RECORDINGS = "HANDMAP_RECORDINGS"
+"""Variable of the environment that names a folder of recordings of people."""
 OWN = "own"
 """Name of the hand of the package's person, taken as a robot hand."""
 
@@ -830,17 +859,28 @@ OPERATORS: Mapping[str, Callable[[Hand], Person]] = MappingProxyType({"person": 
 """Makers of operators by name; each takes the robot hand."""
 
 
-def people(robot: Hand, files: list[Path]) -> dict[str, Person]:
-    """Return the people of recordings that show a pick, and the package's own, by name.
+def recordings_of_people() -> dict[str, Path]:
+    """Return recordings of right hands by name, for `--operators`.
 
-    Args:
-        robot: The robot hand that they watch.
-        files: Recordings of right hands; those without a pick are left out.
+    They are looked for in the folder that `HANDMAP_RECORDINGS` names, else in ../shared/recordings.
     """
-    found = {"person": Person(robot)}
-    for file in files:
-        try:
-            found[file.stem] = Person(robot, read_recording(file, "right"), file.stem)
-        except HandmapError:
-            continue
-    return found
+    folder = Path(os.environ.get(RECORDINGS) or Path("..", "shared", "recordings"))
+    return {file.stem: file for file in sorted(folder.glob("*right*.npz"))}
+
+
+def recorded_person(file: Path, robot: Hand) -> Person:
+    """Return the person of a recording.
+
+    Raises:
+        InvalidInputError: If the recording shows no pick.
+    """
+    return Person(robot, read_recording(file, "right"), file.stem)
+
+
+def people() -> dict[str, Callable[[Hand], Person]]:
+    """Return makers of the package's person and of those of `recordings_of_people`, by name."""
+    recorded = {
+        name: partial(recorded_person, file)
+        for name, file in recordings_of_people().items()
+    }
+    return {**OPERATORS, **recorded}

@@ -25,13 +25,13 @@ POUR = "pour"
 BALLS = 7
 ENOUGH = 6
 """Balls that must lie in the bowl."""
-BOWL_RADIUS, BOWL_HEIGHT = 0.08, 0.05
+BOWL_RADIUS, BOWL_HEIGHT = 0.1, 0.05
 BESIDE = np.array([0.055, 0.0, 0.0])
 """The bowl stands beside the place over which the cup is tilted [m]."""
 _BALL, _BALL_MASS = 0.007, 0.003
 _RADIUS, _HEIGHT, _BASE, _WALL = 0.024, 0.06, 0.004, 0.002
 _HELD = 0.03  # height on the cup at which it is held [m]
-_TILT = math.radians(120.0)
+_TILT = math.radians(150.0)
 _WAITS = 1.5  # time for which the cup stays tilted [s]
 
 

@@ -1,4 +1,4 @@
-"""Press a button with the index finger and nothing beside it: `ButtonTask`, and `Presser`.
+"""Press a button and nothing beside it: `ButtonTask`, and `Presser`.
 
 The button has 30 mm a side and stands in a frame that is a button too: a hand that does not point
 presses both, which does not count.

@@ -1,0 +1,182 @@
+"""Tasks on a table: they begin at rest, are won by the person's own hand, and give nothing away."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from handmap_score.tasks import judge_table
+from handmap_score.tasks.attempt import attempt
+from handmap_score.tasks.catalogue import CATALOGUE
+from handmap_score.tasks.inserting import PLAY, PegTask
+from handmap_score.tasks.lifting import STRENGTH, LiftTask
+from handmap_score.tasks.mapping import Straight, Unmapped
+from handmap_score.tasks.operator import HumanHand
+from handmap_score.tasks.person import OWN, own_hand
+from handmap_score.tasks.pouring import BALLS, PourTask
+from handmap_score.tasks.pressing import PRESSED, ButtonTask
+from handmap_score.tasks.table import TableTask
+from handmap_score.tasks.task import Record, Scene
+from handmap_score.tasks.turning import TURNED, CapTask
+
+# Whole attempts in MuJoCo: not for the fast suite.
+pytestmark = pytest.mark.slow
+TASKS = ("lift", "button", "cap", "pour", "peg")
+NO_LANDMARKS = np.zeros((21, 3))
+
+
+def play(task: TableTask, seconds: float) -> Scene:
+    """Hold wrist and fingers where they are."""
+    scene = task.step(HumanHand(NO_LANDMARKS, task._simulator.wrist), {})
+    hand = HumanHand(NO_LANDMARKS, scene.poses["wrist"])
+    for _ in range(round(seconds / task.time_step) - 1):
+        scene = task.step(hand, {})
+    return scene
+
+
+def record_of(task: TableTask, states: list[np.ndarray]) -> Record:
+    """Return a record of states."""
+    times = task.time_step * np.arange(len(states))
+    model = task.model
+    return Record(
+        0, times, np.array(states), model.body_pos.copy(), model.site_pos.copy()
+    )
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_everything_rests_at_the_beginning(name: str) -> None:
+    """Left alone, objects and furniture stay, nothing is touched, and no goal holds."""
+    task = CATALOGUE[name].make(OWN, ())
+    assert isinstance(task, TableTask)
+    for seed in range(len(task.things)):
+        before = task.reset(seed)
+        first = task.data.qpos.copy()
+        after = play(task, 0.5)
+        moved = after.poses["object"][:3, 3] - before.poses["object"][:3, 3]
+        assert np.linalg.norm(moved) < 1.5e-3
+        # Quaternions of balls, which may roll, are left out.
+        assert np.abs(task.data.qpos - first)[:33].max() < 0.01
+        assert not after.signals.touching
+        assert not after.signals.is_reached
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_own_hand_wins_and_straight_fingers_do_not(name: str) -> None:
+    """The person does it with the own hand; both judges agree; a robot's straight ones do not."""
+    entry = CATALOGUE[name]
+    for hand, mapping, is_won in (
+        (OWN, lambda robot: Unmapped(), True),
+        ("allegro_right", Straight, False),
+    ):
+        task = entry.make(hand, ())
+        person = entry.operators["person"](task.robot)
+        done = attempt(task, person, mapping(task.robot), 1)
+        assert done.is_success == is_won
+        assert done.record is not None
+        assert entry.recount()(done.record) == is_won
+        assert bool(done.cause) != is_won
+
+
+def test_robots_meet_the_same_furniture() -> None:
+    """Where the hole is depends on the seed alone."""
+    tasks = [PegTask(own_hand()), CATALOGUE["peg"].make("allegro_right", ())]
+    for seed in (4, 5):
+        places = [
+            (task.reset(seed), task.model.body("/fixture").pos.copy())[1]
+            for task in tasks
+        ]
+        assert np.array_equal(places[0], places[1])
+
+
+@pytest.mark.parametrize("name", sorted(STRENGTH))
+def test_an_egg_breaks_above_its_force(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is broken falls out of the hand, for both judges, until the next attempt."""
+    task = LiftTask(own_hand(), (name,))
+    person = CATALOGUE["lift"].operators["person"](task.robot)
+    seed = 1
+    whole = attempt(task, person, Unmapped(), seed)
+    assert whole.is_success
+    assert whole.force < STRENGTH[name]
+    monkeypatch.setattr("handmap_score.tasks.lifting.STRENGTH", {name: 0.5})
+    broken = attempt(task, person, Unmapped(), seed)
+    assert (broken.is_success, broken.cause) == (False, "broken")
+    assert broken.record is not None
+    assert not judge_table.recount_lift(broken.record)
+    monkeypatch.undo()
+    assert attempt(task, person, Unmapped(), seed)[:-1] == whole[:-1]
+
+
+def test_the_button_counts_alone_and_far_enough() -> None:
+    """Pressed with its frame, or not to the end, it does not count."""
+    task = ButtonTask(own_hand())
+    task.reset(0)
+    button, frame = (task.model.joint(name).qposadr[0] for name in ("/mover", "/frame"))
+    for way, beside, counts in (
+        (1.1 * PRESSED, 0.0, True),
+        (0.9 * PRESSED, 0.0, False),
+        (1.1 * PRESSED, 0.003, False),
+    ):
+        task.reset(0)
+        task.data.qpos[[button, frame]] = -way, -beside
+        assert task._scene().signals.is_reached == counts
+        state = task.data.qpos.copy()
+        assert judge_table.recount_button(record_of(task, [state] * 8)) == counts
+
+
+def test_the_cap_rubs_and_stays_where_it_is_turned() -> None:
+    """A small moment does not turn it; a large one does, and it does not turn back."""
+    task = CapTask(own_hand())
+    task.reset(0)
+    angle = task.model.joint("/mover").qposadr[0]
+    dof = task.model.joint("/mover").dofadr[0]
+    task.data.qfrc_applied[dof] = 0.02
+    play(task, 0.5)
+    assert task.data.qpos[angle] < 0.01
+    task.data.qfrc_applied[dof] = 0.2
+    for _ in range(60):
+        scene = play(task, task.time_step)
+        if scene.signals.is_reached:
+            break
+    task.data.qfrc_applied[dof] = 0.0
+    scene = play(task, 1.0)
+    assert scene.signals.is_reached
+    assert task.data.qpos[angle] >= TURNED
+    # The object turns with it.
+    across = scene.poses["object"][:3, 0]
+    turned = np.arctan2(across[1], across[0]) - np.pi / 2.0
+    wrapped = np.remainder(turned - task.data.qpos[angle] + np.pi, 2.0 * np.pi) - np.pi
+    assert abs(wrapped) < 0.02
+
+
+def test_balls_count_where_they_lie() -> None:
+    """Balls begin in the cup; six of seven in the bowl are enough, five are not."""
+    task = PourTask(own_hand())
+    task.reset(0)
+    assert (task._count_in_cup(), task._count_in_bowl()) == (BALLS, 0)
+    bowl = task.model.body("/fixture").pos
+    for number, counts in ((5, False), (6, True)):
+        task.reset(0)
+        for i in range(number):
+            place = bowl + 0.03 * np.array([np.cos(i), np.sin(i), 0.3])
+            task.data.joint(f"/ball{i}").qpos[:3] = place
+        mujoco.mj_forward(task.model, task.data)
+        assert task._scene().signals.is_reached == counts
+        state = task.data.qpos.copy()
+        assert judge_table.recount_pour(record_of(task, [state] * 20)) == counts
+
+
+def test_the_peg_has_the_play_that_is_said() -> None:
+    """Off by less than half the play the peg is free in its hole, off by more it touches."""
+    task = PegTask(own_hand())
+    for share, touches in ((0.8, False), (1.3, True)):
+        task.reset(0)
+        place = task.data.joint("/object").qpos
+        place[:3] += task._target[:3, 3] - task._start[:3, 3]
+        place[2] = task._start[2, 3] + 1e-3
+        place[0] += share * PLAY / 2.0
+        mujoco.mj_forward(task.model, task.data)
+        fixture = task.model.body("/fixture").id
+        bodies = task.model.geom_bodyid[task.data.contact.geom.reshape(-1, 2)]
+        assert (bodies == fixture).any() == touches
