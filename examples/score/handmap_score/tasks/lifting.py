@@ -10,7 +10,7 @@ from types import MappingProxyType
 import mujoco
 import numpy as np
 
-from handmap_qp.apps.simulation.model import OBJECT
+from handmap_qp.apps.simulation.model import OBJECT, TABLE
 from handmap_qp.mapping import Cylinder
 from handmap_qp.se3 import Array
 from .household import HOUSEHOLD, Household, egg, rings
@@ -26,7 +26,9 @@ STRENGTH: Mapping[str, float] = MappingProxyType({"egg": 30.0, "quail egg": 10.0
 """Force of one link at which an egg breaks [N]: common values of hens' and quails' eggs that are
 pressed between plates, by memory and without a source."""
 _BROKEN = "broken"
-_SOLID = 2  # collides with the hand, in the numbers of the simulation's model
+# Bits of `contype` and `conaffinity`: objects have the simulator's, what is broken has its own.
+_SOLID = {"contype": 2, "conaffinity": 1}
+_SHELLS = {"contype": 0, "conaffinity": 4}
 
 
 class LiftTask(TableTask):
@@ -65,6 +67,10 @@ class LiftTask(TableTask):
             self.course
         )
 
+    def _furnish(self, spec: mujoco.MjSpec) -> None:
+        """Let the table carry what is broken too."""
+        spec.geom(TABLE).contype |= _SHELLS["conaffinity"]
+
     def _signals(self, pose: Array, pads: Array) -> Signals:
         signals = super()._signals(pose, pads)
         if signals.force > STRENGTH.get(self.object_name, np.inf):
@@ -77,5 +83,8 @@ class LiftTask(TableTask):
 
 
 def _set_solid(model: mujoco.MjModel, *, is_solid: bool) -> None:
-    """Let the hand touch the object, or not: what is broken falls out of the hand."""
-    model.geom(OBJECT).contype = _SOLID if is_solid else 0
+    """Let the hand touch the object, or not: what is broken falls out of it onto the table."""
+    geom = model.geom(OBJECT)
+    bits = _SOLID if is_solid else _SHELLS
+    geom.contype = bits["contype"]
+    geom.conaffinity = bits["conaffinity"]

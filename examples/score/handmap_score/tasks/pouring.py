@@ -26,8 +26,6 @@ BALLS = 7
 ENOUGH = 6
 """Balls that must lie in the bowl."""
 BOWL_RADIUS, BOWL_HEIGHT = 0.1, 0.05
-BESIDE = np.array([0.055, 0.0, 0.0])
-"""The bowl stands beside the place over which the cup is tilted [m]."""
 _BALL, _BALL_MASS = 0.007, 0.003
 _RADIUS, _HEIGHT, _BASE, _WALL = 0.024, 0.06, 0.004, 0.002
 _HELD = 0.03  # height on the cup at which it is held [m]
@@ -67,9 +65,6 @@ class PourTask(TableTask):
                 mass=_BALL_MASS,
                 **LOOSE,
             )
-
-    def _place_furniture(self) -> None:
-        self.model.body(FIXTURE).pos = self._target[:3, 3] + BESIDE
 
     def _set_further(self) -> None:
         """Put the balls into the cup: one in the middle, six around it."""
