@@ -15,7 +15,7 @@ from handmap_score.tasks.operator import HumanHand
 from handmap_score.tasks.person import OWN, own_hand
 from handmap_score.tasks.pouring import BALLS, PourTask
 from handmap_score.tasks.pressing import PRESSED, ButtonTask
-from handmap_score.tasks.table import TableTask
+from handmap_score.tasks.table import CAMERA, TableTask
 from handmap_score.tasks.task import Record, Scene
 from handmap_score.tasks.turning import TURNED, CapTask
 
@@ -75,6 +75,21 @@ def test_own_hand_wins_and_straight_fingers_do_not(name: str) -> None:
         assert done.record is not None
         assert entry.recount()(done.record) == is_won
         assert bool(done.cause) != is_won
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_films_see_object_and_hand(name: str) -> None:
+    """The camera of films has the object and the hand before it, within its picture."""
+    task = CATALOGUE[name].make(OWN, ())
+    scene = task.reset(0)
+    mujoco.mj_forward(task.model, task.data)
+    camera = task.data.cam(CAMERA)
+    half = np.tan(np.radians(task.model.cam(CAMERA).fovy[0]) / 2.0)
+    for place in (scene.poses["object"][:3, 3], scene.points["pads"].mean(axis=0)):
+        x, y, z = (place - camera.xpos) @ camera.xmat.reshape(3, 3)
+        assert z < 0.0
+        assert abs(y / z) < half
+        assert abs(x / z) < 4.0 / 3.0 * half
 
 
 def test_robots_meet_the_same_furniture() -> None:

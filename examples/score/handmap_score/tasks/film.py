@@ -19,16 +19,17 @@ from PIL import Image
 from handmap_qp.errors import HandmapError, reason_of
 from handmap_qp.hands import Names
 from .catalogue import CATALOGUE
+from .table import CAMERA
 from .task import Record
 
-_WIDTH, _HEIGHT = 240, 180
+_WIDTH, _HEIGHT = 320, 240
 _FRAMES = 40
 _SLOWNESS = 2.0
 """Time of the film by time of the attempt."""
 _SHORTEST = 20
 """Shortest time of a frame that browsers show [ms]."""
-_CAMERA = "vil_camera"
-"""The camera of a scene, if it has one of this name; else a view of the whole."""
+_CAMERAS = ("vil_camera", CAMERA)
+"""Cameras of scenes, of the maker and of ours; a scene without one is seen as a whole."""
 _KIND = "MUJOCO_GL"
 """Variable of the environment that names the kind of OpenGL."""
 
@@ -99,7 +100,7 @@ def film_of(job: FilmJob) -> bytes:
 def _frames(model: mujoco.MjModel, states: np.ndarray) -> list[Image.Image]:
     """Draw states, shape (n, nq)."""
     cameras = [model.camera(i).name for i in range(model.ncam)]
-    camera = _CAMERA if _CAMERA in cameras else -1
+    camera = next((name for name in _CAMERAS if name in cameras), -1)
     data = mujoco.MjData(model)
     frames = []
     # Shadows and reflections take most of the time without a graphics card.

@@ -12,10 +12,11 @@ h1, h2 { line-height: 1.2 }
 h2 { margin-top: 2.5rem }
 table { border-collapse: collapse; font-size: 12.5px; font-variant-numeric: tabular-nums }
 th, td { padding: .25rem .6rem; text-align: left; border-bottom: 1px solid #e4e7eb }
-th, td { vertical-align: top }
+th, td { vertical-align: top; white-space: nowrap }
+th:last-child, td:last-child { white-space: normal }
 .number { text-align: right }
 .unmet { background: #fbe3df }
-figure { display: inline-block; margin: .3rem; width: 15rem; vertical-align: top }
+figure { display: inline-block; margin: .3rem; width: 20rem; vertical-align: top }
 figcaption { font-size: 12px }
 """
 _INTRODUCTION = """An operator sees the scene and shows a hand, a mapping commands the robot's

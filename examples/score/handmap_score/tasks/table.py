@@ -33,6 +33,7 @@ from handmap_qp.se3 import (
     Array,
     affine,
     inverse_pose,
+    quat_wxyz_from_rotation,
     rotation_from_rpy,
     transform_points,
     unit,
@@ -54,6 +55,15 @@ SIDEWAYS = 0.2
 """Distance of the target from the object's first place [m]."""
 FIXTURE = "/fixture"
 """Name of the body that carries the furniture of a task."""
+CAMERA = "view"
+"""Name of the camera of films."""
+_CAMERA_AT = np.array([0.75, -0.55, 0.45])
+_LOOKED_AT = np.array([0.08, -0.05, 0.1])
+_OBJECT_COLOUR = [0.9, 0.45, 0.1, 1.0]
+_FURNITURE_COLOUR = [0.2, 0.45, 0.65, 1.0]
+_LOOSE_COLOUR = [0.75, 0.2, 0.25, 1.0]
+_HAND_COLOUR = [0.7, 0.7, 0.73, 1.0]
+_TABLE_COLOUR = [0.62, 0.6, 0.55, 1.0]
 _PLACE = 0.03
 """The object stands off its nominal place by up to this along each axis [m]."""
 _ABOVE, _BEHIND, _BESIDE = 0.3, 0.15, 0.05
@@ -226,10 +236,15 @@ class TableTask(ABC):
 
     # -- the loop
 
+    def _build(self, spec: mujoco.MjSpec) -> None:
+        """Add furniture, and what makes films readable: a camera, lights and colours."""
+        self._furnish(spec)
+        add_view(spec)
+
     def _bench_of(self, name: str) -> "_Bench":
         """Return the simulator of an object; each is built once."""
         if name not in self._benches:
-            self._benches[name] = _Bench(self._robot, self.things[name], self._furnish)
+            self._benches[name] = _Bench(self._robot, self.things[name], self._build)
         return self._benches[name]
 
     def _configuration(self, wrist: Array) -> Array:
@@ -287,6 +302,40 @@ class TableTask(ABC):
             force=max(forces.values(), default=0.0),
             moved=float(np.linalg.norm(travel)),
         )
+
+
+def add_view(spec: mujoco.MjSpec) -> None:
+    """Add a camera that looks across the table, lights, and colours; none of it moves anything."""
+    for body in spec.bodies:
+        for geom in body.geoms:
+            geom.rgba = _colour_of(body.name)
+    for geom in spec.worldbody.geoms:
+        geom.rgba = _TABLE_COLOUR
+    back = _CAMERA_AT - _LOOKED_AT
+    right = unit(np.cross(_WORLD_UP, back))
+    # A camera looks along its -z, with x to the right.
+    axes = np.column_stack([right, unit(np.cross(back, right)), unit(back)])
+    spec.worldbody.add_camera(
+        name=CAMERA, pos=_CAMERA_AT, quat=quat_wxyz_from_rotation(axes), fovy=32.0
+    )
+    for place in ([0.6, -0.8, 1.2], [-0.4, 0.6, 1.5]):
+        spec.worldbody.add_light(
+            pos=place,
+            dir=_LOOKED_AT - np.array(place),
+            diffuse=[0.4, 0.4, 0.4],
+            ambient=[0.1, 0.1, 0.1],
+            specular=[0.1, 0.1, 0.1],
+            castshadow=False,
+        )
+
+
+def _colour_of(body: str) -> list[float]:
+    """Return the colour of a body: all but links of the hand have names with a slash."""
+    if not body.startswith("/"):
+        return _HAND_COLOUR
+    if body == OBJECT:
+        return _OBJECT_COLOUR
+    return _FURNITURE_COLOUR if body == FIXTURE else _LOOSE_COLOUR
 
 
 class _Bench:
