@@ -113,8 +113,7 @@ def test_a_mapping_picks(allegro: PickTask) -> None:
     """The task is in the catalogue, with its operator; a die is within reach of the default."""
     entry = CATALOGUE["pick"]
     assert allegro.name == "pick"
-    (make_person,) = entry.operators.values()
-    person = make_person(allegro.robot)
+    person = entry.operators["person"](allegro.robot)
     assert isinstance(person, Person)
     mapping = make_mapping("teleoperation", person, allegro.robot, 0)
     assert play(allegro, person, mapping, 2)
