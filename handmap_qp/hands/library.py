@@ -4,7 +4,8 @@
 whose models other packages ship (`urdf/described/<name>.yaml`). Only the human's can be scaled.
 """
 
-from collections.abc import Container
+import difflib
+from collections.abc import Container, Iterable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -223,5 +224,19 @@ def find_file(given: str | Path, kind: str = "hand", folder: Path = Path()) -> P
         advice = f"run `handmap hands init {name}` first, and give the {kind}.yaml that it writes"
         raise HandError(f"{problem}: {advice}", value=name)
     expected = f"one of {', '.join(known)}, or the path of a {kind}.yaml"
-    advice = did_you_mean(name, known) or f"expected {expected}"
+    advice = did_you_mean(_meant(name, known), known) or f"expected {expected}"
     raise HandError(f"no {kind} {describe_value(name)}: {advice}", value=name)
+
+
+def _meant(name: str, known: Iterable[str]) -> str:
+    """Return the family that a mistyped name is nearest to, such as `allegro`, or the name itself.
+
+    Without families, the name `alegro` is nearer to `ur5_allegro` than to `allegro_left`.
+    """
+    hands = [*known]
+    word = name.lower()
+    if any(each.startswith(word) for each in hands):
+        return name
+    families = [each.removesuffix("_left") for each in hands if each.endswith("_left")]
+    nearest = difflib.get_close_matches(word, [*hands, *families], n=1)
+    return next((each for each in nearest if each in families), name)
