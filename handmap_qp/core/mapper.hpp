@@ -65,9 +65,16 @@ inline When when_from(const nb::object& given) {
   return When::after(nb::cast<double>(given));
 }
 
-// Likewise of a caller of the package, or none for one that Python has to look at.
+// Likewise of a caller of the package, or none for one that Python has to look at; see
+// mapper.check_when.
 inline std::optional<When> plain_when(const nb::object& given) {
-  if (nb::isinstance<nb::tuple>(given)) return when_from(given);
+  static const nb::object& instant = *new nb::object(module_of("ik.limits").object("Instant"));
+  if (given.type().is(instant)) {
+    double time, longest;
+    if (!nb::try_cast(item(given, 0), time) || !nb::try_cast(item(given, 1), longest)) return {};
+    const bool is_right = std::isfinite(time) && longest > 0.0;
+    return is_right ? std::optional(When::at(time, longest)) : std::nullopt;
+  }
   const std::optional<double> dt = plain_dt(given);
   return dt ? std::optional(When::after(*dt)) : std::nullopt;
 }
@@ -317,12 +324,15 @@ class SampleReader {
     const Verdict verdict = guard.judge_one(from.sample);
     nb::object said = guard.verdict_of(verdict);
     if (verdict.is_held || verdict.is_return) return said;
+    // Python relates the stream's clock to the robot's.
+    const double time = given ? 0.0 : nb::cast<double>(origin) + verdict.time;
+    if (!given && time_behind(time) > guard.guard.rules.behind) return said;
     const Clock::time_point started = Clock::now();
     try {
       const double speed = verdict.rule == kUnproven ? unproven_speed() : 1.0;
       const double granted = given ? given->own_time() : std::max(verdict.dt, kShortestDt);
       HumanPose pose = reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr);
-      const When when = given ? *given : When::at(nb::cast<double>(origin) + verdict.time, granted);
+      const When when = given ? *given : When::at(time, granted);
       nb::object stages = moved(smoother.smoother.smooth(std::move(pose), granted), when, speed);
       return map_step_(stages, nb::tuple(), seconds_since(started), said, from.sample.confidence);
     } catch (...) {
@@ -337,6 +347,8 @@ class SampleReader {
   const TargetMap& map_;
 
   virtual nb::object moved(HumanPose&& pose, const When& when, double speed) = 0;
+  // Time from an instant to the robot's last command [s]; negative if that was earlier.
+  virtual double time_behind(double instant) = 0;
   static double unproven_speed() {
     static const double speed =
         module_of("human.sample").get<double>("UNPROVEN_SPEED");
@@ -411,6 +423,11 @@ class SampleMapper : public SampleReader {
     handmap::follow(ik_, map_, stages.pose, when, speed, goal_, stages);
     leave_motion(ik_, made);
     return made;
+  }
+  double time_behind(double instant) override {
+    const Work reading(ik_);
+    take_motion(ik_);
+    return ik_.motion.time - instant;
   }
 
  private:

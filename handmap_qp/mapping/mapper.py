@@ -8,6 +8,7 @@ decides which samples of a tracker the robot follows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
@@ -158,6 +159,10 @@ class Mover:
         """Take the command just made to be at an instant of the caller's clock, if a first one."""
         if time is not None and self._clock_offset is None:
             self._clock_offset = self.motion.time - time
+
+    def _forget_time(self) -> None:
+        """Let the caller's next instant be the first one of another clock."""
+        self._clock_offset = None
 
     def _was_moved(self) -> None:
         """Go on from where something else has moved the robot."""
@@ -315,7 +320,7 @@ class HandMapper(Mover):
                 `Instant` of this one, on the robot's clock (`mapper.motion.time`).
             time: Instant of the command on any clock that runs evenly [s]. After the first one, a
                 command takes the time since the last, and at most three times the mapper's `dt`;
-                one that is not later takes (nearly) none.
+                one that is not later takes (nearly) none. `reset` begins another clock.
 
         Returns:
             Every stage of the step, `command` being what a robot takes.
@@ -558,6 +563,7 @@ class HandMapper(Mover):
             start = reference.vector
             awaits_palm = False
         self.point_ik.place(start)
+        self._forget_time()
         if awaits_palm:
             # Like no other motion, so that whoever knows where the robot is will say so.
             self.motion = self.motion._replace(dt=np.inf)
@@ -838,10 +844,22 @@ def own_time(when: When) -> float:
 def check_when(when: When) -> When:
     """Reject a time since the robot's last command that is not positive and finite.
 
+    Likewise an instant that is not finite, or a longest time that is not positive.
+
     Raises:
         InvalidInputError: With the argument `dt`.
     """
-    return when if isinstance(when, Instant) else check_dt(when)
+    if not isinstance(when, Instant):
+        return check_dt(when)
+    time, longest = when
+    is_time = is_real(longest) or longest == math.inf
+    expect(
+        is_real(time) and is_time and longest > 0.0,
+        "dt",
+        "an instant that is finite, and a longest time > 0 s",
+        value=when,
+    )
+    return when
 
 
 def check_dt(dt: float) -> float:

@@ -612,6 +612,7 @@ class RobotMapper(Mover):
         if robot_q is not None:
             q = check_joints(whole, robot_q, "robot_q")[0]
         self.point_ik.place(whole.configuration_vector(q))
+        self._forget_time()
         self.clutch()
 
     @exclusively

@@ -32,7 +32,7 @@ from handmap_qp.mapping.exclusive import exclusively
 from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
 from handmap_qp.trackers import change_rate, learnt_noise, noise_of
-from .guard import StreamGuard
+from .guard import BEHIND, StreamGuard
 from .step_table import StepTable
 
 RejoinKind = Literal["glide", "clutch"]
@@ -520,8 +520,11 @@ class Follower:
         """
         if dt is not None:
             self._origin = None
-        elif self._origin is None:
-            self._origin = self.mapper.motion.time - verdict.time
+            return
+        # Holds between samples may have taken more time than the stream's clock.
+        origin = self.mapper.motion.time - verdict.time
+        if self._origin is None or origin - self._origin > BEHIND:
+            self._origin = origin
 
     @property
     def _has_new_reference(self) -> bool:

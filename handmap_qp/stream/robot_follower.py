@@ -22,14 +22,10 @@ from handmap_qp.ik import SHORTEST_DT, Instant, When
 from handmap_qp.mapping import MapStep, RobotMapper, RobotStep
 from handmap_qp.mapping.exclusive import exclusively
 from .follower import Follower
-from .guard import SampleClock
+from .guard import BEHIND, SampleClock
 
 _SILENCE = 0.25
 """Time without a sample after which a hand is held [s]."""
-
-
-_BEHIND = 1.0
-"""A sample that is earlier than the robot's last command by more is of another clock [s]."""
 _AHEAD = 10.0
 """A sample that is later than the robot's last command by more is of another clock [s]."""
 
@@ -76,7 +72,7 @@ class CommandClock(NamedTuple):
             fitting = (
                 offset
                 for offset, most in candidates
-                if -_BEHIND <= stamp + offset - now <= most
+                if -BEHIND <= stamp + offset - now <= most
             )
             offsets[side] = next(fitting, now + waited - stamp)
         time = max(stamp + offsets[side] for side, stamp in stamps.items())

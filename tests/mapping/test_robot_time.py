@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from limit_judge import (
     without,
 )
 
-from handmap_qp import Hand, HandMapper, load_hand
+from handmap_qp import Hand, HandMapper, Recording, load_hand
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.ik import core as core_module
@@ -313,6 +314,101 @@ def test_an_instant_that_cannot_be_used_changes_nothing(g1: Hand, times: dict) -
         single.map_landmarks(landmarks["left"], **times)
     with pytest.raises(InvalidInputError, match="RobotMapper"):
         mapper.leaders["left"].map_landmarks(landmarks["left"], time=101.0)
+
+
+WRONG = {
+    "an instant that never comes": Instant(np.inf),
+    "an instant that is not a number": Instant(np.nan),
+    "an instant that is a text": Instant("now"),  # ty: ignore[invalid-argument-type]
+    "a longest time of zero": Instant(1e3, 0.0),
+    "a longest time that is not a number": Instant(1e3, np.nan),
+    "a pair that is not an instant": (1e3, 0.1),
+    "a pair with one number": (1e3,),
+}
+"""What cannot be a time of a command."""
+
+
+@pytest.mark.parametrize("what", WRONG)
+@pytest.mark.parametrize("samples", [0, 2])
+def test_a_time_that_cannot_be_one_changes_nothing(
+    g1: Hand, what: str, samples: int
+) -> None:
+    # The core maps samples after the first ones.
+    when: Any = WRONG[what]
+    mapper = mapper_of(g1)
+    single = HandMapper(HUMANS["left"], load_hand("three_finger"), "teleoperation")
+    follower = Follower(copy.deepcopy(single))
+    landmarks = {side: landmarks_at(side, 0.0) for side in SIDES}
+    events = [Event(k / 60.0, ("left",)) for k in range(samples + 1)]
+    *earlier, last = [each["left"] for each in samples_of(events)]
+    for sample in earlier:
+        mapper.map_landmarks(landmarks)
+        single.map_landmarks(landmarks["left"])
+        follower.map_sample(sample)
+    movers = mapper, single, follower.mapper
+    before = [mover.motion for mover in movers]
+    calls = [
+        lambda: mapper.map_landmarks(landmarks, dt=when),
+        lambda: single.map_landmarks(landmarks["left"], dt=when),
+        lambda: single.hold(when),
+        lambda: follower.map_sample(last, dt=when),
+    ]
+    for call in calls:
+        with pytest.raises(InvalidInputError, match="dt: expected"):
+            call()
+    assert [mover.motion for mover in movers] == before
+
+
+def moved_in(mapper: HandMapper | RobotMapper, count: int) -> int:
+    """Map samples from time 0 on; return the number of commands that move the robot."""
+    moved = 0
+    for k in range(count):
+        landmarks: Any = {side: landmarks_at(side, k / 60.0) for side in SIDES}
+        if isinstance(mapper, HandMapper):
+            landmarks = landmarks["right"]
+        before = mapper.motion.q
+        mapper.map_landmarks(landmarks, time=k / 60.0)
+        moved += np.abs(mapper.motion.q - before).max() > 1e-4
+    return moved
+
+
+@pytest.mark.parametrize("kind", ["hand", "robot"])
+def test_a_reset_begins_a_new_clock(g1: Hand, kind: str) -> None:
+    mapper: HandMapper | RobotMapper = mapper_of(g1)
+    if kind == "hand":
+        mapper = HandMapper(HUMANS["right"], load_hand("three_finger"))
+    first = moved_in(mapper, 30)
+    assert first > 20
+    mapper.reset()
+    # A second recording may begin at 0, too.
+    assert moved_in(mapper, 30) == first
+
+
+def test_a_stream_goes_on_after_a_pause_of_its_clock() -> None:
+    mapper = HandMapper(HUMANS["left"], load_hand("three_finger"), "teleoperation")
+    follower = Follower(mapper)
+    events = [Event(k / 60.0, ("left",)) for k in range(60)]
+    samples = [each["left"] for each in samples_of(events)]
+    for sample in samples[:30]:
+        follower.map_sample(sample)
+    for _ in range(300):
+        mapper.hold(1.0 / 60.0)
+    paused = copy.deepcopy(follower)
+    for number, sample in enumerate(samples[30:]):
+        follower.map_sample(sample)
+        # The first one takes nearly no time, because nobody knows how much has passed.
+        expected = 1.0 / 60.0 if number else SHORTEST_DT
+        assert mapper.motion.dt == pytest.approx(expected, rel=1e-6)
+    recording = Recording(
+        "after a pause",
+        np.array([sample.time for sample in samples[30:]]),
+        np.array([sample.landmarks for sample in samples[30:]]),
+        np.ones(30, bool),
+        "left",
+    )
+    q, *_ = paused.map_samples(recording).columns
+    assert np.abs(np.diff(q, axis=0)).max() > 0.01
+    np.testing.assert_allclose(q[-1], mapper.motion.q[mapper.robot.q_indices])
 
 
 def test_a_hand_alone_takes_instants_too() -> None:
