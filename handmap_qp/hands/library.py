@@ -95,7 +95,7 @@ def sided_name(
     if name == "human" and side == "left":
         return "human_left"
     if known is None:
-        if Path(name).exists():
+        if _is_there(name):
             return name
         known = robot_files() | hand_files()
     sided = f"{name}_{side}"
@@ -181,7 +181,16 @@ def _of_side(hand: str | Path | HandSpec, side: Side) -> str | Path | HandSpec:
             advice=f"leave it out, or name {partner}",
         )
     # A hand is meant, so a robot of the same name, such as `g1`, is not.
-    return hand if Path(hand).exists() else sided_name(hand, side, hand_files())
+    return hand if _is_there(hand) else sided_name(hand, side, hand_files())
+
+
+def _is_there(name: str) -> bool:
+    """Return whether there is a file or a folder of a name, which may be one that no file has."""
+    try:
+        return Path(name).exists()
+    except OSError:
+        # A name that is too long for a file, say.
+        return False
 
 
 def _load(

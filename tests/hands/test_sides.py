@@ -94,6 +94,16 @@ def test_a_mistyped_family_offers_its_hands(name: str, expected: str) -> None:
     assert str(caught.value) == f"no hand {name!r}: {expected}"
 
 
+def test_a_name_that_no_file_can_have_is_refused_as_a_name(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    name = "x" * 300
+    with pytest.raises(HandError, match="no hand 'xxx"):
+        load_hand(name, side="right")
+    assert main(["map", "demo::right", "--robot", name]) == 2
+    assert capsys.readouterr().err.startswith("handmap: no hand 'xxx")
+
+
 def test_a_folder_of_the_users_comes_before_a_family(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
