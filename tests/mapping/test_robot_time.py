@@ -25,12 +25,15 @@ from limit_judge import (
 from handmap_qp import Hand, HandMapper, Recording, load_hand
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.robot import load_robot
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.limits import SHORTEST_DT, Gate, Instant, Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.guard import GAP
 from handmap_qp.stream.robot_follower import RobotFollower
 
 MOST = 30.0
@@ -177,6 +180,54 @@ def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
     follower.map_samples(other, arrival=arrivals[1])
     taken = follower.mapper.motion.time - before
     assert taken == pytest.approx(SHORTEST_DT, rel=1e-6)
+
+
+@pytest.mark.parametrize("knows_arrival", [True, False])
+def test_a_clock_that_jumps_ahead_is_right_unless_arrival_contradicts_it(
+    fresh: RobotFollower, knows_arrival: bool
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = [Event(k / 60.0, ("left",)) for k in range(12)]
+    times = []
+    for k, (event, samples) in enumerate(zip(events, samples_of(events), strict=True)):
+        if k >= 6:
+            (samples,) = samples_of([event], {"left": 20.0})
+        follower.map_samples(samples, arrival=event.time if knows_arrival else None)
+        times.append(follower.mapper.motion.time)
+    expected = np.full(11, 1.0 / 60.0)
+    expected[5] += 0.0 if knows_arrival else 20.0
+    np.testing.assert_allclose(np.diff(times), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("sides", [("left",), SIDES], ids=len)
+@pytest.mark.parametrize("back", [0.0, 3.0])
+def test_stamps_that_outrun_arrival_give_a_robot_no_more_time(
+    fresh: RobotFollower, back: float, sides: tuple[Side, ...]
+) -> None:
+    follower = copy.deepcopy(fresh)
+    follower.map_samples(next(samples_of([Event(0.0, SIDES)])), arrival=0.0)
+    q = follower.mapper.motion.q[follower.mapper.robot.q_indices]
+    # Time that the motion needs at the limits of speed [s].
+    needed = 0.0
+    ahead = 0.0
+    for k in range(1, 75):
+        arrival = k / 60.0
+        # The clocks of these hands run three times as fast, and may be set back now and then.
+        ahead += 2.0 / 60.0 - back * (k % 20 == 0)
+        clocks = dict.fromkeys(sides, ahead)
+        for side in SIDES:
+            sample = HumanSample(
+                arrival + clocks.get(side, 0.0), side, landmarks_at(side, 3.0 * arrival)
+            )
+            before, q = (
+                q,
+                follower.map_samples({side: sample}, arrival=arrival).command.q,
+            )
+            moved = np.abs(q - before) / follower.mapper.robot.velocity_limits
+            needed += moved.max()
+        assert needed <= 1.02 * arrival + GAP + 1e-3
+    # The motion is too fast for the robot, so that it needs most of it.
+    assert needed >= 0.5 * arrival
 
 
 def test_a_robot_that_waits_for_both_hands_starts_from_rest(
