@@ -321,12 +321,13 @@ class SampleReader {
     if (from.sample.wrist && !(wrist = exact_pose(from.sample.wrist))) return nb::none();
     if (from.sample.valid && !is_near(from.sample.landmarks, 3 * kLandmarks)) return nb::none();
     const Work judging(guard), smoothing(smoother);
+    const double last = given ? 0.0 : last_time();
     const Verdict verdict = guard.judge_one(from.sample);
     nb::object said = guard.verdict_of(verdict);
     if (verdict.is_held || verdict.is_return) return said;
     // Python relates the stream's clock to the robot's.
     const double time = given ? 0.0 : nb::cast<double>(origin) + verdict.time;
-    if (!given && time_behind(time) > guard.guard.rules.behind) return said;
+    if (!given && last - time > guard.guard.rules.behind) return said;
     const Clock::time_point started = Clock::now();
     try {
       const double speed = verdict.rule == kUnproven ? unproven_speed() : 1.0;
@@ -347,8 +348,8 @@ class SampleReader {
   const TargetMap& map_;
 
   virtual nb::object moved(HumanPose&& pose, const When& when, double speed) = 0;
-  // Time from an instant to the robot's last command [s]; negative if that was earlier.
-  virtual double time_behind(double instant) = 0;
+  // Instant of the robot's last command, on its clock [s].
+  virtual double last_time() = 0;
   static double unproven_speed() {
     static const double speed =
         module_of("human.sample").get<double>("UNPROVEN_SPEED");
@@ -424,10 +425,10 @@ class SampleMapper : public SampleReader {
     leave_motion(ik_, made);
     return made;
   }
-  double time_behind(double instant) override {
+  double last_time() override {
     const Work reading(ik_);
     take_motion(ik_);
-    return ik_.motion.time - instant;
+    return ik_.motion.time;
   }
 
  private:

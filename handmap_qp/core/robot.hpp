@@ -48,7 +48,7 @@ class Asker : public SampleReader {
     return nb::cast(Ask{map_owner_, &map_, reader_, std::move(pose), when.own_time(), speed});
   }
   // `RobotFollower` relates the clocks of hands to the robot's.
-  double time_behind(double) override { return 0.0; }
+  double last_time() override { return -HUGE_VAL; }
 
  private:
   std::shared_ptr<const StepReader> reader_;

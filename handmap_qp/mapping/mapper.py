@@ -105,6 +105,8 @@ class Mover:
     work: WorkLock
     # The robot's clock minus the caller's [s]; None until the caller gives a first instant.
     _clock_offset: float | None = None
+    # Whether no instant was given since the last reset.
+    _was_reset = False
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 
@@ -146,23 +148,32 @@ class Mover:
             return self._usual_dt if dt is None else check_when(dt)
         expect(dt is None, "time", "either a time or a dt", value=time)
         expect(is_real(time), "time", "an instant [s]", value=time)
+        usual = self._usual_dt
         if self._clock_offset is None:
-            return self._usual_dt
-        return Instant(time + self._clock_offset, LONGEST_STEP * self._usual_dt)
+            return usual
+        instant = time + self._clock_offset
+        if self._was_reset and instant < self.motion.time - usual:
+            # It is of another clock, such as that of the next recording.
+            return usual
+        return Instant(instant, LONGEST_STEP * usual)
 
     @property
     def _usual_dt(self) -> float:
         """Usual time between commands [s], where a caller gives none."""
         raise NotImplementedError
 
-    def _note_time(self, time: float | None) -> None:
-        """Take the command just made to be at an instant of the caller's clock, if a first one."""
-        if time is not None and self._clock_offset is None:
-            self._clock_offset = self.motion.time - time
+    def _note_time(self, time: float | None, when: When) -> None:
+        """Take the command just made to be at an instant of the caller's clock, if a first one.
 
-    def _forget_time(self) -> None:
-        """Let the caller's next instant be the first one of another clock."""
-        self._clock_offset = None
+        Args:
+            time: The instant that the caller gave; None if it gave none.
+            when: What `_when` returned for it: an `Instant` unless it is the first one of a clock.
+        """
+        if time is None:
+            return
+        self._was_reset = False
+        if not isinstance(when, Instant):
+            self._clock_offset = self.motion.time - time
 
     def _was_moved(self) -> None:
         """Go on from where something else has moved the robot."""
@@ -320,7 +331,8 @@ class HandMapper(Mover):
                 `Instant` of this one, on the robot's clock (`mapper.motion.time`).
             time: Instant of the command on any clock that runs evenly [s]. After the first one, a
                 command takes the time since the last, and at most three times the mapper's `dt`;
-                one that is not later takes (nearly) none. `reset` begins another clock.
+                one that is not later takes (nearly) none. After a `reset`, an earlier one begins
+                another clock.
 
         Returns:
             Every stage of the step, `command` being what a robot takes.
@@ -359,7 +371,7 @@ class HandMapper(Mover):
             wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         measured = as_points(points, "points", len(self.human.reference_points))
         step = self.map(HumanPose(measured.copy(), wrist), when)
-        self._note_time(time)
+        self._note_time(time, when)
         return step
 
     @exclusively
@@ -449,7 +461,7 @@ class HandMapper(Mover):
             step = self.map(sample, when)
             duration = perf_counter() - started
             step = structs.replace(step, out_of_range=outside, duration=duration)
-        self._note_time(time)
+        self._note_time(time, when)
         return step
 
     def _moved(
@@ -563,7 +575,7 @@ class HandMapper(Mover):
             start = reference.vector
             awaits_palm = False
         self.point_ik.place(start)
-        self._forget_time()
+        self._was_reset = True
         if awaits_palm:
             # Like no other motion, so that whoever knows where the robot is will say so.
             self.motion = self.motion._replace(dt=np.inf)

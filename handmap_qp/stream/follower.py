@@ -347,7 +347,9 @@ class Follower:
 
         Args:
             sample: The sample. Its time stamps say how much time has passed. The robot takes the
-                time since its last command, whatever that was for.
+                time since its last command, whatever that was for. A stream that is more than 1 s
+                behind, because the robot was held while the stamps paused, is related again to the
+                robot's clock: this sample takes (nearly) no time.
             dt: Time since the robot's last command [s], or the instant of this one on the robot's
                 clock; by the time stamps if omitted.
             arrival: When the sample arrived, on a monotonic clock [s], to check the rate of the

@@ -435,6 +435,23 @@ def test_a_reset_begins_a_new_clock(g1: Hand, kind: str) -> None:
     assert moved_in(mapper, 30) == first
 
 
+@pytest.mark.parametrize("kind", ["hand", "robot"])
+def test_a_reset_gives_no_time_where_the_clock_goes_on(g1: Hand, kind: str) -> None:
+    mapper: HandMapper | RobotMapper = mapper_of(g1)
+    landmarks: Any = {side: landmarks_at(side, 0.0) for side in SIDES}
+    if kind == "hand":
+        mapper = HandMapper(HUMANS["right"], load_hand("three_finger"))
+        landmarks = landmarks["right"]
+    mapper.map_landmarks(landmarks, time=100.0)
+    for k in range(1, 6):
+        mapper.reset(robot_q=mapper.motion.q[mapper.robot.q_indices])
+        mapper.map_landmarks(landmarks, time=100.0 + k / 240.0)
+        assert mapper.motion.dt == pytest.approx(1.0 / 240.0, abs=2.0 * SHORTEST_DT)
+        mapper.reset(robot_q=mapper.motion.q[mapper.robot.q_indices])
+        mapper.map_landmarks(landmarks, time=100.0 + k / 240.0)
+        assert mapper.motion.dt == SHORTEST_DT
+
+
 def test_a_stream_goes_on_after_a_pause_of_its_clock() -> None:
     mapper = HandMapper(HUMANS["left"], load_hand("three_finger"), "teleoperation")
     follower = Follower(mapper)
