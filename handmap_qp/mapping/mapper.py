@@ -69,6 +69,11 @@ from .method import (
     get_preset,
 )
 
+_ANOTHER_CLOCK = 1.0
+"""After a reset, an instant that is earlier than the last command by more is of another clock [s].
+
+A stream takes the same limit, `stream.guard.BEHIND`.
+"""
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
 
@@ -152,8 +157,8 @@ class Mover:
         if self._clock_offset is None:
             return usual
         instant = time + self._clock_offset
-        if self._was_reset and instant < self.motion.time - usual:
-            # It is of another clock, such as that of the next recording.
+        if self._was_reset and instant < self.motion.time - _ANOTHER_CLOCK:
+            # Such as that of the next recording.
             return usual
         return Instant(instant, LONGEST_STEP * usual)
 
@@ -331,8 +336,8 @@ class HandMapper(Mover):
                 `Instant` of this one, on the robot's clock (`mapper.motion.time`).
             time: Instant of the command on any clock that runs evenly [s]. After the first one, a
                 command takes the time since the last, and at most three times the mapper's `dt`;
-                one that is not later takes (nearly) none. After a `reset`, an earlier one begins
-                another clock.
+                one that is not later takes (nearly) none. After a `reset`, one that is more than
+                1 s earlier begins another clock.
 
         Returns:
             Every stage of the step, `command` being what a robot takes.
