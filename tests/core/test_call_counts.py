@@ -31,6 +31,7 @@ from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik import core as core_module
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.measurement import measure_person
+from handmap_qp.trackers import check_recording, hints, recording_facts
 from handmap_qp.trackers.formats import (
     list_sources,
     read_recording,
@@ -120,6 +121,19 @@ def test_reading_a_recording_of_hdf5(egodex: Path) -> None:
     (source,) = list_sources(egodex)
     source.read()
     assert count_calls(source.read) <= 1_750
+
+
+def test_reading_a_recording_for_a_data_set(egodex: Path) -> None:
+    """It is read and checked, and what is unusual in it is named."""
+    (source,) = list_sources(egodex)
+
+    def read() -> None:
+        recording = source.read()
+        check_recording(recording)
+        hints(recording_facts(recording))
+
+    read()
+    assert count_calls(read) <= 2_500
 
 
 def test_a_followed_sample(people: Iterator[Hand], samples: list[HumanSample]) -> None:
