@@ -31,7 +31,6 @@ class GuessedQp {
     }
     const bool has_found = qp_.solve(n, H, c, lower, upper, rows, G, h);
     x = qp_.x;
-    find_slope();
     return has_found;
   }
 
@@ -40,6 +39,7 @@ class GuessedQp {
 
   // The cost's derivative at the minimum, 0 where x is within `tight` of a bound.
   const std::vector<double>& slope(double tight) {
+    find_slope();
     for (int i = 0; i < problem_.n; ++i)
       if (!(std::min(x[i] - problem_.lower[i], problem_.upper[i] - x[i]) > tight)) slope_[i] = 0.0;
     return slope_;

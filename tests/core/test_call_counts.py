@@ -172,6 +172,25 @@ def test_a_recording_that_is_followed(people: Iterator[Hand]) -> None:
     assert count_calls(lambda: follower.map_samples(columns)) <= 490
 
 
+def test_pads_that_are_pressed_on_each_other() -> None:
+    """They take further QPs with more rows, which share the cost of the first one."""
+    recording = read_recording("pinch", "right")
+    lengths = measure_person(recording).lengths
+    human = scaled_human(recording, points="landmarks", lengths=lengths)
+    mapper = HandMapper(human, ALLEGRO)
+    ik = mapper.point_ik.core
+    assert ik is not None
+    count = len(recording)
+    before = ik.costs
+    solved = sum(
+        mapper.map_landmarks(landmarks, dt=1 / 60).ik.iterations
+        for landmarks in recording.landmarks
+    )
+    assert solved <= 1.45 * count
+    # Searches for a way around links take costs too, and count no iterations.
+    assert ik.costs - before < solved
+
+
 def test_a_sample_with_a_grip(
     people: Iterator[Hand], samples: list[HumanSample]
 ) -> None:
