@@ -172,9 +172,9 @@ class Ik {
       if (!has_first_cost) {
         at.copy(start_);
         cost(goal);
-        has_first_cost = true;
       }
-      const bool has_step = minimise(linear_.count, length2);
+      const bool has_step = minimise(linear_.count, length2, has_first_cost);
+      has_first_cost = true;
       ++iterations;
       for (int i = 0; i < n; ++i)
         total_[i] = clip(has_step ? qp_.x[i] : 0.0, lower_[i], upper_[i]);
@@ -292,13 +292,14 @@ class Ik {
     }
   }
 
-  // Solve the QP of one iteration, whose cost is known: false if that fails.
-  bool minimise(int rows, double& length2) {
+  // Solve the QP of one iteration, whose cost is known: false if that fails. `has_other_rows` as of
+  // `GuessedQp::solve`.
+  bool minimise(int rows, double& length2, bool has_other_rows = false) {
     length2 = 0.0;
     is_pressed_ = false;
     guess();
     if (!qp_.solve(tree.size, H_.data(), c_.data(), least_.data(), most_.data(), rows,
-                   linear_.G.data(), h_.data(), guess_))
+                   linear_.G.data(), h_.data(), guess_, has_other_rows))
       return false;
     for (const double x : qp_.x) length2 += x * x;
     is_pressed_ = std::isfinite(length2) && qp_.has_active_row();
