@@ -5,8 +5,8 @@
 
 Every robot follows every recording of `picks.py` by every mapping, and tries objects of
 `random_trials` (`varied`: cubes, balls and cylinders, 20 to 45 mm) or of `HOUSEHOLD`, each at a
-random place. All mappings and robots get the same objects and displacements. Torques are bounded by
-the makers' numbers (`TORQUES`). Shares of the objects that are held have intervals (95 %, Wilson).
+random place. All mappings and robots get the same objects and displacements. Torques are those
+of the makers. Shares of the objects that are held have intervals (95 %, Wilson).
 
 `teleoperation+grip` is the mapping with `GripFollower`: the robot's measured joints go back to it,
 and what thumb and finger have met is held with 5 N. It knows nothing else of the object;
@@ -54,12 +54,6 @@ PEERS = Path(__file__).resolve().parent / "peers"
 OWN = ("teleoperation", "fingertip-vectors")
 GRIPS = ("teleoperation+grip", "teleoperation+grip+place")
 OTHERS = ("dex-dexpilot", "dexi-dexpilot", "dex-vector", "dexi-vector", "dex-position")
-TORQUES = {"allegro_right": 0.7, "leap_right": 0.95, "shadow_right": 2.0}
-"""Largest torque of a finger's joint by the maker [N m].
-
-Allegro's data sheet, and the URDFs of LEAP and Shadow by their makers. The URDF of the package's
-Allegro says 15, those of the others nothing for some joints.
-"""
 # Gravity points against y, as in the worlds of all recordings.
 _GRAVITY = (0.0, -9.81, 0.0)
 
@@ -174,7 +168,7 @@ def scenes(
     window = find_pinch(recording)
     hand = load_hand(robot)
     take = prepare_take(recording, hand.side)
-    physics = Physics(gravity=_GRAVITY, torque=TORQUES.get(robot, 1e3))
+    physics = Physics(gravity=_GRAVITY)
     for grip in GRIPS:
         if grip in methods:
             sees = grip.endswith("place")

@@ -24,8 +24,8 @@ class Physics(Options, frozen=True):
         torsion: Coefficient of friction against spinning about the contact normal [m]: the radius
             of a soft pad's patch times `friction`. 0 for hard fingers, as in Sec. IV.
         joint_stiffness: Stiffness of the fingers' actuators [N m/rad, N/m].
-        torque: Largest torque of the fingers' actuators [N m, N], and at most the effort limits of
-            the URDF; 1000 stands for none.
+        torque: Largest torque of the fingers' actuators [N m, N], beside the effort limits of the
+            URDF; the maker's if omitted, as of `torque_limits`.
         armature: Inertia of each motor at its joint [kg m^2].
         density: Density of links whose URDF gives no mass [kg/m^3].
         gravity: Acceleration [m/s^2], in world axes.
@@ -37,7 +37,7 @@ class Physics(Options, frozen=True):
     friction: NotNegative = 0.8
     torsion: NotNegative = 0.005
     joint_stiffness: Positive = 3.0
-    torque: Positive = 1e3
+    torque: Positive | None = None
     armature: NotNegative = 5e-4
     density: Positive = 1000.0
     gravity: Vector = (0.0, 0.0, -9.81)

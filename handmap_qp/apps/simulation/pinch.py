@@ -1,7 +1,7 @@
 """Pinch and carry: a recorded pinch closes on an object, which must then stay (`PinchScene`).
 
-The object stands on a stand where the robot's pads come together when nothing is between them, and
-the hand starts open, clear of it. The stand lets go when the thumb and another finger have pressed
+The object stands on a stand where the robot's pads come together when nothing is between them, or
+where the person's do, and the hand starts open, clear of it. The stand lets go when the thumb and another finger have pressed
 on it for a while, or when the pads should have met it long ago. From then until the human opens his
 hand, the object must stay between the pads. `random_trials` draws many objects and places.
 """
@@ -31,23 +31,25 @@ from handmap_qp.mapping import (
 )
 from handmap_qp.se3 import (
     Array,
+    Arrays,
     affine,
     inverse_pose,
     lengths,
     rotation_from_rpy,
     transform_points,
+    unit,
 )
 from .commands import PinchWindow
+from .losses import PRESSED, Loss, Touch, loss_in_try
+from .pad_motion import INDEX, Meeting, PadMotion
 from .physics import Physics, turn_up
 from .simulator import Episode, Instant, Simulator
 
 CUBE = Box((0.03, 0.03, 0.03))
 """The nominal object."""
 
-_INDEX = "index"
-# The stand lets go when thumb and another finger press with such a force [N], without a break for
-# such a time [s].
-_PRESSED, _GRIPPED = 0.2, 0.2
+# The stand lets go when thumb and another finger press without a break for such a time [s].
+_GRIPPED = 0.2
 # A grip that is not there so long after the pads should have met the object does not come [s].
 _LATEST = 1.0
 # A hand starts with its pads so far from the object [m].
@@ -87,12 +89,12 @@ class Pads:
         fingers = robot_fingers(hand)
         chains = fingers.chains
         expect(
-            {THUMB, _INDEX} <= chains.keys(),
+            {THUMB, INDEX} <= chains.keys(),
             "robot",
-            f"a hand with {THUMB} and {_INDEX}",
+            f"a hand with {THUMB} and {INDEX}",
             got=f"{hand.name} with {', '.join(chains)}",
         )
-        self.pair = PadPair(fingers.pads[THUMB], fingers.pads[_INDEX])
+        self.pair = PadPair(fingers.pads[THUMB], fingers.pads[INDEX])
         bodies = ["world", *hand.model.names[1:]]
         self.bodies = [bodies[pad.joint] for pad in self.pair]
         self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
@@ -109,9 +111,35 @@ class Pads:
 
     def is_pinched(self, simulator: Simulator) -> bool:
         """Return whether the thumb and another link press on the object."""
+        return min(self._forces(simulator)) > PRESSED
+
+    def touch(self, simulator: Simulator, time: float, start: Array) -> Touch:
+        """Return how the hand touches the object now.
+
+        Args:
+            simulator: The simulation.
+            time: The instant [s].
+            start: Where the object's middle was at first [m], shape (3,).
+        """
+        thumb, others = self._forces(simulator)
+        places = self.places(simulator)
+        line = unit(places[1] - places[0])
+        middle = simulator.object_pose[:3, 3]
+        off = middle - places[0]
+        return Touch(
+            time=time,
+            thumb=thumb,
+            others=others,
+            beside=math.dist(off, (off @ line) * line),
+            moved=math.dist(middle, start),
+            height=float((middle - start) @ unit(simulator.physics.up)),
+        )
+
+    def _forces(self, simulator: Simulator) -> tuple[float, float]:
+        """Return the normal forces of the thumb, and of all other links [N]."""
         forces = simulator.pressing()
         thumb = sum(forces.get(name, 0.0) for name in self._of_thumb)
-        return min(thumb, sum(forces.values()) - thumb) > _PRESSED
+        return thumb, sum(forces.values()) - thumb
 
 
 class PinchTrial(NamedTuple):
@@ -144,6 +172,8 @@ class PinchOutcome(NamedTuple):
         force: Mean normal force while held [N].
         torque: Largest torque of a finger's actuator while held [N m].
         episode: The simulation.
+        loss: Why it was not held; None if it was.
+        course: How the hand touched it, at each instant of the episode.
     """
 
     is_held: bool
@@ -154,18 +184,20 @@ class PinchOutcome(NamedTuple):
     force: float
     torque: float
     episode: Episode
+    loss: Loss | None
+    course: tuple[Touch, ...]
 
-
-class Meeting(NamedTuple):
-    """Where the robot's pads are at an instant, or at many as columns with a leading axis.
-
-    Attributes:
-        time: The instant [s].
-        places: As of `Pads.places`.
-    """
-
-    time: Array
-    places: Array
+    @property
+    def columns(self) -> Arrays:
+        """Plain arrays by name, as written to a file: those of the episode, and of the touches."""
+        return {
+            **self.episode.columns,
+            "thumb_force": np.array([one.thumb for one in self.course]),
+            "other_force": np.array([one.others for one in self.course]),
+            "beside_pads": np.array([one.beside for one in self.course]),
+            "moved": np.array([one.moved for one in self.course]),
+            "loss": np.array(self.loss or ""),
+        }
 
 
 @dataclass(eq=False)
@@ -177,6 +209,7 @@ class PinchScene:
             hands, the first one pinches.
         window: When the human pinches.
         physics: Actuators, gravity and time steps; the friction is that of each trial.
+        placing: Pads between which objects stand; the robot's own if omitted.
 
     Raises:
         InvalidInputError: If the hand has no thumb, or no index finger.
@@ -186,6 +219,7 @@ class PinchScene:
     commands: RobotMotion
     window: PinchWindow
     physics: Physics
+    placing: PadMotion | None = None
 
     def __post_init__(self) -> None:
         self.pads = Pads(self.commands.robot.hands[0])
@@ -206,14 +240,17 @@ class PinchScene:
         pads = self.pads
         width = surface(trial.shape).extents[0]
         met = self.meeting(width)
-        place = pads.pair.middle(met.places) + trial.offset
+        placing = self.placing or self._closing
+        spot = placing.meeting(width)
+        place = placing.pair.middle(spot.places) + trial.offset
         # The object's z is up and its x along the pinch, turned about the vertical.
         turn = rotation_from_rpy((0.0, 0.0, trial.yaw))
-        axes = turn_up(self.physics.up, met.places[1] - met.places[0]).T @ turn
+        axes = turn_up(self.physics.up, spot.places[1] - spot.places[0]).T @ turn
         physics = self.physics.replaced(mass=trial.mass, friction=trial.friction)
         simulator = Simulator(self.commands.robot, trial.shape, physics)
         start = self._put_clear(simulator, affine(axes, place))
         instants = []
+        course = []
         away = []
         # Index at which the stand lets go, and the time until which there was no grip.
         freed, loose = -1, self.commands.time[start]
@@ -223,15 +260,15 @@ class PinchScene:
                 pads.places(simulator)
             )
             away.append(lengths(off))
-            if not pads.is_pinched(simulator):
+            touch = pads.touch(simulator, float(time), place)
+            course.append(touch)
+            if not touch.is_pinched:
                 loose = time
             if freed < 0 and time >= min(loose + _GRIPPED, met.time + _LATEST):
                 simulator.set_stand(holds=False)
                 freed = i
-        if freed < 0:
-            # Pads that never gripped had no object to lose.
-            away[-1] = np.inf
-        return _outcome(Episode.of(simulator, instants), np.array(away), freed, width)
+        episode = Episode.of(simulator, instants)
+        return _outcome(episode, tuple(course), np.array(away), freed, width)
 
     def meeting(self, width: float) -> Meeting:
         """Return the first instant at which the pads are as near as an object is wide.
@@ -245,16 +282,10 @@ class PinchScene:
         Returns:
             The instant, or that of the smallest gap if the pads do not come near enough.
         """
-        closing = self._closing
-        gaps = np.array([self.pads.pair.gap(places) for places in closing.places])
-        # Never nearer, or never farther: where they are nearest.
-        after = max(1, np.argmax(gaps <= width) or np.argmin(gaps))
-        share = np.interp(width, (gaps[after], gaps[after - 1]), [1.0, 0.0])
-        ends = (column[after - 1 : after + 1] for column in closing)
-        return Meeting(*(start + share * (end - start) for start, end in ends))
+        return self._closing.meeting(width)
 
     @cached_property
-    def _closing(self) -> Meeting:
+    def _closing(self) -> PadMotion:
         """The robot's own motion by the commands, with nothing between the pads."""
         simulator = Simulator(self.commands.robot, _NOTHING, self.physics)
         start = self.window.opened
@@ -262,8 +293,9 @@ class PinchScene:
         simulator.set_stand(holds=True)
         # Not by what a subclass makes of the touch.
         played = PinchScene._play(self, simulator, start)
-        places = [(time, self.pads.places(simulator)) for time in played]
-        return Meeting(*map(np.array, zip(*places, strict=True)))
+        instants = [(time, self.pads.places(simulator)) for time in played]
+        times, places = map(np.array, zip(*instants, strict=True))
+        return PadMotion(times, places, self.pads.pair)
 
     def _put_clear(self, simulator: Simulator, pose: Array) -> int:
         """Put the object on its stand, and the hand where it is last clear; return that sample."""
@@ -289,18 +321,34 @@ class PinchScene:
             yield time[i]
 
 
-def _outcome(episode: Episode, away: Array, freed: int, width: float) -> PinchOutcome:
-    """Judge what happens from an index on, by distances from the pads' middle, shape (T,)."""
-    lost = np.flatnonzero(away[freed:] > _LOST + width / 2.0)
+def _outcome(
+    episode: Episode,
+    course: tuple[Touch, ...],
+    away: Array,
+    freed: int,
+    width: float,
+) -> PinchOutcome:
+    """Judge what happens from an index on, by distances from the pads' middle, shape (T,).
+
+    The index is -1 if the stand never let go.
+    """
+    is_away = away > _LOST + width / 2.0
+    if freed < 0:
+        # Pads that never gripped had no object to lose.
+        is_away[-1] = True
+    lost = np.flatnonzero(is_away[freed:])
     free = Instant(*(column[freed:] for column in episode.at))
     kept = Instant(*(column[: 1 + lost[0]] if len(lost) else column for column in free))
     poses = inverse_pose(kept.wrist) @ kept.object_pose
     turns = poses[:, :3, :3]
     turn = Rotation.from_matrix(turns[-1] @ turns[0].T).magnitude()
-    return PinchOutcome(
-        is_held=not len(lost)
+    is_held = bool(
+        not len(lost)
         and free.links_touching[-1] >= 2
-        and np.ptp(free.time) >= _GRIPPED,
+        and np.ptp(free.time) >= _GRIPPED
+    )
+    return PinchOutcome(
+        is_held=is_held,
         held_time=np.ptp(kept.time),
         pinch_time=np.ptp(free.time),
         slip=lengths(poses[:, :3, 3] - poses[0, :3, 3]).max(),
@@ -308,7 +356,20 @@ def _outcome(episode: Episode, away: Array, freed: int, width: float) -> PinchOu
         force=kept.normal_force.mean(),
         torque=np.abs(kept.torque[:, ~episode.hand.moves_wrist]).max(),
         episode=episode,
+        loss=None if is_held else _loss(course, away, freed, width),
+        course=course,
     )
+
+
+def _loss(
+    course: tuple[Touch, ...], away: Array, freed: int, width: float
+) -> Loss:
+    """Return why an object was not held: one try, which ends as the object is away."""
+    gone = np.flatnonzero(away[max(freed, 0) :] > _LOST + width / 2.0)
+    if not len(gone) and course[-1].is_pinched:
+        return Loss.TOO_LATE
+    end = max(freed, 0) + gone[0] + 1 if len(gone) else len(course)
+    return loss_in_try(course[:end]) or Loss.SLIPPED
 
 
 def random_trials(
@@ -402,4 +463,5 @@ def outcome_row(name: str, outcome: PinchOutcome) -> Row:
         "rotation deg": round(math.degrees(outcome.rotation)),
         "force N": round(outcome.force, 1),
         "torque N m": round(outcome.torque, 2),
+        "why not": outcome.loss or "",
     }
