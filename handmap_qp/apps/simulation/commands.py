@@ -21,6 +21,7 @@ from handmap_qp.apps.offline.comparison import (
 )
 from handmap_qp.apps.offline.look_ahead import look_ahead
 from handmap_qp.apps.offline.trajectory import RobotMotion, map_hands, stretches
+from handmap_qp.apps.tables import progress
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Hand, Names, Side, joined
 from handmap_qp.human import (
@@ -42,6 +43,8 @@ _CLOSED, _OPEN = 0.022, 0.035
 _SHORTEST, _BEFORE = 0.5, 1.0
 # A hand is open from this gap on [m], and its palm turns less than that while it closes [deg].
 _WIDE, _TURN = 0.065, 25.0
+# Thumb and index finger of a pick face each other by more than this, as of `pads_facing`.
+_FACING = -0.2
 # Samples of a closed hand that are looked at.
 _LOOKS = 9
 # Last joint and landmark of the tip of thumb and index finger, and the other's tip.
@@ -103,7 +106,23 @@ def map_pinch(
         used = [hands[side] for side in whole.by_side]
         return [_map_hands(method.name, whole, used) for method in methods], window
     take, window = read_pick(robot, files, inputs)
-    return [method.map_take(take, robot) for method in methods], window
+    return map_take(methods, take, robot), window
+
+
+def map_take(
+    methods: Sequence[ComparedMethod], take: Take, robot: Hand
+) -> list[RobotMotion]:
+    """Return what each mapping commands for a recording, with a progress bar.
+
+    Raises:
+        HandmapError: If a mapping cannot map it.
+    """
+    mapped = []
+    with progress("mapping", len(methods)) as advance:
+        for done, method in enumerate(methods):
+            advance(done, method.name)
+            mapped.append(method.map_take(take, robot))
+    return mapped
 
 
 def read_pick(
@@ -139,8 +158,8 @@ def find_pinch(*recordings: Recording, takes_fists: bool = False) -> PinchWindow
     Raises:
         InvalidInputError: If there is no pinch of half a second, or none of them is a pick: within
             a second before it, thumb and index finger are over 65 mm apart; from then until they
-            close, the palm turns by less than 25 degrees; and closed, thumb or index finger has the
-            other's tip on its palmar side. The message is about the longest pinch.
+            close, the palm turns by less than 25 degrees; and closed, they face each other, as
+            they do not in a fist. The message is about the longest pinch.
     """
     name = ", ".join(recording.name for recording in recordings)
     closings = sorted(
@@ -218,12 +237,10 @@ def _pick(
     expect(turn < _TURN, name, wanted, got=f"{turn:.0f} degrees")
     if not takes_fists:
         facing = pads_facing(recording, slice(closed, end + 1))
-        wanted = (
-            f"pads of thumb and index finger that oppose each other from {time[closed]:.2f} s on"
-        )
-        advice = "a closing is a pick only if an object between thumb and finger would be held"
-        got = "a fist: neither has the other's tip on its palmar side"
-        expect(facing > 0.0, name, wanted, got=got, advice=advice)
+        wanted = f"thumb and index finger that face each other at {time[closed]:.2f} s"
+        got = "a fist, in which the thumb lies on the back of the finger"
+        advice = "nothing can be held there, so it is no pick"
+        expect(facing > _FACING, name, wanted, got=got, advice=advice)
     ends = time[[start, closed, end, opened]]
     start, closed, end, opened = np.searchsorted(instants, ends).tolist()
     return PinchWindow(start, closed, end, recording.side, opened)
@@ -232,10 +249,11 @@ def _pick(
 def pads_facing(recording: Recording, samples: slice) -> float:
     """Return how far thumb and index finger face each other, as a cosine.
 
-    A finger's palmar side is where its tip goes as its last joint bends. The cosine is that of the
-    angle between this direction, and the direction from the middle of its last segment to the
-    other's tip: of thumb or index finger, whichever faces the other more. In a pinch of the pads or
-    of a tip on a pad it is 0.3 to 1, in a fist below -0.3.
+    A finger faces half-way between where its last segment points and where its tip goes as its
+    last joint bends: there is the skin of its pad. The cosine is that of the angle from there to
+    the other's tip, seen from the middle of the last segment, and the smaller one of both fingers.
+    In pinches of people it is 0.1 to 0.6, in fists below -0.5: there the thumb lies on the back of
+    the index finger.
 
     Args:
         recording: The recording.
@@ -251,17 +269,18 @@ def pads_facing(recording: Recording, samples: slice) -> float:
     lengths = measure_hand(recording)
     human = scaled_human(part, lengths=lengths).with_points("landmarks")
     cosines = [
-        max(_faces(human, q, *last) for last in _LAST_JOINTS)
+        min(_faces(human, q, *last) for last in _LAST_JOINTS)
         for q in fit_recording(part, lengths=lengths).q
     ]
     return float(np.median(cosines))
 
 
 def _faces(human: Hand, q: Array, joint: int, tip: int, other: int) -> float:
-    """Return the cosine between a fingertip's palmar side and the direction to another tip."""
+    """Return the cosine between where a finger faces, and the direction to another tip."""
     bent = q.copy()
     bent[joint] += _BEND
     points = human.points(q, np.eye(4))
     palmar = unit(human.points(bent, np.eye(4))[tip] - points[tip])
+    distal = unit(points[tip] - points[tip - 1])
     middle = (points[tip - 1] + points[tip]) / 2.0
-    return float(palmar @ unit(points[other] - middle))
+    return float(unit(palmar + distal) @ unit(points[other] - middle))

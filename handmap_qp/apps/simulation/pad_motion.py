@@ -1,13 +1,14 @@
-"""Where the pads of thumb and index finger meet: a robot's, or the person's (`PadMotion`)."""
+"""Where the pads of thumb and index finger meet: `PadMotion` of a robot, and `PersonPads`."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from handmap_qp.apps.offline.comparison import Take
-from handmap_qp.apps.offline.hand_trace import TIP, HandTrace, trace_robot
-from handmap_qp.hands import THUMB, Hand, Pad, PadPair
-from handmap_qp.se3 import Array, transform_points
+from handmap_qp.apps.offline.hand_trace import trace_robot
+from handmap_qp.apps.tables import Row
+from handmap_qp.hands import THUMB, Hand, PadPair, PalmKinematics, find_pads
+from handmap_qp.se3 import Array, lengths, transform_points
 from .commands import PinchWindow
 
 INDEX = "index"
@@ -55,34 +56,70 @@ class PadMotion(NamedTuple):
         return Meeting(*(start + share * (end - start) for start, end in ends))
 
 
-def person_pads(take: Take, window: PinchWindow, robot: Hand) -> PadMotion:
-    """Return how the person's pads would close on a hand of the robot's size.
+class PersonPads:
+    """How the person's pads would close on a hand of the robot's size.
 
-    Fingertips are taken in the person's palm and enlarged about its origin by the ratio of the two
-    hands' sizes. So the place depends on person and robot, and on no mapping.
+    Pads of the fitted human model are taken in its palm, and enlarged about the palm's origin by
+    the ratio of the two hands' sizes. So the place depends on person and robot, and on no mapping.
 
     Args:
         take: The recording, prepared.
         window: When the human pinches.
         robot: The robot hand.
 
+    Attributes:
+        motion: The pads.
+
     Raises:
         InvalidInputError: If the robot has no finger with a human name.
     """
-    human = take.trace
-    ratio = _size(robot) / human.size
-    fingers = [human.names.index(name) for name in (THUMB, INDEX)]
-    samples = slice(window.opened, window.end + 1)
-    tips = human.local[samples][:, fingers, TIP]
-    places = transform_points(human.palm[samples][:, None], ratio * tips)
-    # Skin touches skin where the landmarks are this far apart.
-    radius = ratio * take.human.contact_gap / 2.0
-    pad = Pad(0, np.zeros(3), radius)
-    return PadMotion(take.recording.time[samples], places, PadPair(pad, pad))
+
+    def __init__(self, take: Take, window: PinchWindow, robot: Hand) -> None:
+        ratio = _size(robot) / take.trace.size
+        samples = slice(window.opened, window.end + 1)
+        pads = find_pads(take.human)
+        pair = [pads[name] for name in (THUMB, INDEX)]
+        places = PalmKinematics(take.human).points(
+            take.q[samples], [pad.place for pad in pair]
+        )
+        self._palm = take.trace.palm[samples]
+        self.motion = PadMotion(
+            take.recording.time[samples],
+            transform_points(self._palm, ratio * places),
+            PadPair(*(pad._replace(radius=ratio * pad.radius) for pad in pair)),
+        )
+
+    def offset(self, robot: PadMotion, width: float) -> Array:
+        """Return where a robot's pads meet from where the person's do [m], shape (3,).
+
+        Args:
+            robot: The robot's pads.
+            width: Width of the object that they meet [m].
+
+        Returns:
+            The vector in the axes of the person's palm: y distal, z dorsal.
+        """
+        person = self.motion
+        met = person.meeting(width)
+        theirs = person.pair.middle(met.places)
+        apart = robot.pair.middle(robot.meeting(width).places) - theirs
+        sample = int(np.argmin(np.abs(person.time - met.time)))
+        return self._palm[sample, :3, :3].T @ apart
+
+
+def meeting_row(name: str, offset: Array) -> Row:
+    """Describe `PersonPads.offset` of a mapping in a row of a table."""
+    x, y, z = (1e3 * offset).round(1).tolist()
+    return {
+        "mapping": name,
+        "off mm": round(1e3 * float(lengths(offset)), 1),
+        "across mm": x,
+        "distal mm": y,
+        "dorsal mm": z,
+    }
 
 
 def _size(robot: Hand) -> float:
     """Return the size of a robot's hand, as of `HandTrace.size` [m]."""
     wrist = np.eye(4)[None] if robot.is_floating else None
-    trace: HandTrace = trace_robot(robot, robot.rest[None], wrist)
-    return trace.size
+    return trace_robot(robot, robot.rest[None], wrist).size

@@ -6,8 +6,13 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Vector
+from handmap_qp.human import axis_direction
 from handmap_qp.options import NotNegative, Options, Positive
 from handmap_qp.se3 import Array, lengths, unit
+
+_GRAVITY = 9.81  # m/s^2
+# As in the worlds of Leap Motion, OpenXR and WebXR.
+_USUAL_UP = "+y"
 
 
 class Physics(Options, frozen=True):
@@ -62,6 +67,27 @@ class Physics(Options, frozen=True):
                 expected=f"at least two time steps, {2.0 * self.time_step:g} s",
                 value=self.contact_time,
             )
+
+
+def choose_gravity(
+    asked: str | None, upright: str, whose: str
+) -> tuple[tuple[float, float, float], str]:
+    """Return the acceleration of gravity [m/s^2] in world axes, and in words which way is up.
+
+    Args:
+        asked: The axis against gravity that was asked for, such as `z` or `-y`; None if none was.
+        upright: The axes of the world that are up and forward; empty if they are not known.
+        whose: Whose world it is, for the words.
+    """
+    if asked:
+        axis, text = f"{asked:+>2}", "as asked for"
+    elif upright:
+        axis, text = upright.split()[0], f"{whose}, which says so"
+    else:
+        axis, text = _USUAL_UP, f"assumed: the world {whose} is not described; see --up"
+    # An axis without a sign is the positive one, and 0 has none.
+    x, y, z = (0.0 - _GRAVITY * axis_direction(axis)).tolist()
+    return (x, y, z), f"{axis}, {text}"
 
 
 def turn_up(up: Array, along: Array | None = None) -> Array:

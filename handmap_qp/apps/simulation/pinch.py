@@ -1,9 +1,10 @@
 """Pinch and carry: a recorded pinch closes on an object, which must then stay (`PinchScene`).
 
 The object stands on a stand where the robot's pads come together when nothing is between them, or
-where the person's do, and the hand starts open, clear of it. The stand lets go when the thumb and another finger have pressed
-on it for a while, or when the pads should have met it long ago. From then until the human opens his
-hand, the object must stay between the pads. `random_trials` draws many objects and places.
+where the person's do, and the hand starts open, clear of it. The stand lets go when the thumb and
+another finger have pressed on it for a while, or when the pads should have met it long ago. From
+then until the human opens his hand, the object must stay between the pads. `random_trials` draws
+many objects and places.
 """
 
 import math
@@ -210,6 +211,8 @@ class PinchScene:
         window: When the human pinches.
         physics: Actuators, gravity and time steps; the friction is that of each trial.
         placing: Pads between which objects stand; the robot's own if omitted.
+        least_clear: Distance of the pads from the object at the start that will do where 15 mm
+            cannot be had [m].
 
     Raises:
         InvalidInputError: If the hand has no thumb, or no index finger.
@@ -220,6 +223,7 @@ class PinchScene:
     window: PinchWindow
     physics: Physics
     placing: PadMotion | None = None
+    least_clear: float = _CLEAR
 
     def __post_init__(self) -> None:
         self.pads = Pads(self.commands.robot.hands[0])
@@ -240,7 +244,7 @@ class PinchScene:
         pads = self.pads
         width = surface(trial.shape).extents[0]
         met = self.meeting(width)
-        placing = self.placing or self._closing
+        placing = self.placing or self.closing
         spot = placing.meeting(width)
         place = placing.pair.middle(spot.places) + trial.offset
         # The object's z is up and its x along the pinch, turned about the vertical.
@@ -282,10 +286,10 @@ class PinchScene:
         Returns:
             The instant, or that of the smallest gap if the pads do not come near enough.
         """
-        return self._closing.meeting(width)
+        return self.closing.meeting(width)
 
     @cached_property
-    def _closing(self) -> PadMotion:
+    def closing(self) -> PadMotion:
         """The robot's own motion by the commands, with nothing between the pads."""
         simulator = Simulator(self.commands.robot, _NOTHING, self.physics)
         start = self.window.opened
@@ -298,19 +302,31 @@ class PinchScene:
         return PadMotion(times, places, self.pads.pair)
 
     def _put_clear(self, simulator: Simulator, pose: Array) -> int:
-        """Put the object on its stand, and the hand where it is last clear; return that sample."""
+        """Put the object on its stand, and the hand where it is last clear; return that sample.
+
+        Where the hand is never clear by 15 mm, put it where it is clearest.
+        """
         pads = others = 0.0
+        clearest = (self.least_clear, -1)
         for start in range(self.window.start, self.window.opened - 1, -1):
             simulator.reset(self.commands.at(start), pose)
             pads = simulator.clearance(self.pads.bodies)
             others = simulator.clearance()
-            if others > 0.0 and pads >= _CLEAR:
-                simulator.set_stand(holds=True)
-                return start
+            if others > 0.0:
+                clearest = max(clearest, (min(pads, _CLEAR), start))
+            if clearest >= (_CLEAR, 0):
+                break
+        start = clearest[1]
+        if start >= 0:
+            simulator.reset(self.commands.at(start), pose)
+            simulator.set_stand(holds=True)
+            return start
         raise InvalidInputError(
             argument=self.commands.robot.name,
-            expected=f"an open hand clear of the object, its pads by {1e3 * _CLEAR:g} mm",
+            expected="an open hand clear of the object, its pads by "
+            f"{1e3 * self.least_clear:g} mm",
             got=f"pads at {1e3 * pads:.0f} mm, the nearest link at {1e3 * others:.0f} mm",
+            advice="try a smaller --object, or another recording",
         )
 
     def _play(self, simulator: Simulator, start: int) -> Iterator[float]:
@@ -343,9 +359,7 @@ def _outcome(
     turns = poses[:, :3, :3]
     turn = Rotation.from_matrix(turns[-1] @ turns[0].T).magnitude()
     is_held = bool(
-        not len(lost)
-        and free.links_touching[-1] >= 2
-        and np.ptp(free.time) >= _GRIPPED
+        not len(lost) and free.links_touching[-1] >= 2 and np.ptp(free.time) >= _GRIPPED
     )
     return PinchOutcome(
         is_held=is_held,
@@ -361,14 +375,13 @@ def _outcome(
     )
 
 
-def _loss(
-    course: tuple[Touch, ...], away: Array, freed: int, width: float
-) -> Loss:
+def _loss(course: tuple[Touch, ...], away: Array, freed: int, width: float) -> Loss:
     """Return why an object was not held: one try, which ends as the object is away."""
-    gone = np.flatnonzero(away[max(freed, 0) :] > _LOST + width / 2.0)
-    if not len(gone) and course[-1].is_pinched:
+    end = len(course)
+    if freed >= 0 and len(gone := np.flatnonzero(away[freed:] > _LOST + width / 2.0)):
+        end = freed + gone[0] + 1
+    elif course[-1].is_pinched:
         return Loss.TOO_LATE
-    end = max(freed, 0) + gone[0] + 1 if len(gone) else len(course)
     return loss_in_try(course[:end]) or Loss.SLIPPED
 
 
