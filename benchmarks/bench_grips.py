@@ -17,8 +17,8 @@ clear of it, is refused: it counts in no share, but beside it. A mapping that ho
 refused is no better for it. The results are written after each recording, so that a run that is
 stopped leaves what it has found.
 
-Two of the twelve recordings are closings of a fist, on which `handmap simulate` refuses to pick; they
-are kept so that figures stay comparable, and --no-fists leaves them out.
+Two of the twelve recordings are closings of a fist, which `handmap simulate` refuses. They are kept
+so that figures stay comparable; --no-fists leaves them out.
 
 Seeds 0 to 99 are for work. The tables of docs/simulation.md have seeds that were looked at once.
 """

@@ -29,7 +29,7 @@ from handmap_qp.apps.simulation.pinch import (
     random_trials,
     success_rate,
 )
-from handmap_qp.apps.simulation.simulator import Episode, Simulator
+from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.spec import PadSpec, Side
@@ -369,7 +369,8 @@ def test_a_page_plays_both_hands_without_a_network(
     episode: Episode, tmp_path: Path
 ) -> None:
     page = tmp_path / "run.html"
-    write_page(page, {"robot": episode, "again": episode}, "a <run>")
+    later = episode._replace(at=Instant(*(column[5:] for column in episode.at)))
+    write_page(page, {"robot": episode, "later": later}, "a <run>")
     text = page.read_text(encoding="utf-8")
     assert "<title>a &lt;run&gt;" in text
     assert "__VISER_EMBED_DATA__" in text

@@ -32,11 +32,10 @@ from .pinch import (
     PinchScene,
     PinchTrial,
     describe_trial,
-    outcome_row,
     random_trials,
 )
 from .torques import torque_limits
-from .tried import Tried, fates, loss_rows, tried_row, try_all
+from .tried import Tried, fates, loss_rows, single_row, tried_row, try_all
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 _FILES = {
@@ -149,7 +148,10 @@ class Simulate:
             found["losses"] = {name: one.losses for name, one in tried.items()}
             tables["Why objects were not held"] = loss_rows(tried)
         else:
-            self._write({name: one.outcomes[0] for name, one in tried.items()})
+            outcomes = {n: one.outcomes[0] for n, one in tried.items() if one.outcomes}
+            if not outcomes:
+                raise next(iter(tried.values())).refusals[0]
+            self._write(outcomes)
         if person:
             width = float(surface(shape).extents[0])
             found["pads"] = [
@@ -165,7 +167,7 @@ class Simulate:
         """Return a row for each mapping."""
         if self.trials:
             return [tried_row(name, one) for name, one in tried.items()]
-        return [outcome_row(name, one.outcomes[0]) for name, one in tried.items()]
+        return [single_row(name, one) for name, one in tried.items()]
 
     def _check(self, trial: PinchTrial) -> None:
         """Reject options that contradict each other, before any work is done."""
@@ -234,7 +236,7 @@ class Simulate:
         return scenes, assumed, person
 
     def _write(self, outcomes: dict[str, PinchOutcome]) -> None:
-        """Write the files: of the first mapping; the page shows all."""
+        """Write the files: of the first mapping that could start; the page shows all."""
         first = next(iter(outcomes.values()))
         if self.out:
             save_npz(self.out, first.columns)

@@ -14,9 +14,11 @@ from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     Take,
     base_name,
+    is_peer,
     outside_methods,
     own_method,
     own_methods,
+    peers_program,
     prepare_take,
 )
 from handmap_qp.apps.offline.look_ahead import look_ahead
@@ -77,12 +79,20 @@ def chosen_methods(
 ) -> list[ComparedMethod]:
     """Return mappings by name, of this package and of an outside program; one preset if none.
 
+    Args:
+        names: Their names.
+        peers: Folder of the outside program; that of the peers if omitted, where one is named.
+        robot: The robot hand, by name or path.
+
     Raises:
         InvalidInputError: If there is no such mapping.
+        OutsideError: If the outside program cannot run.
     """
-    outside = outside_methods(peers, robot) if peers else {}
+    outside = {}
+    if peers or any(map(is_peer, names)):
+        outside = outside_methods(peers or peers_program(), robot)
     names = names or own_methods()[:1]
-    return [outside.get(name) or own_method(name) for name in names]
+    return [outside.get(name) or own_method(name, tuple(outside)) for name in names]
 
 
 def map_pinch(

@@ -465,16 +465,29 @@ def describe_trial(trial: PinchTrial) -> Row:
     }
 
 
+OUTCOME_COLUMNS = (
+    "held",
+    "held s",
+    "of s",
+    "slip mm",
+    "rotation deg",
+    "force N",
+    "torque N m",
+    "why not",
+)
+"""Columns of `outcome_row`, without the mapping's name."""
+
+
 def outcome_row(name: str, outcome: PinchOutcome) -> Row:
     """Describe one trial in a row of a table."""
-    return {
-        "mapping": name,
-        "held": "yes" if outcome.is_held else "no",
-        "held s": round(outcome.held_time, 2),
-        "of s": round(outcome.pinch_time, 2),
-        "slip mm": round(1e3 * outcome.slip, 1),
-        "rotation deg": round(math.degrees(outcome.rotation)),
-        "force N": round(outcome.force, 1),
-        "torque N m": round(outcome.torque, 2),
-        "why not": outcome.loss or "",
-    }
+    values = (
+        "yes" if outcome.is_held else "no",
+        round(outcome.held_time, 2),
+        round(outcome.pinch_time, 2),
+        round(1e3 * outcome.slip, 1),
+        round(math.degrees(outcome.rotation)),
+        round(outcome.force, 1),
+        round(outcome.torque, 2),
+        outcome.loss or "",
+    )
+    return {"mapping": name} | dict(zip(OUTCOME_COLUMNS, values, strict=True))

@@ -5,8 +5,16 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from handmap_qp.apps.tables import Row, progress
-from handmap_qp.errors import InvalidInputError
-from .pinch import PinchOutcome, PinchScene, PinchTrial, success_rate, trial_row
+from handmap_qp.errors import InvalidInputError, reason_of
+from .pinch import (
+    OUTCOME_COLUMNS,
+    PinchOutcome,
+    PinchScene,
+    PinchTrial,
+    outcome_row,
+    success_rate,
+    trial_row,
+)
 
 REFUSED = "refused: no clear start"
 """Why an object was not tried, in the words of tables."""
@@ -21,7 +29,7 @@ class Tried(NamedTuple):
     """
 
     outcomes: dict[int, PinchOutcome]
-    refusals: dict[int, str]
+    refusals: dict[int, InvalidInputError]
 
     @property
     def held(self) -> list[int]:
@@ -37,26 +45,40 @@ class Tried(NamedTuple):
 
 
 def try_all(name: str, scene: PinchScene, trials: Sequence[PinchTrial]) -> Tried:
-    """Pinch every object by one mapping, with a progress bar.
-
-    Raises:
-        InvalidInputError: If none of the objects can be tried; the last one's reason.
-    """
+    """Pinch every object by one mapping, with a progress bar."""
     tried = Tried({}, {})
     with progress(name, len(trials)) as advance:
         for i, trial in enumerate(trials):
             try:
                 tried.outcomes[i] = scene.run(trial)
             except InvalidInputError as error:
-                tried.refusals[i] = str(error)
-                if len(tried.refusals) == len(trials):
-                    raise
+                tried.refusals[i] = error
             advance(i + 1, f"({len(tried.held)} held)")
     return tried
 
 
+def single_row(name: str, tried: Tried) -> Row:
+    """Describe what one mapping made of a single object in a row of a table."""
+    if tried.outcomes:
+        return outcome_row(name, tried.outcomes[0])
+    return (
+        {"mapping": name}
+        | dict.fromkeys(OUTCOME_COLUMNS, "-")
+        | {
+            "held": "refused",
+            "why not": reason_of(tried.refusals[0]),
+        }
+    )
+
+
 def tried_row(name: str, tried: Tried) -> Row:
-    """Summarise the trials of one mapping in a row of a table."""
+    """Summarise the trials of one mapping in a row of a table.
+
+    Raises:
+        InvalidInputError: If none of the objects could be tried; the last one's reason.
+    """
+    if not tried.outcomes:
+        raise [*tried.refusals.values()][-1]
     drawn = len(tried.outcomes) + len(tried.refusals)
     rate, low, high = success_rate(len(tried.held), drawn)
     return trial_row(name, [*tried.outcomes.values()]) | {
@@ -92,7 +114,7 @@ def fates(
             if trial in one.outcomes and (loss := one.outcomes[trial].loss)
         },
         "refused": {
-            name: one.refusals[trial]
+            name: reason_of(one.refusals[trial])
             for name, one in tried.items()
             if trial in one.refusals
         },
