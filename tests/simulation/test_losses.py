@@ -17,8 +17,9 @@ from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch
 from handmap_qp.apps.simulation.losses import Loss, Touch, loss_in_try, tries
 from handmap_qp.apps.simulation.pad_motion import PersonPads
 from handmap_qp.apps.simulation.physics import Physics, choose_gravity
-from handmap_qp.apps.simulation.pinch import PinchScene, PinchTrial
+from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
 from handmap_qp.apps.simulation.torques import torque_limits
+from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.objects import Sphere
@@ -279,3 +280,43 @@ def test_one_place_is_for_one_hand(
     words = ["simulate", str(file), "--robot", "g1", "--place", "person"]
     assert cli.main(words) == 2
     assert "--place: expected a robot with one hand" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("trials", [(), ("--trials", "2")], ids=["one", "trials"])
+def test_a_mapping_that_cannot_start_is_a_row_beside_others(
+    trials: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It does not hide what the others hold; if none can start, that is the error."""
+    run = PinchScene.run
+    refused = {"teleoperation"}
+    names = iter(())
+
+    def refuse(scene: PinchScene, trial: PinchTrial) -> PinchOutcome:
+        if next(names) in refused:
+            raise InvalidInputError("in the hand", argument="robot")
+        return run(scene, trial)
+
+    monkeypatch.setattr(PinchScene, "run", refuse)
+    count = 2 if trials else 1
+    methods = ("teleoperation", "fingertip-vectors")
+    words = ["simulate", "pinch", "--json", *trials]
+    words += ["--methods", *methods]
+    names = iter([name for name in methods for _ in range(count)])
+    assert cli.main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    first, second = found["rows"]
+    if trials:
+        assert (first["refused"], first["trials"], first["held %"]) == (2, 0, "-")
+        assert second["trials"] == 2
+        assert found["losses"]["teleoperation"] == {REFUSED: 2}
+        assert found["trials"][0]["refused"] == {"teleoperation": "robot: in the hand"}
+    else:
+        assert first["held"] == "refused"
+        assert first["why not"] == "robot: in the hand"
+        assert second["held"] in ("yes", "no")
+    refused.add("fingertip-vectors")
+    names = iter([name for name in methods for _ in range(count)])
+    assert cli.main(words) == 2
+    assert "robot: in the hand" in capsys.readouterr().err

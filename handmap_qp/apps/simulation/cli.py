@@ -137,6 +137,9 @@ class Simulate:
             trials = random_trials(self.trials, self.seed, self.objects, trial)
         scenes, assumed, person = self._scenes()
         tried = {name: try_all(name, scene, trials) for name, scene in scenes.items()}
+        if not any(one.outcomes for one in tried.values()):
+            first = next(iter(tried.values()))
+            raise first.refusals[len(trials) - 1]
         found: Values = {"robot": self.robot, "seed": self.seed, "assumed": assumed}
         tables = {f"{self.robot}: simulated": self._rows(tried)}
         found["rows"] = tables[f"{self.robot}: simulated"]
@@ -148,10 +151,9 @@ class Simulate:
             found["losses"] = {name: one.losses for name, one in tried.items()}
             tables["Why objects were not held"] = loss_rows(tried)
         else:
-            outcomes = {n: one.outcomes[0] for n, one in tried.items() if one.outcomes}
-            if not outcomes:
-                raise next(iter(tried.values())).refusals[0]
-            self._write(outcomes)
+            self._write(
+                {n: one.outcomes[0] for n, one in tried.items() if one.outcomes}
+            )
         if person:
             width = float(surface(shape).extents[0])
             found["pads"] = [

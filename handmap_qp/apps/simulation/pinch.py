@@ -440,7 +440,6 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
     """Summarise the trials of one mapping in a row of a table."""
     rows = [outcome_row(name, outcome) for outcome in outcomes]
     held = [row for row in rows if row["held"] == "yes"]
-    rate, low, high = success_rate(len(held), len(rows))
     shares = [o.held_time / max(o.pinch_time, 1e-9) for o in outcomes]
     medians = {
         key: round(np.median([row[key] for row in held]), 2) if held else "-"
@@ -449,10 +448,22 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
     return {
         "mapping": name,
         "trials": len(rows),
+        "held %": "-",
+        "95 % interval": "-",
+        "time held %": "-",
+        **medians,
+    } | _shares(len(held), shares)
+
+
+def _shares(held: int, shares: Sequence[float]) -> Row:
+    """Return columns of what was held of the objects that could be tried; none of no objects."""
+    if not shares:
+        return {}
+    rate, low, high = success_rate(held, len(shares))
+    return {
         "held %": round(100.0 * rate, 1),
         "95 % interval": f"{100.0 * low:.0f}-{100.0 * high:.0f}",
         "time held %": round(100.0 * np.mean(shares), 1),
-        **medians,
     }
 
 

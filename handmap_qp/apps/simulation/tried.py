@@ -72,13 +72,7 @@ def single_row(name: str, tried: Tried) -> Row:
 
 
 def tried_row(name: str, tried: Tried) -> Row:
-    """Summarise the trials of one mapping in a row of a table.
-
-    Raises:
-        InvalidInputError: If none of the objects could be tried; the last one's reason.
-    """
-    if not tried.outcomes:
-        raise [*tried.refusals.values()][-1]
+    """Summarise the trials of one mapping in a row of a table."""
     drawn = len(tried.outcomes) + len(tried.refusals)
     rate, low, high = success_rate(len(tried.held), drawn)
     return trial_row(name, [*tried.outcomes.values()]) | {
