@@ -18,6 +18,8 @@ AT_ONCE = 0.2
 """Time of a grip below which the object was squeezed out at once [s]."""
 BESIDE = 0.015
 """Distance of the object's middle from the line of the pads that counts as beside [m]."""
+LIFTED = 0.01
+"""Height above its place from which an object counts as lifted [m]."""
 _PAUSE = 0.1  # time without touch that ends a try [s]
 
 
@@ -64,6 +66,11 @@ class Touch:
     def is_pinched(self) -> bool:
         """Whether thumb and another link press."""
         return min(self.thumb, self.others) > PRESSED
+
+    @property
+    def is_lifted(self) -> bool:
+        """Whether it is pinched and off its place."""
+        return self.is_pinched and self.height > LIFTED
 
 
 def loss_in_try(course: Sequence[Touch]) -> Loss | None:

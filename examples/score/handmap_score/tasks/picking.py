@@ -66,7 +66,6 @@ _YAW = math.radians(20.0)  # and is turned by up to this
 _ABOVE, _BEHIND, _BESIDE = 0.3, 0.15, 0.05  # where the palm starts, from the object [m]
 _TIME_LIMIT = 26.0  # of practice, 12 s of tries, the last of them, and carrying [s]
 _HOLD = 15  # steps for which the object must lie in the tray
-_LIFTED = 0.01  # height above its place at which an object counts as lifted [m]
 _STANDS = 0.002  # up to this height it stands on its putty [m]
 _PUTTY = 0.01  # lever of the putty: it resists turning with friction times weight times this [m]
 _ON_TABLE = (
@@ -302,14 +301,13 @@ class PickTask:
             height=float(travel[2]),
         )
         self._course.append(touch)
-        is_gripped = touch.is_pinched and touch.height > _LIFTED
-        self._has_lifted |= is_gripped
+        self._has_lifted |= touch.is_lifted
         to_target = pose[:2, 3] - self._target[:2, 3]
         is_there = float(np.linalg.norm(to_target)) < TRAY and touch.height < _ON_TABLE
         return Signals(
             is_reached=self._has_lifted and is_there and not forces,
             touching=frozenset(by_finger),
-            is_gripped=is_gripped,
+            is_gripped=touch.is_lifted,
             force=max(forces.values(), default=0.0),
             moved=float(np.linalg.norm(travel)),
         )
@@ -332,7 +330,7 @@ def pick_cause(course: Sequence[Touch]) -> str:
     Args:
         course: Every step of the attempt, in order.
     """
-    if any(one.is_pinched and one.height > _LIFTED for one in course):
+    if any(one.is_lifted for one in course):
         return "gripped, not put down" if course[-1].is_touched else Loss.SLIPPED
     last = tries(course)[-1:]
     return loss_in_try(last[0] if last else ()) or "gripped, not lifted"
