@@ -68,9 +68,9 @@ class Simulate:
         handmap simulate pinch --robot allegro_right --film pinch.gif
         handmap simulate pinch --robot allegro_right --methods teleoperation dexi-dexpilot
         handmap simulate left.npz right.npz --robot g1 --film pinch.gif
-        handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
-        handmap simulate pinch.npz --robot allegro_right --stiffness 6 --html pinch.html
-        handmap simulate pinch.npz --robot allegro_right --trials 50 --grip grip+place
+        handmap simulate pinch --robot allegro_right --trials 200 --methods teleoperation object
+        handmap simulate pinch --robot allegro_right --stiffness 6 --html pinch.html
+        handmap simulate pinch --robot allegro_right --trials 50 --grip grip+place
 
     Attributes:
         recordings: Recording with a pinch of thumb and index finger; `demo` and `pinch` come with
@@ -114,7 +114,9 @@ class Simulate:
     friction: float = 0.8
     stiffness: float = 3.0
     torque: Annotated[float | None, hinted("FLOAT", "(default: the maker's)")] = None
-    up: Annotated[Up | None, hinted("AXIS", "(default: the recording's)")] = None
+    up: Annotated[
+        Up | None, hinted("{x,y,z,-x,-y,-z}", "(default: the recording's)")
+    ] = None
     place: Literal["robot", "person"] = "robot"
     side: FileSide = None
     fps: float | None = None
