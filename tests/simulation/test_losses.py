@@ -24,7 +24,6 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.objects import Sphere
 from handmap_qp.trackers import read_recording
-from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.archive import read_archive
 
 RATE = 60.0
@@ -272,14 +271,13 @@ def test_demo_is_a_recording_to_simulate(capsys: pytest.CaptureFixture[str]) -> 
     assert cli.main(["simulate", "demo", "--robot", "allegro_right", "--json"]) == 0
 
 
-def test_one_place_is_for_one_hand(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("robot", ["g1", "ur5_allegro"])
+def test_the_persons_place_is_for_palms_that_go_where_the_persons_is(
+    robot: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "made.npz"
-    write_recordings([made_pick()], file)
-    words = ["simulate", str(file), "--robot", "g1", "--place", "person"]
+    words = ["simulate", "pinch", "--robot", robot, "--place", "person"]
     assert cli.main(words) == 2
-    assert "--place: expected a robot with one hand" in capsys.readouterr().err
+    assert "--place: expected a hand without an arm" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("trials", [(), ("--trials", "2")], ids=["one", "trials"])

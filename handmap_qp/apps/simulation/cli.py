@@ -175,13 +175,8 @@ class Simulate:
 
     def _check(self, trial: PinchTrial) -> None:
         """Reject options that contradict each other, before any work is done."""
-        is_whole = is_robot(self.robot)
-        for option, value in (
-            ("--grip", self.grip is not None),
-            ("--place", self.place == "person"),
-        ):
-            wanted = "a robot with one hand"
-            expect(not (value and is_whole), option, wanted, value=self.robot)
+        is_whole = self.grip is not None and is_robot(self.robot)
+        expect(not is_whole, "--grip", "a robot with one hand", value=self.robot)
         problem = advice = ""
         if self.objects == "varied" and trial != PinchTrial():
             problem = "draws object, mass and friction"
@@ -198,7 +193,8 @@ class Simulate:
     def _scenes(self) -> tuple[dict[str, PinchScene], Row, PersonPads | None]:
         """Return what each mapping makes of the recording, what is assumed, and the person's pads.
 
-        The pads are None of a robot with both hands.
+        The pads are None of a robot whose palm does not go where the person's is: on an arm, or
+        with both hands.
         """
         name = self.robot
         inputs = InputArguments(side=self.side, fps=self.fps)
@@ -206,6 +202,11 @@ class Simulate:
             name = sided_name(name, inputs.side_of(self.recordings[0]))
         methods = chosen_methods(self.methods, self.peers, name)
         robot = load_whole(name)
+        is_on_person = robot.is_floating and not robot.parts
+        wanted = "a hand without an arm"
+        expect(
+            is_on_person or self.place == "robot", "--place", wanted, value=self.robot
+        )
         take = person = None
         if robot.parts:
             mapped, window = map_pinch(methods, robot, self.recordings, inputs)
@@ -215,7 +216,7 @@ class Simulate:
             mapped = map_take(methods, take, robot)
             upright = take.recording.upright
             gravity, up = choose_gravity(self.up, upright, "of the recording")
-            person = PersonPads(take, window, robot)
+            person = PersonPads(take, window, robot) if is_on_person else None
         physics = Physics(
             friction=self.friction,
             joint_stiffness=self.stiffness,
@@ -231,7 +232,9 @@ class Simulate:
         if self.grip and take:
             name = f"{own_methods()[0]}+{self.grip}"
             sees = self.grip == "grip+place"
-            scenes[name] = GripScene(take, robot, window, physics, sees)
+            scenes[name] = grip = GripScene(take, robot, window, physics, sees)
+            grip.placing = placing
+            grip.least_clear = least_clear
         assumed = {
             "up": up,
             "torque": torque_limits(robot, self.torque).source,
