@@ -59,9 +59,14 @@ PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""
 SMOOTH = "+smooth"
 """Ending of a name that asks for smoother motion, as `--smooth` of `handmap map`."""
-_PEER_NAMES = ("dex-", "dexi-")
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
+
+# How names of the peers' methods begin, and what to do if one of them cannot run.
+_PEER_NAMES = ("dex-", "dexi-")
+_PEER_ADVICE = (
+    "those of dex-retargeting need torch and six, beside the extra peers of handmap-qp"
+)
 
 Progress = Callable[[int, str], None]
 """Takes how much is done, and in words what comes next."""
@@ -323,7 +328,7 @@ def own_method(name: str, outside: Sequence[str] = ()) -> ComparedMethod:
         "--methods",
         f"some of {', '.join((*known, *outside))}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
         got=name,
-        advice="" if outside else "peers have names such as dexi-dexpilot",
+        advice=_PEER_ADVICE if is_peer(name) else "",
     )
     return ComparedMethod(name, partial(_map_own, name))
 
