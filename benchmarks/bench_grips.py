@@ -116,7 +116,9 @@ def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
         f"By {key} and mapping": common.rows_by(found, (key, "mapping"), row)
         for key in ("robot", "recording", "object")
     }
-    return shown | {"Why objects were not held": losses(found)}
+    if rows := losses(found):
+        shown["Why objects were not held"] = rows
+    return shown
 
 
 def losses(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
