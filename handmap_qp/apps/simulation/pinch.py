@@ -238,8 +238,8 @@ class PinchScene:
             What became of the object.
 
         Raises:
-            InvalidInputError: If the open hand overlaps the object, or its pads are not 15 mm clear
-                of it, wherever the trial may start.
+            InvalidInputError: If the open hand overlaps the object, or its pads are not
+                `least_clear` from it, wherever the trial may start.
         """
         pads = self.pads
         width = surface(trial.shape).extents[0]
