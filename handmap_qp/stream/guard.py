@@ -99,6 +99,11 @@ class SampleClock(NamedTuple):
         """Whether the sample brings nothing new."""
         return self.rule in ("duplicate", "disorder")
 
+    @property
+    def is_set_back(self) -> bool:
+        """Whether the sample's stamp is earlier than one before, and counts all the same."""
+        return not self.is_idle and self.passed == 0.0
+
     def advance(self, stamp: float) -> SampleClock:
         """Return the clock after a sample of a time stamp [s], with what that says."""
         period = self.period

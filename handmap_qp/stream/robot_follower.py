@@ -22,7 +22,7 @@ from handmap_qp.ik import SHORTEST_DT, Instant, When
 from handmap_qp.mapping import MapStep, RobotMapper, RobotStep
 from handmap_qp.mapping.exclusive import exclusively
 from .follower import Follower
-from .guard import BEHIND, ArrivalCredit, SampleClock
+from .guard import BEHIND, GAP, ArrivalCredit, SampleClock
 
 _SILENCE = 0.25
 """Time without a sample after which a hand is held [s]."""
@@ -42,12 +42,15 @@ class CommandClock(NamedTuple):
 
     Attributes:
         offsets: The robot's clock minus the stamps of each hand, by side [s].
+        stamps: The clock of each hand's own stamps, by side: it tells a late sample from a clock
+            that was set back.
         rate: Judges gaps between commands, and knows their usual period.
         arrival: When the samples of the last command arrived [s]; None if that is not known.
         credit: The time that the next samples may account for by their arrival.
     """
 
     offsets: Mapping[Side, float] = {}
+    stamps: Mapping[Side, SampleClock] = {}
     rate: SampleClock = SampleClock()
     arrival: float | None = None
     credit: ArrivalCredit = ArrivalCredit()
@@ -67,7 +70,12 @@ class CommandClock(NamedTuple):
         if not self.offsets:
             waited = self.rate.period
         offsets = dict(self.offsets)
+        clocks = dict(self.stamps)
         for side, stamp in stamps.items():
+            clocks[side] = clocks.get(side, SampleClock()).advance(stamp)
+            # A clock that was set back by less than `BEHIND` fits its former offset, and that of a
+            # hand with the same clock that had no sample since.
+            earliest = -GAP if clocks[side].is_set_back else -BEHIND
             # Its own clock first, then those of the other hands.
             farthest = _AHEAD if is_known else math.inf
             candidates = [(offsets[side], farthest)] if side in offsets else []
@@ -75,7 +83,7 @@ class CommandClock(NamedTuple):
             fitting = (
                 offset
                 for offset, most in candidates
-                if -BEHIND <= stamp + offset - now <= most
+                if earliest <= stamp + offset - now <= most
             )
             offsets[side] = next(fitting, now + waited - stamp)
         time = max(stamp + offsets[side] for side, stamp in stamps.items())
@@ -90,7 +98,7 @@ class CommandClock(NamedTuple):
             for side, stamp in stamps.items():
                 offsets[side] = min(offsets[side], time - stamp)
         instant = Instant(time, max(granted, SHORTEST_DT))
-        return CommandClock(offsets, rate, arrival, credit), instant
+        return CommandClock(offsets, clocks, rate, arrival, credit), instant
 
 
 class RobotFollower:

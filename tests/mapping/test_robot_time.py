@@ -252,6 +252,24 @@ def test_a_clock_that_both_hands_share_is_set_for_both(fresh: RobotFollower) -> 
     np.testing.assert_allclose(np.diff(times)[1:], 1.0 / 120.0, rtol=1e-6)
 
 
+@pytest.mark.parametrize("knows_arrival", [True, False])
+def test_a_shared_clock_that_is_set_back_a_little_stops_a_robot_for_a_few_samples(
+    fresh: RobotFollower, knows_arrival: bool
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = in_turns((60.0, 60.0), 1.2)
+    still = 0
+    for event in events:
+        back = 0.9 * (event.time > 0.4)
+        (samples,) = samples_of([event], {"left": -back, "right": -back})
+        before = follower.mapper.motion.time
+        arrival = event.time if knows_arrival else None
+        follower.map_samples(samples, arrival=arrival)
+        still += follower.mapper.motion.time - before < 1e-3
+    # Five late samples in a row tell a clock that was set back, of each hand.
+    assert still <= 12
+
+
 def test_each_hand_counts_the_time_since_its_own_sample(g1: Hand) -> None:
     mapper = mapper_of(g1)
     for time, sides in in_turns((60.0, 20.0), 0.5):
