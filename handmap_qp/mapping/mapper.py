@@ -466,7 +466,7 @@ class HandMapper(Mover):
                 rest=target_map.rest,
                 tasks=(*targets.tasks, *self.tasks),
                 margins=targets.margins,
-                rest_shares=targets.rest_shares,
+                regularisation=targets.regularisation,
                 speed=speed,
             )
             targets = structs.replace(targets, points=result.targets)

@@ -89,8 +89,8 @@ class Targets(ArrayStruct, frozen=True):
         diagnostics: Intermediate results of the method, by name; `MapStep.diagnostics` has them.
         tasks: Further terms of the QP's cost, for this sample.
         margins: Distance that each pair of shapes keeps [m], shape (k,); the hand's if omitted.
-        rest_shares: Share of the QP's rest weight that pulls each joint, shape (n,); all of it if
-            omitted.
+        regularisation: Share of the QP's rest weight and damping of each joint, shape (n,); all
+            of both if omitted.
         flags: What a user should know of this sample, a word each, such as `stretch_clamped`.
     """
 
@@ -100,7 +100,7 @@ class Targets(ArrayStruct, frozen=True):
     tasks: tuple[Task, ...] = ()
     margins: Array | None = None
     flags: Names = ()
-    rest_shares: Array | None = None
+    regularisation: Array | None = None
 
 
 class TargetMap(Protocol):
