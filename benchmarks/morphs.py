@@ -87,7 +87,10 @@ class FingerLines(NamedTuple):
             turn_between(axis, end, share)
             for axis, end in zip(self.axes, other.axes, strict=True)
         ]
-        mixed = ((1.0 - share) * a + share * b for a, b in zip(self[1:], other[1:], strict=True))
+        mixed = (
+            (1.0 - share) * a + share * b
+            for a, b in zip(self[1:], other[1:], strict=True)
+        )
         return FingerLines(np.array(axes), *mixed)
 
 

@@ -72,7 +72,7 @@ _LIKE_BASES = 0.02, 0.05
 _LIKE_REACHES = 0.1, 0.3
 # Root mean square distance of the thumb's tip from its places, where a person rests and pinches,
 # relative to its reach: up to here a thumb is like the person's, and from there on it is not.
-_REACHED = 0.1, 0.2
+_REACHED = 0.14, 0.22
 # Weight of the matched posture where places are searched for: it decides only what they leave open.
 _PLACING_WEIGHT = 0.02
 # Part of the rest posture's pull and of the damping that a hand like the person's does without.
