@@ -6,14 +6,16 @@ between has lines, tips, limits and rest postures between those of both.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp import Hand
+from handmap_qp import Hand, HandMapper
 from handmap_qp.hands import (
     HandSpec,
     PalmKinematics,
@@ -22,11 +24,21 @@ from handmap_qp.hands import (
     WristSpec,
     find_fingers,
 )
-from handmap_qp.mapping.hand_pair import HandPair, resting_posture
-from handmap_qp.se3 import Array, unit
+from handmap_qp.mapping.hand_pair import (
+    HandPair,
+    hand_pair,
+    points_in_palm,
+    resting_posture,
+)
+from handmap_qp.se3 import Array, lengths, smoothstep, unit
 
 # Speed of all joints [rad/s], fast enough for every posture here to be reached.
 _SPEED = 20.0
+# Samples in which a posture is reached, and in which the robot comes to rest, of 20 ms each.
+_MOVING, _RESTING = 25, 50
+_DT = 0.02
+# Part of the way from rest to a limit that a joint of the person goes at most.
+_FARTHEST = 0.35
 
 
 class FingerLines(NamedTuple):
@@ -193,3 +205,114 @@ def _append_link(
 
 def _text(vector: Array) -> str:
     return " ".join(f"{x:.9f}" for x in vector)
+
+
+@dataclass(frozen=True)
+class MorphStep:
+    """What a hand between two hands does in p postures of the person.
+
+    Attributes:
+        share: Share of the way from the person's kinematics to the robot's.
+        palms: Likeness of the palms.
+        thumb: Likeness of the thumb.
+        directions: Angles between the person's fingers and the hand's, knuckle to tip [deg], shape
+            (p, f).
+        missed: From each fingertip's place to the fingertip [% of the reach], shape (p, f, 3).
+        joints: Joint positions [deg], shape (p, n).
+    """
+
+    share: float
+    palms: float
+    thumb: float
+    directions: Array
+    missed: Array
+    joints: Array
+
+    @property
+    def tips(self) -> Array:
+        """Distances of the fingertips from their places [% of the reach], shape (p, f)."""
+        return lengths(self.missed)
+
+    def moved_since(self, before: MorphStep) -> Array:
+        """Return how far tips went about their places since then [% of the reach], (p, f)."""
+        return lengths(self.missed - before.missed)
+
+    def turned_since(self, before: MorphStep) -> Array:
+        """Return how far joints turned since another step [deg], shape (p, n)."""
+        return np.abs(self.joints - before.joints)
+
+
+def usual_postures(human: Hand, count: int, seed: int) -> Array:
+    """Return random postures about a person's rest, shape (count, n)."""
+    rest = resting_posture(human)
+    lower, upper = human.limits
+    ways = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, len(rest)))
+    ranges = np.where(ways > 0.0, upper - rest, rest - lower)
+    return rest + _FARTHEST * ways * ranges
+
+
+def follow_morph(
+    human: Hand, robot: Hand, postures: Array, steps: int
+) -> Iterator[MorphStep]:
+    """Yield what hands do on the way from a person's to a robot's, whose ends come too."""
+    morph = Morph(hand_pair(human, robot))
+    for share in np.linspace(0.0, 1.0, steps + 1):
+        yield shown_by(human, morph.hand_at(float(share)), postures, float(share))
+
+
+def shown_by(human: Hand, robot: Hand, postures: Array, share: float) -> MorphStep:
+    """Let a hand follow a person from rest to each posture, and look at it at rest there."""
+    mapper = HandMapper(human, robot, preset="teleoperation")
+    pair = hand_pair(human, robot)
+    rest = resting_posture(human)
+    path = np.append(smoothstep(np.linspace(0.0, 1.0, _MOVING)), np.ones(_RESTING))
+    joints = []
+    for posture in postures:
+        mapper.reset()
+        for part in path:
+            step = mapper.map_step(rest + part * (posture - rest), np.eye(4), dt=_DT)
+        joints.append(step.command.q)
+    count = len(pair.fingers)
+    tips = points_in_palm(pair.robot, np.array(joints))[:, :count]
+    people = points_in_palm(human, postures) @ pair.palms.turn.T
+    places = np.array([pair.places_of(each)[:count] for each in people])
+    wanted = unit(people[:, pair.tips] - people[:, pair.knuckles])
+    cosines = (wanted * unit(tips - pair.robot_bases)).sum(axis=-1)
+    return MorphStep(
+        share,
+        pair.palms.likeness,
+        pair.thumb_likeness,
+        np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))),
+        100.0 * (tips - places) / pair.robot_reach[:, None],
+        np.degrees(joints),
+    )
+
+
+def draw_morph(steps: Sequence[MorphStep], file: Path) -> None:
+    """Draw likeness, errors and the largest turns of joints over the way between both hands."""
+    from matplotlib.figure import Figure
+
+    shares = [each.share for each in steps]
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    like, errors, turns = figure.subplots(3, 1, sharex=True)
+    like.plot(shares, [each.palms for each in steps], label="palms")
+    like.plot(shares, [each.thumb for each in steps], label="thumb")
+    like.set_ylabel("likeness")
+    for name, values in (
+        ("directions [deg]", [each.directions for each in steps]),
+        ("tips [% of reach]", [each.tips for each in steps]),
+    ):
+        errors.plot(
+            shares, [np.median(each) for each in values], label=f"{name}, median"
+        )
+        errors.plot(shares, [np.percentile(each, 95) for each in values], label="95 %")
+    errors.set_ylabel("error")
+    pairs = zip(steps[1:], steps[:-1], strict=True)
+    turns.plot(
+        shares[1:], [after.turned_since(before).max() for after, before in pairs]
+    )
+    turns.set_ylabel("most a joint turns\nfrom step to step [deg]")
+    turns.set_xlabel("share of the way to the robot's kinematics")
+    for axes in (like, errors):
+        axes.legend(fontsize="small")
+    figure.savefig(file)
