@@ -275,7 +275,7 @@ def shown_by(human: Hand, robot: Hand, postures: Array, share: float) -> MorphSt
     count = len(pair.fingers)
     tips = points_in_palm(pair.robot, np.array(joints))[:, :count]
     people = points_in_palm(human, postures) @ pair.palms.turn.T
-    places = np.array([pair.places_of(each)[:count] for each in people])
+    places = pair.places_of(people)[:, :count]
     wanted = unit(people[:, pair.tips] - people[:, pair.knuckles])
     cosines = (wanted * unit(tips - pair.robot_bases)).sum(axis=-1)
     return MorphStep(

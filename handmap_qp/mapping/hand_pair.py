@@ -232,16 +232,16 @@ class HandPair:
             return 0.0
         human = self.human
         robot = self.robot
-        postures = np.array([resting_posture(human), *robot_fingers(human).pinches])
+        shown = np.array([resting_posture(human), *robot_fingers(human).pinches])
+        places = self.places_of(points_in_palm(human, shown) @ self.palms.turn.T)
         palm = self.measured.hand.frame_pose("palm", robot.rest)
         costs = IkOptions().point_costs(robot)
-        missed = []
-        for shown in points_in_palm(human, postures) @ self.palms.turn.T:
-            places = self.places_of(shown)
-            targets = transform_points(palm, places)
-            q = nearest_posture(robot, targets, costs, _PLACING_WEIGHT, self.matched)
-            # The first point is the thumb's tip.
-            missed.append((points_in_palm(robot, q) - places)[0])
+        nearest = [
+            nearest_posture(robot, targets, costs, _PLACING_WEIGHT, self.matched)
+            for targets in transform_points(palm, places)
+        ]
+        # The first point is the thumb's tip.
+        missed = (points_in_palm(robot, np.array(nearest)) - places)[:, 0]
         distance = np.sqrt(np.square(missed).sum(axis=1).mean())
         reached = np.interp(distance / self.robot_reach[0], _REACHED, (1.0, 0.0))
         like = self.palms.likeness
@@ -251,13 +251,13 @@ class HandPair:
         """Place the human's points on the robot: its knuckle, plus the scaled human vector.
 
         Args:
-            human: The human's reference points in palm axes [m], shape (n_h, 3).
+            human: The human's reference points in palm axes [m], shape (..., n_h, 3).
 
         Returns:
-            Places of the robot's reference points in its palm axes [m], shape (m, 3).
+            Places of the robot's reference points in its palm axes [m], shape (..., m, 3).
         """
         of = self.finger_of
-        vectors = human[self.partners] - human[self.knuckles[of]]
+        vectors = human[..., self.partners, :] - human[..., self.knuckles[of], :]
         return self.measured.bases[of] + self.reach_ratios[of, None] * vectors
 
     def solve_matched(self) -> Array:

@@ -59,6 +59,7 @@ from .method import (
     HumanPose,
     MapStep,
     Method,
+    MethodOptions,
     RobotCommand,
     RobotPosture,
     Stages,
@@ -784,7 +785,8 @@ def _method_of(
     chosen: Any = get_preset("paper").method if method is None else method
     needed = "replaced" if options else "bind"
     if hasattr(chosen, needed) and not isinstance(chosen, type):
-        return chosen.replaced(**options) if options else chosen, IkOptions()
+        weights = chosen.weights if isinstance(chosen, MethodOptions) else IkOptions()
+        return chosen.replaced(**options) if options else chosen, weights
     raise InvalidOptionsError(
         option="method",
         expected="a method, the name of a preset, or single options of the paper's method",

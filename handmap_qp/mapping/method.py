@@ -23,6 +23,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import (
     TYPE_CHECKING,
+    ClassVar,
     Literal,
     NamedTuple,
     Protocol,
@@ -164,7 +165,13 @@ FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
 
 
 class MethodOptions(Options, frozen=True):
-    """Base of methods that presets name: its fields are its options."""
+    """Base of methods that presets name: its fields are its options.
+
+    Attributes:
+        weights: Weights and settings of the QP where neither a preset nor the user gives any.
+    """
+
+    weights: ClassVar[IkOptions] = IkOptions()
 
     def fitted_to(self, human: Hand) -> Self:
         """Return these options with those that a measured person decides, if there are any."""

@@ -10,12 +10,12 @@ extended, and that thumb and finger touch. Contact rows keep links apart.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
 from handmap_qp.hands import CONTACT_GAP, FINGERS, LINK_MARGIN, THUMB, Hand
-from handmap_qp.ik import Compiled
+from handmap_qp.ik import Compiled, IkOptions
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
@@ -332,10 +332,13 @@ class Teleoperation(AlignedOptions, frozen=True):
     """
 
     bound_type = BoundTeleoperation
+    weights: ClassVar[IkOptions] = FOLLOWING.replaced(
+        rest_weight=0.7, damping=2.0, takes_detours=True, points_follow_wrist=True
+    )
     residual_gain: Share = 1.0
     extension_weight: _Weight = 1.0
     thumb_extension_weight: _Weight = 2.5
-    finger_direction: Share = 0.75
+    finger_direction: Share = 1.0
     thumb_direction: Share = 1.0
     pinch_weight: _Weight = 5.0
     contact_gap: Annotated[float, number(high=0.04)] = CONTACT_GAP
@@ -357,9 +360,7 @@ def fingers_correspond(human: Hand, robot: Hand) -> bool:
 PRESETS = {
     "teleoperation": Preset(
         Teleoperation(),
-        FOLLOWING.replaced(
-            rest_weight=0.7, damping=2.0, takes_detours=True, points_follow_wrist=True
-        ),
+        Teleoperation.weights,
         "gestures and pinches of a tracked hand: each robot finger does what the human's does",
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
         rank=0,
