@@ -168,7 +168,8 @@ def morph_to(
         moved = each.moved_since(before).max()
         turned = each.turned_since(before).max()
         print(
-            f"{each.share:.2f}: palms alike {each.palms:.2f}, thumbs {each.thumb:.2f}; "
+            f"{each.share:.2f}: palms alike {each.palms:.2f}, thumbs {each.fingers[0]:.2f}, "
+            f"fingers {each.fingers[1:].min():.2f} and more; "
             f"directions {np.median(each.directions):.1f} deg in the median, "
             f"{np.percentile(each.directions, 95):.1f} at p95; tips "
             f"{np.median(each.tips):.1f} % of the reach off, "

@@ -214,7 +214,7 @@ class MorphStep:
     Attributes:
         share: Share of the way from the person's kinematics to the robot's.
         palms: Likeness of the palms.
-        thumb: Likeness of the thumb.
+        fingers: Likeness of the fingers, the thumb's first, shape (f,).
         directions: Angles between the person's fingers and the hand's, knuckle to tip [deg], shape
             (p, f).
         missed: From each fingertip's place to the fingertip [% of the reach], shape (p, f, 3).
@@ -223,7 +223,7 @@ class MorphStep:
 
     share: float
     palms: float
-    thumb: float
+    fingers: Array
     directions: Array
     missed: Array
     joints: Array
@@ -281,7 +281,7 @@ def shown_by(human: Hand, robot: Hand, postures: Array, share: float) -> MorphSt
     return MorphStep(
         share,
         pair.palms.likeness,
-        pair.thumb_likeness,
+        pair.finger_likeness,
         np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))),
         100.0 * (tips - places) / pair.robot_reach[:, None],
         np.degrees(joints),
@@ -296,7 +296,8 @@ def draw_morph(steps: Sequence[MorphStep], file: Path) -> None:
     figure = Figure(figsize=(8.0, 6.0), layout="constrained")
     like, errors, turns = figure.subplots(3, 1, sharex=True)
     like.plot(shares, [each.palms for each in steps], label="palms")
-    like.plot(shares, [each.thumb for each in steps], label="thumb")
+    like.plot(shares, [each.fingers[0] for each in steps], label="thumb")
+    like.plot(shares, [each.fingers[1:].min() for each in steps], label="least finger")
     like.set_ylabel("likeness")
     for name, values in (
         ("directions [deg]", [each.directions for each in steps]),

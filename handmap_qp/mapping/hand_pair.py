@@ -70,8 +70,8 @@ _FEWEST_BASES = 3.5
 _LIKE_BASES = 0.02, 0.05
 # The same of the fingers' reaches: difference of their ratios from the palm's, as a logarithm.
 _LIKE_REACHES = 0.1, 0.3
-# Root mean square distance of the thumb's tip from its places, where a person rests and pinches,
-# relative to its reach: up to here a thumb is like the person's, and from there on it is not.
+# Root mean square distance of a fingertip from its places, where a person rests and pinches,
+# relative to its reach: up to here a finger is like the person's, and from there on it is not.
 _REACHED = 0.14, 0.22
 # Weight of the matched posture where places are searched for: it decides only what they leave open.
 _PLACING_WEIGHT = 0.02
@@ -135,8 +135,8 @@ class HandPair:
         robot_bases: Base of each robot finger there, in palm axes [m], shape (f, 3).
         robot_centre: Centre of the robot's tips and middle joints in the matched posture [m], (3,).
         palms: How the robot's palm lies on the human's.
-        thumb_likeness: 1 for a thumb that reaches the places where the human's is, to 0 for one
-            that opposes from another side, and for none.
+        finger_likeness: 1 for a finger that reaches the places where the human's is, to 0 for one
+            that cannot, such as a thumb that opposes from another side, shape (f,).
         is_carried: Whether a joint of each finger moves its base as the person's, shape (f,).
         regularisation: Share of the rest posture's pull and of the damping of each joint, shape
             (n,).
@@ -199,7 +199,7 @@ class HandPair:
         given = robot.matched
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
-        self.thumb_likeness = self._measure_thumb()
+        self.finger_likeness = frozen(self._measure_likeness())
         # Points determine the joints of a hand like the person's: rest and damping only steady.
         regularisation = np.ones(len(self.matched))
         for chain in self.chains.values():
@@ -222,14 +222,15 @@ class HandPair:
         self.robot_centre = frozen(0.5 * (tips + middles).mean(axis=0))
         self.robot_distances = frozen(lengths(vectors))
 
-    def _measure_thumb(self) -> float:
-        """Return how far the robot's thumb reaches the places of a person who rests and pinches.
+    def _measure_likeness(self) -> Array:
+        """Return how far fingers reach the places of a person who rests and pinches, shape (f,).
 
-        Those are where thumbs differ: one that opposes from another side meets the fingers
-        elsewhere. Palms that are alike make the thumbs alike. See `thumb_likeness`.
+        Pinches are where hands differ most: a thumb that opposes from another side meets the
+        fingers elsewhere. Palms that are alike make all fingers alike. See `finger_likeness`.
         """
+        like = np.full(len(self.fingers), self.palms.likeness)
         if THUMB not in self.fingers or self.has_jaws:
-            return 0.0
+            return like
         human = self.human
         robot = self.robot
         shown = np.array([resting_posture(human), *robot_fingers(human).pinches])
@@ -240,12 +241,11 @@ class HandPair:
             nearest_posture(robot, targets, costs, _PLACING_WEIGHT, self.matched)
             for targets in transform_points(palm, places)
         ]
-        # The first point is the thumb's tip.
-        missed = (points_in_palm(robot, np.array(nearest)) - places)[:, 0]
-        distance = np.sqrt(np.square(missed).sum(axis=1).mean())
-        reached = np.interp(distance / self.robot_reach[0], _REACHED, (1.0, 0.0))
-        like = self.palms.likeness
-        return float(like + (1.0 - like) * reached)
+        missed = lengths(points_in_palm(robot, np.array(nearest)) - places)
+        # The tips come first.
+        tips = missed[:, : len(like)] / self.robot_reach
+        distance = np.sqrt((tips**2).mean(axis=0))
+        return like + (1.0 - like) * np.interp(distance, _REACHED, (1.0, 0.0))
 
     def places_of(self, human: Array) -> Array:
         """Place the human's points on the robot: its knuckle, plus the scaled human vector.

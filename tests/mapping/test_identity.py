@@ -85,17 +85,17 @@ def test_a_thumb_is_like_the_persons_where_it_reaches_places(
     name: str, likeness: float
 ) -> None:
     pair = hand_pair(person(), load_hand(name))
-    assert pair.thumb_likeness == pytest.approx(likeness, abs=0.1)
+    assert pair.finger_likeness[0] == pytest.approx(likeness, abs=0.1)
 
 
-def test_likeness_of_thumbs_changes_smoothly_from_hand_to_hand() -> None:
+def test_likeness_of_fingers_changes_smoothly_from_hand_to_hand() -> None:
     pair = hand_pair(person(), load_hand("allegro_right"))
     morph = Morph(pair)
     shares = np.linspace(0.0, 1.0, 41)
     found = [
-        hand_pair(pair.human, morph.hand_at(share)).thumb_likeness for share in shares
+        hand_pair(pair.human, morph.hand_at(share)).finger_likeness for share in shares
     ]
-    assert np.abs(np.diff(found)).max() < 0.2
+    assert np.abs(np.diff(found, axis=0)).max() < 0.2
 
 
 def test_errors_grow_smoothly_as_a_hand_becomes_a_robots() -> None:

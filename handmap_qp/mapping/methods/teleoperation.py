@@ -88,10 +88,9 @@ class TeleoperationMap(Compiled, PalmMap):
     def _prepare_directions(self) -> None:
         """Say how the person's vectors from the knuckles become the robot's, for each point.
 
-        Thumbs, and all fingers of a hand like the person's, are asked for places: the robot's
-        knuckle plus the person's vector, times the ratio of reaches. Other fingers are asked for
-        changes from rest, where they are as in the matched posture. How much of the target that is
-        depends on the options, and on how far the thumb is like the person's.
+        A finger that is like the person's is asked for places: the robot's knuckle plus the
+        person's vector, times the ratio of reaches. Another finger is asked for changes from rest,
+        where it is as in the matched posture, and another thumb only for the motion of the hand.
         """
         pair = self.pair
         choices = self.method.choices
@@ -104,16 +103,17 @@ class TeleoperationMap(Compiled, PalmMap):
         at_rest = lengths(robot) / np.where(is_base, 1.0, reaches)
         changed = pair.robot_rest - at_rest[:, None] * human
         is_thumb = np.array(pair.fingers)[finger] == THUMB
-        like = pair.palms.likeness
+        like = pair.finger_likeness[finger]
         placed = np.where(is_thumb, 1.0, like)
         self.ratios = placed * pair.reach_ratios[finger] + (1.0 - placed) * at_rest
         self.bases = (
             placed[:, None] * pair.robot_bases[finger]
             + (1.0 - placed[:, None]) * changed
         )
-        of_thumb = choices.thumb_direction * pair.thumb_likeness
+        of_thumb = like * choices.thumb_direction
         directions = np.where(is_thumb, of_thumb, choices.finger_direction)
-        self.directions = like + (1.0 - like) * directions
+        exact = pair.palms.likeness
+        self.directions = exact + (1.0 - exact) * directions
         self._carry_bases()
 
     def _carry_bases(self) -> None:
