@@ -269,9 +269,11 @@ def shown_by(human: Hand, robot: Hand, postures: Array, share: float) -> MorphSt
     joints = []
     for posture in postures:
         mapper.reset()
+        reached = pair.matched
         for part in path:
-            step = mapper.map_step(rest + part * (posture - rest), np.eye(4), dt=_DT)
-        joints.append(step.command.q)
+            shown = rest + part * (posture - rest)
+            reached = mapper.map_step(shown, np.eye(4), dt=_DT).command.q
+        joints.append(reached)
     count = len(pair.fingers)
     tips = points_in_palm(pair.robot, np.array(joints))[:, :count]
     people = points_in_palm(human, postures) @ pair.palms.turn.T

@@ -11,7 +11,9 @@ from morphs import Morph, follow_morph, usual_postures
 
 from handmap_qp import Hand, HandMapper, load_hand
 from handmap_qp.hands import FINGERS, all_pairs, pair_distances
+from handmap_qp.mapping import get_preset
 from handmap_qp.mapping.hand_pair import hand_pair, match_palms
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.se3 import Array
 
 POSTURES = 12
@@ -36,11 +38,13 @@ def reached(mapper: HandMapper, q: Array, settling: int = SETTLING) -> Array:
     """Move the person slowly from rest to a posture; return the robot's joints there."""
     mapper.reset()
     rest = mapper.human.rest
-    for share in np.linspace(0.0, 1.0, MOVING):
-        step = mapper.map_step(rest + share * (q - rest), np.eye(4), dt=0.02)
-    for _ in range(settling):
-        step = mapper.map_step(q, np.eye(4), dt=0.02)
-    return step.command.q
+    shares = np.append(np.linspace(0.0, 1.0, MOVING), np.ones(settling))
+    joints = rest
+    for share in shares:
+        joints = mapper.map_step(
+            rest + share * (q - rest), np.eye(4), dt=0.02
+        ).command.q
+    return joints
 
 
 def test_the_human_model_as_robot_has_the_joints_of_the_person() -> None:
@@ -106,6 +110,14 @@ def test_errors_grow_smoothly_as_a_hand_becomes_a_robots() -> None:
     moved = [after.moved_since(before).max() for before, after in pairwise(steps)]
     # Tips go nowhere at once: a twentieth of the way moves them by less than a fifth of a finger.
     assert max(moved) < 20.0
+
+
+def test_a_method_and_its_preset_have_the_same_weights() -> None:
+    human, robot = person(), load_hand("allegro_right")
+    by_name = HandMapper(human, robot, "teleoperation")
+    by_method = HandMapper(human, robot, Teleoperation())
+    assert by_method.point_ik.options == by_name.point_ik.options
+    assert by_name.point_ik.options == get_preset("teleoperation").ik
 
 
 @pytest.mark.parametrize("size", [0.8, 1.0, 1.25])
