@@ -226,10 +226,13 @@ class HandPair:
         """Return how far fingers reach the places of a person who rests and pinches, shape (f,).
 
         Pinches are where hands differ most: a thumb that opposes from another side meets the
-        fingers elsewhere. Palms that are alike make all fingers alike. See `finger_likeness`.
+        fingers elsewhere. Palms that are alike make all fingers alike. A description that gives
+        the matched posture says where fingers are at rest, which may be elsewhere. See
+        `finger_likeness`.
         """
         like = np.full(len(self.fingers), self.palms.likeness)
-        if THUMB not in self.fingers or self.has_jaws:
+        is_given = self.robot.matched is not None
+        if THUMB not in self.fingers or self.has_jaws or is_given:
             return like
         human = self.human
         robot = self.robot
