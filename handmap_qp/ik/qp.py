@@ -435,13 +435,13 @@ class PointIk:
         return self._result("released", points, displacement, active, 0, 0.0)
 
     def postures(
-        self, dt: float, rest: Array | None, rest_shares: Array | None = None
+        self, dt: float, rest: Array | None, regularisation: Array | None = None
     ) -> list[tuple[float | Array, Array]]:
         """Return weights and postures of the cost of a sample; see `Goal` and `solve`."""
         hand = self.hand
         options = self.options
         weight = options.rest_weight
-        of_rest = weight if rest_shares is None else weight * rest_shares
+        of_rest = weight if regularisation is None else weight * regularisation
         postures = [(of_rest, hand.rest if rest is None else rest)]
         if options.speed_weight == 0.0 and options.acceleration_weight == 0.0:
             return postures
