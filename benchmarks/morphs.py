@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -310,12 +311,13 @@ def draw_morph(steps: Sequence[MorphStep], file: Path) -> None:
         )
         errors.plot(shares, [np.percentile(each, 95) for each in values], label="95 %")
     errors.set_ylabel("error")
-    pairs = zip(steps[1:], steps[:-1], strict=True)
-    turns.plot(
-        shares[1:], [after.turned_since(before).max() for after, before in pairs]
-    )
-    turns.set_ylabel("most a joint turns\nfrom step to step [deg]")
+    for name, values in (
+        ("joints [deg]", [b.turned_since(a).max() for a, b in pairwise(steps)]),
+        ("tips [% of reach]", [b.moved_since(a).max() for a, b in pairwise(steps)]),
+    ):
+        turns.plot(shares[1:], values, label=name)
+    turns.set_ylabel("most from\nstep to step")
     turns.set_xlabel("share of the way to the robot's kinematics")
-    for axes in (like, errors):
+    for axes in (like, errors, turns):
         axes.legend(fontsize="small")
     figure.savefig(file)
