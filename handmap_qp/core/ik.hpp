@@ -69,6 +69,13 @@ struct Goal {
   std::vector<OffsetTask> offsets;
   // Further rows at a configuration, of tasks written elsewhere.
   std::function<void(const Vector& q, TaskRows& rows)> further;
+  Vector damping_shares;  // of the damping's weight, of each joint; all of it if empty
+
+  // Take shares of the weights of the rest term, which is the first posture, and of the damping.
+  void regularise(const Vector& shares) {
+    postures.front().shares = shares;
+    damping_shares = shares;
+  }
 };
 
 // The constants of collision.py, by their names there.
@@ -389,6 +396,8 @@ class Ik {
     H_.assign(n * n, 0.0);
     c_.assign(n, 0.0);
     diagonal_.assign(n, weights.damping * weights.damping);
+    for (size_t j = 0; j < goal.damping_shares.size(); ++j)
+      diagonal_[tree.joint_columns[j]] *= goal.damping_shares[j] * goal.damping_shares[j];
     place_targets(goal);
     for (size_t i = 0; i < tree.parts.size(); ++i) {
       damp(add_points(tree.parts[i], is_carried(goal)));

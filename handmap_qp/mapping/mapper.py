@@ -60,6 +60,7 @@ from .method import (
     HumanPose,
     MapStep,
     Method,
+    MethodOptions,
     RobotCommand,
     RobotPosture,
     Stages,
@@ -488,7 +489,7 @@ class HandMapper(Mover):
                 rest=target_map.rest,
                 tasks=(*targets.tasks, *self.tasks),
                 margins=targets.margins,
-                rest_shares=targets.rest_shares,
+                regularisation=targets.regularisation,
                 speed=speed,
             )
             targets = structs.replace(targets, points=result.targets)
@@ -807,7 +808,8 @@ def _method_of(
     chosen: Any = get_preset("paper").method if method is None else method
     needed = "replaced" if options else "bind"
     if hasattr(chosen, needed) and not isinstance(chosen, type):
-        return chosen.replaced(**options) if options else chosen, IkOptions()
+        weights = chosen.weights if isinstance(chosen, MethodOptions) else IkOptions()
+        return chosen.replaced(**options) if options else chosen, weights
     raise InvalidOptionsError(
         option="method",
         expected="a method, the name of a preset, or single options of the paper's method",

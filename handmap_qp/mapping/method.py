@@ -23,6 +23,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import (
     TYPE_CHECKING,
+    ClassVar,
     Literal,
     NamedTuple,
     Protocol,
@@ -89,8 +90,8 @@ class Targets(ArrayStruct, frozen=True):
         diagnostics: Intermediate results of the method, by name; `MapStep.diagnostics` has them.
         tasks: Further terms of the QP's cost, for this sample.
         margins: Distance that each pair of shapes keeps [m], shape (k,); the hand's if omitted.
-        rest_shares: Share of the QP's rest weight that pulls each joint, shape (n,); all of it if
-            omitted.
+        regularisation: Share of the QP's rest weight and damping of each joint, shape (n,); all
+            of both if omitted.
         flags: What a user should know of this sample, a word each, such as `stretch_clamped`.
     """
 
@@ -100,7 +101,7 @@ class Targets(ArrayStruct, frozen=True):
     tasks: tuple[Task, ...] = ()
     margins: Array | None = None
     flags: Names = ()
-    rest_shares: Array | None = None
+    regularisation: Array | None = None
 
 
 class TargetMap(Protocol):
@@ -164,7 +165,13 @@ FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
 
 
 class MethodOptions(Options, frozen=True):
-    """Base of methods that presets name: its fields are its options."""
+    """Base of methods that presets name: its fields are its options.
+
+    Attributes:
+        weights: Weights and settings of the QP where neither a preset nor the user gives any.
+    """
+
+    weights: ClassVar[IkOptions] = IkOptions()
 
     def fitted_to(self, human: Hand) -> Self:
         """Return these options with those that a measured person decides, if there are any."""

@@ -497,16 +497,16 @@ class RobotMapper(Mover):
         rest = self.robot.rest.copy()
         for own, each in zip(self.robot.finger_joints, asked, strict=True):
             rest[own] = each.rest[own]
-        rest_shares = np.ones(len(rest))
+        regularisation = np.ones(len(rest))
         for own, each in zip(self.robot.finger_joints, targets, strict=True):
-            if each.rest_shares is not None:
-                rest_shares[own] = each.rest_shares[own]
+            if each.regularisation is not None:
+                regularisation[own] = each.regularisation[own]
         return self.point_ik.solve(
             np.concatenate([each.points for each in targets]),
             np.array([each.wrist for each in targets]),
             when,
             rest=rest,
-            rest_shares=rest_shares,
+            regularisation=regularisation,
             tasks=sum((each.tasks for each in targets), tuple(tasks)),
             margins=self._margins(targets),
             speed=min(each.speed for each in asked),
