@@ -3,6 +3,7 @@ from .follower import Follower as Follower
 from .following import FollowingCheck as FollowingCheck
 from .grip import GripFollower as GripFollower
 from .grip import RobotGripFollower as RobotGripFollower
+from .grip import gripping as gripping
 from .guard import StreamGuard as StreamGuard
 from .hand_grip import GripOptions as GripOptions
 from .hand_grip import can_grip as can_grip

@@ -17,6 +17,20 @@ _CENTRED = 1000.0
 _EDGE = 0.005
 
 
+class PadsState(NamedTuple):
+    """Where two pads of a hand are.
+
+    Attributes:
+        gap: Distance between their surfaces, < 0 for pads in each other [m].
+        middle: Point midway between their surfaces [m], shape (3,).
+        line: Direction from the thumb's pad to the finger's, shape (3,).
+    """
+
+    gap: float
+    middle: Array
+    line: Array
+
+
 class FingerPads(NamedTuple):
     """The pads of the thumb and a finger of a hand.
 
@@ -30,24 +44,26 @@ class FingerPads(NamedTuple):
     pads: PadPair
     columns: Array
 
+    def state(self, hand: Configuration) -> PadsState:
+        """Return where they are."""
+        places = self.points.positions(hand)
+        thumb, finger = places
+        line = unit(finger - thumb)
+        return PadsState(self.pads.gap(places), self.pads.middle(places), line)
+
     def gap(self, hand: Configuration) -> float:
         """Return the distance between their surfaces, < 0 for pads in each other [m]."""
         return self.pads.gap(self.points.positions(hand))
 
-    def middle(self, hand: Configuration) -> Array:
-        """Return the point midway between their surfaces [m], shape (3,)."""
-        return self.pads.middle(self.points.positions(hand))
+    def slopes(self, hand: Configuration, line: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the gap, shape (nv,), and of the middle, shape (3, nv).
 
-    def line(self, hand: Configuration) -> Array:
-        """Return the direction from the thumb's pad to the finger's, shape (3,)."""
-        thumb, finger = self.points.positions(hand)
-        return unit(finger - thumb)
-
-    def slopes(self, hand: Configuration) -> tuple[Array, Array]:
-        """Return the derivatives of the gap, shape (nv,), and of the middle, shape (3, nv)."""
+        Args:
+            hand: The hand, placed with Jacobians.
+            line: As of `PadsState`.
+        """
         thumb, finger = self.points.jacobians(hand)
-        gap = self.line(hand) @ (finger - thumb)
-        return gap, (thumb + finger) / 2.0
+        return line @ (finger - thumb), (thumb + finger) / 2.0
 
 
 class ClosingPads(NamedTuple):
@@ -71,11 +87,12 @@ class ClosingPads(NamedTuple):
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return three rows of the middle, and one of the gap; see `Task.linearise`."""
-        gap, middle = self.pads.slopes(hand)
+        state = self.pads.state(hand)
+        gap, middle = self.pads.slopes(hand, state.line)
         placed = self.share * _CENTRED * self.shares
-        off = placed @ (self.pads.middle(hand) - self.centre)
+        off = placed @ (state.middle - self.centre)
         rows = placed @ (middle * self.own)
-        more = self.pads.gap(hand) - self.least
+        more = state.gap - self.least
         apart = self.share * _APART * np.clip(1.0 - more / _EDGE, 0.0, 1.0)
         near = apart * min(more, 0.0) if apart else 0.0
         return TaskRows(np.append(off, near), np.vstack([rows, apart * gap]))

@@ -561,5 +561,7 @@ def map_with(
         sample: The sample.
         **times: As of `Follower.map_sample`.
     """
+    if not terms:
+        return follower.map_sample(sample, **times)
     with further_terms([follower.mapper], [terms]):
         return follower.map_sample(sample, **times)

@@ -101,16 +101,20 @@ class GripFollower:
         """
         mapper = self.follower.mapper
         q = _checked(measured_q, "measured_q", mapper.robot.rest.shape)
-        centre = _checked(object_centre, "object_centre", (3,))
-        is_deviation = 0.0 <= object_deviation < np.inf
-        expect(
-            is_deviation, "object_deviation", "a length >= 0 m", value=object_deviation
-        )
+        centre: Array | None = None
+        if object_centre is not None:
+            centre = _checked(object_centre, "object_centre", (3,))
+            is_length = 0.0 <= object_deviation < np.inf
+            wanted = "a length >= 0 m"
+            expect(is_length, "object_deviation", wanted, value=object_deviation)
         own = self.hand_grip
         own.prepare()
         step = map_with(self.follower, own.terms, sample, **times)
         if step.status not in _STILL:
-            own.see(centre, object_deviation)
+            if centre is None:
+                own.place = None
+            else:
+                own.see(centre, object_deviation)
             own.advance(step, q, mapper.motion.dt)
         effort = own.effort
         return step if effort is None else _with_effort(step, effort)
@@ -193,6 +197,19 @@ class RobotGripFollower:
         efforts = [hand.effort for hand in self.hands.values()]
         found = [effort for effort in efforts if effort is not None]
         return _with_effort(step, np.sum(found, axis=0)) if found else step
+
+
+def gripping(
+    follower: Follower | RobotFollower, grip: GripOptions | None = None
+) -> GripFollower | RobotGripFollower:
+    """Return a follower that holds what the hands of another one grip.
+
+    Raises:
+        InvalidInputError: As of `GripFollower` and `RobotGripFollower`.
+    """
+    if isinstance(follower, RobotFollower):
+        return RobotGripFollower(follower, grip)
+    return GripFollower(follower, grip)
 
 
 def _checked(

@@ -107,7 +107,11 @@ def can_grip(mapper: HandMapper) -> bool:
     It can by a method with pinches, and a hand with a thumb and a finger, or two jaws.
     """
     names = robot_fingers(mapper.robot).names
-    return hasattr(mapper.method, "pinch_weight") and THUMB in names and len(names) > 1
+    return _has_pinches(mapper) and THUMB in names and len(names) > 1
+
+
+def _has_pinches(mapper: HandMapper) -> bool:
+    return hasattr(mapper.method, "pinch_weight")
 
 
 class HandGrip:
@@ -120,7 +124,7 @@ class HandGrip:
     Attributes:
         options: As given; may be changed between samples.
         terms: Further terms of the QP's cost for the next sample.
-        place: Where the object is; None if that is not known.
+        place: Where the object is; None if that is not known now.
     """
 
     def __init__(self, mapper: HandMapper, options: GripOptions) -> None:
@@ -143,6 +147,7 @@ class HandGrip:
         for finger in used:
             self._slides[finger.columns] |= finger.is_jaw
         self._placed = hand.configuration()
+        self._has_pinches = True
         self.let_go()
 
     @property
@@ -166,21 +171,20 @@ class HandGrip:
         self.terms: tuple[Task, ...] = ()
 
     def prepare(self) -> None:
-        """Let go where the mapper has another reference than at the last sample."""
-        if self._mapper.reference is not self._reference:
+        """Let go where the mapper has another reference, or a method without pinches by now."""
+        mapper = self._mapper
+        self._has_pinches = _has_pinches(mapper)
+        if mapper.reference is not self._reference or not self._has_pinches:
             self.let_go()
 
-    def see(self, centre: Array | None, deviation: float) -> None:
+    def see(self, centre: Array, deviation: float) -> None:
         """Take where the object is.
 
         Args:
-            centre: Middle of the object in the robot's world [m], shape (3,); None if it is not
-                known now.
+            centre: Middle of the object in the robot's world [m], shape (3,).
             deviation: Standard deviation of that along each axis [m].
         """
-        if centre is None:
-            self.place = None
-        elif self.place is None:
+        if self.place is None:
             self.place = ObjectPlace.first(centre, deviation)
         else:
             self.place = self.place.at(centre, deviation)
@@ -194,13 +198,16 @@ class HandGrip:
                 were not read. What is held then stays held, and nothing else is met.
             dt: Time that its command took [s].
         """
-        gaps = step.named("gaps")
         self.terms = ()
+        if self._grip is None and q is None:
+            self._closing = _Closing()
+            return
+        if not self._has_pinches:
+            return
+        gaps = step.named("gaps")
         if self._grip is not None:
             self._grip = self._held(self._grip, gaps, dt)
-        elif q is None:
-            self._closing = _Closing()
-        else:
+        elif q is not None:
             self._close(step, q, gaps, dt)
         grip = self._grip
         if grip is None:
@@ -222,16 +229,14 @@ class HandGrip:
         options = self.options
         return np.where(self._slides, options.sliding_stiffness, options.stiffness)
 
-    def _pinching(self, step: MapStep, gaps: Array) -> Array:
-        """Return the share of each pinch of the person, shape (p,)."""
-        if not self._has_jaws:
-            return step.named("pinching")
-        return smoothstep((_JAWS_FROM - gaps) / (_JAWS_FROM - _JAWS_TO))
-
     def _close(self, step: MapStep, q: Array, gaps: Array, dt: float) -> None:
         """Close pads, around a place if it is known, until they have met something."""
         finger = int(gaps.argmin())
-        pinching = self._pinching(step, gaps)[finger]
+        if self._has_jaws:
+            away = _JAWS_FROM - gaps[finger]
+            pinching = float(smoothstep(away / (_JAWS_FROM - _JAWS_TO)))
+        else:
+            pinching = step.named("pinching")[finger]
         self._is_apart |= bool(pinching <= _PINCHING)
         if pinching <= 0.0:
             self._closing = _Closing()
@@ -242,17 +247,15 @@ class HandGrip:
         # A fixed hand takes no wrist.
         wrists = step.ik.wrists[: self._hand.is_floating]
         placed.place(self._hand.configuration_vector(q, *wrists))
-        gap = pads.gap(placed)
-        middle = pads.middle(placed)
-        line = pads.line(placed)
-        slopes, _ = pads.slopes(placed)
+        gap, middle, line = pads.state(placed)
+        slopes, _ = pads.slopes(placed, line)
         levers = np.zeros_like(q)
         # An arm moves both pads alike, but for rounding.
         levers[pads.columns] = -slopes[self._hand.joint_columns[pads.columns]]
         # How far the command is in what the pads meet, where they press with the force.
         depth = self.options.force * (levers @ (levers / self._stiffness))
         placed.place(step.ik.q)
-        commanded = pads.gap(placed)
+        commanded, aimed, _ = pads.state(placed)
         before = self._closing
         if finger != before.finger:
             before = _Closing(finger, np.inf, commanded, before.time)
@@ -267,7 +270,7 @@ class HandGrip:
                 _funnel(self.place, middle, before.time),
             )
             share = min(pinching / _CLOSING, 1.0)
-            self.terms = self._around(pads, self.place, least, share)
+            self.terms = self._around(pads, self.place, aimed, least, share)
         is_met = (
             pinching > _PINCHING
             and self._is_apart
@@ -286,15 +289,28 @@ class HandGrip:
             self.place = self.place.touched(middle, line)
 
     def _around(
-        self, pads: FingerPads, place: ObjectPlace, least: float, share: float
+        self,
+        pads: FingerPads,
+        place: ObjectPlace,
+        aimed: Array,
+        least: float,
+        share: float,
     ) -> tuple[Task, ...]:
-        """Return the term by which pads close around a place, if the command is near it."""
-        hand = self._placed
-        off = lengths(pads.middle(hand) - place.centre)
+        """Return the term by which pads close around a place, if the command is near it.
+
+        Args:
+            pads: The pads.
+            place: The place.
+            aimed: The commanded middle between the pads [m], shape (3,).
+            least: Least gap of the pads [m].
+            share: Share of the weights.
+        """
+        off = lengths(aimed - place.centre)
         near = float(np.clip(2.0 - off / _NEAR, 0.0, 1.0))
         if near <= 0.0:
             return ()
-        own = np.isin(np.arange(hand.nv), self._hand.joint_columns[pads.columns])
+        columns = self._hand.joint_columns[pads.columns]
+        own = np.isin(np.arange(self._placed.nv), columns)
         term = ClosingPads(pads, own, place.centre, place.shares, least, near * share)
         return (term,)
 
