@@ -47,6 +47,8 @@ class Asker : public SampleReader {
       throw std::invalid_argument("the map is of another hand");
     return nb::cast(Ask{map_owner_, &map_, reader_, std::move(pose), when.own_time(), speed});
   }
+  // `RobotFollower` relates the clocks of hands to the robot's.
+  double last_time() override { return -HUGE_VAL; }
 
  private:
   std::shared_ptr<const StepReader> reader_;

@@ -390,7 +390,7 @@ class RobotMapper(Mover):
                 return leader._mapped(read, numbers[side], wrists.get(side), since)
 
             step = self.step(numbers, ask, when)
-        self._note_time(time)
+        self._note_time(time, when)
         return step
 
     def time_since_sample(self, side: Side, when: When) -> float:
@@ -614,6 +614,7 @@ class RobotMapper(Mover):
         if robot_q is not None:
             q = check_joints(whole, robot_q, "robot_q")[0]
         self.point_ik.place(whole.configuration_vector(q))
+        self._was_reset = True
         self.clutch()
 
     @exclusively

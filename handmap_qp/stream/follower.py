@@ -33,7 +33,7 @@ from handmap_qp.mapping.exclusive import exclusively
 from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
 from handmap_qp.trackers import change_rate, learnt_noise, noise_of
-from .guard import StreamGuard
+from .guard import BEHIND, StreamGuard
 from .step_table import StepTable
 
 RejoinKind = Literal["glide", "clutch"]
@@ -348,7 +348,9 @@ class Follower:
 
         Args:
             sample: The sample. Its time stamps say how much time has passed. The robot takes the
-                time since its last command, whatever that was for.
+                time since its last command, whatever that was for. A stream that is more than 1 s
+                behind, because the robot was held while the stamps paused, is related again to the
+                robot's clock: this sample takes (nearly) no time.
             dt: Time since the robot's last command [s], or the instant of this one on the robot's
                 clock; by the time stamps if omitted.
             arrival: When the sample arrived, on a monotonic clock [s], to check the rate of the
@@ -521,8 +523,11 @@ class Follower:
         """
         if dt is not None:
             self._origin = None
-        elif self._origin is None:
-            self._origin = self.mapper.motion.time - verdict.time
+            return
+        # Holds between samples may have taken more time than the stream's clock.
+        origin = self.mapper.motion.time - verdict.time
+        if self._origin is None or origin - self._origin > BEHIND:
+            self._origin = origin
 
     @property
     def _has_new_reference(self) -> bool:

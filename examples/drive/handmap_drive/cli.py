@@ -98,7 +98,7 @@ class Drive:
     """Drive the motors of a hand by the commands of a session, while the space bar is held.
 
     Motors approach slowly. They have no torque while the key is not held, and while the session is
-    stopped, lost or starts anew. Ends by Ctrl-C, or when motors do not answer, are too hot or
+    stopped, lost or restarted. Ends by Ctrl-C, or when motors do not answer, are too hot or
     report a fault.
 
     Examples:
