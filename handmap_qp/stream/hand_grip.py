@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands import THUMB, PadPair
+from handmap_qp.hands import THUMB, Hand, PadPair
 from handmap_qp.ik import AttachedPoints, JointPositions, Task
 from handmap_qp.mapping import HandMapper, MapStep, robot_fingers
 from handmap_qp.options import Options, Positive
@@ -106,8 +106,13 @@ def can_grip(mapper: HandMapper) -> bool:
 
     It can by a method with pinches, and a hand with a thumb and a finger, or two jaws.
     """
-    names = robot_fingers(mapper.robot).names
-    return _has_pinches(mapper) and THUMB in names and len(names) > 1
+    return _has_pinches(mapper) and has_grasp(mapper.robot)
+
+
+def has_grasp(robot: Hand) -> bool:
+    """Return whether a robot hand has a thumb and a finger, or two jaws."""
+    names = robot_fingers(robot).names
+    return THUMB in names and len(names) > 1
 
 
 def _has_pinches(mapper: HandMapper) -> bool:
