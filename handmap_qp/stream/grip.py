@@ -111,9 +111,8 @@ class GripFollower:
         own.prepare()
         step = map_with(self.follower, own.terms, sample, **times)
         if step.status not in _STILL:
-            if centre is None:
-                own.place = None
-            else:
+            own.is_seen = False
+            if centre is not None:
                 own.see(centre, object_deviation)
             own.advance(step, q, mapper.motion.dt)
         effort = own.effort

@@ -129,7 +129,8 @@ class HandGrip:
     Attributes:
         options: As given; may be changed between samples.
         terms: Further terms of the QP's cost for the next sample.
-        place: Where the object is; None if that is not known now.
+        is_seen: Whether it is known where the object is now.
+        place: Where it was seen last; None before that.
     """
 
     def __init__(self, mapper: HandMapper, options: GripOptions) -> None:
@@ -156,11 +157,6 @@ class HandGrip:
         self.let_go()
 
     @property
-    def is_gripping(self) -> bool:
-        """Whether something is held."""
-        return self._grip is not None
-
-    @property
     def effort(self) -> Array | None:
         """Torques with which a grip presses [N m or N], shape (n,); None without one."""
         return None if self._grip is None else self._torques(self._grip)
@@ -169,6 +165,7 @@ class HandGrip:
         """Grip nothing, and forget where the object is."""
         self._grip: _Grip | None = None
         self._closing = _Closing()
+        self.is_seen = False
         self.place: ObjectPlace | None = None
         # Whether the person's fingers have been apart since: only then they grip.
         self._is_apart = False
@@ -189,6 +186,7 @@ class HandGrip:
             centre: Middle of the object in the robot's world [m], shape (3,).
             deviation: Standard deviation of that along each axis [m].
         """
+        self.is_seen = True
         if self.place is None:
             self.place = ObjectPlace.first(centre, deviation)
         else:
@@ -269,7 +267,7 @@ class HandGrip:
         behind = self.options.behind
         if self.options.gentle:
             behind = min(behind, _BEHIND * depth)
-        if self.place is not None:
+        if self.is_seen and self.place is not None:
             least = max(
                 pressing if self.options.gentle else -np.inf,
                 _funnel(self.place, middle, before.time),
@@ -290,7 +288,7 @@ class HandGrip:
         pressed = levers @ (self._stiffness * (step.command.q - q))
         force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
         self._grip = _Grip(finger, pads.columns, q, levers, force, gaps[finger])
-        if self.place is not None:
+        if self.is_seen and self.place is not None:
             self.place = self.place.touched(middle, line)
 
     def _around(

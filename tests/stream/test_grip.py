@@ -391,6 +391,26 @@ def test_a_touch_corrects_the_place_along_the_line_of_the_pads(allegro: Hand) ->
     assert place.deviation_along(across) == pytest.approx(0.005, rel=0.1)
 
 
+def test_a_corrected_place_outlives_the_grip_and_an_object_that_is_hidden(
+    allegro: Hand,
+) -> None:
+    centre = meeting(allegro) + np.array([0.004, 0.004, -0.004])
+    grip = grip_follower(allegro)
+    *_, (step, q) = run(grip, opens=True, centre=centre, deviation=0.005)
+    assert step.command.effort is None
+    place = grip.hand_grip.place
+    assert place is not None
+    assert np.linalg.norm(place.correction) > 1e-3
+    *_, last = samples(opens=True)
+    for i in range(1, 4):
+        later = dataclasses.replace(last, time=last.time + i / 60.0)
+        grip.map_sample(later, q)
+    grip.map_sample(dataclasses.replace(last, time=last.time + 0.1), q, centre)
+    again = grip.hand_grip.place
+    assert again is not None
+    np.testing.assert_array_equal(again.correction, place.correction)
+
+
 def test_pads_beside_a_place_wait_until_they_are_around_it(allegro: Hand) -> None:
     """What one pad meets first is pushed away; a person who goes on closing is obeyed."""
     centre = meeting(allegro)
