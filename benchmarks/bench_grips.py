@@ -122,8 +122,8 @@ def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    """Return tables by their titles: by robot and mapping, recording, and object."""
-    return {
+    """Return tables by their titles: by mapping, and with robot, recording, and object."""
+    return {"By mapping": common.rows_by(found, ("mapping",), row)} | {
         f"By {key} and mapping": common.rows_by(found, (key, "mapping"), row)
         for key in ("robot", "recording", "object")
     }
