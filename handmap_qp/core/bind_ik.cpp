@@ -207,6 +207,7 @@ void bind_ik(nb::module_& m) {
              set_motion(ik, q, displacement, dt, stop_times, time);
            },
            "q"_a, "displacement"_a, "dt"_a, "stop_times"_a, "time"_a = 0.0)
+      .def_ro("costs", &PythonIk::costs)
       .def_prop_ro("detours", exclusively(&detours_of))
       .def("go_on", exclusively(&go_on), "detours"_a)
       .def("hold", exclusively(&hold_still), "when"_a)

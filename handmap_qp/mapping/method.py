@@ -256,8 +256,10 @@ def arm_held_by(hand: Hand, at_speed_limit: Array, at_limit: Array) -> Array:
         at_limit: Whether it is at a position limit, shape (T, n).
     """
     arm = hand.moves_wrist
-    held = [of[..., arm].any(axis=-1) for of in (at_speed_limit, at_limit)]
-    return np.select(held, ["speed", "limit"], "reach")
+    by_speed, by_limit = (
+        of[..., arm].any(axis=-1) for of in (at_speed_limit, at_limit)
+    )
+    return np.where(by_speed, "speed", np.where(by_limit, "limit", "reach"))
 
 
 class RobotCommand(ArrayStruct, frozen=True):
@@ -462,16 +464,17 @@ class MapStep(ArrayStruct, frozen=True):
     @property
     def arm_held_by(self) -> str:
         """What keeps the arm's wrist off its target (`arm_held_by`); empty if nothing does."""
-        hand = self.ik.hand
-        is_led = self.stages.status not in ("released", "failed")
-        if not is_led or not hand.moves_wrist.any():
+        if self.stages.status in ("released", "failed"):
             return ""
         summary = self.stages.summary
         if (np.array(summary.wrist_error) * WRIST_LEVERS).max() <= _ARRIVED:
             return ""
+        hand = self.ik.hand
+        if not hand.moves_wrist.any():
+            return ""
         at_limit = hand.at_position_limit(self.command.q)
         at_bound = np.array(summary.at_bound)
-        return str(arm_held_by(hand, at_bound & ~at_limit, at_limit))
+        return arm_held_by(hand, at_bound & ~at_limit, at_limit).item()
 
     @property
     def points(self) -> Array:

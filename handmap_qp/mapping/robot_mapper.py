@@ -224,7 +224,8 @@ class RobotStep(MapStep, frozen=True, kw_only=True):
     @property
     def arm_held_by(self) -> str:
         """What keeps the wrist of a hand off its target; see `MapStep.arm_held_by`."""
-        return next(filter(None, [s.arm_held_by for s in self.hands.values()]), "")
+        causes = (step.arm_held_by for step in self.hands.values())
+        return next(filter(None, causes), "")
 
 
 class RobotMapper(Mover):
@@ -655,7 +656,8 @@ class RobotMapper(Mover):
             raise
 
     def _leader(self, side: Side) -> Leader:
-        _expect_sides([side], self.leaders, "side")
+        if side not in self.leaders:
+            _expect_sides([side], self.leaders, "side")
         return self.leaders[side]
 
 

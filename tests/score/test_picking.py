@@ -12,14 +12,14 @@ from handmap_score.tasks.operator import HumanHand
 from handmap_score.tasks.person import Person
 from handmap_score.tasks.picking import (
     HOUSEHOLD,
-    TORQUES,
     TRAY,
     PickTask,
-    Touch,
     pick_cause,
 )
 from handmap_score.tasks.task import Scene
 
+from handmap_qp.apps.simulation.losses import Touch
+from handmap_qp.apps.simulation.torques import DATA_SHEETS
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import load_hand
 
@@ -128,7 +128,7 @@ def test_motors_have_the_torque_of_the_maker(allegro: PickTask) -> None:
     """No finger's motor gives more than the maker says."""
     allegro.reset(0)
     bounds = allegro.model.actuator_forcerange
-    assert np.allclose(np.abs(bounds), TORQUES["allegro_right"])
+    assert np.allclose(np.abs(bounds), DATA_SHEETS["allegro"])
 
 
 def test_commands_that_are_missing_are_kept(allegro: PickTask) -> None:

@@ -715,10 +715,11 @@ class Session:
         if self._is_slewing:
             return
         mapper = self._hands.mapper
+        if self._commanded.moves_as(mapper.point_ik.gate):
+            return
+        # It may have braked meanwhile, or a sample was refused half-way.
         motion = self._commanded.motion
-        former = mapper.motion
-        if motion is not former and not all(map(np.array_equal, motion, former)):
-            # It may have braked meanwhile, or a sample was refused half-way.
+        if not all(map(np.array_equal, motion, mapper.motion)):
             mapper.motion = motion
 
     def _accept(self, now: float) -> list[str]:
@@ -732,7 +733,7 @@ class Session:
         """Move the robot to the mapper's posture within its limits; return flags."""
         mapper = self._hands.mapper
         if mapper.ik.has_velocity_limits and not self._is_slewing:
-            self._commanded.motion = mapper.motion
+            self._commanded.follow(mapper.point_ik.gate, step.command)
             return []
         target = step.command
         is_there = self._commanded.advance(target.q, target.wrist, self._when)

@@ -68,7 +68,7 @@ CATALOGUE: dict[str, Entry] = {
     adroit.RELOCATE: _adroit(adroit.RELOCATE, adroit.Relocate, judge.recount_relocate),
     picking.PICK: Entry(
         make=picking.make_pick,
-        hands=tuple(picking.TORQUES),
+        hands=picking.HANDS,
         describe=None,
         operators=person.OPERATORS,
         usual=tuple(person.OPERATORS),

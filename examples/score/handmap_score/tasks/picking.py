@@ -14,13 +14,13 @@ person's pinch, turned by up to 20 degrees.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
+from handmap_qp.apps.simulation.losses import Loss, Touch, loss_in_try, tries
 from handmap_qp.apps.simulation.model import OBJECT
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch import Pads
@@ -50,10 +50,8 @@ from .task import Scene, Signals
 
 PICK = "pick"
 """Name of the task."""
-TORQUES: Mapping[str, float] = MappingProxyType(
-    {"allegro_right": 0.7, "leap_right": 0.95, "shadow_right": 2.0}
-)
-"""Largest torque of a finger's joint by the maker [N m]; of other hands, their description's."""
+HANDS = ("allegro_right", "leap_right", "shadow_right")
+"""Hands that the task is for by default."""
 
 RATE = 60.0
 """Samples of the operator and commands of the robot in a second."""
@@ -68,20 +66,12 @@ _YAW = math.radians(20.0)  # and is turned by up to this
 _ABOVE, _BEHIND, _BESIDE = 0.3, 0.15, 0.05  # where the palm starts, from the object [m]
 _TIME_LIMIT = 26.0  # of practice, 12 s of tries, the last of them, and carrying [s]
 _HOLD = 15  # steps for which the object must lie in the tray
-_PRESSED = 0.2  # force with which a finger counts as pressing [N]
-_LIFTED = 0.01  # height above its place at which an object counts as lifted [m]
 _STANDS = 0.002  # up to this height it stands on its putty [m]
 _PUTTY = 0.01  # lever of the putty: it resists turning with friction times weight times this [m]
 _ON_TABLE = (
     0.03  # an object whose middle is lower than this above its place is put down [m]
 )
 _LEVEL = 0.7  # a direction is level if its height is below this
-
-# Causes, by forces and places; the words of docs/tasks.md.
-_PUSHED = 0.01  # displacement between first and second touch that counts as pushing [m]
-_SQUEEZED = 0.2  # time of a grip below which the object was squeezed out at once [s]
-_BESIDE_MIDDLE = 0.015  # distance of the object's middle from the line of the pads [m]
-_EPISODE = 0.1  # time without touch that ends an episode [s]
 
 
 class Household(NamedTuple):
@@ -145,37 +135,6 @@ HOUSEHOLD: Mapping[str, Household] = MappingProxyType(
 The mug's handle is a bar whose weight hangs 45 mm beside the grip, as the mug's does; the mug
 itself is not there to be touched.
 """
-
-
-@dataclass(frozen=True, slots=True)
-class Touch:
-    """How the hand touches the object at one instant, for the cause of a failure.
-
-    Attributes:
-        time: The instant [s].
-        thumb: Normal force of the thumb's links [N].
-        others: Normal force of all other links [N].
-        beside: Distance of the object's middle from the line through both pads [m].
-        moved: Distance of the object from where the attempt began, in the plane of the table [m].
-        height: Height of the object above its place [m].
-    """
-
-    time: float
-    thumb: float
-    others: float
-    beside: float
-    moved: float
-    height: float
-
-    @property
-    def is_touched(self) -> bool:
-        """Whether any link touches."""
-        return self.thumb > 0.0 or self.others > 0.0
-
-    @property
-    def is_pinched(self) -> bool:
-        """Whether thumb and another link press."""
-        return min(self.thumb, self.others) > _PRESSED
 
 
 class PickTask:
@@ -283,7 +242,6 @@ class PickTask:
             physics = Physics(
                 mass=held.mass,
                 friction=held.friction,
-                torque=TORQUES.get(self._robot.name, Physics().torque),
             )
             self._simulators[name] = Simulator(
                 self._robot, held.shape, physics, table=0.0
@@ -343,14 +301,13 @@ class PickTask:
             height=float(travel[2]),
         )
         self._course.append(touch)
-        is_gripped = touch.is_pinched and touch.height > _LIFTED
-        self._has_lifted |= is_gripped
+        self._has_lifted |= touch.is_lifted
         to_target = pose[:2, 3] - self._target[:2, 3]
         is_there = float(np.linalg.norm(to_target)) < TRAY and touch.height < _ON_TABLE
         return Signals(
             is_reached=self._has_lifted and is_there and not forces,
             touching=frozenset(by_finger),
-            is_gripped=is_gripped,
+            is_gripped=touch.is_lifted,
             force=max(forces.values(), default=0.0),
             moved=float(np.linalg.norm(travel)),
         )
@@ -373,48 +330,10 @@ def pick_cause(course: Sequence[Touch]) -> str:
     Args:
         course: Every step of the attempt, in order.
     """
-    lifted = [one for one in course if one.is_pinched and one.height > _LIFTED]
-    if lifted:
-        is_in_hand = course[-1].is_touched
-        return "gripped, not put down" if is_in_hand else "gripped, then slipped out"
-    episodes = _episodes(course)
-    if not episodes:
-        return "never touched"
-    episode = episodes[-1]
-    first = episode[0]
-    thumb = next((one for one in episode if one.thumb > 0.0), None)
-    other = next((one for one in episode if one.others > 0.0), None)
-    pushed = max(one.moved for one in episode) - first.moved
-    if thumb is None or other is None:
-        if pushed > _PUSHED:
-            return f"{'the thumb' if other is None else 'a finger'} pushed it away"
-        return "touched by one side" if thumb is None else "no finger arrived"
-    second = max(thumb, other, key=lambda one: one.time)
-    if abs(second.moved - first.moved) > _PUSHED:
-        return (
-            f"{'the thumb' if thumb.time < other.time else 'a finger'} pushed it away"
-        )
-    grip = [one for one in episode if one.is_pinched]
-    if len(grip) < _SQUEEZED * RATE:
-        return "squeezed out at once"
-    beside = float(np.median([one.beside for one in grip]))
-    if beside > _BESIDE_MIDDLE:
-        return "pads pressed beside the middle"
-    return "gripped, not lifted"
-
-
-def _episodes(course: Sequence[Touch]) -> list[list[Touch]]:
-    """Return the stretches in which the object is touched, with short breaks."""
-    episodes: list[list[Touch]] = []
-    last = -math.inf
-    for one in course:
-        if not one.is_touched:
-            continue
-        if one.time - last > _EPISODE:
-            episodes.append([])
-        episodes[-1].append(one)
-        last = one.time
-    return episodes
+    if any(one.is_lifted for one in course):
+        return "gripped, not put down" if course[-1].is_touched else Loss.SLIPPED
+    last = tries(course)[-1:]
+    return loss_in_try(last[0] if last else ()) or "gripped, not lifted"
 
 
 def _rest(hand: Hand) -> Array:
