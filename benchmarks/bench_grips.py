@@ -10,7 +10,8 @@ of the makers. Shares of the objects that are held have intervals (95 %, Wilson)
 
 `teleoperation+grip` is the mapping with `GripFollower`: the robot's measured joints go back to it,
 and what thumb and finger have met is held with 5 N. It knows nothing else of the object;
-`teleoperation+grip+place` knows where the object's middle is.
+`teleoperation+grip+place` knows where the object's middle is. `+place5` and `+place10` know a place
+that is wrong by 5 and 10 mm (standard deviation along each axis), and how wrong it may be.
 
 A trial that cannot start, because the open hand overlaps the object or its pads are less than 15 mm
 clear of it, is refused: it counts in no share, but beside it. A mapping that holds few and has many
@@ -54,11 +55,20 @@ from handmap_qp.apps.simulation.pinch import (
 )
 from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands import Vector
 
 PEERS = Path(__file__).resolve().parent / "peers"
 OWN = ("teleoperation", "fingertip-vectors")
-GRIPS = ("teleoperation+grip", "teleoperation+grip+place")
+GRIPS: dict[str, float | None] = {
+    "teleoperation+grip": None,
+    "teleoperation+grip+place": 0.0,
+    "teleoperation+grip+place5": 0.005,
+    "teleoperation+grip+place10": 0.010,
+}
+"""Standard deviation of the object's place along each axis [m]; None if it is not known."""
 OTHERS = ("dex-dexpilot", "dexi-dexpilot", "dex-vector", "dexi-vector", "dex-position")
+# Errors of places are drawn apart from the objects, so that these stay as they were.
+_PLACES = 1
 # Gravity points against y, as in the worlds of all recordings.
 _GRAVITY = (0.0, -9.81, 0.0)
 
@@ -111,8 +121,9 @@ def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    """Return tables by their titles: by robot and mapping, recording, object, and causes."""
-    shown = {
+    """Return tables by titles: by mapping, with robot, recording, and object, and causes."""
+    shown = {"By mapping": common.rows_by(found, ("mapping",), row)}
+    shown |= {
         f"By {key} and mapping": common.rows_by(found, (key, "mapping"), row)
         for key in ("robot", "recording", "object")
     }
@@ -179,12 +190,21 @@ def is_fist(recording: Recording) -> bool:
     return False
 
 
-def tried(scene: PinchScene, trial: PinchTrial) -> dict[str, Any]:
-    """Return what became of an object."""
+def draw_errors(count: int, seed: int) -> list[Vector]:
+    """Draw how far stated places are off, in standard deviations, for each object."""
+    random = np.random.default_rng((seed, _PLACES))
+    return [(x, y, z) for x, y, z in random.normal(size=(count, 3)).tolist()]
+
+
+def tried(scene: PinchScene, trial: PinchTrial, error: Vector) -> dict[str, Any]:
+    """Return what became of an object whose place is stated with an error; see `draw_errors`."""
+    if isinstance(scene, GripScene):
+        x, y, z = (scene.deviation * np.array(error)).tolist()
+        scene.place_error = (x, y, z)
     try:
         outcome = scene.run(trial)
-    except InvalidInputError as error:
-        return {"held": None, "refused": str(error)}
+    except InvalidInputError as refusal:
+        return {"held": None, "refused": str(refusal)}
     return {
         "held": outcome.is_held,
         "slip mm": 1e3 * outcome.slip,
@@ -204,10 +224,13 @@ def scenes(
     hand = load_hand(robot)
     take = prepare_take(recording, hand.side)
     physics = Physics(gravity=_GRAVITY)
-    for grip in GRIPS:
+    for grip, deviation in GRIPS.items():
         if grip in methods:
-            sees = grip.endswith("place")
-            yield grip, GripScene(take, hand, window, physics, sees)
+            sees = deviation is not None
+            yield (
+                grip,
+                GripScene(take, hand, window, physics, sees, deviation or 0.0),
+            )
     plain = tuple(name for name in methods if name not in GRIPS)
     if not plain:
         return
@@ -252,13 +275,14 @@ def main(words: Sequence[str] | None = None) -> None:
             trials = draw(
                 arguments.objects, arguments.trials, 1000 * arguments.seed + k
             )
+            errors = draw_errors(arguments.trials, 1000 * arguments.seed + k)
             for robot in arguments.robots:
                 for name, scene in scenes(robot, recording, methods, problems):
                     where = {"robot": robot, "mapping": name}
                     where["recording"] = recording.name
                     found += [
-                        where | {"object": kind} | tried(scene, trial)
-                        for kind, trial in trials
+                        where | {"object": kind} | tried(scene, trial, error)
+                        for (kind, trial), error in zip(trials, errors, strict=True)
                     ]
                 done()
             results = {"seed": arguments.seed, "trials": found, "problems": problems}

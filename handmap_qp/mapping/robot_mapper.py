@@ -136,7 +136,9 @@ class Leader(HandMapper):
         when: When,
         speed: float,
     ) -> Any:
-        """Ask the robot to move."""
+        """Ask the robot to move, with this hand's further terms."""
+        if self.tasks:
+            targets = structs.replace(targets, tasks=(*targets.tasks, *self.tasks))
         dt = own_time(when)
         return Asked(pose, targets, target_map.rest, dt, speed, target_map)
 

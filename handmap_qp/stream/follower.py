@@ -8,7 +8,8 @@ The sessions of the service, `handmap map` and `handmap view` all follow in this
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from time import perf_counter, thread_time
 from typing import Any, Literal, NamedTuple
@@ -533,6 +534,27 @@ class Follower:
         return self.mapper.reference is not self._reference
 
 
+@contextmanager
+def further_terms(
+    mappers: Sequence[HandMapper], terms: Sequence[Sequence[Task]]
+) -> Iterator[None]:
+    """Give mappers further terms of the QP's cost for a while.
+
+    Args:
+        mappers: The mappers.
+        terms: The terms of each. A mapper without any is left as it is.
+    """
+    pairs = zip(mappers, terms, strict=True)
+    changed = [(mapper, mapper.tasks, own) for mapper, own in pairs if own]
+    for mapper, tasks, own in changed:
+        mapper.configure(tasks=(*tasks, *own))
+    try:
+        yield
+    finally:
+        for mapper, tasks, _ in changed:
+            mapper.configure(tasks=tasks)
+
+
 def map_with(
     follower: Follower, terms: Sequence[Task], sample: HumanSample, **times: Any
 ) -> MapStep:
@@ -544,12 +566,7 @@ def map_with(
         sample: The sample.
         **times: As of `Follower.map_sample`.
     """
-    mapper = follower.mapper
-    tasks = mapper.tasks
     if not terms:
         return follower.map_sample(sample, **times)
-    mapper.configure(tasks=(*tasks, *terms))
-    try:
+    with further_terms([follower.mapper], [terms]):
         return follower.map_sample(sample, **times)
-    finally:
-        mapper.configure(tasks=tasks)

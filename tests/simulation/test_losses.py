@@ -256,17 +256,18 @@ def test_the_command_says_what_it_assumed_and_why_objects_were_lost(
     found = json.loads(capsys.readouterr().out)
     assert found["assumed"]["up"].startswith("+z, of the recording")
     assert "0.7 N m" in found["assumed"]["torque"]
-    (row,) = found["rows"]
+    row, gripping = found["rows"]
+    assert gripping["mapping"] == f"{row['mapping']}+grip"
     assert row["held"] == "no"
     assert row["why not"] in set(Loss)
     assert str(read_archive(out)["loss"]) == row["why not"]
-    (pads,) = found["pads"]
+    pads, _ = found["pads"]
     assert 0.0 < pads["off mm"] < 100.0
 
 
 def test_demo_is_a_recording_to_simulate(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["simulate", "demo", "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    row, _ = json.loads(capsys.readouterr().out)["rows"]
     assert row["held"] == "yes"
     assert cli.main(["simulate", "demo", "--robot", "allegro_right", "--json"]) == 0
 

@@ -499,12 +499,18 @@ def test_the_command_holds_what_it_meets(
     file = tmp_path / "made.npz"
     write_recordings([made_pick()], file)
     words = ["simulate", str(file), "--robot", "allegro_right", "--json"]
+    assert cli.main(words) == 0
+    by_default = json.loads(capsys.readouterr().out)["rows"]
     slips = {}
     for grip in ("grip", "grip+place"):
         assert cli.main([*words, "--grip", grip]) == 0
         plain, own = json.loads(capsys.readouterr().out)["rows"]
         assert own["mapping"] == f"{plain['mapping']}+{grip}"
         slips[grip] = own
+    # A robot that is simulated has encoders: it grips by default.
+    assert by_default[-1] == slips["grip"]
+    assert cli.main([*words, "--grip", "off"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == by_default[:1]
     # Where the object is known, it is not pushed away before it is held.
     assert slips["grip+place"]["held"] == "yes"
     assert slips["grip+place"]["slip mm"] < 5.0

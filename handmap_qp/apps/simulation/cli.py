@@ -17,9 +17,18 @@ from handmap_qp.apps.arguments import (
 from handmap_qp.apps.offline.comparison import own_methods
 from handmap_qp.apps.tables import Row, print_result
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Names, Values, hand_sides, is_robot, load_whole, sided_name
+from handmap_qp.hands import (
+    Hand,
+    Names,
+    Values,
+    hand_sides,
+    is_robot,
+    load_whole,
+    sided_name,
+)
 from handmap_qp.mapping import parse_object, surface
 from handmap_qp.output_files import check_output
+from handmap_qp.stream import has_grasp
 from handmap_qp.trackers import save_npz
 from .commands import chosen_methods, map_pinch, map_take, read_pick
 from .gripping import GripScene
@@ -81,7 +90,8 @@ class Simulate:
         methods: Mappings, as of `handmap compare`; peers by name too, such as dexi-dexpilot.
         peers: Folder of a program that runs further outside methods.
         grip: One mapping more: the first preset, and what thumb and finger meet is held with 5 N by
-            the measured joints alone (grip), or with the object's place known too (grip+place).
+            the measured joints alone (grip), or with the object's place known too (grip+place). If
+            omitted, `grip` where no --methods are named and the hand can; `off` for none.
         object: box:SIDE, box:XxYxZ, sphere:DIAMETER, cylinder:DIAMETERxLENGTH [m], or a mesh file.
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
@@ -108,7 +118,7 @@ class Simulate:
     robot: HandName = "three_finger"
     methods: Annotated[Names, hinted("METHOD...", "(default: the first preset)")] = ()
     peers: Annotated[Path | None, hinted("FOLDER")] = None
-    grip: Literal["grip", "grip+place"] | None = None
+    grip: Literal["grip", "grip+place", "off"] | None = None
     object: Annotated[str, arg(metavar="OBJECT")] = "box:0.03"
     mass: Annotated[float, arg(metavar="KG")] = 0.05
     friction: float = 0.8
@@ -175,7 +185,7 @@ class Simulate:
 
     def _check(self, trial: PinchTrial) -> None:
         """Reject options that contradict each other, before any work is done."""
-        is_whole = self.grip is not None and is_robot(self.robot)
+        is_whole = self.grip not in (None, "off") and is_robot(self.robot)
         expect(not is_whole, "--grip", "a robot with one hand", value=self.robot)
         problem = advice = ""
         if self.objects == "varied" and trial != PinchTrial():
@@ -229,18 +239,26 @@ class Simulate:
             method.name: PinchScene(commands, window, physics, placing, least_clear)
             for method, commands in zip(methods, mapped, strict=True)
         }
-        if self.grip and take:
-            name = f"{own_methods()[0]}+{self.grip}"
-            sees = self.grip == "grip+place"
-            scenes[name] = grip = GripScene(take, robot, window, physics, sees)
-            grip.placing = placing
-            grip.least_clear = least_clear
+        grip = self._grip_of(robot)
+        if grip and take:
+            name = f"{own_methods()[0]}+{grip}"
+            sees = grip == "grip+place"
+            scenes[name] = gripping = GripScene(take, robot, window, physics, sees)
+            gripping.placing = placing
+            gripping.least_clear = least_clear
         assumed = {
             "up": up,
             "torque": torque_limits(robot, self.torque).source,
             "object": f"stands where the {self.place}'s pads meet",
         }
         return scenes, assumed, person
+
+    def _grip_of(self, robot: Hand) -> str:
+        """Return how the first preset grips; nothing if it is not to be simulated."""
+        if self.grip is not None:
+            return "" if self.grip == "off" else self.grip
+        is_plain = not (self.methods or robot.parts)
+        return "grip" if is_plain and has_grasp(robot) else ""
 
     def _write(self, outcomes: dict[str, PinchOutcome]) -> None:
         """Write the files: of the first mapping that could start; the page shows all."""
