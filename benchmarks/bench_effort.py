@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from bench_grips import TORQUES, held_cells
+from bench_grips import held_cells
 from picks import picks
 
 from handmap_qp import load_hand
@@ -196,14 +196,11 @@ def main(words: Sequence[str] | None = None) -> None:
     with common.progress("gripping", len(recordings) * len(arguments.robots)) as done:
         for robot in arguments.robots:
             hand = load_hand(robot)
-            torque = TORQUES.get(robot, 1e3)
-            physics = Physics(
-                gravity=(0.0, -9.81, 0.0), torque=torque, contact_time=_SOFT
-            )
+            physics = Physics(gravity=(0.0, -9.81, 0.0), contact_time=_SOFT)
             for k, recording in enumerate(recordings):
                 seed = 1000 * arguments.seed + k
                 random = np.random.default_rng(seed)
-                window = find_pinch(recording)
+                window = find_pinch(recording, takes_fists=True)
                 take = prepare_take(recording, hand.side)
                 scene = EffortScene(take, hand, window, physics, sees=True)
                 for what, (nominal, told) in OBJECTS.items():

@@ -5,17 +5,21 @@
 
 Every robot follows every recording of `picks.py` by every mapping, and tries objects of
 `random_trials` (`varied`: cubes, balls and cylinders, 20 to 45 mm) or of `HOUSEHOLD`, each at a
-random place. All mappings and robots get the same objects and displacements. Torques are bounded by
-the makers' numbers (`TORQUES`). Shares of the objects that are held have intervals (95 %, Wilson).
+random place. All mappings and robots get the same objects and displacements. Torques are those
+of the makers. Shares of the objects that are held have intervals (95 %, Wilson).
 
 `teleoperation+grip` is the mapping with `GripFollower`: the robot's measured joints go back to it,
 and what thumb and finger have met is held with 5 N. It knows nothing else of the object;
-`teleoperation+grip+place` knows where the object's middle is.
+`teleoperation+grip+place` knows where the object's middle is. `+place5` and `+place10` know a place
+that is wrong by 5 and 10 mm (standard deviation along each axis), and how wrong it may be.
 
 A trial that cannot start, because the open hand overlaps the object or its pads are less than 15 mm
 clear of it, is refused: it counts in no share, but beside it. A mapping that holds few and has many
 refused is no better for it. The results are written after each recording, so that a run that is
 stopped leaves what it has found.
+
+Two of the twelve recordings are closings of a fist, which `handmap simulate` refuses. They are kept
+so that figures stay comparable; --no-fists leaves them out.
 
 Seeds 0 to 99 are for work. The tables of docs/simulation.md have seeds that were looked at once.
 """
@@ -26,6 +30,7 @@ import common  # first: it sets the number of threads before numpy is loaded
 
 # isort: split
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,18 +53,22 @@ from handmap_qp.apps.simulation.pinch import (
     random_trials,
     success_rate,
 )
+from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands import Vector
 
 PEERS = Path(__file__).resolve().parent / "peers"
 OWN = ("teleoperation", "fingertip-vectors")
-GRIPS = ("teleoperation+grip", "teleoperation+grip+place")
+GRIPS: dict[str, float | None] = {
+    "teleoperation+grip": None,
+    "teleoperation+grip+place": 0.0,
+    "teleoperation+grip+place5": 0.005,
+    "teleoperation+grip+place10": 0.010,
+}
+"""Standard deviation of the object's place along each axis [m]; None if it is not known."""
 OTHERS = ("dex-dexpilot", "dexi-dexpilot", "dex-vector", "dexi-vector", "dex-position")
-TORQUES = {"allegro_right": 0.7, "leap_right": 0.95, "shadow_right": 2.0}
-"""Largest torque of a finger's joint by the maker [N m].
-
-Allegro's data sheet, and the URDFs of LEAP and Shadow by their makers. The URDF of the package's
-Allegro says 15, those of the others nothing for some joints.
-"""
+# Errors of places are drawn apart from the objects, so that these stay as they were.
+_PLACES = 1
 # Gravity points against y, as in the worlds of all recordings.
 _GRAVITY = (0.0, -9.81, 0.0)
 
@@ -112,11 +121,32 @@ def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    """Return tables by their titles: by robot and mapping, recording, and object."""
-    return {
+    """Return tables by titles: by mapping, with robot, recording, and object, and causes."""
+    shown = {"By mapping": common.rows_by(found, ("mapping",), row)}
+    shown |= {
         f"By {key} and mapping": common.rows_by(found, (key, "mapping"), row)
         for key in ("robot", "recording", "object")
     }
+    if rows := losses(found):
+        shown["Why objects were not held"] = rows
+    return shown
+
+
+def losses(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return how many objects each mapping lost by each cause, the most frequent cause first."""
+    lost = Counter(
+        (each.get("loss") or REFUSED, each["mapping"])
+        for each in found
+        if not each["held"]
+    )
+    causes: Counter[str] = Counter()
+    for (cause, _), count in lost.items():
+        causes[cause] += count
+    names = dict.fromkeys(each["mapping"] for each in found)
+    return [
+        {"why": cause} | {name: lost[cause, name] for name in names}
+        for cause, _ in causes.most_common()
+    ]
 
 
 def draw_shares(found: Sequence[dict[str, Any]], title: str) -> Any:
@@ -151,12 +181,30 @@ def draw_shares(found: Sequence[dict[str, Any]], title: str) -> Any:
     return figure
 
 
-def tried(scene: PinchScene, trial: PinchTrial) -> dict[str, Any]:
-    """Return what became of an object."""
+def is_fist(recording: Recording) -> bool:
+    """Return whether thumb and index finger close without facing each other."""
+    try:
+        find_pinch(recording)
+    except InvalidInputError:
+        return True
+    return False
+
+
+def draw_errors(count: int, seed: int) -> list[Vector]:
+    """Draw how far stated places are off, in standard deviations, for each object."""
+    random = np.random.default_rng((seed, _PLACES))
+    return [(x, y, z) for x, y, z in random.normal(size=(count, 3)).tolist()]
+
+
+def tried(scene: PinchScene, trial: PinchTrial, error: Vector) -> dict[str, Any]:
+    """Return what became of an object whose place is stated with an error; see `draw_errors`."""
+    if isinstance(scene, GripScene):
+        x, y, z = (scene.deviation * np.array(error)).tolist()
+        scene.place_error = (x, y, z)
     try:
         outcome = scene.run(trial)
-    except InvalidInputError as error:
-        return {"held": None, "refused": str(error)}
+    except InvalidInputError as refusal:
+        return {"held": None, "refused": str(refusal)}
     return {
         "held": outcome.is_held,
         "slip mm": 1e3 * outcome.slip,
@@ -164,6 +212,7 @@ def tried(scene: PinchScene, trial: PinchTrial) -> dict[str, Any]:
         "torque N m": float(outcome.torque),
         "held s": float(outcome.held_time),
         "of s": float(outcome.pinch_time),
+        "loss": outcome.loss or "",
     }
 
 
@@ -171,14 +220,17 @@ def scenes(
     robot: str, recording: Recording, methods: Sequence[str], problems: list[str]
 ) -> Iterator[tuple[str, PinchScene]]:
     """Yield what each mapping makes of a recording; note those that cannot map it."""
-    window = find_pinch(recording)
+    window = find_pinch(recording, takes_fists=True)
     hand = load_hand(robot)
     take = prepare_take(recording, hand.side)
-    physics = Physics(gravity=_GRAVITY, torque=TORQUES.get(robot, 1e3))
-    for grip in GRIPS:
+    physics = Physics(gravity=_GRAVITY)
+    for grip, deviation in GRIPS.items():
         if grip in methods:
-            sees = grip.endswith("place")
-            yield grip, GripScene(take, hand, window, physics, sees)
+            sees = deviation is not None
+            yield (
+                grip,
+                GripScene(take, hand, window, physics, sees, deviation or 0.0),
+            )
     plain = tuple(name for name in methods if name not in GRIPS)
     if not plain:
         return
@@ -201,6 +253,9 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--trials", type=int, default=5, help="for each recording")
     parser.add_argument("--picks", type=int, default=None, help="only the first ones")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--no-fists", action="store_true", help="leave out closings of a fist"
+    )
     arguments = common.parse_arguments(parser, words)
     is_built = not build.missing_peers()
     methods = arguments.methods or [*OWN, *GRIPS, *(OTHERS if is_built else ())]
@@ -208,6 +263,8 @@ def main(words: Sequence[str] | None = None) -> None:
         arguments.robots, arguments.trials, arguments.picks = ["allegro_right"], 1, 1
         methods = ["teleoperation"]
     every = list(picks(common.find_recordings(arguments.recordings)))
+    if arguments.no_fists:
+        every = [recording for recording in every if not is_fist(recording)]
     recordings = every[: arguments.picks]
     found: list[dict[str, Any]] = []
     problems: list[str] = []
@@ -218,13 +275,14 @@ def main(words: Sequence[str] | None = None) -> None:
             trials = draw(
                 arguments.objects, arguments.trials, 1000 * arguments.seed + k
             )
+            errors = draw_errors(arguments.trials, 1000 * arguments.seed + k)
             for robot in arguments.robots:
                 for name, scene in scenes(robot, recording, methods, problems):
                     where = {"robot": robot, "mapping": name}
                     where["recording"] = recording.name
                     found += [
-                        where | {"object": kind} | tried(scene, trial)
-                        for kind, trial in trials
+                        where | {"object": kind} | tried(scene, trial, error)
+                        for (kind, trial), error in zip(trials, errors, strict=True)
                     ]
                 done()
             results = {"seed": arguments.seed, "trials": found, "problems": problems}

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from bench_grips import TORQUES, held_cells, medians
+from bench_grips import held_cells, medians
 from holding import FINGERS, add_choices, hold
 
 from handmap_qp import HandMapper, load_hand
@@ -61,7 +61,6 @@ def tried(
         mass=mass,
         friction=friction,
         gravity=(0.0, -9.81, 0.0),
-        torque=TORQUES.get(robot, 1e3),
     )
     grip = None
     if force is not None:

@@ -35,7 +35,7 @@ from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers import plausibility
 from handmap_qp.trackers.file_evidence import hints, recording_facts
-from handmap_qp.trackers.hand_geometry import log_size, own_distances, palmar_evidence
+from handmap_qp.trackers.hand_geometry import log_sizes, own_distances, palmar_evidence
 from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import InputCheck, examine_recording
 
@@ -208,7 +208,7 @@ def measure_left_out(people: dict[str, Sequence[lies.Take]]) -> list[dict[str, A
         found[name] = {
             "bends back": np.array(sides)[:, 1],
             "other side": np.array(sides)[:, 0],
-            "size": np.concatenate([log_sizes(take) for take in takes]),
+            "size": np.concatenate([batch_sizes(take) for take in takes]),
         }
     rows = []
     for name in people:
@@ -231,9 +231,9 @@ def batches(take: lies.Take) -> list[np.ndarray]:
     return [take.landmarks[start : start + 16] for start in starts]
 
 
-def log_sizes(take: lies.Take) -> np.ndarray:
+def batch_sizes(take: lies.Take) -> np.ndarray:
     """Return how far sizes of batches are from that of the first ones, as logarithms."""
-    sizes = [log_size(own_distances(landmarks)) for landmarks in batches(take)]
+    sizes = [float(log_sizes(own_distances(landmarks))) for landmarks in batches(take)]
     return np.abs(np.array(sizes) - np.median(sizes[: plausibility._FIRST_SIZES]))
 
 

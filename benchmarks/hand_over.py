@@ -134,7 +134,8 @@ class Scene:
     def _start(self, bar: Bar, pose: np.ndarray) -> Simulator:
         """Put a bar on its stand, and the robot where the recording starts."""
         shape = Box((bar.width, bar.width, LENGTH))
-        physics = Physics(mass=bar.mass, friction=bar.friction)
+        # By the torques of the URDFs alone.
+        physics = Physics(mass=bar.mass, friction=bar.friction, torque=1e3)
         simulator = Simulator(self.whole, shape, physics)
         simulator.reset(simulator.hand.configuration_vector(self.q[0], None), pose)
         simulator.set_stand(holds=True)

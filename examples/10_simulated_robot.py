@@ -3,10 +3,11 @@
 It watches a session of another client, receives the stream of commands, and simulates up to the
 clock's time with the newest one. A command that holds the robot is followed too: it repeats the
 last posture. Once a second a line says how far the wrist is from its command, and how the links
-press on the object.
+press on the object. It says where its joints are, as a driver with encoders does, so that a shared
+session grips the object.
 
     handmap serve                                                                  # the service
-    handmap track replay pinch.npz --to 127.0.0.1 --robot allegro_right --session lab --loop
+    handmap track replay pinch.npz --to 127.0.0.1 --robot allegro_right --session lab --shared
     python examples/10_simulated_robot.py lab --robot allegro_right --object sphere:0.04
 """
 
@@ -76,6 +77,8 @@ class StandIn:
         self._pads = Pads(simulator.hand)
         client.watch(session)
         self._goal: np.ndarray | None = None
+        # Joints of the last command, by name [rad].
+        self._angles: dict[str, float] = {}
         self._wrist: np.ndarray | None = None
         self._epoch = 0
         self._count = 0
@@ -128,6 +131,7 @@ class StandIn:
             self.simulator.set_stand(holds=True)
             self._is_standing = True
         self._goal = goal
+        self._angles = angles
         self._wrist = wrist
         self._epoch = command.epoch
         self._count += 1
@@ -135,6 +139,9 @@ class StandIn:
     def _advance(self, goal: np.ndarray, duration: float) -> None:
         """Simulate towards the goal, and let the object go once it is pinched."""
         self.simulator.follow(goal, duration)
+        names = self.simulator.hand.joint_names
+        measured = dict(zip(names, self.simulator.q.tolist(), strict=True))
+        self._client.measured([*(self._angles | measured).values()])
         if self._is_standing and self._pads.is_pinched(self.simulator):
             self.simulator.set_stand(holds=False)
             self._is_standing = False

@@ -109,9 +109,7 @@ from .stream.following import FollowingCheck as FollowingCheck
 from .stream.grip import (
     GripFollower as GripFollower,
 )
-from .stream.grip import (
-    GripOptions as GripOptions,
-)
+from .stream.hand_grip import GripOptions as GripOptions
 from .stream.held_object import ObjectFollower as ObjectFollower
 from .stream.held_object import ObjectOptions as ObjectOptions
 from .trackers.formats import read_recording as read_recording

@@ -93,6 +93,22 @@ def cross_matrices(vectors: Array) -> Array:
     return matrices
 
 
+def cross(first: Array, second: Array) -> Array:
+    """Return the cross products of vectors, shape (..., 3).
+
+    The result is that of `np.cross`, which spends 80 calls of Python on axes and shapes.
+
+    Args:
+        first: Shape (..., 3).
+        second: Shape (..., 3).
+    """
+    ahead, behind = [1, 2, 0], [2, 0, 1]
+    return (
+        first[..., ahead] * second[..., behind]
+        - first[..., behind] * second[..., ahead]
+    )
+
+
 def lengths(vectors: Array) -> Array:
     """Return the Euclidean length of each vector, shape (...), of shape (..., 3)."""
     return np.linalg.norm(vectors, axis=-1)

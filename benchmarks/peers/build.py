@@ -1,9 +1,12 @@
-"""Build one environment for each peer, apart from the product's own: `make peers`.
+"""Where the peers are: in environments that `make peers` builds, or in this one.
 
 Each environment is made from the requirements file of its name beside this script, and lies in
 `.peers/` of the checkout, or in the folder that `HANDMAP_PEERS` names. `.peers/data` gets the
 peers' own configuration files (from dex-retargeting) and robot descriptions (from dexi-rs), which
 both peers are then run with.
+
+A peer without such an environment is run by this interpreter, if it is installed here, as by
+`pip install 'handmap-qp[peers]'`. The wheel has this folder as `handmap_qp/outside/peers`.
 
 The script needs the standard library only. It leaves finished environments alone; after a change of
 a requirements file it builds that environment again.
@@ -11,11 +14,13 @@ a requirements file it builds that environment again.
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
@@ -36,12 +41,20 @@ class Peer:
         data: What it ships for both peers: a folder inside its module, and the name of that folder
             in `.peers/data`.
         megabytes: Size of its environment, measured on Linux x86-64 [MB].
+        needs: Modules that it imports and its distribution does not ask for.
     """
 
     name: str
     module: str
     data: tuple[str, str]
     megabytes: int
+    needs: tuple[str, ...] = ()
+
+    @property
+    def is_here(self) -> bool:
+        """Whether this interpreter can run it."""
+        modules = (self.module, *self.needs)
+        return all(find_spec(name) for name in modules) and _is_data_here()
 
     @property
     def requirements(self) -> Path:
@@ -50,20 +63,64 @@ class Peer:
 
 
 PEERS = (
-    Peer("dex-retargeting", "dex_retargeting", ("configs", "configs"), 1600),
+    Peer(
+        "dex-retargeting",
+        "dex_retargeting",
+        ("configs", "configs"),
+        1600,
+        ("torch", "six"),
+    ),
     Peer("dexi-rs", "dexi_rs", ("resources/assets/robots/hands", "hands"), 140),
 )
 
 
 def peers_folder() -> Path:
-    """The folder of all environments: `HANDMAP_PEERS`, or `.peers` of the checkout."""
-    named = os.environ.get("HANDMAP_PEERS")
-    return Path(named).resolve() if named else HERE.parents[1] / ".peers"
+    """The folder of all environments: `HANDMAP_PEERS`, or `.peers` of the checkout.
+
+    Of an installed package, it is a folder of the user's cache.
+    """
+    if named := os.environ.get("HANDMAP_PEERS"):
+        return Path(named).resolve()
+    if is_checkout():
+        return HERE.parents[1] / ".peers"
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(cache) / "handmap_qp" / "peers"
+
+
+def is_checkout() -> bool:
+    """Whether this file is that of a checkout, not of an installed package."""
+    return (HERE.parents[1] / "pyproject.toml").is_file()
 
 
 def data_folder() -> Path:
-    """The folder of the peers' own configuration files and robot descriptions."""
-    return peers_folder() / "data"
+    """The folder of the peers' own configuration files and robot descriptions.
+
+    Where none is built, it links to what is installed beside this interpreter.
+    """
+    built = peers_folder() / "data"
+    if built.is_dir() or not _is_data_here():
+        return built
+    linked = peers_folder() / "installed"
+    linked.mkdir(parents=True, exist_ok=True)
+    for peer in PEERS:
+        inside, name = peer.data
+        link, target = linked / name, _package_folder(peer) / inside
+        if link.resolve() != target.resolve():
+            link.unlink(missing_ok=True)
+            link.symlink_to(target, target_is_directory=True)
+    return linked
+
+
+def _package_folder(peer: Peer) -> Path:
+    """The folder of a peer's module, which is not imported."""
+    spec = find_spec(peer.module)
+    assert spec is not None
+    return Path((spec.submodule_search_locations or [""])[0])
+
+
+def _is_data_here() -> bool:
+    """Whether the configurations and descriptions are installed beside this interpreter."""
+    return all(find_spec(peer.module) for peer in PEERS)
 
 
 def environment_python(name: str) -> Path:
@@ -71,9 +128,43 @@ def environment_python(name: str) -> Path:
     return peers_folder() / name / "bin" / "python"
 
 
+def python_of(name: str) -> str:
+    """The interpreter that runs a peer: of its environment, or this one."""
+    peer = next(peer for peer in PEERS if peer.name == name)
+    if not _is_built(peer) and peer.is_here:
+        return sys.executable
+    return str(environment_python(name))
+
+
+def version_of(name: str) -> str:
+    """What a peer's results depend on: its requirements, or the version beside this interpreter."""
+    peer = next(peer for peer in PEERS if peer.name == name)
+    if not _is_built(peer) and peer.is_here:
+        return importlib.metadata.version(name)
+    return peer.requirements.read_text(encoding="utf-8")
+
+
 def missing_peers() -> list[str]:
-    """Names of the peers whose environment is not built, or not from today's requirements."""
-    return [peer.name for peer in PEERS if not _is_built(peer)]
+    """Names of the peers that can run nowhere.
+
+    They are not installed beside this interpreter, and their environment is not built, or not from
+    today's requirements.
+    """
+    return [peer.name for peer in PEERS if not (_is_built(peer) or peer.is_here)]
+
+
+def why_missing(names: list[str]) -> str:
+    """Say in one line what to do about peers that are missing."""
+    what = ", ".join(names)
+    if is_checkout():
+        return (
+            f"{what}: not built in {peers_folder()}, nor installed here: "
+            "pip install 'handmap-qp[peers]', or run make peers"
+        )
+    return (
+        f"{what}: not installed: pip install 'handmap-qp[peers]', on Python 3.11 or 3.12; "
+        "dex-retargeting needs torch and six too"
+    )
 
 
 def _is_built(peer: Peer) -> bool:
@@ -160,9 +251,8 @@ def _stop(message: str) -> NoReturn:
 
 def main() -> None:
     """Build what is missing, and say what is there."""
-    missing = missing_peers()
     for peer in PEERS:
-        if peer.name in missing:
+        if not _is_built(peer):
             _build(peer, _find_python())
         else:
             print(f"{peer.name}: built already in {peers_folder() / peer.name}")

@@ -25,14 +25,11 @@ from peers.results import METHODS, PeerError, peer_robot, run_peer
 def list_methods(hand: str) -> None:
     """Print the methods for a hand as JSON."""
     missing = build.missing_peers()
-    if missing:
-        raise PeerError(
-            f"--peers: {', '.join(missing)}: not built in {build.peers_folder()}: run make peers"
-        )
+    runnable = [m for m in METHODS.values() if m.peer not in missing]
+    if not runnable:
+        raise PeerError(f"--peers: {build.why_missing(missing)}")
     peer_robot(load_hand(hand))
-    json.dump(
-        [{"name": m.name, "about": m.title} for m in METHODS.values()], sys.stdout
-    )
+    json.dump([{"name": m.name, "about": m.title} for m in runnable], sys.stdout)
 
 
 def run(method: str, hand: str, given: str, made: str) -> None:

@@ -1,9 +1,9 @@
 """dexi-rs live in a loop, as a mapping of `handmap score --tasks`.
 
-    make peers
+    pip install 'handmap-qp[peers]'      # or: make peers
     handmap score --tasks pick --methods teleoperation benchmarks/peers/live.py:dexpilot
 
-The peer runs in its own environment, as published but without its low-pass filter; our limits clip
+The peer runs in a process of its own, as published but without its low-pass filter; our limits clip
 its joints. Where the peer's robot has a wrist that ours has not (Shadow's), its turn is left out.
 
 The same file is the worker: `live.py METHOD ROBOT DATA` reads landmarks as JSON lines, answers
@@ -49,7 +49,7 @@ class LivePeer:
         results = importlib.import_module("peers.results")
         build = importlib.import_module("peers.build")
         command = [
-            build.environment_python(_PEER),
+            build.python_of(_PEER),
             __file__,
             method,
             results.peer_robot(robot),
@@ -60,7 +60,7 @@ class LivePeer:
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
             )
         except OSError as error:
-            raise results.PeerError(f"{_PEER}: {error}: run make peers") from error
+            raise results.PeerError(build.why_missing([_PEER])) from error
         names = self._read()
         self._columns = {
             name: names.index(results.peer_joint(robot, name))

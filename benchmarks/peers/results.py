@@ -212,10 +212,8 @@ def run_peer(method: PeerMethod | str, recording: Recording, robot: Hand) -> Pee
     chosen = _method(method)
     name = peer_robot(robot)
     missing = build.missing_peers()
-    if missing:
-        raise PeerError(
-            f"{', '.join(missing)}: not built in {build.peers_folder()}: run make peers"
-        )
+    if chosen.peer in missing:
+        raise PeerError(build.why_missing(missing))
     own = recording if recording.side == robot.side else mirrored(recording)
     file = build.peers_folder() / "cache" / f"{_key(chosen, name, own)}.npz"
     if not file.is_file():
@@ -428,10 +426,8 @@ def _key(method: PeerMethod, robot: str, recording: Recording) -> str:
     digest = hashlib.sha256(
         f"{method.peer} {method.method} {method.is_filtered} {robot}".encode()
     )
-    requirements = [
-        peer.requirements for peer in build.PEERS if peer.name == method.peer
-    ]
-    for file in (Path(runner.__file__), _urdf(robot), *requirements):
+    digest.update(build.version_of(method.peer).encode())
+    for file in (Path(runner.__file__), _urdf(robot)):
         digest.update(file.read_bytes())
     for array in (recording.landmarks, recording.valid):
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -449,13 +445,16 @@ def _run(method: PeerMethod, robot: str, recording: Recording, file: Path) -> No
             valid=recording.valid,
             handedness=np.array(recording.side),
         )
-        words = [str(build.environment_python(method.peer)), str(Path(runner.__file__))]
+        words = [build.python_of(method.peer), str(Path(runner.__file__))]
         words += ["--peer", method.peer, "--method", method.method, "--robot", robot]
         words += [] if method.is_filtered else ["--no-filter"]
         words += ["--data", str(build.data_folder()), str(given), str(made)]
         # dex-retargeting leaves a folder of its own in TMPDIR; a PYTHONPATH of ours is not its.
+        is_apart = build.python_of(method.peer) != sys.executable
         environment = {
-            key: value for key, value in os.environ.items() if key != "PYTHONPATH"
+            key: value
+            for key, value in os.environ.items()
+            if not (is_apart and key == "PYTHONPATH")
         }
         environment |= {
             "TMPDIR": str(folder),

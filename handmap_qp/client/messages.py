@@ -253,7 +253,9 @@ class Open(Request):
             Null: errors are only told. An object in the hand stops joints, too.
         following_time: How long it must last [s].
         grip: Fields of GripOptions: thumb and finger hold what they meet, by `measured_q` of
-            samples, or all press on an `object`. Only with input=landmarks, as is that.
+            samples or a driver's `measured`, or all press on an `object`. If omitted, they do so
+            wherever joints are measured and the hand can; false: never. Only with input=landmarks,
+            as is `object`.
         object: The object that the person holds: `box:0.05`, `box:0.03x0.04x0.1`, `sphere:0.04`,
             `cylinder:0.04x0.1`, or the vertices of its convex hull [m]; samples have `object_pose`.
     """
@@ -289,7 +291,7 @@ class Open(Request):
     is_shared: bool = False
     following_error: Annotated[float, Meta(gt=0.0)] | None = None
     following_time: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05
-    grip: Options | None = None
+    grip: Options | bool | None = None
     object: Solid | Places | None = None
 
     __post_init__ = _rename_options
@@ -358,10 +360,11 @@ class Step(Request):
         hands: One or both hands by side, in place of all fields above but `time`; for a robot with
             two hands. Without one of them, its side of the robot goes on to what it was asked for
             last, and holds after 0.25 s.
-        measured_q: Joint angles that the robot has now [rad], as of `measured`; required with
-            `grip` alone.
+        measured_q: Joint angles that the robot has now [rad], as of `measured`. With `grip`, either
+            is required.
         object_centre: Middle of what the robot is to grip, in its world [m], if it is known: pads
-            that close near it meet around it; only with `grip` alone.
+            that close near it meet around it; only where joints are measured.
+        object_deviation: Standard deviation of that along each axis [m]; 5 mm if omitted.
         object_pose: Pose of the person's `object`, in the axes of the landmarks; if it is omitted,
             the object is not seen.
     """
@@ -378,6 +381,7 @@ class Step(Request):
     hands: dict[Side, HandSample] | None = None
     measured_q: Angles | None = None
     object_centre: Place | None = None
+    object_deviation: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     object_pose: Pose | None = None
 
 

@@ -78,6 +78,10 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
       goal.wrists.push_back(pose_of(wrists->data() + 16 * i));
   }
   goal.postures = postures_of(ik, given.get<Postures>("postures"));
+  if (const auto shares = given.get<std::optional<Array>>("damping_shares")) {
+    expect_size(*shares, ik.tree.joint_columns.size(), "damping_shares");
+    goal.damping_shares = vector_of(*shares);
+  }
   static const nb::object& PointOffset =
       *new nb::object(module_of("ik.tasks").object("PointOffset"));
   nb::list others;
@@ -207,6 +211,7 @@ void bind_ik(nb::module_& m) {
              set_motion(ik, q, displacement, dt, stop_times, time);
            },
            "q"_a, "displacement"_a, "dt"_a, "stop_times"_a, "time"_a = 0.0)
+      .def_ro("costs", &PythonIk::costs)
       .def_prop_ro("detours", exclusively(&detours_of))
       .def("go_on", exclusively(&go_on), "detours"_a)
       .def("hold", exclusively(&hold_still), "when"_a)

@@ -496,7 +496,7 @@ inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) 
   map.pinch_weight = from.get<double>("method.pinch_weight");
   map.carried = from.numbers("carried");
   map.likeness = from.get<double>("pair.palms.likeness");
-  map.rest_shares = from.numbers("rest_shares");
+  map.regularisation = from.numbers("regularisation");
   map.pinch_far = from.get<double>("method.pinch_from");
   map.pinch_over = from.get<double>("method.pinch_over");
   map.offsets = from.points("offsets");

@@ -135,7 +135,8 @@ inline std::unique_ptr<GuardRules> read_guard_rules() {
   GuardRules& rules = *found;
   const Fields from = module_of("stream.guard");
   read_numbers(from, {{"LONGEST_STEP", &rules.longest_step}, {"GAP", &rules.gap},
-                      {"_SET_BACK", &rules.set_back}, {"_SET_FORWARD", &rules.set_forward}});
+                      {"BEHIND", &rules.behind}, {"_SET_BACK", &rules.set_back},
+                      {"_SET_FORWARD", &rules.set_forward}});
   rules.late_samples = from.get<int>("_LATE_SAMPLES");
   read_numbers(from, {{"_PERIOD_SHARE", &rules.period_share},
                       {"_SHORTEST_STEP", &rules.shortest_step},

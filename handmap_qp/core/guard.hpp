@@ -21,7 +21,7 @@ constexpr int kFixed = 23, kSizes = 8;
 // Numbers of Python.
 struct GuardRules {
   // SampleClock and RateCheck
-  double longest_step, gap, set_back, set_forward, period_share, shortest_step;
+  double longest_step, gap, behind, set_back, set_forward, period_share, shortest_step;
   int late_samples;
   double rate_window, largest_drift, credit_rate;
   // Motion

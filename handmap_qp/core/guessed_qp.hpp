@@ -18,20 +18,23 @@ class GuessedQp {
   std::vector<double> x;
 
   // Return whether a minimum was found; arguments as of `Qp::solve`. `guess` is -1 for coordinates on
-  // their lower bound, 1 for those on their upper one.
+  // their lower bound, 1 for those on their upper one. With `has_other_rows`, all but the rows is as in
+  // the last call, so that H may be factored already.
   bool solve(int n, const double* H, const double* c, const double* lower, const double* upper,
-             int rows, const double* G, const double* h, const std::vector<signed char>& guess) {
+             int rows, const double* G, const double* h, const std::vector<signed char>& guess,
+             bool has_other_rows = false) {
     constexpr int kTries = 3;
     problem_ = {n, H, c, lower, upper, rows, G, h};
+    if (!has_other_rows) factored_.clear();
     fixed_ = guess;
     for (int i = 0; i < kTries; ++i) {
       if (std::count(fixed_.begin(), fixed_.end(), 0) == n) break;
       if (!solve_rest()) break;
       if (!free_wrong()) return true;
     }
-    const bool has_found = qp_.solve(n, H, c, lower, upper, rows, G, h);
+    fixed_.assign(n, 0);
+    const bool has_found = qp_.solve(n, H, c, lower, upper, rows, G, h, are_factored());
     x = qp_.x;
-    find_slope();
     return has_found;
   }
 
@@ -40,6 +43,7 @@ class GuessedQp {
 
   // The cost's derivative at the minimum, 0 where x is within `tight` of a bound.
   const std::vector<double>& slope(double tight) {
+    find_slope();
     for (int i = 0; i < problem_.n; ++i)
       if (!(std::min(x[i] - problem_.lower[i], problem_.upper[i] - x[i]) > tight)) slope_[i] = 0.0;
     return slope_;
@@ -85,12 +89,19 @@ class GuessedQp {
       for (int a = 0; a < count; ++a) G_[r * count + a] = g[free_[a]];
     }
     if (!qp_.solve(count, H_.data(), c_.data(), lower_.data(), upper_.data(), rows, G_.data(),
-                   h_.data()) ||
+                   h_.data(), are_factored()) ||
         qp_.leaves_any())
       return false;
     for (int a = 0; a < count; ++a) x[free_[a]] = qp_.x[a];
     find_slope();
     return true;
+  }
+
+  // Whether H is factored for the coordinates that are not fixed; it is from now on.
+  bool are_factored() {
+    const bool they_are = factored_ == fixed_;
+    factored_ = fixed_;
+    return they_are;
   }
 
   // Free the coordinates that their bounds would hold from the wrong side. Return whether there are any.
@@ -117,7 +128,7 @@ class GuessedQp {
 
   Problem problem_;
   Qp qp_;
-  std::vector<signed char> fixed_;
+  std::vector<signed char> fixed_, factored_;
   std::vector<int> free_;
   std::vector<double> H_, c_, lower_, upper_, G_, h_, slope_, pressed_;
 };

@@ -69,6 +69,13 @@ struct Goal {
   std::vector<OffsetTask> offsets;
   // Further rows at a configuration, of tasks written elsewhere.
   std::function<void(const Vector& q, TaskRows& rows)> further;
+  Vector damping_shares;  // of the damping's weight, of each joint; all of it if empty
+
+  // Take shares of the weights of the rest term, which is the first posture, and of the damping.
+  void regularise(const Vector& shares) {
+    postures.front().shares = shares;
+    damping_shares = shares;
+  }
 };
 
 // The constants of collision.py, by their names there.
@@ -148,7 +155,8 @@ class Ik {
       if (has_rows)
         feasible_.loosen(linear_, least_, most_, limits.stopping(motion, dt), total_, h_);
       double length2;
-      has_failed = !step(goal, has_rows ? linear_.count : 0, length2);
+      cost(goal);
+      has_failed = !minimise(has_rows ? linear_.count : 0, length2);
       ++iterations;
       // On failure, bring joints outside their limits back all the same.
       for (int i = 0; i < n; ++i)
@@ -158,16 +166,22 @@ class Ik {
       expected_ = total_;
       at.displace(motion.q.data(), total_.data());
     }
+    // Later iterations leave the cost of another posture.
+    bool has_first_cost = iterations == 1;
     // Solve from the start again, and keep apart the points that met.
     const auto around = [&](bool by_margins) {
       double length2;
-      at.copy(start_);
-      pairs->add_met(at, by_margins, linear_);
+      pairs->add_met(start_, by_margins, linear_);
       total_.assign(n, 0.0);
       feasible_.loosen(linear_, lower_, upper_, limits.stopping(motion, dt), total_, h_);
       least_ = lower_;
       most_ = upper_;
-      const bool has_step = step(goal, linear_.count, length2);
+      if (!has_first_cost) {
+        at.copy(start_);
+        cost(goal);
+      }
+      const bool has_step = minimise(linear_.count, length2, has_first_cost);
+      has_first_cost = true;
       ++iterations;
       for (int i = 0; i < n; ++i)
         total_[i] = clip(has_step ? qp_.x[i] : 0.0, lower_[i], upper_[i]);
@@ -258,7 +272,8 @@ class Ik {
     move(taken_, times_, interval);
   }
 
-  Placed at;  // where the hand is
+  Placed at;               // where the hand is
+  std::int64_t costs = 0;  // number of costs that were computed, as a measure of work
 
  private:
   // See limits.Gate.bounds.
@@ -284,14 +299,14 @@ class Ik {
     }
   }
 
-  // Pose the QP of one iteration and solve it: false if that fails.
-  bool step(const Goal& goal, int rows, double& length2) {
-    cost(goal);
+  // Solve the QP of one iteration, whose cost is known: false if that fails. `has_other_rows` as of
+  // `GuessedQp::solve`.
+  bool minimise(int rows, double& length2, bool has_other_rows = false) {
     length2 = 0.0;
     is_pressed_ = false;
     guess();
     if (!qp_.solve(tree.size, H_.data(), c_.data(), least_.data(), most_.data(), rows,
-                   linear_.G.data(), h_.data(), guess_))
+                   linear_.G.data(), h_.data(), guess_, has_other_rows))
       return false;
     for (const double x : qp_.x) length2 += x * x;
     is_pressed_ = std::isfinite(length2) && qp_.has_active_row();
@@ -377,9 +392,12 @@ class Ik {
   // c and the lower triangle of H of the QP where the hand is.
   void cost(const Goal& goal) {
     const int n = tree.size;
+    ++costs;
     H_.assign(n * n, 0.0);
     c_.assign(n, 0.0);
     diagonal_.assign(n, weights.damping * weights.damping);
+    for (size_t j = 0; j < goal.damping_shares.size(); ++j)
+      diagonal_[tree.joint_columns[j]] *= goal.damping_shares[j] * goal.damping_shares[j];
     place_targets(goal);
     for (size_t i = 0; i < tree.parts.size(); ++i) {
       damp(add_points(tree.parts[i], is_carried(goal)));

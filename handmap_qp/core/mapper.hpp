@@ -65,9 +65,16 @@ inline When when_from(const nb::object& given) {
   return When::after(nb::cast<double>(given));
 }
 
-// Likewise of a caller of the package, or none for one that Python has to look at.
+// Likewise of a caller of the package, or none for one that Python has to look at; see
+// mapper.check_when.
 inline std::optional<When> plain_when(const nb::object& given) {
-  if (nb::isinstance<nb::tuple>(given)) return when_from(given);
+  static const nb::object& instant = *new nb::object(module_of("ik.limits").object("Instant"));
+  if (given.type().is(instant)) {
+    double time, longest;
+    if (!nb::try_cast(item(given, 0), time) || !nb::try_cast(item(given, 1), longest)) return {};
+    const bool is_right = std::isfinite(time) && longest > 0.0;
+    return is_right ? std::optional(When::at(time, longest)) : std::nullopt;
+  }
   const std::optional<double> dt = plain_dt(given);
   return dt ? std::optional(When::after(*dt)) : std::nullopt;
 }
@@ -314,15 +321,19 @@ class SampleReader {
     if (from.sample.wrist && !(wrist = exact_pose(from.sample.wrist))) return nb::none();
     if (from.sample.valid && !is_near(from.sample.landmarks, 3 * kLandmarks)) return nb::none();
     const Work judging(guard), smoothing(smoother);
+    const double last = given ? 0.0 : last_time();
     const Verdict verdict = guard.judge_one(from.sample);
     nb::object said = guard.verdict_of(verdict);
     if (verdict.is_held || verdict.is_return) return said;
+    // Python relates the stream's clock to the robot's.
+    const double time = given ? 0.0 : nb::cast<double>(origin) + verdict.time;
+    if (!given && last - time > guard.guard.rules.behind) return said;
     const Clock::time_point started = Clock::now();
     try {
       const double speed = verdict.rule == kUnproven ? unproven_speed() : 1.0;
       const double granted = given ? given->own_time() : std::max(verdict.dt, kShortestDt);
       HumanPose pose = reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr);
-      const When when = given ? *given : When::at(nb::cast<double>(origin) + verdict.time, granted);
+      const When when = given ? *given : When::at(time, granted);
       nb::object stages = moved(smoother.smoother.smooth(std::move(pose), granted), when, speed);
       return map_step_(stages, nb::tuple(), seconds_since(started), said, from.sample.confidence);
     } catch (...) {
@@ -337,6 +348,8 @@ class SampleReader {
   const TargetMap& map_;
 
   virtual nb::object moved(HumanPose&& pose, const When& when, double speed) = 0;
+  // Instant of the robot's last command, on its clock [s].
+  virtual double last_time() = 0;
   static double unproven_speed() {
     static const double speed =
         module_of("human.sample").get<double>("UNPROVEN_SPEED");
@@ -411,6 +424,11 @@ class SampleMapper : public SampleReader {
     handmap::follow(ik_, map_, stages.pose, when, speed, goal_, stages);
     leave_motion(ik_, made);
     return made;
+  }
+  double last_time() override {
+    const Work reading(ik_);
+    take_motion(ik_);
+    return ik_.motion.time;
   }
 
  private:

@@ -30,9 +30,9 @@ class Qp {
   int iterations = 0;
 
   // Return whether a minimum was found; of H, the lower triangle counts. G has `rows` rows, one after
-  // the other.
+  // the other. With `is_same_cost`, H and c have the numbers of the last call, which factored H.
   HANDMAP_WIDE bool solve(int n, const double* H, const double* c, const double* lower, const double* upper,
-             int rows, const double* G, const double* h) {
+             int rows, const double* G, const double* h, bool is_same_cost = false) {
     n_ = n;
     rows_ = rows;
     lower_ = lower;
@@ -41,7 +41,9 @@ class Qp {
     h_ = h;
     H_ = H;
     c_ = c;
-    if (!start()) return false;
+    if (!is_same_cost) has_factors_ = factor();
+    if (!has_factors_) return false;
+    start();
     const int most = 50 + 10 * (n + rows);
     int corrections = 0;
     for (iterations = 0; iterations < most; ++iterations) {
@@ -124,19 +126,12 @@ class Qp {
     for (int i = 0; i < n; ++i) to[i] += factor * from[i];
   }
 
-  // Factor H = L^T L, and go to the free minimum.
-  bool start() {
+  // Factor H = L^T L, and find the free minimum. False if H is not positive definite.
+  bool factor() {
     const int n = n_;
     L_.resize(n * n);
-    Q_.resize(n * n);
-    R_.resize(n * n);
-    for (std::vector<double>* part : {&x, &inverse_, &d_, &w_, &v_, &r_}) part->resize(n);
-    active_.clear();
-    multipliers_.clear();
-    is_active_.assign(2 * n + rows_, 0);
+    for (std::vector<double>* part : {&x, &inverse_, &w_}) part->resize(n);
     is_rounded_ = false;
-    row_norms_.resize(rows_);
-    for (int k = 0; k < rows_; ++k) row_norms_[k] = std::sqrt(dot(G_ + k * n, G_ + k * n, n));
     for (int k = 0; k < n; ++k) std::copy(H_ + k * n, H_ + k * n + k + 1, L(k));
     // From the last coordinate to the first: along a tree, zeros of H stay zeros of L (Featherstone,
     // Int. J. Robotics Res. 24, 2005).
@@ -157,10 +152,24 @@ class Qp {
     for (int i = 0; i < n; ++i)
       if (!(std::abs(w_[i]) < kInfinity)) return false;
     solve_lower(w_.data());
-    std::copy(w_.begin(), w_.end(), x.begin());
+    free_minimum_ = w_;
     is_far_ = false;
-    for (const double each : x) is_far_ |= std::abs(each) > kFar;
+    for (const double each : free_minimum_) is_far_ |= std::abs(each) > kFar;
     return true;
+  }
+
+  // Go to the free minimum, where no constraint is active.
+  void start() {
+    const int n = n_;
+    x = free_minimum_;
+    Q_.resize(n * n);
+    R_.resize(n * n);
+    for (std::vector<double>* part : {&d_, &v_, &r_}) part->resize(n);
+    active_.clear();
+    multipliers_.clear();
+    is_active_.assign(2 * n + rows_, 0);
+    row_norms_.resize(rows_);
+    for (int k = 0; k < rows_; ++k) row_norms_[k] = std::sqrt(dot(G_ + k * n, G_ + k * n, n));
   }
 
   // y = L^-T y
@@ -404,10 +413,10 @@ class Qp {
   int n_ = 0, rows_ = 0;
   const double *H_ = nullptr, *c_ = nullptr, *lower_ = nullptr, *upper_ = nullptr, *G_ = nullptr,
                *h_ = nullptr;
-  std::vector<double> L_, inverse_, Q_, R_, d_, w_, v_, r_, multipliers_, row_norms_;
+  std::vector<double> free_minimum_, L_, inverse_, Q_, R_, d_, w_, v_, r_, multipliers_, row_norms_;
   std::vector<int> active_;
   std::vector<char> is_active_;
-  bool is_rounded_ = false, is_far_ = false;
+  bool has_factors_ = false, is_rounded_ = false, is_far_ = false;
 };
 
 }  // namespace handmap

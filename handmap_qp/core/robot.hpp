@@ -47,6 +47,8 @@ class Asker : public SampleReader {
       throw std::invalid_argument("the map is of another hand");
     return nb::cast(Ask{map_owner_, &map_, reader_, std::move(pose), when.own_time(), speed});
   }
+  // `RobotFollower` relates the clocks of hands to the robot's.
+  double last_time() override { return -HUGE_VAL; }
 
  private:
   std::shared_ptr<const StepReader> reader_;
@@ -196,7 +198,7 @@ class RobotMover {
     take_motion(ik_);
     aim(asks, times, worlds);
     goal_.postures = ik_.postures(wanted_rest_, ik_.motion.next(when).granted);
-    goal_.postures.front().shares = rest_shares_;
+    goal_.regularise(regularisation_);
     auto [made, whole] = new_stages(reader_);
     seek(ik_, goal_, when, margins_, speed, whole.result);
     finish(ik_, whole);
@@ -226,7 +228,7 @@ class RobotMover {
     goal_.distances.clear();
     goal_.offsets.clear();
     wanted_rest_ = rest_;
-    rest_shares_.assign(rest_.size(), 1.0);
+    regularisation_.assign(rest_.size(), 1.0);
     asked_.resize(count);
     persons_.resize(count);
     for (size_t k = 0; k < count; ++k) {
@@ -247,7 +249,7 @@ class RobotMover {
       for (size_t i = 0; i < rest_.size(); ++i)
         if (ik_.fingers[k][i] != 0.0) {
           wanted_rest_[i] = asks[k]->map->rest[i];
-          if (asked.rest_shares) rest_shares_[i] = (*asked.rest_shares)[i];
+          if (asked.regularisation) regularisation_[i] = (*asked.regularisation)[i];
         }
       // Others never change.
       for (size_t i = 0; i < hands_[k].pinching.size(); ++i)
@@ -329,7 +331,7 @@ class RobotMover {
   // What the hands ask, where the person's palms are in the robot's world, and what the QP is to do.
   std::vector<Asked> asked_;
   std::vector<Pose> persons_;
-  Vector wanted_rest_, rest_shares_;
+  Vector wanted_rest_, regularisation_;
   Goal goal_;
 };
 

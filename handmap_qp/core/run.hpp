@@ -46,8 +46,9 @@ struct Run {
     if (sample.wrist && sample.valid && !(wrist = exact_pose(sample.wrist))) return false;
     former = guard.state;
     verdict = guard.check(sample);
-    // Python leads back to the hand after a hold.
-    leaves = verdict.is_return;
+    // Python leads back to the hand after a hold, and relates the stream's clock to the robot's.
+    const double behind = ik.motion.time - (origin + verdict.time);
+    leaves = verdict.is_return || behind > guard.rules.behind;
     if (leaves) return false;
     try {
       move(sample, wrist);

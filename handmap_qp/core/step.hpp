@@ -132,7 +132,10 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, const Wh
   goal.points = asked.points;
   goal.wrists = {asked.wrist};
   goal.postures = ik.postures(map.rest, ik.motion.next(when).granted);
-  if (asked.rest_shares) goal.postures.front().shares = *asked.rest_shares;
+  if (asked.regularisation)
+    goal.regularise(*asked.regularisation);
+  else
+    goal.damping_shares.clear();
   goal.distances.clear();
   if (asked.distances) goal.distances.push_back({asked.distances, asked.aims, asked.weights});
   seek(ik, goal, when, asked.margins, speed, step.result);

@@ -161,8 +161,8 @@ struct Asked {
   Pose wrist;
   const DistanceTask* distances = nullptr;
   Vector aims, weights, margins, diagnostics;
-  // Share of the rest term's weight, of each joint; null for all of it.
-  const Vector* rest_shares = nullptr;
+  // Share of the weights of the rest term and of the damping, of each joint; null for all of both.
+  const Vector* regularisation = nullptr;
   bool is_clamped = false;
 };
 
@@ -227,7 +227,7 @@ class TeleoperationMap : public TargetMap, public PalmMap {
   std::vector<int> pinch_pairs, pinch_of_pair;
   double contact_slope = 0.0, contact_from = 0.0, contact_most = 0.0;
   DistanceTask distances;
-  Vector rest_shares;
+  Vector regularisation;
 
   const PalmMap* palm() const override { return this; }
   std::vector<ArrayShape> shapes() const override {
@@ -245,7 +245,7 @@ class TeleoperationMap : public TargetMap, public PalmMap {
     const size_t rows = from.size(), pinches = rows - fingers;
     Vector extensions(fingers), gaps(pinches), pinching(pinches);
     asked.distances = &distances;
-    asked.rest_shares = &rest_shares;
+    asked.regularisation = &regularisation;
     asked.aims.resize(rows);
     asked.weights.resize(rows);
     for (size_t k = 0; k < rows; ++k) {

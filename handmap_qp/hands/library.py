@@ -4,7 +4,8 @@
 whose models other packages ship (`urdf/described/<name>.yaml`). Only the human's can be scaled.
 """
 
-from collections.abc import Container
+import difflib
+from collections.abc import Container, Iterable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -94,7 +95,7 @@ def sided_name(
     if name == "human" and side == "left":
         return "human_left"
     if known is None:
-        if Path(name).exists():
+        if _is_there(name):
             return name
         known = robot_files() | hand_files()
     sided = f"{name}_{side}"
@@ -180,7 +181,16 @@ def _of_side(hand: str | Path | HandSpec, side: Side) -> str | Path | HandSpec:
             advice=f"leave it out, or name {partner}",
         )
     # A hand is meant, so a robot of the same name, such as `g1`, is not.
-    return hand if Path(hand).exists() else sided_name(hand, side, hand_files())
+    return hand if _is_there(hand) else sided_name(hand, side, hand_files())
+
+
+def _is_there(name: str) -> bool:
+    """Return whether there is a file or a folder of a name, which may be one that no file has."""
+    try:
+        return Path(name).exists()
+    except OSError:
+        # A name that is too long for a file, say.
+        return False
 
 
 def _load(
@@ -223,5 +233,19 @@ def find_file(given: str | Path, kind: str = "hand", folder: Path = Path()) -> P
         advice = f"run `handmap hands init {name}` first, and give the {kind}.yaml that it writes"
         raise HandError(f"{problem}: {advice}", value=name)
     expected = f"one of {', '.join(known)}, or the path of a {kind}.yaml"
-    advice = did_you_mean(name, known) or f"expected {expected}"
+    advice = did_you_mean(_meant(name, known), known) or f"expected {expected}"
     raise HandError(f"no {kind} {describe_value(name)}: {advice}", value=name)
+
+
+def _meant(name: str, known: Iterable[str]) -> str:
+    """Return the family that a mistyped name is nearest to, such as `allegro`, or the name itself.
+
+    Without families, the name `alegro` is nearer to `ur5_allegro` than to `allegro_left`.
+    """
+    hands = [*known]
+    word = name.lower()
+    if any(each.startswith(word) for each in hands):
+        return name
+    families = [each.removesuffix("_left") for each in hands if each.endswith("_left")]
+    nearest = difflib.get_close_matches(word, [*hands, *families], n=1)
+    return next((each for each in nearest if each in families), name)

@@ -123,6 +123,10 @@ class ContactGapMeter:
         if len(self._recent) < 3:
             return False
         rows = [gaps for _, gaps in self._recent]
+        is_waiting = self._least == math.inf and not self._is_due
+        if is_waiting and min(map(min, rows)) >= TOUCH_GAP:
+            # No median is below the least number, so no touch begins.
+            return False
         columns = map(sorted, zip(*rows, strict=True))
         half = len(rows) // 2
         smallest = min([0.5 * (gaps[half] + gaps[~half]) for gaps in columns])

@@ -15,7 +15,7 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import OTHER_SIDE, UPRIGHT, Hand, Side
-from handmap_qp.se3 import Array, affine, as_floats, check_poses, frozen
+from handmap_qp.se3 import Array, affine, as_floats, check_poses, frozen, is_real
 from .sample import LANDMARK_COUNT, HumanSample, check_side
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -196,7 +196,7 @@ def regular_time(count: int, fps: float) -> Array:
     Raises:
         InvalidInputError: If there is no such rate.
     """
-    expect(0.0 < fps < np.inf, "fps", "a rate > 0", value=fps)
+    expect(is_real(fps) and fps > 0.0, "fps", "a rate > 0", value=fps)
     return np.arange(count) / fps
 
 

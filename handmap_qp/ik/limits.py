@@ -419,6 +419,10 @@ class Gate:
     def motion(self, motion: Motion) -> None:
         self.read_motion = lambda: motion
 
+    def moves_as(self, other: Gate) -> bool:
+        """Tell whether both gates have the motion of one and the same command."""
+        return self.read_motion is other.read_motion
+
     def place(self, q: Array) -> None:
         """Put the robot at a configuration of Pinocchio, shape (nq,), at rest.
 

@@ -19,7 +19,7 @@ import qpsolvers
 from handmap_qp.hands import Configuration, Hand
 from handmap_qp.se3 import Array
 from .options import IkOptions
-from .qp import cost_rows
+from .qp import cost_rows, squared_damping
 from .tasks import Goal
 
 
@@ -84,7 +84,7 @@ def build_problem(
     active: Any = _ActiveConfiguration(configuration)
     nv = configuration.nv
     terms = []
-    damping = np.full(nv, options.damping**2)
+    damping = squared_damping(hand, options, goal, nv)
     for residual, jacobian, further in cost_rows(hand, options, configuration, goal):
         terms.append(Term(np.ones(1), residual, jacobian))
         damping += further

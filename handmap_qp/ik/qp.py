@@ -185,12 +185,20 @@ def cost_rows(
     return [*terms, *(task.linearise(configuration) for task in tasks)]
 
 
+def squared_damping(hand: Hand, options: IkOptions, goal: Goal, size: int) -> Array:
+    """Return the squared cost of any motion of each of k coordinates, shape (k,)."""
+    damping = np.full(size, options.damping**2)
+    if goal.damping_shares is not None:
+        damping[hand.joint_columns] *= goal.damping_shares**2
+    return damping
+
+
 def direct_cost(
     hand: Hand, options: IkOptions, configuration: Configuration, goal: Goal
 ) -> tuple[Array, Array]:
     """Return H, shape (k, k), and c, shape (k,), of the QP; arguments as of `cost_rows`."""
     eye = np.eye(configuration.nv)
-    H = options.damping**2 * eye
+    H = squared_damping(hand, options, goal, configuration.nv) * eye
     c = np.zeros(len(H))
     for residual, rows, damping in cost_rows(hand, options, configuration, goal):
         H += rows.T.dot(rows) + damping * eye
@@ -307,7 +315,7 @@ class PointIk:
         dt: When,
         *,
         rest: Array | None = None,
-        rest_shares: Array | None = None,
+        regularisation: Array | None = None,
         tasks: Sequence[Task] = (),
         margins: Array | None = None,
         speed: float = 1.0,
@@ -322,8 +330,8 @@ class PointIk:
                 displacement through the limits of speed and acceleration.
             rest: Joint positions that the rest term pulls to, in the order of `Hand.joint_names`
                 [rad or m], shape (n,); the hand's rest posture if omitted.
-            rest_shares: Share of the rest term's weight of each of them, shape (n,); all of it if
-                omitted.
+            regularisation: Share of the weights of the rest term and of the damping of each of
+                them, shape (n,); all of both if omitted.
             tasks: Further terms of the cost.
             margins: Distance that each pair of `contacts` keeps [m]; the hand's own if omitted.
             speed: Share of the speed limits to use. Braking from a higher speed takes the time that
@@ -335,8 +343,17 @@ class PointIk:
         """
         tasks = *tasks, *self._tasks
         wrists = None if wrist_target is None else wrist_target.reshape(-1, 4, 4)
-        postures = self.postures(self.gate.interval(dt).granted, rest, rest_shares)
-        goal = Goal(point_targets, wrists, postures, tasks, dt, margins, speed)
+        postures = self.postures(self.gate.interval(dt).granted, rest, regularisation)
+        goal = Goal(
+            point_targets,
+            wrists,
+            postures,
+            tasks,
+            dt,
+            margins,
+            speed,
+            regularisation,
+        )
         return self._mover.solve(goal) if self._mover else self.solve_once(goal)
 
     def solve_once(self, goal: Goal) -> IkResult:
@@ -418,13 +435,13 @@ class PointIk:
         return self._result("released", points, displacement, active, 0, 0.0)
 
     def postures(
-        self, dt: float, rest: Array | None, rest_shares: Array | None = None
+        self, dt: float, rest: Array | None, regularisation: Array | None = None
     ) -> list[tuple[float | Array, Array]]:
         """Return weights and postures of the cost of a sample; see `Goal` and `solve`."""
         hand = self.hand
         options = self.options
         weight = options.rest_weight
-        of_rest = weight if rest_shares is None else weight * rest_shares
+        of_rest = weight if regularisation is None else weight * regularisation
         postures = [(of_rest, hand.rest if rest is None else rest)]
         if options.speed_weight == 0.0 and options.acceleration_weight == 0.0:
             return postures

@@ -76,6 +76,8 @@ class Goal(NamedTuple):
         dt: Time since the robot's last command [s], or the instant of this one.
         margins: Distance that each pair of shapes keeps [m], shape (k,); the hand's own if omitted.
         speed: Share of the speed limits to use.
+        damping_shares: Share of the damping's weight of each joint, shape (n,); all of it if
+            omitted.
     """
 
     points: Array
@@ -85,6 +87,7 @@ class Goal(NamedTuple):
     dt: When = 1.0
     margins: Array | None = None
     speed: float = 1.0
+    damping_shares: Array | None = None
 
 
 TASKS: Mapping[str, Callable[[Hand], Task]] = Plugins(

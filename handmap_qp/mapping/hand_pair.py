@@ -35,7 +35,7 @@ from handmap_qp.ik import (
     core_tree,
 )
 from handmap_qp.ik.nearest_posture import nearest_posture
-from handmap_qp.se3 import Array, frozen, lengths, mirror_sign, transform_points, unit
+from handmap_qp.se3 import Array, frozen, lengths, mirror_sign, transform_points
 from .palm import point_indices, require_points
 
 KNUCKLES, _SECONDS, LASTS, TIPS = (
@@ -61,9 +61,6 @@ _RESTING_THUMB = {
     "thumb_MCP_flexion": 0.1,
     "thumb_IP_flexion": -0.2,
 }
-# Cosines of the angle between the resting thumbs where one is not at all like the other, and where
-# it is wholly.
-_LIKE = np.cos(np.radians([10.0, 5.0]))
 # Weights of finger bases where palms are laid on each other; the little finger's moves with its
 # metacarpal. Fewer than this say nothing about the palm.
 _BASE_WEIGHTS = {"little": 0.1}
@@ -73,7 +70,12 @@ _FEWEST_BASES = 3.5
 _LIKE_BASES = 0.02, 0.05
 # The same of the fingers' reaches: difference of their ratios from the palm's, as a logarithm.
 _LIKE_REACHES = 0.1, 0.3
-# Part of the rest posture's pull that a hand like the person's does without.
+# Root mean square distance of a fingertip from its places, where a person rests and pinches,
+# relative to its reach: up to here a finger is like the person's, and from there on it is not.
+_REACHED = 0.14, 0.22
+# Weight of the matched posture where places are searched for: it decides only what they leave open.
+_PLACING_WEIGHT = 0.02
+# Part of the rest posture's pull and of the damping that a hand like the person's does without.
 _STEADIED = 0.97
 # Weight of the rest posture in the matched one: it decides only where the points do not.
 _REST_WEIGHT = 0.05
@@ -130,13 +132,14 @@ class HandPair:
         robot_rest: Robot reference points in the matched posture, in palm axes [m], shape (m, 3).
         human_knuckles: Centre of the knuckles but the thumb's, in the human's palm axes [m], (3,).
         robot_knuckles: The same of the robot.
-        thumb_likeness: 1 for a thumb that points as the human's in the matched posture, to 0 for
-            one that opposes from another side, and for none.
         robot_bases: Base of each robot finger there, in palm axes [m], shape (f, 3).
         robot_centre: Centre of the robot's tips and middle joints in the matched posture [m], (3,).
         palms: How the robot's palm lies on the human's.
+        finger_likeness: 1 for a finger that reaches the places where the human's is, to 0 for one
+            that cannot, such as a thumb that opposes from another side, shape (f,).
         is_carried: Whether a joint of each finger moves its base as the person's, shape (f,).
-        rest_shares: Share of the rest posture's pull on each joint, shape (n,).
+        regularisation: Share of the rest posture's pull and of the damping of each joint, shape
+            (n,).
         robot_distances: Knuckle-to-tip distance of each robot finger in the matched posture [m],
             shape (f,).
 
@@ -196,11 +199,12 @@ class HandPair:
         given = robot.matched
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
-        # Points determine the joints of a hand like the person's: the rest posture only steadies.
-        rest_shares = np.ones(len(self.matched))
+        self.finger_likeness = frozen(self._measure_likeness())
+        # Points determine the joints of a hand like the person's: rest and damping only steady.
+        regularisation = np.ones(len(self.matched))
         for chain in self.chains.values():
-            rest_shares[chain.columns] -= _STEADIED * self.palms.likeness
-        self.rest_shares = frozen(rest_shares)
+            regularisation[chain.columns] -= _STEADIED * self.palms.likeness
+        self.regularisation = frozen(regularisation)
 
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
@@ -215,16 +219,49 @@ class HandPair:
         vectors = tips - knuckles
         self.robot_knuckles = frozen(knuckles[self._others].mean(axis=0))
         self.robot_bases = frozen(knuckles)
-        self.thumb_likeness = 0.0
-        if self._usual:
-            # It is the robot's, not a person's.
-            self.thumb_likeness = self._usual.thumb_likeness
-        elif THUMB in self.fingers and not self.has_jaws:
-            resting = self.human_rest[self.tips[0]] - self.human_rest[self.knuckles[0]]
-            cosine = unit(resting).dot(unit(vectors[0]))
-            self.thumb_likeness = float(np.interp(cosine, _LIKE, (0.0, 1.0)))
         self.robot_centre = frozen(0.5 * (tips + middles).mean(axis=0))
         self.robot_distances = frozen(lengths(vectors))
+
+    def _measure_likeness(self) -> Array:
+        """Return how far fingers reach the places of a person who rests and pinches, shape (f,).
+
+        Pinches are where hands differ most: a thumb that opposes from another side meets the
+        fingers elsewhere. Palms that are alike make all fingers alike. A description that gives
+        the matched posture says where fingers are at rest, which may be elsewhere. See
+        `finger_likeness`.
+        """
+        like = np.full(len(self.fingers), self.palms.likeness)
+        is_given = self.robot.matched is not None
+        if THUMB not in self.fingers or self.has_jaws or is_given:
+            return like
+        human = self.human
+        robot = self.robot
+        shown = np.array([resting_posture(human), *robot_fingers(human).pinches])
+        places = self.places_of(points_in_palm(human, shown) @ self.palms.turn.T)
+        palm = self.measured.hand.frame_pose("palm", robot.rest)
+        costs = IkOptions().point_costs(robot)
+        nearest = [
+            nearest_posture(robot, targets, costs, _PLACING_WEIGHT, self.matched)
+            for targets in transform_points(palm, places)
+        ]
+        missed = lengths(points_in_palm(robot, np.array(nearest)) - places)
+        # The tips come first.
+        tips = missed[:, : len(like)] / self.robot_reach
+        distance = np.sqrt((tips**2).mean(axis=0))
+        return like + (1.0 - like) * np.interp(distance, _REACHED, (1.0, 0.0))
+
+    def places_of(self, human: Array) -> Array:
+        """Place the human's points on the robot: its knuckle, plus the scaled human vector.
+
+        Args:
+            human: The human's reference points in palm axes [m], shape (..., n_h, 3).
+
+        Returns:
+            Places of the robot's reference points in its palm axes [m], shape (..., m, 3).
+        """
+        of = self.finger_of
+        vectors = human[..., self.partners, :] - human[..., self.knuckles[of], :]
+        return self.measured.bases[of] + self.reach_ratios[of, None] * vectors
 
     def solve_matched(self) -> Array:
         """Solve the robot posture whose finger vectors are the resting human's, scaled.
@@ -237,13 +274,12 @@ class HandPair:
             task = gap_task(self.robot, self.measured.pinching, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
-        knuckles = self.measured.bases
-        of = self.finger_of
-        human = self.human_rest[self.partners]
-        vectors = human - self.human_rest[self.knuckles[of]]
-        in_palm = knuckles[of] + self.reach_ratios[of, None] * vectors
+        in_palm = self.places_of(self.human_rest)
         if THUMB in self.fingers:
-            in_palm[of == 0] = self._thumb_targets(knuckles, human[of == 0])
+            of_thumb = self.finger_of == 0
+            in_palm[of_thumb] = self._thumb_targets(
+                self.measured.bases, self.human_rest[self.partners[of_thumb]]
+            )
         palm = self.measured.hand.frame_pose("palm", robot.rest)
         targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)

@@ -8,6 +8,7 @@ decides which samples of a tracker the robot follows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
@@ -59,6 +60,7 @@ from .method import (
     HumanPose,
     MapStep,
     Method,
+    MethodOptions,
     RobotCommand,
     RobotPosture,
     Stages,
@@ -68,6 +70,11 @@ from .method import (
     get_preset,
 )
 
+_ANOTHER_CLOCK = 1.0
+"""After a reset, an instant that is earlier than the last command by more is of another clock [s].
+
+A stream takes the same limit, `stream.guard.BEHIND`.
+"""
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
 
@@ -104,6 +111,8 @@ class Mover:
     work: WorkLock
     # The robot's clock minus the caller's [s]; None until the caller gives a first instant.
     _clock_offset: float | None = None
+    # Whether no instant was given since the last reset.
+    _was_reset = False
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
 
@@ -145,18 +154,31 @@ class Mover:
             return self._usual_dt if dt is None else check_when(dt)
         expect(dt is None, "time", "either a time or a dt", value=time)
         expect(is_real(time), "time", "an instant [s]", value=time)
+        usual = self._usual_dt
         if self._clock_offset is None:
-            return self._usual_dt
-        return Instant(time + self._clock_offset, LONGEST_STEP * self._usual_dt)
+            return usual
+        instant = time + self._clock_offset
+        if self._was_reset and instant < self.motion.time - _ANOTHER_CLOCK:
+            # Such as that of the next recording.
+            return usual
+        return Instant(instant, LONGEST_STEP * usual)
 
     @property
     def _usual_dt(self) -> float:
         """Usual time between commands [s], where a caller gives none."""
         raise NotImplementedError
 
-    def _note_time(self, time: float | None) -> None:
-        """Take the command just made to be at an instant of the caller's clock, if a first one."""
-        if time is not None and self._clock_offset is None:
+    def _note_time(self, time: float | None, when: When) -> None:
+        """Take the command just made to be at an instant of the caller's clock, if a first one.
+
+        Args:
+            time: The instant that the caller gave; None if it gave none.
+            when: What `_when` returned for it: an `Instant` unless it is the first one of a clock.
+        """
+        if time is None:
+            return
+        self._was_reset = False
+        if not isinstance(when, Instant):
             self._clock_offset = self.motion.time - time
 
     def _was_moved(self) -> None:
@@ -315,7 +337,8 @@ class HandMapper(Mover):
                 `Instant` of this one, on the robot's clock (`mapper.motion.time`).
             time: Instant of the command on any clock that runs evenly [s]. After the first one, a
                 command takes the time since the last, and at most three times the mapper's `dt`;
-                one that is not later takes (nearly) none.
+                one that is not later takes (nearly) none. After a `reset`, one that is more than
+                1 s earlier begins another clock.
 
         Returns:
             Every stage of the step, `command` being what a robot takes.
@@ -354,7 +377,7 @@ class HandMapper(Mover):
             wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         measured = as_points(points, "points", len(self.human.reference_points))
         step = self.map(HumanPose(measured.copy(), wrist), when)
-        self._note_time(time)
+        self._note_time(time, when)
         return step
 
     @exclusively
@@ -444,7 +467,7 @@ class HandMapper(Mover):
             step = self.map(sample, when)
             duration = perf_counter() - started
             step = structs.replace(step, out_of_range=outside, duration=duration)
-        self._note_time(time)
+        self._note_time(time, when)
         return step
 
     def _moved(
@@ -466,7 +489,7 @@ class HandMapper(Mover):
                 rest=target_map.rest,
                 tasks=(*targets.tasks, *self.tasks),
                 margins=targets.margins,
-                rest_shares=targets.rest_shares,
+                regularisation=targets.regularisation,
                 speed=speed,
             )
             targets = structs.replace(targets, points=result.targets)
@@ -558,6 +581,7 @@ class HandMapper(Mover):
             start = reference.vector
             awaits_palm = False
         self.point_ik.place(start)
+        self._was_reset = True
         if awaits_palm:
             # Like no other motion, so that whoever knows where the robot is will say so.
             self.motion = self.motion._replace(dt=np.inf)
@@ -784,7 +808,8 @@ def _method_of(
     chosen: Any = get_preset("paper").method if method is None else method
     needed = "replaced" if options else "bind"
     if hasattr(chosen, needed) and not isinstance(chosen, type):
-        return chosen.replaced(**options) if options else chosen, IkOptions()
+        weights = chosen.weights if isinstance(chosen, MethodOptions) else IkOptions()
+        return chosen.replaced(**options) if options else chosen, weights
     raise InvalidOptionsError(
         option="method",
         expected="a method, the name of a preset, or single options of the paper's method",
@@ -838,10 +863,22 @@ def own_time(when: When) -> float:
 def check_when(when: When) -> When:
     """Reject a time since the robot's last command that is not positive and finite.
 
+    Likewise an instant that is not finite, or a longest time that is not positive.
+
     Raises:
         InvalidInputError: With the argument `dt`.
     """
-    return when if isinstance(when, Instant) else check_dt(when)
+    if not isinstance(when, Instant):
+        return check_dt(when)
+    time, longest = when
+    is_time = is_real(longest) or longest == math.inf
+    expect(
+        is_real(time) and is_time and longest > 0.0,
+        "dt",
+        "an instant that is finite, and a longest time > 0 s",
+        value=when,
+    )
+    return when
 
 
 def check_dt(dt: float) -> float:

@@ -23,6 +23,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import (
     TYPE_CHECKING,
+    ClassVar,
     Literal,
     NamedTuple,
     Protocol,
@@ -89,8 +90,8 @@ class Targets(ArrayStruct, frozen=True):
         diagnostics: Intermediate results of the method, by name; `MapStep.diagnostics` has them.
         tasks: Further terms of the QP's cost, for this sample.
         margins: Distance that each pair of shapes keeps [m], shape (k,); the hand's if omitted.
-        rest_shares: Share of the QP's rest weight that pulls each joint, shape (n,); all of it if
-            omitted.
+        regularisation: Share of the QP's rest weight and damping of each joint, shape (n,); all
+            of both if omitted.
         flags: What a user should know of this sample, a word each, such as `stretch_clamped`.
     """
 
@@ -100,7 +101,7 @@ class Targets(ArrayStruct, frozen=True):
     tasks: tuple[Task, ...] = ()
     margins: Array | None = None
     flags: Names = ()
-    rest_shares: Array | None = None
+    regularisation: Array | None = None
 
 
 class TargetMap(Protocol):
@@ -164,7 +165,13 @@ FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
 
 
 class MethodOptions(Options, frozen=True):
-    """Base of methods that presets name: its fields are its options."""
+    """Base of methods that presets name: its fields are its options.
+
+    Attributes:
+        weights: Weights and settings of the QP where neither a preset nor the user gives any.
+    """
+
+    weights: ClassVar[IkOptions] = IkOptions()
 
     def fitted_to(self, human: Hand) -> Self:
         """Return these options with those that a measured person decides, if there are any."""
@@ -256,8 +263,10 @@ def arm_held_by(hand: Hand, at_speed_limit: Array, at_limit: Array) -> Array:
         at_limit: Whether it is at a position limit, shape (T, n).
     """
     arm = hand.moves_wrist
-    held = [of[..., arm].any(axis=-1) for of in (at_speed_limit, at_limit)]
-    return np.select(held, ["speed", "limit"], "reach")
+    by_speed, by_limit = (
+        of[..., arm].any(axis=-1) for of in (at_speed_limit, at_limit)
+    )
+    return np.where(by_speed, "speed", np.where(by_limit, "limit", "reach"))
 
 
 class RobotCommand(ArrayStruct, frozen=True):
@@ -462,16 +471,17 @@ class MapStep(ArrayStruct, frozen=True):
     @property
     def arm_held_by(self) -> str:
         """What keeps the arm's wrist off its target (`arm_held_by`); empty if nothing does."""
-        hand = self.ik.hand
-        is_led = self.stages.status not in ("released", "failed")
-        if not is_led or not hand.moves_wrist.any():
+        if self.stages.status in ("released", "failed"):
             return ""
         summary = self.stages.summary
         if (np.array(summary.wrist_error) * WRIST_LEVERS).max() <= _ARRIVED:
             return ""
+        hand = self.ik.hand
+        if not hand.moves_wrist.any():
+            return ""
         at_limit = hand.at_position_limit(self.command.q)
         at_bound = np.array(summary.at_bound)
-        return str(arm_held_by(hand, at_bound & ~at_limit, at_limit))
+        return arm_held_by(hand, at_bound & ~at_limit, at_limit).item()
 
     @property
     def points(self) -> Array:

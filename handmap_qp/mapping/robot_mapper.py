@@ -136,7 +136,9 @@ class Leader(HandMapper):
         when: When,
         speed: float,
     ) -> Any:
-        """Ask the robot to move."""
+        """Ask the robot to move, with this hand's further terms."""
+        if self.tasks:
+            targets = structs.replace(targets, tasks=(*targets.tasks, *self.tasks))
         dt = own_time(when)
         return Asked(pose, targets, target_map.rest, dt, speed, target_map)
 
@@ -222,7 +224,8 @@ class RobotStep(MapStep, frozen=True, kw_only=True):
     @property
     def arm_held_by(self) -> str:
         """What keeps the wrist of a hand off its target; see `MapStep.arm_held_by`."""
-        return next(filter(None, [s.arm_held_by for s in self.hands.values()]), "")
+        causes = (step.arm_held_by for step in self.hands.values())
+        return next(filter(None, causes), "")
 
 
 class RobotMapper(Mover):
@@ -388,7 +391,7 @@ class RobotMapper(Mover):
                 return leader._mapped(read, numbers[side], wrists.get(side), since)
 
             step = self.step(numbers, ask, when)
-        self._note_time(time)
+        self._note_time(time, when)
         return step
 
     def time_since_sample(self, side: Side, when: When) -> float:
@@ -496,16 +499,16 @@ class RobotMapper(Mover):
         rest = self.robot.rest.copy()
         for own, each in zip(self.robot.finger_joints, asked, strict=True):
             rest[own] = each.rest[own]
-        rest_shares = np.ones(len(rest))
+        regularisation = np.ones(len(rest))
         for own, each in zip(self.robot.finger_joints, targets, strict=True):
-            if each.rest_shares is not None:
-                rest_shares[own] = each.rest_shares[own]
+            if each.regularisation is not None:
+                regularisation[own] = each.regularisation[own]
         return self.point_ik.solve(
             np.concatenate([each.points for each in targets]),
             np.array([each.wrist for each in targets]),
             when,
             rest=rest,
-            rest_shares=rest_shares,
+            regularisation=regularisation,
             tasks=sum((each.tasks for each in targets), tuple(tasks)),
             margins=self._margins(targets),
             speed=min(each.speed for each in asked),
@@ -612,6 +615,7 @@ class RobotMapper(Mover):
         if robot_q is not None:
             q = check_joints(whole, robot_q, "robot_q")[0]
         self.point_ik.place(whole.configuration_vector(q))
+        self._was_reset = True
         self.clutch()
 
     @exclusively
@@ -652,7 +656,8 @@ class RobotMapper(Mover):
             raise
 
     def _leader(self, side: Side) -> Leader:
-        _expect_sides([side], self.leaders, "side")
+        if side not in self.leaders:
+            _expect_sides([side], self.leaders, "side")
         return self.leaders[side]
 
 

@@ -2,8 +2,12 @@ from .follower import SMOOTH_IK as SMOOTH_IK
 from .follower import Follower as Follower
 from .following import FollowingCheck as FollowingCheck
 from .grip import GripFollower as GripFollower
-from .grip import GripOptions as GripOptions
+from .grip import RobotGripFollower as RobotGripFollower
+from .grip import gripping as gripping
 from .guard import StreamGuard as StreamGuard
+from .hand_grip import GripOptions as GripOptions
+from .hand_grip import can_grip as can_grip
+from .hand_grip import has_grasp as has_grasp
 from .held_object import ObjectFollower as ObjectFollower
 from .held_object import ObjectOptions as ObjectOptions
 from .held_object import follow_recording as follow_recording

@@ -8,7 +8,8 @@ The sessions of the service, `handmap map` and `handmap view` all follow in this
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from time import perf_counter, thread_time
 from typing import Any, Literal, NamedTuple
@@ -32,7 +33,7 @@ from handmap_qp.mapping.exclusive import exclusively
 from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
 from handmap_qp.trackers import change_rate, learnt_noise, noise_of
-from .guard import StreamGuard
+from .guard import BEHIND, StreamGuard
 from .step_table import StepTable
 
 RejoinKind = Literal["glide", "clutch"]
@@ -347,7 +348,9 @@ class Follower:
 
         Args:
             sample: The sample. Its time stamps say how much time has passed. The robot takes the
-                time since its last command, whatever that was for.
+                time since its last command, whatever that was for. A stream that is more than 1 s
+                behind, because the robot was held while the stamps paused, is related again to the
+                robot's clock: this sample takes (nearly) no time.
             dt: Time since the robot's last command [s], or the instant of this one on the robot's
                 clock; by the time stamps if omitted.
             arrival: When the sample arrived, on a monotonic clock [s], to check the rate of the
@@ -520,12 +523,36 @@ class Follower:
         """
         if dt is not None:
             self._origin = None
-        elif self._origin is None:
-            self._origin = self.mapper.motion.time - verdict.time
+            return
+        # Holds between samples may have taken more time than the stream's clock.
+        origin = self.mapper.motion.time - verdict.time
+        if self._origin is None or origin - self._origin > BEHIND:
+            self._origin = origin
 
     @property
     def _has_new_reference(self) -> bool:
         return self.mapper.reference is not self._reference
+
+
+@contextmanager
+def further_terms(
+    mappers: Sequence[HandMapper], terms: Sequence[Sequence[Task]]
+) -> Iterator[None]:
+    """Give mappers further terms of the QP's cost for a while.
+
+    Args:
+        mappers: The mappers.
+        terms: The terms of each. A mapper without any is left as it is.
+    """
+    pairs = zip(mappers, terms, strict=True)
+    changed = [(mapper, mapper.tasks, own) for mapper, own in pairs if own]
+    for mapper, tasks, own in changed:
+        mapper.configure(tasks=(*tasks, *own))
+    try:
+        yield
+    finally:
+        for mapper, tasks, _ in changed:
+            mapper.configure(tasks=tasks)
 
 
 def map_with(
@@ -539,12 +566,7 @@ def map_with(
         sample: The sample.
         **times: As of `Follower.map_sample`.
     """
-    mapper = follower.mapper
-    tasks = mapper.tasks
     if not terms:
         return follower.map_sample(sample, **times)
-    mapper.configure(tasks=(*tasks, *terms))
-    try:
+    with further_terms([follower.mapper], [terms]):
         return follower.map_sample(sample, **times)
-    finally:
-        mapper.configure(tasks=tasks)

@@ -48,6 +48,8 @@ from handmap_qp.trackers import (
 
 GAP = 0.25
 """A longer time between stamps is a gap: samples are missing, or the clock was set [s]."""
+BEHIND = 1.0
+"""A sample that is earlier than the robot's last command by more is of another clock [s]."""
 # A stamp earlier by more than this is of a clock that was set back, not of a late sample [s].
 _SET_BACK = 1.0
 _SET_FORWARD = (
@@ -97,6 +99,11 @@ class SampleClock(NamedTuple):
         """Whether the sample brings nothing new."""
         return self.rule in ("duplicate", "disorder")
 
+    @property
+    def is_set_back(self) -> bool:
+        """Whether the sample's stamp is earlier than one before, and counts all the same."""
+        return not self.is_idle and self.passed == 0.0
+
     def advance(self, stamp: float) -> SampleClock:
         """Return the clock after a sample of a time stamp [s], with what that says."""
         period = self.period
@@ -130,6 +137,39 @@ class SampleClock(NamedTuple):
         return _SHORTEST_STEP * self.period
 
 
+class ArrivalCredit(NamedTuple):
+    """Time that the next samples may account for, by the times at which they arrive.
+
+    Attributes:
+        left: That time [s].
+        arrival: When the last sample arrived [s]; NaN before the first one.
+    """
+
+    left: float = GAP
+    arrival: float = math.nan
+
+    def spend(self, dt: float, arrival: float) -> tuple[ArrivalCredit, float]:
+        """Bound the time of the next sample by the time that has passed at its arrival.
+
+        Samples that arrive at once behind a stall of up to `GAP` keep their time.
+
+        Args:
+            dt: What the sample accounts for by its stamp [s].
+            arrival: When it arrived, on a monotonic clock [s].
+
+        Returns:
+            The credit after the sample, and the time that is granted: at most `dt`, so that samples
+            account for no more time than has passed since any of them arrived, and 2 % of it and
+            `GAP` more [s].
+        """
+        passed = arrival - self.arrival
+        # `not >` also takes the NaN before the first sample for no time.
+        passed = passed if passed > 0.0 else 0.0
+        left = min(self.left + _CREDIT_RATE * passed, GAP)
+        granted = min(dt, left)
+        return ArrivalCredit(left - granted, arrival), granted
+
+
 class RateCheck:
     """Compares the time of a stream with the time at which its samples arrive.
 
@@ -141,29 +181,11 @@ class RateCheck:
     _start = _former = _lead = math.nan
     _drift = 0.0
     _rate: float | None = None
-    _arrival = math.nan
-    _credit = GAP
+    _credit = ArrivalCredit()
 
     def grant(self, dt: float, arrival: float) -> float:
-        """Bound the time of the next sample by the time that has passed at its arrival.
-
-        Samples that arrive at once behind a stall of up to `GAP` keep their time.
-
-        Args:
-            dt: What the sample accounts for by its stamp [s].
-            arrival: When it arrived, on a monotonic clock [s].
-
-        Returns:
-            At most `dt`, so that samples account for no more time than has passed since any of them
-            arrived, and 2 % of it and `GAP` more [s].
-        """
-        passed = arrival - self._arrival
-        # `not >` also takes the NaN before the first sample for no time.
-        passed = passed if passed > 0.0 else 0.0
-        self._arrival = arrival
-        self._credit = min(self._credit + _CREDIT_RATE * passed, GAP)
-        granted = min(dt, self._credit)
-        self._credit -= granted
+        """Return the time that the next sample may account for; see `ArrivalCredit.spend`."""
+        self._credit, granted = self._credit.spend(dt, arrival)
         return granted
 
     def update(self, stamp: float, arrival: float) -> float | None:

@@ -53,7 +53,7 @@ from handmap_qp.se3 import (
     unit,
 )
 from .follower import Follower, map_with
-from .grip import GripOptions
+from .hand_grip import GripOptions
 
 # Weights of a pad's place, and of a link that is nearer to the object than its clearance [1/m, m].
 # Links that are this near feel the row, so that they stay where it ends; and what moves pads and

@@ -22,14 +22,10 @@ from handmap_qp.ik import SHORTEST_DT, Instant, When
 from handmap_qp.mapping import MapStep, RobotMapper, RobotStep
 from handmap_qp.mapping.exclusive import exclusively
 from .follower import Follower
-from .guard import SampleClock
+from .guard import BEHIND, GAP, ArrivalCredit, SampleClock
 
 _SILENCE = 0.25
 """Time without a sample after which a hand is held [s]."""
-
-
-_BEHIND = 1.0
-"""A sample that is earlier than the robot's last command by more is of another clock [s]."""
 _AHEAD = 10.0
 """A sample that is later than the robot's last command by more is of another clock [s]."""
 
@@ -41,17 +37,23 @@ class CommandClock(NamedTuple):
     clock was set back or a hand has a sender of its own, the times of arrival say how much time has
     passed since the robot's last command. Without them, that is not known, and the sample takes
     (nearly) none. A clock that jumps ahead is taken to be right, unless the times of arrival
-    contradict it: no sample may have come for so long.
+    contradict it: no sample may have come for so long. Stamps that run faster than the times of
+    arrival do not move the robot's clock either.
 
     Attributes:
         offsets: The robot's clock minus the stamps of each hand, by side [s].
+        stamps: The clock of each hand's own stamps, by side: it tells a late sample from a clock
+            that was set back.
         rate: Judges gaps between commands, and knows their usual period.
         arrival: When the samples of the last command arrived [s]; None if that is not known.
+        credit: The time that the next samples may account for by their arrival.
     """
 
     offsets: Mapping[Side, float] = {}
+    stamps: Mapping[Side, SampleClock] = {}
     rate: SampleClock = SampleClock()
     arrival: float | None = None
+    credit: ArrivalCredit = ArrivalCredit()
 
     def advance(
         self, stamps: Mapping[Side, float], now: float, arrival: float | None
@@ -68,7 +70,12 @@ class CommandClock(NamedTuple):
         if not self.offsets:
             waited = self.rate.period
         offsets = dict(self.offsets)
+        clocks = dict(self.stamps)
         for side, stamp in stamps.items():
+            clocks[side] = clocks.get(side, SampleClock()).advance(stamp)
+            # A clock that was set back by less than `BEHIND` fits its former offset, and that of a
+            # hand with the same clock that had no sample since.
+            earliest = -GAP if clocks[side].is_set_back else -BEHIND
             # Its own clock first, then those of the other hands.
             farthest = _AHEAD if is_known else math.inf
             candidates = [(offsets[side], farthest)] if side in offsets else []
@@ -76,13 +83,22 @@ class CommandClock(NamedTuple):
             fitting = (
                 offset
                 for offset, most in candidates
-                if -_BEHIND <= stamp + offset - now <= most
+                if earliest <= stamp + offset - now <= most
             )
             offsets[side] = next(fitting, now + waited - stamp)
         time = max(stamp + offsets[side] for side, stamp in stamps.items())
         rate = self.rate.advance(time)
-        instant = Instant(time, max(rate.dt, SHORTEST_DT))
-        return CommandClock(offsets, rate, arrival), instant
+        granted, credit = rate.dt, self.credit
+        if arrival is not None:
+            credit, granted = credit.spend(rate.dt, arrival)
+        if granted < rate.dt:
+            # These stamps outrun arrival. The clocks of hands without a sample stay as they are.
+            time = min(time, now + granted)
+            rate = rate._replace(stamp=time)
+            for side, stamp in stamps.items():
+                offsets[side] = min(offsets[side], time - stamp)
+        instant = Instant(time, max(granted, SHORTEST_DT))
+        return CommandClock(offsets, clocks, rate, arrival, credit), instant
 
 
 class RobotFollower:

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.human import Recording
-from handmap_qp.se3 import Array, lengths, nearest_rotation
-from .hand_geometry import BONES, log_size, own_distances
+from handmap_qp.se3 import Array, affine, lengths, nearest_rotation
+from .hand_geometry import BONES, log_sizes, own_distances
 from .wrist_axes import palm_axes
 
 # -- limits of what is usual
@@ -119,10 +119,15 @@ def recording_facts(recording: Recording) -> RecordingFacts:
     time = recording.time[seen]
     landmarks = recording.landmarks[seen]
     palms = palm_axes(landmarks, 1.0 if recording.side == "right" else -1.0)
+    # The palm of the landmarks, and the wrist of the tracker if it gives one.
+    poses = [affine(palms, landmarks[:, 0])]
     has_wrist = recording.wrist is not None
-    wrist = np.eye(4)[None] if recording.wrist is None else recording.wrist[seen]
-    turns, places = wrist[:, :3, :3], wrist[:, :3, 3]
-    may_repeat = has_wrist and len(wrist) >= _LEAST_REPEATS
+    if recording.wrist is not None:
+        poses.append(recording.wrist[seen])
+    moving = np.stack(poses, axis=1)
+    turns = _turns(moving[..., :3, :3])
+    travels = _travels(moving[..., :3, 3])
+    may_repeat = has_wrist and len(moving) >= _LEAST_REPEATS
     rate, steps = _rate(recording.time)
     growth, trend = _sizes(landmarks)
     return RecordingFacts(
@@ -131,13 +136,13 @@ def recording_facts(recording: Recording) -> RecordingFacts:
         steps=steps,
         rounding=_rounding(recording.time),
         frequency=_finger_frequency(time, landmarks, palms),
-        palm_turn=_turn(palms),
-        palm_travel=_travel(landmarks[:, 0]),
+        palm_turn=turns[0],
+        palm_travel=travels[0],
         has_wrist=has_wrist,
-        wrist_turn=_turn(turns),
-        wrist_travel=_travel(places),
-        is_turn_constant=may_repeat and _repeats(turns),
-        is_place_constant=may_repeat and _repeats(places),
+        wrist_turn=turns[1] if has_wrist else 0.0,
+        wrist_travel=travels[1] if has_wrist else 0.0,
+        is_turn_constant=may_repeat and _repeats(moving[:, 1, :3, :3]),
+        is_place_constant=may_repeat and _repeats(moving[:, 1, :3, 3]),
         growth=growth,
         trend=trend,
     )
@@ -266,12 +271,14 @@ def _rounded_time(facts: RecordingFacts) -> str:
 # -- wrist
 
 
-def _turn(rotations: Array) -> float:
-    """Return how far rotations (T, 3, 3) turn from the first ones [rad]."""
-    blocks = np.array_split(rotations, max(1, len(rotations) // _BLOCK))
-    means = nearest_rotation(np.array([block.sum(axis=0) for block in blocks]))
-    cosines = (np.einsum("tij,ij->t", means, means[0]) - 1.0) / 2.0
-    return float(np.percentile(np.arccos(np.clip(cosines, -1.0, 1.0)), _MOST))
+def _turns(rotations: Array) -> list[float]:
+    """Return how far each of k rotations turns from its first ones [rad], shape (T, k, 3, 3)."""
+    groups = _equal_parts(rotations, max(1, len(rotations) // _BLOCK))
+    sums = np.concatenate([parts.sum(axis=1) for parts in groups])
+    means = nearest_rotation(sums)
+    cosines = (np.einsum("tkij,kij->tk", means, means[0]) - 1.0) / 2.0
+    angles = np.arccos(np.clip(cosines, -1.0, 1.0))
+    return np.percentile(angles, _MOST, axis=0).tolist()
 
 
 def _repeats(rows: Array) -> bool:
@@ -279,9 +286,9 @@ def _repeats(rows: Array) -> bool:
     return bool((rows == rows[0]).all())
 
 
-def _travel(places: Array) -> float:
-    """Return how far places (T, 3) are from the first one [m]."""
-    return float(np.percentile(lengths(places - places[0]), _MOST))
+def _travels(places: Array) -> list[float]:
+    """Return how far each of k places is from its first one [m], shape (T, k, 3)."""
+    return np.percentile(lengths(places - places[0]), _MOST, axis=0).tolist()
 
 
 def _unmeasured_wrist(facts: RecordingFacts) -> str:
@@ -310,6 +317,28 @@ def _unmeasured_wrist(facts: RecordingFacts) -> str:
 # -- size
 
 
+def _equal_parts(rows: Array, count: int) -> tuple[Array, Array]:
+    """Cut the rows of an array into parts whose lengths differ by at most one.
+
+    They are the parts of `np.array_split`, but parts of one length make one array, so that numpy
+    measures all of them at once.
+
+    Args:
+        rows: Shape (T, ...).
+        count: Number of parts, at most T.
+
+    Returns:
+        The longer parts, which come first, and the shorter ones; each has shape (parts, length of
+        a part, ...), and no part of the longer ones if all are equally long.
+    """
+    length, longer = divmod(len(rows), count)
+    cut = longer * (length + 1)
+    return (
+        rows[:cut].reshape(longer, length + 1, *rows.shape[1:]),
+        rows[cut:].reshape(count - longer, length, *rows.shape[1:]),
+    )
+
+
 def _sizes(landmarks: Array) -> tuple[float, float]:
     """Return `RecordingFacts.growth` and `RecordingFacts.trend`."""
     count = len(landmarks)
@@ -317,15 +346,18 @@ def _sizes(landmarks: Array) -> tuple[float, float]:
         return math.nan, math.nan
     parts = _log_sizes(landmarks, min(_MOST_PARTS, count // _LEAST_PART))
     steps = _log_sizes(landmarks, count // _BLOCK)
-    places = (np.arange(len(steps)) + 0.5) / len(steps)
-    trend = float(np.polyfit(places, steps, 1)[0])
+    # The slope of the least-squares line, from places around their middle.
+    places = (np.arange(len(steps)) + 0.5) / len(steps) - 0.5
+    trend = float(places @ steps / (places @ places))
     return math.exp(max(np.ptp(parts), abs(trend))), math.exp(trend)
 
 
 def _log_sizes(landmarks: Array, count: int) -> Array:
     """Return the logarithm of the hand's size in so many equal parts of a recording."""
-    parts = np.array_split(landmarks, count)
-    return np.array([log_size(own_distances(part)) for part in parts])
+    groups = _equal_parts(landmarks, count)
+    # Distances are measured over the first axis, which is the time within a part.
+    sizes = [log_sizes(own_distances(parts.swapaxes(0, 1))) for parts in groups]
+    return np.concatenate(sizes)
 
 
 def _changed_size(facts: RecordingFacts) -> str:

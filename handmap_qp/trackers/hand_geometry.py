@@ -108,9 +108,9 @@ def own_distances(landmarks: Array) -> Distances:
     return Distances(middle, (high - low) / _QUARTILES_APART)
 
 
-def log_size(distances: Distances) -> float:
-    """Return the logarithm of a hand's size, the median over all pairs."""
-    return median(distances.medians - _CENTRES)
+def log_sizes(distances: Distances) -> Array:
+    """Return the logarithms of hands' sizes, the upper medians over all pairs, shape (...)."""
+    return np.sort(distances.medians - _CENTRES, axis=-1)[..., len(_CENTRES) // 2]
 
 
 def misfit(distances: Distances) -> Array:
@@ -122,9 +122,8 @@ def misfit(distances: Distances) -> Array:
         exchange of two similar fingers. Noise makes bones look soft; without spreads, proportions
         alone count.
     """
-    deviations = distances.medians - _CENTRES
-    middle = np.sort(deviations, axis=-1)[..., len(_CENTRES) // 2, None]
-    deviations = (deviations - middle) / _WIDTHS
+    middles = log_sizes(distances)[..., None]
+    deviations = (distances.medians - _CENTRES - middles) / _WIDTHS
     squares = deviations**2 + (distances.spreads / _RIGID_SPREAD) ** 2
     return np.sqrt(np.minimum(squares, _LARGEST_DEVIATION**2).mean(axis=-1))
 

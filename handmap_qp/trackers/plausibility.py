@@ -31,7 +31,7 @@ from .hand_geometry import (
     Distances,
     carried_fingers,
     change_rate,
-    log_size,
+    log_sizes,
     median,
     misfit,
     noise_of,
@@ -212,7 +212,7 @@ class InputCheck(Compiled):
         if not is_known:
             self._misfit = own
         self._has_curled |= fingers >= -_BACKWARDS
-        finding = self._stuck(landmarks) or self._resized(log_size(distances))
+        finding = self._stuck(landmarks) or self._resized(float(log_sizes(distances)))
         if finding is not None or wrists is None:
             return finding
         return self._wrist.examine(landmarks, wrists)

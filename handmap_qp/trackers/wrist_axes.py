@@ -3,7 +3,7 @@
 import numpy as np
 
 from handmap_qp.human import Finding
-from handmap_qp.se3 import Array, lengths, nearest_rotation, unit
+from handmap_qp.se3 import Array, cross, lengths, nearest_rotation, unit
 from .hand_geometry import median
 
 _X, _Y, _Z = np.eye(3)
@@ -57,9 +57,9 @@ def palm_axes(landmarks: Array, sign: float) -> Array:
         Rotations, shape (T, 3, 3).
     """
     offsets = landmarks - landmarks[:, :1]
-    dorsal = unit(-sign * np.cross(offsets[:, 5], offsets[:, 17]))
-    lateral = unit(np.cross(offsets[:, 9], dorsal))
-    return np.stack([lateral, np.cross(dorsal, lateral), dorsal], axis=2)
+    dorsal = unit(-sign * cross(offsets[:, 5], offsets[:, 17]))
+    lateral = unit(cross(offsets[:, 9], dorsal))
+    return np.stack([lateral, cross(dorsal, lateral), dorsal], axis=2)
 
 
 class WristCheck:

@@ -294,6 +294,7 @@ def test_peers_that_are_not_built_are_one_clear_line(
     peers: Any, allegro: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HANDMAP_PEERS", str(tmp_path))
+    monkeypatch.setattr(peers.build, "find_spec", lambda _: None)
     recording = recording_of(human_landmarks()[None])
     with pytest.raises(peers.results.PeerError) as caught:
         peers.results.run_peer("dex-vector", recording, allegro)
@@ -305,6 +306,84 @@ def test_peers_that_are_not_built_are_one_clear_line(
     ) as wrong:
         peers.results.run_peer("dex", recording, allegro)
     assert wrong.value.argument == "method"
+
+
+@pytest.fixture
+def installed(
+    peers: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> dict[str, Path]:
+    """Folders of the peers' modules, as if they were installed beside this interpreter."""
+    monkeypatch.setenv("HANDMAP_PEERS", str(tmp_path / "peers"))
+    folders = {peer.module: tmp_path / peer.module for peer in peers.build.PEERS}
+    for peer in peers.build.PEERS:
+        (folders[peer.module] / peer.data[0]).mkdir(parents=True)
+
+    def find(name: str) -> SimpleNamespace | None:
+        if name not in folders:
+            return None
+        return SimpleNamespace(submodule_search_locations=[str(folders[name])])
+
+    monkeypatch.setattr(peers.build, "find_spec", find)
+    monkeypatch.setattr(
+        peers.build.importlib.metadata, "version", lambda name: f"1.0 of {name}"
+    )
+    return folders
+
+
+def test_peers_that_are_installed_need_no_environment(
+    peers: Any, installed: dict[str, Path]
+) -> None:
+    """Without torch and six, dex-retargeting has its configurations only."""
+    build = peers.build
+    assert build.missing_peers() == ["dex-retargeting"]
+    assert build.python_of("dexi-rs") == sys.executable
+    assert build.version_of("dexi-rs") == "1.0 of dexi-rs"
+    # The environment of the other would have to be built.
+    assert build.python_of("dex-retargeting") != sys.executable
+    data = build.data_folder()
+    for peer in build.PEERS:
+        inside, name = peer.data
+        assert (data / name).resolve() == installed[peer.module] / inside
+    # Another installation takes the place of the first.
+    moved = installed["dexi_rs"].rename(installed["dexi_rs"].with_name("moved"))
+    installed["dexi_rs"] = moved
+    assert (build.data_folder() / "hands").resolve().is_relative_to(moved)
+    installed |= {name: moved for name in ("torch", "six")}
+    assert build.missing_peers() == []
+
+
+def test_one_peer_is_not_enough(peers: Any, installed: dict[str, Path]) -> None:
+    """Descriptions are of the one, configurations of the other."""
+    del installed["dex_retargeting"]
+    assert {*peers.build.missing_peers()} == {"dex-retargeting", "dexi-rs"}
+
+
+def test_what_to_do_depends_on_whether_there_is_a_checkout(
+    peers: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "make peers" in peers.build.why_missing(["dexi-rs"])
+    monkeypatch.setattr(peers.build, "is_checkout", lambda: False)
+    text = peers.build.why_missing(["dexi-rs"])
+    assert "pip install 'handmap-qp[peers]'" in text
+    assert "make peers" not in text
+    assert "\n" not in text
+
+
+def test_a_built_environment_comes_before_what_is_installed(
+    peers: Any, installed: dict[str, Path]
+) -> None:
+    build = peers.build
+    for peer in build.PEERS:
+        python = build.environment_python(peer.name)
+        python.parent.mkdir(parents=True)
+        python.touch()
+        (build.peers_folder() / "data" / peer.data[1]).mkdir(parents=True)
+        stamp = build.peers_folder() / peer.name / ".installed"
+        stamp.write_text(peer.requirements.read_text("utf-8"), encoding="utf-8")
+    assert installed
+    assert build.missing_peers() == []
+    assert build.python_of("dexi-rs") == str(build.environment_python("dexi-rs"))
+    assert build.data_folder() == build.peers_folder() / "data"
 
 
 def test_environment_is_built_again_after_its_requirements_change(

@@ -99,6 +99,14 @@ def test_the_limit_grows_after_the_approach(motors: Motors, gate: Gate) -> None:
     assert grown[0] <= APPROACH + 0.5
 
 
+def test_a_target_that_comes_past_the_goal_ends_the_approach(gate: Gate) -> None:
+    now = go(gate, 1.5, 3)
+    assert not gate.has_met.any()
+    # Between two turns it is never within a step of the goal.
+    go(gate, -1.5, 1, start=now)
+    assert gate.has_met.all()
+
+
 def test_motors_slower_than_the_approach_keep_their_speed(motors: Motors) -> None:
     motors.speed = 0.2
     gate = Gate(motors)

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from handmap_drive import tune
-from handmap_drive.cli import compensated
+from handmap_drive.cli import compensated, tell_stiffness
 from handmap_drive.drive import Loop
 from handmap_drive.driver import DriverError, Health
 from handmap_drive.fit import fit_encoders, fit_joint
@@ -36,6 +36,7 @@ from handmap_drive.tuning import (
     read_tuning,
     tuned,
 )
+from service_tools import client_of, serving
 
 from handmap_qp import Hand, load_hand
 from handmap_qp.apps.offline.surface_gaps import GapMeter
@@ -721,3 +722,41 @@ def test_a_tuning_that_lies_moves_no_motor_faster_than_the_approach(
     pushes = np.isclose(steps, 0.1)
     assert pushes.sum() == 3
     assert steps[~pushes].max() <= APPROACH / RATE + 1e-12
+
+
+def test_the_stiffness_is_what_gives_way_to_a_newton_metre() -> None:
+    soft, hard = (
+        msgspec.structs.replace(JOINT, stretch=stretch, weight=weight)
+        for stretch, weight in ((0.5, 1.0), (0.25, 0.5))
+    )
+    # The largest torques are 1 and 2 N m.
+    assert Tuning({"a": soft}).stiffness == pytest.approx(1.0 / 0.5)
+    assert Tuning({"a": hard}).stiffness == pytest.approx(2.0 / 0.25)
+    # Joints whose weights told nothing do not count.
+    unknown = msgspec.structs.replace(soft, weight=0.0)
+    assert Tuning({"a": hard, "b": unknown}).stiffness == pytest.approx(8.0)
+    assert Tuning({"b": unknown}).stiffness is None
+
+
+@pytest.mark.slow
+def test_a_session_is_told_the_stiffness_of_tuned_joints(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "hand.yaml"
+    known = msgspec.structs.replace(JOINT, stretch=0.25, weight=1.0)
+    monkeypatch.setattr("handmap_drive.cli.read_tuning", lambda _: Tuning({"a": known}))
+    choices = {"preset": "teleoperation", "input": "landmarks", "hand_length": 0.18}
+    with serving() as server, client_of(server) as owner, client_of(server) as driver:
+        owner.open("allegro_right", name="lab", is_shared=True, **choices)
+        driver.watch("lab")
+        tell_stiffness(driver, file)
+        (session,) = server.dispatcher.sessions.by_secret.values()
+        assert session.request.grip == {"stiffness": 4.0}
+        # One without a grip only leads to a warning.
+        owner.open("allegro_right", name="bare", is_shared=True, grip=False, **choices)
+        driver.watch("bare")
+        assert capsys.readouterr().err == ""
+        tell_stiffness(driver, file)
+        assert "stiffness of the joints" in capsys.readouterr().err

@@ -13,6 +13,7 @@ from handmap_qp.apps.service.opening import HandCache
 from handmap_qp.cli import main
 from handmap_qp.errors import RefusedError, did_you_mean
 from handmap_qp.hands import SIDES, Side, hand_files, hand_sides
+from handmap_qp.hands.library import find_file
 from handmap_qp.trackers import read_recording, write_recordings
 
 FAMILIES = sorted(
@@ -74,6 +75,33 @@ def test_without_a_side_both_names_are_offered() -> None:
 )
 def test_near_names_begin_with_the_word(name: str, expected: str) -> None:
     assert did_you_mean(name, hand_files()) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("alegro", "did you mean allegro_left or allegro_right?"),
+        ("Shaddow", "did you mean shadow_left or shadow_right?"),
+        ("alegro_right", "did you mean allegro_right?"),
+        ("leap_r", "did you mean leap_right?"),
+        ("ur5_alegro", "did you mean ur5_allegro?"),
+        ("baret", "did you mean barrett?"),
+    ],
+)
+def test_a_mistyped_family_offers_its_hands(name: str, expected: str) -> None:
+    with pytest.raises(HandError) as caught:
+        find_file(name)
+    assert str(caught.value) == f"no hand {name!r}: {expected}"
+
+
+def test_a_name_that_no_file_can_have_is_refused_as_a_name(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    name = "x" * 300
+    with pytest.raises(HandError, match="no hand 'xxx"):
+        load_hand(name, side="right")
+    assert main(["map", "demo::right", "--robot", name]) == 2
+    assert capsys.readouterr().err.startswith("handmap: no hand 'xxx")
 
 
 def test_a_folder_of_the_users_comes_before_a_family(

@@ -125,6 +125,25 @@ def test_hostile_targets_times_and_speeds_have_one_answer(
     assert np.median(apart) < 1e-12
 
 
+def test_shares_of_rest_and_damping_mean_the_same_in_the_core() -> None:
+    hand = load_hand("allegro_right")
+    options = IkOptions(rest_weight=0.5, damping=2.0)
+    random = np.random.default_rng(4)
+    start = PointIk(hand, options).configuration
+    targets = start.points + random.normal(scale=0.02, size=(4, 3))
+    wrist = start.wrist.homogeneous
+    shares = random.uniform(0.0, 1.0, len(hand.rest))
+
+    def moved(formulation: str, part: np.ndarray | None) -> np.ndarray:
+        ik = PointIk(hand, options.replaced(formulation=formulation))
+        return ik.solve(targets, wrist, 0.02, regularisation=part).displacement
+
+    in_core = moved("compiled", shares)
+    for formulation in ("direct", "mink"):
+        np.testing.assert_allclose(in_core, moved(formulation, shares), atol=1e-9)
+    assert np.abs(in_core - moved("compiled", None)).max() > 1e-3
+
+
 @pytest.mark.parametrize("has_wrist", [True, False], ids=["wrist", "free"])
 def test_many_samples_in_one_call_are_those_one_by_one(has_wrist: bool) -> None:
     hand = load_hand("allegro_right")

@@ -111,6 +111,7 @@ def test_a_loop_ends_by_sigterm_and_writes_its_file(
         (["--to", "127.0.0.1"], "--robot: missing"),
         (["--robot", "allegro_right", "--record", "OUT"], "--robot: needs --to"),
         (["--session", "a", "--record", "OUT"], "--session: needs --to"),
+        (["--shared", "--record", "OUT"], "--shared: needs --to"),
         (["--record", "out.txt"], "--record"),
         (["--record", "OUT", "--speed", "0"], "speed"),
         (["--to", "nowhere.invalid", "--robot", "allegro_right"], "nowhere.invalid"),

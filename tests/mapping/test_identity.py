@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pinocchio as pin
 import pytest
+from morphs import Morph, follow_morph, usual_postures
 
 from handmap_qp import Hand, HandMapper, load_hand
 from handmap_qp.hands import FINGERS, all_pairs, pair_distances
-from handmap_qp.mapping.hand_pair import match_palms
+from handmap_qp.mapping import get_preset
+from handmap_qp.mapping.hand_pair import hand_pair, match_palms
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.se3 import Array
 
 POSTURES = 12
@@ -29,15 +34,17 @@ def postures_without_overlap(hand: Hand, count: int) -> list[Array]:
     return found
 
 
-def reached(mapper: HandMapper, q: Array) -> Array:
+def reached(mapper: HandMapper, q: Array, settling: int = SETTLING) -> Array:
     """Move the person slowly from rest to a posture; return the robot's joints there."""
     mapper.reset()
     rest = mapper.human.rest
-    for share in np.linspace(0.0, 1.0, MOVING):
-        mapper.map_step(rest + share * (q - rest), np.eye(4), dt=0.02)
-    for _ in range(SETTLING):
-        step = mapper.map_step(q, np.eye(4), dt=0.02)
-    return step.command.q
+    shares = np.append(np.linspace(0.0, 1.0, MOVING), np.ones(settling))
+    joints = rest
+    for share in shares:
+        joints = mapper.map_step(
+            rest + share * (q - rest), np.eye(4), dt=0.02
+        ).command.q
+    return joints
 
 
 def test_the_human_model_as_robot_has_the_joints_of_the_person() -> None:
@@ -50,6 +57,67 @@ def test_the_human_model_as_robot_has_the_joints_of_the_person() -> None:
     degrees = np.degrees(np.abs(off))
     assert np.median(degrees) < 1.0
     assert np.percentile(degrees, 95) < 4.0
+
+
+def test_a_hand_like_the_persons_comes_to_rest_with_the_person() -> None:
+    human = load_hand("human", points="landmarks")
+    mapper = HandMapper(human, load_hand("human"), preset="teleoperation")
+    off = [
+        reached(mapper, q, settling=2) - q
+        for q in postures_without_overlap(load_hand("human"), POSTURES)
+    ]
+    assert np.percentile(np.degrees(np.abs(off)), 95) < 4.0
+
+
+def test_only_a_hand_like_the_persons_does_without_damping() -> None:
+    human = load_hand("human", points="landmarks")
+    own = hand_pair(human, load_hand("human")).regularisation
+    np.testing.assert_array_less(own, 0.05)
+    other = hand_pair(human, load_hand("allegro_right")).regularisation
+    np.testing.assert_array_equal(other, 1.0)
+
+
+def person() -> Hand:
+    """Return a person of medium size."""
+    return load_hand("human", points="landmarks", hand_length=0.185)
+
+
+@pytest.mark.parametrize(
+    ("name", "likeness"), [("human", 1.0), ("hey5", 1.0), ("allegro_right", 0.0)]
+)
+def test_a_thumb_is_like_the_persons_where_it_reaches_places(
+    name: str, likeness: float
+) -> None:
+    pair = hand_pair(person(), load_hand(name))
+    assert pair.finger_likeness[0] == pytest.approx(likeness, abs=0.1)
+
+
+def test_likeness_of_fingers_changes_smoothly_from_hand_to_hand() -> None:
+    pair = hand_pair(person(), load_hand("allegro_right"))
+    morph = Morph(pair)
+    shares = np.linspace(0.0, 1.0, 41)
+    found = [
+        hand_pair(pair.human, morph.hand_at(share)).finger_likeness for share in shares
+    ]
+    assert np.abs(np.diff(found, axis=0)).max() < 0.2
+
+
+def test_errors_grow_smoothly_as_a_hand_becomes_a_robots() -> None:
+    human = person()
+    postures = usual_postures(human, 5, seed=3)
+    steps = list(follow_morph(human, load_hand("allegro_right"), postures, 20))
+    assert np.percentile(steps[0].tips, 95) < 2.0
+    moved = [after.moved_since(before).max() for before, after in pairwise(steps)]
+    # Tips go nowhere at once: a twentieth of the way moves them by less than a fifth of a finger.
+    assert max(moved) < 20.0
+
+
+def test_a_method_and_its_preset_have_the_same_weights() -> None:
+    human, robot = person(), load_hand("allegro_right")
+    by_name = HandMapper(human, robot, "teleoperation")
+    by_method = HandMapper(human, robot, Teleoperation())
+    assert by_method.point_ik.options == by_name.point_ik.options
+    assert by_name.point_ik.options == get_preset("teleoperation").ik
 
 
 @pytest.mark.parametrize("size", [0.8, 1.0, 1.25])

@@ -128,13 +128,13 @@ def test_each_hand_takes_the_detours_that_it_takes_alone(
     count = 50 if formulation == "direct" else 200
     mapper, alone = together_and_alone(pair, formulation)
     _, wrists = motion(0, apart=1.0)
-    rng = np.random.default_rng(117)
+    randoms = {"left": np.random.default_rng(5), "right": np.random.default_rng(28)}
     taken = np.zeros(2, dtype=int)
     q: dict[Side, np.ndarray] = {}
     for i in range(count):
         if i % 25 == 0:
             q = {
-                side: rng.uniform(human.lower_limits, human.upper_limits)
+                side: randoms[side].uniform(human.lower_limits, human.upper_limits)
                 for side, human in HUMANS.items()
             }
         mapper.map_step(q, wrists, dt=DT)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,15 +22,18 @@ from limit_judge import (
     without,
 )
 
-from handmap_qp import Hand, HandMapper, load_hand
+from handmap_qp import Hand, HandMapper, Recording, load_hand
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.robot import load_robot
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.limits import SHORTEST_DT, Gate, Instant, Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.guard import GAP
 from handmap_qp.stream.robot_follower import RobotFollower
 
 MOST = 30.0
@@ -178,6 +182,54 @@ def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
     assert taken == pytest.approx(SHORTEST_DT, rel=1e-6)
 
 
+@pytest.mark.parametrize("knows_arrival", [True, False])
+def test_a_clock_that_jumps_ahead_is_right_unless_arrival_contradicts_it(
+    fresh: RobotFollower, knows_arrival: bool
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = [Event(k / 60.0, ("left",)) for k in range(12)]
+    times = []
+    for k, (event, samples) in enumerate(zip(events, samples_of(events), strict=True)):
+        if k >= 6:
+            (samples,) = samples_of([event], {"left": 20.0})
+        follower.map_samples(samples, arrival=event.time if knows_arrival else None)
+        times.append(follower.mapper.motion.time)
+    expected = np.full(11, 1.0 / 60.0)
+    expected[5] += 0.0 if knows_arrival else 20.0
+    np.testing.assert_allclose(np.diff(times), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("sides", [("left",), SIDES], ids=len)
+@pytest.mark.parametrize("back", [0.0, 3.0])
+def test_stamps_that_outrun_arrival_give_a_robot_no_more_time(
+    fresh: RobotFollower, back: float, sides: tuple[Side, ...]
+) -> None:
+    follower = copy.deepcopy(fresh)
+    follower.map_samples(next(samples_of([Event(0.0, SIDES)])), arrival=0.0)
+    q = follower.mapper.motion.q[follower.mapper.robot.q_indices]
+    # Time that the motion needs at the limits of speed [s].
+    needed = 0.0
+    ahead = 0.0
+    for k in range(1, 75):
+        arrival = k / 60.0
+        # The clocks of these hands run three times as fast, and may be set back now and then.
+        ahead += 2.0 / 60.0 - back * (k % 20 == 0)
+        clocks = dict.fromkeys(sides, ahead)
+        for side in SIDES:
+            sample = HumanSample(
+                arrival + clocks.get(side, 0.0), side, landmarks_at(side, 3.0 * arrival)
+            )
+            before, q = (
+                q,
+                follower.map_samples({side: sample}, arrival=arrival).command.q,
+            )
+            moved = np.abs(q - before) / follower.mapper.robot.velocity_limits
+            needed += moved.max()
+        assert needed <= 1.02 * arrival + GAP + 1e-3
+    # The motion is too fast for the robot, so that it needs most of it.
+    assert needed >= 0.5 * arrival
+
+
 def test_a_robot_that_waits_for_both_hands_starts_from_rest(
     fresh: RobotFollower,
 ) -> None:
@@ -198,6 +250,24 @@ def test_a_clock_that_both_hands_share_is_set_for_both(fresh: RobotFollower) -> 
         times.append(follower.mapper.motion.time)
     # The first sample after it takes no time; all others take that since the one before.
     np.testing.assert_allclose(np.diff(times)[1:], 1.0 / 120.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("knows_arrival", [True, False])
+def test_a_shared_clock_that_is_set_back_a_little_stops_a_robot_for_a_few_samples(
+    fresh: RobotFollower, knows_arrival: bool
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = in_turns((60.0, 60.0), 1.2)
+    still = 0
+    for event in events:
+        back = 0.9 * (event.time > 0.4)
+        (samples,) = samples_of([event], {"left": -back, "right": -back})
+        before = follower.mapper.motion.time
+        arrival = event.time if knows_arrival else None
+        follower.map_samples(samples, arrival=arrival)
+        still += follower.mapper.motion.time - before < 1e-3
+    # Five late samples in a row tell a clock that was set back, of each hand.
+    assert still <= 12
 
 
 def test_each_hand_counts_the_time_since_its_own_sample(g1: Hand) -> None:
@@ -313,6 +383,118 @@ def test_an_instant_that_cannot_be_used_changes_nothing(g1: Hand, times: dict) -
         single.map_landmarks(landmarks["left"], **times)
     with pytest.raises(InvalidInputError, match="RobotMapper"):
         mapper.leaders["left"].map_landmarks(landmarks["left"], time=101.0)
+
+
+WRONG = {
+    "an instant that never comes": Instant(np.inf),
+    "an instant that is not a number": Instant(np.nan),
+    "an instant that is a text": Instant("now"),  # ty: ignore[invalid-argument-type]
+    "a longest time of zero": Instant(1e3, 0.0),
+    "a longest time that is not a number": Instant(1e3, np.nan),
+    "a pair that is not an instant": (1e3, 0.1),
+    "a pair with one number": (1e3,),
+}
+"""What cannot be a time of a command."""
+
+
+@pytest.mark.parametrize("what", WRONG)
+@pytest.mark.parametrize("samples", [0, 2])
+def test_a_time_that_cannot_be_one_changes_nothing(
+    g1: Hand, what: str, samples: int
+) -> None:
+    # The core maps samples after the first ones.
+    when: Any = WRONG[what]
+    mapper = mapper_of(g1)
+    single = HandMapper(HUMANS["left"], load_hand("three_finger"), "teleoperation")
+    follower = Follower(copy.deepcopy(single))
+    landmarks = {side: landmarks_at(side, 0.0) for side in SIDES}
+    events = [Event(k / 60.0, ("left",)) for k in range(samples + 1)]
+    *earlier, last = [each["left"] for each in samples_of(events)]
+    for sample in earlier:
+        mapper.map_landmarks(landmarks)
+        single.map_landmarks(landmarks["left"])
+        follower.map_sample(sample)
+    movers = mapper, single, follower.mapper
+    before = [mover.motion for mover in movers]
+    calls = [
+        lambda: mapper.map_landmarks(landmarks, dt=when),
+        lambda: single.map_landmarks(landmarks["left"], dt=when),
+        lambda: single.hold(when),
+        lambda: follower.map_sample(last, dt=when),
+    ]
+    for call in calls:
+        with pytest.raises(InvalidInputError, match="dt: expected"):
+            call()
+    assert [mover.motion for mover in movers] == before
+
+
+def moved_in(mapper: HandMapper | RobotMapper, count: int) -> int:
+    """Map samples from time 0 on; return the number of commands that move the robot."""
+    moved = 0
+    for k in range(count):
+        landmarks: Any = {side: landmarks_at(side, k / 60.0) for side in SIDES}
+        if isinstance(mapper, HandMapper):
+            landmarks = landmarks["right"]
+        before = mapper.motion.q
+        mapper.map_landmarks(landmarks, time=k / 60.0)
+        moved += np.abs(mapper.motion.q - before).max() > 1e-4
+    return moved
+
+
+@pytest.mark.parametrize("kind", ["hand", "robot"])
+def test_a_reset_begins_a_new_clock(g1: Hand, kind: str) -> None:
+    mapper: HandMapper | RobotMapper = mapper_of(g1)
+    if kind == "hand":
+        mapper = HandMapper(HUMANS["right"], load_hand("three_finger"))
+    first = moved_in(mapper, 75)
+    assert first > 50
+    mapper.reset()
+    # A second recording may begin at 0, too.
+    assert moved_in(mapper, 75) == first
+
+
+@pytest.mark.parametrize("kind", ["hand", "robot"])
+def test_a_reset_gives_no_time_where_the_clock_goes_on(g1: Hand, kind: str) -> None:
+    mapper: HandMapper | RobotMapper = mapper_of(g1)
+    landmarks: Any = {side: landmarks_at(side, 0.0) for side in SIDES}
+    if kind == "hand":
+        mapper = HandMapper(HUMANS["right"], load_hand("three_finger"))
+        landmarks = landmarks["right"]
+    mapper.map_landmarks(landmarks, time=100.0)
+    for k in range(1, 6):
+        mapper.reset(robot_q=mapper.motion.q[mapper.robot.q_indices])
+        mapper.map_landmarks(landmarks, time=100.0 + k / 240.0)
+        assert mapper.motion.dt == pytest.approx(1.0 / 240.0, abs=2.0 * SHORTEST_DT)
+        mapper.reset(robot_q=mapper.motion.q[mapper.robot.q_indices])
+        mapper.map_landmarks(landmarks, time=100.0 + k / 240.0)
+        assert mapper.motion.dt == SHORTEST_DT
+
+
+def test_a_stream_goes_on_after_a_pause_of_its_clock() -> None:
+    mapper = HandMapper(HUMANS["left"], load_hand("three_finger"), "teleoperation")
+    follower = Follower(mapper)
+    events = [Event(k / 60.0, ("left",)) for k in range(60)]
+    samples = [each["left"] for each in samples_of(events)]
+    for sample in samples[:30]:
+        follower.map_sample(sample)
+    for _ in range(300):
+        mapper.hold(1.0 / 60.0)
+    paused = copy.deepcopy(follower)
+    for number, sample in enumerate(samples[30:]):
+        follower.map_sample(sample)
+        # The first one takes nearly no time, because nobody knows how much has passed.
+        expected = 1.0 / 60.0 if number else SHORTEST_DT
+        assert mapper.motion.dt == pytest.approx(expected, rel=1e-6)
+    recording = Recording(
+        "after a pause",
+        np.array([sample.time for sample in samples[30:]]),
+        np.array([sample.landmarks for sample in samples[30:]]),
+        np.ones(30, bool),
+        "left",
+    )
+    q, *_ = paused.map_samples(recording).columns
+    assert np.abs(np.diff(q, axis=0)).max() > 0.01
+    np.testing.assert_allclose(q[-1], mapper.motion.q[mapper.robot.q_indices])
 
 
 def test_a_hand_alone_takes_instants_too() -> None:

@@ -167,8 +167,9 @@ def test_the_resting_human_asks_for_the_matched_posture() -> None:
     step = settled(HandMapper(HUMAN, ALLEGRO), rest)
     np.testing.assert_allclose(step.motion_deformation, np.eye(4), atol=1e-9)
     palm = step.wrist_target @ ALLEGRO.wrist_to_palm
+    # But for what the robot cannot reach of the resting person's places.
     np.testing.assert_allclose(
-        transform_points(inverse_pose(palm), step.targets), pair.robot_rest, atol=1e-9
+        transform_points(inverse_pose(palm), step.targets), pair.robot_rest, atol=5e-3
     )
     # A gap of 60 mm between thumb and index already counts a little as a pinch.
     np.testing.assert_allclose(step.command.q, pair.matched, atol=0.25)
@@ -547,8 +548,8 @@ def test_a_thumb_that_rests_like_a_persons_points_as_it_does(
         mapper = HandMapper(HUMAN.with_points("landmarks"), robot, method)
         asked.append([mapper.map_step(each, wrist) for each in (q, pinching)])
     pair = hand_pair(HUMAN.with_points("landmarks"), robot)
-    assert (pair.thumb_likeness > 0.5) == is_like
-    assert is_like or pair.thumb_likeness == 0.0
+    assert (pair.finger_likeness[0] > 0.5) == is_like
+    assert is_like or pair.finger_likeness[0] == 0.0
 
     def vector(step: Any) -> np.ndarray:
         palm = step.wrist_target @ pair.robot.wrist_to_palm
@@ -605,7 +606,8 @@ def test_fingers_point_as_the_persons_away_from_a_pinch(name: str) -> None:
     # Fingers rest some degrees off where the robot cannot rest as a person does.
     assert off[2] < max(off[0], 4.0)
     assert np.ptp(off) > 0.05
-    np.testing.assert_allclose(at_rest[1:], [at_rest[0]] * 2, atol=1e-9)
+    # Places at rest are those of the matched posture, but for what the robot cannot reach.
+    np.testing.assert_allclose(at_rest[1:], [at_rest[0]] * 2, atol=12e-3)
     closing = pinched[0].diagnostics["pinching"][0]
     moved = np.abs(pinched[2].targets - pinched[0].targets)[1].max()
     assert moved <= (1.0 - closing) * 0.05

@@ -13,14 +13,17 @@ import pytest
 from comparison_cases import write_closing
 from scipy.spatial.transform import Rotation
 
+import handmap_qp
 from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     OutsideError,
     Take,
     compare_methods,
+    is_peer,
     outside_methods,
     own_method,
     own_methods,
+    peers_program,
     prepare_take,
 )
 from handmap_qp.apps.offline.hand_trace import TIP
@@ -298,6 +301,18 @@ def test_outside_program_that_fails_is_one_line(tmp_path: Path) -> None:
 
 
 PEERS = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"
+
+
+def test_the_peers_program_is_found_without_being_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That of the checkout, or of an installed package."""
+    assert peers_program() == PEERS
+    assert is_peer("dexi-dexpilot")
+    assert not any(map(is_peer, own_methods()))
+    package = tmp_path / "handmap_qp"
+    monkeypatch.setattr(handmap_qp, "__file__", str(package / "__init__.py"))
+    assert peers_program() == package / "outside" / "peers"
 
 
 @pytest.mark.slow

@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -28,7 +29,7 @@ from handmap_ros2 import bridge, dds
 from handmap_ros2.cli import Ros2
 
 from handmap_qp import InvalidInputError
-from handmap_qp.client import Client, ServiceTimeoutError
+from handmap_qp.client import Client, Command, ServiceTimeoutError
 
 STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
 # As `handmap ros2` where the package is installed: here its folder is only on the path.
@@ -75,6 +76,48 @@ def test_messages_are_those_of_rosbags_byte_for_byte() -> None:
         # The header of XCDR 1 says nothing of padding at the end.
         assert bytes(message.serialize())[:2] == theirs[:2] == b"\x00\x01"
         assert bytes(message.serialize())[4:] == theirs[4:]
+
+
+def trajectory_time(last: Command | None, command: Command) -> float:
+    """Return the time from start that the trajectory has [s]."""
+    made = bridge.messages_of(command, "hand", last)["/hand/joint_trajectory"]
+    (point,) = dds.filled(*made).points
+    return point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+
+
+def test_a_trajectory_takes_the_time_since_the_command_before() -> None:
+    """Commands that were skipped count, whatever their speed limits were granted."""
+    at = COMMAND.server_time
+    for passed in (0.004, 0.05, 3.0):
+        later = msgspec.structs.replace(COMMAND, server_time=at + passed)
+        assert trajectory_time(COMMAND, later) == pytest.approx(passed, abs=1e-6)
+    # Nothing before it, another epoch, or a clock that went back: what was granted.
+    other = msgspec.structs.replace(
+        COMMAND, epoch=COMMAND.epoch + 1, server_time=at + 1
+    )
+    earlier = msgspec.structs.replace(COMMAND, server_time=at - 1.0)
+    for last, command in ((None, COMMAND), (COMMAND, other), (COMMAND, earlier)):
+        assert trajectory_time(last, command) == pytest.approx(COMMAND.dt, abs=1e-9)
+
+
+def test_a_bridge_counts_from_the_command_that_it_published() -> None:
+    published: list[Any] = []
+    node = SimpleNamespace(
+        serve=lambda *_: None,
+        publish=lambda topic, message: published.append((topic, message)),
+    )
+    later = msgspec.structs.replace(COMMAND, server_time=COMMAND.server_time + 0.048)
+    commands = [COMMAND, later]
+    client = SimpleNamespace(latest=lambda _: commands.pop(0))
+    made = bridge.Bridge(cast(bridge.Node, node), cast(Client, client), "hand")
+    made.spin_once()
+    made.spin_once()
+    _, second = (
+        dds.filled(*message)
+        for topic, message in published
+        if topic == "/hand/joint_trajectory"
+    )
+    assert second.points[0].time_from_start.nanosec == pytest.approx(48e6, abs=1e3)
 
 
 def test_messages_say_all_of_a_command() -> None:

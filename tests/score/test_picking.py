@@ -12,10 +12,10 @@ from handmap_score.tasks.mapping import Mapping, Straight, Unmapped, make_mappin
 from handmap_score.tasks.operator import HumanHand
 from handmap_score.tasks.person import Person
 from handmap_score.tasks.picking import TRAY, PickTask, pick_cause
-from handmap_score.tasks.table import TORQUES
 from handmap_score.tasks.task import Scene
-from handmap_score.tasks.touch import Touch
 
+from handmap_qp.apps.simulation.losses import Touch
+from handmap_qp.apps.simulation.torques import DATA_SHEETS
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import load_hand
 
@@ -123,7 +123,7 @@ def test_motors_have_the_torque_of_the_maker(allegro: PickTask) -> None:
     """No finger's motor gives more than the maker says."""
     allegro.reset(0)
     bounds = allegro.model.actuator_forcerange
-    assert np.allclose(np.abs(bounds), TORQUES["allegro_right"])
+    assert np.allclose(np.abs(bounds), DATA_SHEETS["allegro"])
 
 
 def test_commands_that_are_missing_are_kept(allegro: PickTask) -> None:

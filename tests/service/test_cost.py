@@ -15,6 +15,7 @@ from types import FrameType
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 from live_cases import moving_hand
 from service_tools import CACHE, PERIOD, Sampler, human_q, opening
@@ -23,16 +24,24 @@ from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.logs import Metrics
 from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
-from handmap_qp.client.messages import Step
-from handmap_qp.human.recording import sample_columns
+from handmap_qp.client.messages import HandSample, Step
+from handmap_qp.hands import Side
+from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.ik.core import core
 
-MOST_CALLS = 160
+MOST_CALLS = 130
 """Calls of Python and C for an answer."""
+MOST_CALLS_FOR_TWO = 400
+"""Likewise for a robot with two hands."""
 WARM = 20
 MEASURED = 20
 
 pytestmark = pytest.mark.skipif(core is None, reason="counts calls around the core")
+
+
+def rows_of(landmarks: np.ndarray) -> tuple[tuple[float, float, float], ...]:
+    """Return landmarks as a message has them."""
+    return tuple((x, y, z) for x, y, z in landmarks.tolist())
 
 
 def samples(kind: str) -> list[Step]:
@@ -42,7 +51,7 @@ def samples(kind: str) -> list[Step]:
     if kind == "q":
         return [sampler(i * PERIOD, human_q(0.05 * i)) for i in range(count)]
     seen = [each for each in sample_columns(moving_hand(count + 1)) if each.valid]
-    rows = [tuple(map(tuple, each.landmarks.tolist())) for each in seen]
+    rows = [rows_of(each.landmarks) for each in seen]
     return [sampler(i * PERIOD, landmarks=rows[i]) for i in range(count)]
 
 
@@ -85,6 +94,25 @@ def test_an_answer_takes_few_calls(robot: str, preset: str | None, kind: str) ->
         choices["hand_length"] = 0.18
     for counts in calls_of_answers(samples(kind), **choices):
         assert counts.total() <= MOST_CALLS, counts.most_common()
+
+
+@pytest.mark.parametrize("robot", ["g1", "alex"])
+def test_an_answer_for_two_hands_takes_few_calls(robot: str) -> None:
+    sampler = Sampler()
+    count = WARM + MEASURED
+    hands: dict[Side, Recording] = {
+        side: moving_hand(count + 11, side) for side in ("left", "right")
+    }
+    steps = []
+    for i in range(11, count + 11):
+        both: dict[Side, HandSample] = {
+            side: HandSample(landmarks=rows_of(recording.landmarks[i]))
+            for side, recording in hands.items()
+        }
+        steps.append(sampler(i * PERIOD, wrist=None, hands=both))
+    choices = {"input": "landmarks", "hand_length": 0.18}
+    for counts in calls_of_answers(steps, robot=robot, preset=None, **choices):
+        assert counts.total() <= MOST_CALLS_FOR_TWO, counts.most_common()
 
 
 def test_a_count_does_not_depend_on_the_machine() -> None:

@@ -26,7 +26,7 @@ from handmap_qp import Recording
 from handmap_qp.apps.service.opening import prepare_hands
 from handmap_qp.apps.service.session import Session
 from handmap_qp.client import ServiceError
-from handmap_qp.client.messages import Command, Pose
+from handmap_qp.client.messages import PROTOCOL, Command, HandSample, Measured, Pose
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human import sample_columns
@@ -69,14 +69,27 @@ class Stuck:
 
 
 def pick(
-    session: Session, sampler: Sampler, count: int = 110, since: int = 55, **held: Any
+    session: Session,
+    sampler: Sampler,
+    count: int = 110,
+    since: int = 55,
+    *,
+    by_driver: bool = False,
+    **held: Any,
 ) -> Iterator[Command]:
-    """A hand closes at .8 s, around what stops the robot then."""
+    """A hand closes at .8 s, around what stops the robot then.
+
+    A driver measures the joints where `by_driver` is given, else they come with the samples.
+    """
     recording = made_pick("right")
     robot = Stuck(session, since)
     for i in range(count):
         landmarks = rows(recording.landmarks[i % 110])
-        sample = sampler(PERIOD * i, landmarks=landmarks, measured_q=robot.q, **held)
+        measured: dict[str, Any] = {} if by_driver else {"measured_q": robot.q}
+        if by_driver:
+            read = Measured(protocol=PROTOCOL, seq=i, name="test", measured_q=robot.q)
+            session.measure(read, PERIOD * i - 0.004)
+        sample = sampler(PERIOD * i, landmarks=landmarks, **measured, **held)
         command = session.step(sample, PERIOD * i)
         robot.follow(i, command)
         yield command
@@ -103,6 +116,80 @@ def test_a_grip_goes_out_with_its_torques_and_stays_while_samples_are_lost() -> 
         sampler(5.0, landmarks=lost.landmarks, valid=False, measured_q=last.q), 5.0
     )
     assert command.effort == ()
+
+
+@pytest.mark.parametrize("by_driver", [False, True])
+def test_a_session_grips_by_default_where_joints_are_measured(by_driver: bool) -> None:
+    session = session_of()
+    *_, last = pick(session, Sampler(), by_driver=by_driver)
+    asked = session_of(grip={})
+    *_, other = pick(asked, Sampler(), by_driver=by_driver)
+    assert np.abs(last.effort).max() > 0.05
+    np.testing.assert_array_equal(last.q, other.q)
+    np.testing.assert_array_equal(last.effort, other.effort)
+    # It is told another force, as one that was opened with a grip, and then needs no joints.
+    session.configure(change(grip={"force": 2.5}))
+    hand = rows(made_pick("right").landmarks[-1])
+    command = session.step(Sampler()(3.0, landmarks=hand), 3.0)
+    assert np.abs(command.effort).max() < 0.7 * np.abs(last.effort).max()
+
+
+def test_a_session_without_a_grip_follows_as_before_whatever_is_measured() -> None:
+    off, plain = session_of(grip=False), session_of()
+    sampler, other = Sampler(), Sampler()
+    commands = list(pick(off, sampler))
+    for i, command in enumerate(commands):
+        landmarks = rows(made_pick("right").landmarks[i])
+        # Without measured joints, nothing is met.
+        same = plain.step(other(PERIOD * i, landmarks=landmarks), PERIOD * i)
+        assert command.effort == same.effort == ()
+        np.testing.assert_array_equal(command.q, same.q)
+    assert commands[-1].following_error
+    with pytest.raises(RefusedError) as raised:
+        off.configure(change(grip={"force": 2.0}))
+    assert raised.value.field == "grip"
+
+
+def test_joints_that_a_driver_does_not_measure_any_more_meet_nothing() -> None:
+    session, sampler = session_of(), Sampler()
+    robot = session.robot.rest
+    for i, landmarks in enumerate(made_pick("right").landmarks[:110]):
+        if i < 20:
+            read = Measured(
+                protocol=PROTOCOL, seq=i, name="test", measured_q=tuple(robot.tolist())
+            )
+            session.measure(read, PERIOD * i)
+        sample = sampler(PERIOD * i, landmarks=rows(landmarks))
+        assert session.step(sample, PERIOD * i).effort == ()
+
+
+def test_another_preset_grips_nothing_and_the_former_one_again() -> None:
+    session, sampler = session_of(), Sampler()
+    *_, last = pick(session, sampler)
+    assert last.effort
+    session.configure(change(preset="fingertip-vectors"))
+    hand = rows(made_pick("right").landmarks[-1])
+    for i in range(3):
+        time = 2.0 + PERIOD * i
+        sample = sampler(time, landmarks=hand, measured_q=last.q)
+        assert session.step(sample, time).effort == ()
+
+
+def test_both_hands_of_a_robot_grip_by_default() -> None:
+    request = opening(**ALLEGRO | {"robot": "ur5_pair"})
+    session = Session(request, prepare_hands(request, CACHE), "test", 0.0)
+    robot = Stuck(session, 55)
+    sampler = Sampler()
+    made = {side: made_pick(side).landmarks for side in ("left", "right")}
+    for i in range(110):
+        hands = {
+            side: HandSample(landmarks=rows(each[i])) for side, each in made.items()
+        }
+        sample = sampler(PERIOD * i, wrist=None, hands=hands, measured_q=robot.q)
+        command = session.step(sample, PERIOD * i)
+        robot.follow(i, command)
+    for own in session.robot.finger_joints:
+        assert np.abs(np.array(command.effort)[own]).max() > 0.01
 
 
 def test_the_force_of_a_grip_is_told_in_the_session() -> None:
@@ -202,7 +289,7 @@ def test_a_known_object_is_pressed_with_the_force_that_is_told() -> None:
         ({"object": "box:0.1.2"}, "object"),
         ({"object": ((0.0, 0.0, 0.0),) * 4}, "object"),
         ({"object": CUBE, "resume": "clutch"}, "object"),
-        ({"robot": "ur5_pair", "grip": {}}, "grip"),
+        ({"grip": True, "preset": "object"}, "grip"),
         ({"robot": "ur5_pair", "object": CUBE}, "object"),
     ],
 )
@@ -218,6 +305,11 @@ def test_what_cannot_be_held_is_refused_with_its_field(
     ("choices", "held", "field"),
     [
         ({}, {"object_centre": (0.0, 0.0, 0.0)}, "object_centre"),
+        (
+            {"grip": False},
+            {"object_centre": (0.0, 0.0, 0.0), "measured_q": (0.0,) * 16},
+            "object_centre",
+        ),
         ({"grip": {}}, {"object_pose": Pose((0, 0, 0), (0, 0, 0, 1))}, "object_pose"),
         ({"grip": {}}, {}, "measured_q"),
         ({"grip": {}}, {"measured_q": (0.0,) * 15}, "measured_q"),
@@ -238,7 +330,7 @@ def test_a_sample_must_hold_what_its_session_was_opened_for(
 
 def test_a_grip_that_there_is_not_cannot_be_changed() -> None:
     with pytest.raises(RefusedError) as raised:
-        session_of().configure(change(grip={"force": 2.0}))
+        session_of(object=CUBE).configure(change(grip={"force": 2.0}))
     assert raised.value.field == "grip"
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import fields
 from strategies import motion_of, rotations, translations
 
 from handmap_qp.apps.service.dispatch import decode_request, encode_reply
@@ -23,6 +24,7 @@ from handmap_qp.client.messages import (
     AnyReply,
     AnyRequest,
     Error,
+    Pose,
     Sample,
     Step,
 )
@@ -83,6 +85,30 @@ def test_a_mistake_is_answered_with_the_field_and_the_number_of_the_request(
     assert isinstance(answer, Error)
     assert (answer.code, answer.field) == ("invalid", field)
     assert answer.seq == message["seq"]
+
+
+def test_every_pose_of_a_request_is_checked() -> None:
+    wrong = {"position": [0, 0, 0], "quat_xyzw": [0, 0, 0, 2]}
+    checked = 0
+    for kind in get_args(AnyRequest):
+        name = kind.__struct_config__.tag
+        base = OPEN if name == "open" else STEP
+        needed = {field.encode_name for field in fields(kind) if field.required}
+        message = {key: value for key, value in base.items() if key in needed}
+        for field in fields(kind):
+            if Pose not in get_args(field.type):
+                continue
+            checked += 1
+            payload = message | {"type": name, field.name: wrong}
+            answer = decode_request(msgspec.msgpack.encode(payload))
+            assert isinstance(answer, Error)
+            assert answer.field == f"{field.name}.quat_xyzw"
+    assert checked >= 8
+    hands = {"left": {"wrist": wrong}}
+    payload = msgspec.msgpack.encode(STEP | {"hands": hands})
+    answer = decode_request(payload)
+    assert isinstance(answer, Error)
+    assert answer.field == "hands.left.wrist.quat_xyzw"
 
 
 def test_a_sample_is_a_step_without_an_answer() -> None:

@@ -36,7 +36,7 @@ def test_the_stand_in_goes_where_the_commands_say() -> None:
         client_of(server) as tracker,
         Client(address_of(server)) as driver,
     ):
-        tracker.open("three_finger", name="lab", preset="paper")
+        tracker.open("three_finger", name="lab", preset="paper", is_shared=True)
         stand_in = StandIn(simulator(), driver, "lab")
         reports: list[Any] = []
         arrived = threading.Event()
@@ -70,6 +70,8 @@ def test_the_stand_in_goes_where_the_commands_say() -> None:
             worker.join()
         command = tracker.step(q=np.full(20, 0.2), wrist=wrist)
         np.testing.assert_allclose(stand_in.simulator.q, command.q, atol=0.02)
+        # It has said where its joints are.
+        assert len(command.following_error) == len(command.q)
 
 
 def test_a_session_of_another_robot_is_refused() -> None:

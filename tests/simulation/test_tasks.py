@@ -29,7 +29,7 @@ from handmap_qp.apps.simulation.pinch import (
     random_trials,
     success_rate,
 )
-from handmap_qp.apps.simulation.simulator import Episode, Simulator
+from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.spec import PadSpec, Side
@@ -230,14 +230,15 @@ def test_a_pinch_is_found_in_landmarks() -> None:
     landmarks[:, 8] = landmarks[:, 4] + np.array([0.08, 0.0, 0.0])
     landmarks[50:150, 8] = landmarks[50:150, 4] + np.array([0.01, 0.0, 0.0])
     recording = Recording("made", time, landmarks, np.ones(200, dtype=bool), "right")
-    window = find_pinch(recording)
+    window = find_pinch(recording, takes_fists=True)
     assert window == PinchWindow(49, 50, 149, "right", opened=0)
     landmarks[:, 8] = landmarks[:, 4] + np.array([0.08, 0.0, 0.0])
     with pytest.raises(
         InvalidInputError, match=r"open: expected a pinch .* got 0\.00 s"
     ):
         find_pinch(
-            Recording("open", time, landmarks, np.ones(200, dtype=bool), "right")
+            Recording("open", time, landmarks, np.ones(200, dtype=bool), "right"),
+            takes_fists=True,
         )
 
 
@@ -259,15 +260,15 @@ def closing_at(*knots: float) -> Any:
 
 def test_a_hand_that_is_not_open_shortly_before_is_no_pick() -> None:
     """From 65 to 22 mm it takes 43 / 90 of the time in which it closes."""
-    window = find_pinch(slow_pinch(closing_at(0.1, 2.1)))
+    window = find_pinch(slow_pinch(closing_at(0.1, 2.1)), takes_fists=True)
     assert window.closed == pytest.approx(10 + 200 * 78 / 90, abs=1)
     assert window.start == pytest.approx(10 + 200 * 35 / 90, abs=1)
     # Open since the beginning, and at most a second before.
     assert window.opened == 0
-    late = find_pinch(slow_pinch(closing_at(1.0, 2.0)))
+    late = find_pinch(slow_pinch(closing_at(1.0, 2.0)), takes_fists=True)
     assert 99 <= late.start - late.opened <= 100
     with pytest.raises(InvalidInputError, match="at most 59 mm") as caught:
-        find_pinch(slow_pinch(closing_at(0.1, 2.5)))
+        find_pinch(slow_pinch(closing_at(0.1, 2.5)), takes_fists=True)
     assert caught.value.argument == "mine"
     assert "open by 65 mm" in caught.value.expected
 
@@ -276,9 +277,9 @@ def test_a_wrist_that_turns_while_the_hand_closes_makes_no_pick() -> None:
     """From 65 mm to 22 mm within 43 / 90 s."""
     closing = closing_at(0.5, 1.5)
     still = np.radians(20.0) * 90 / 43
-    assert find_pinch(slow_pinch(closing, still)).closed == 137
+    assert find_pinch(slow_pinch(closing, still), takes_fists=True).closed == 137
     with pytest.raises(InvalidInputError, match="got 31 degrees") as caught:
-        find_pinch(slow_pinch(closing, 1.5 * still))
+        find_pinch(slow_pinch(closing, 1.5 * still), takes_fists=True)
     assert "mine: expected a palm that turns by less than 25" in str(caught.value)
 
 
@@ -291,9 +292,11 @@ def test_the_hand_that_pinches_longest_is_found_in_samples_of_the_longest() -> N
     slow[:, 8] = slow[:, 4] + np.array([0.08, 0.0, 0.0])
     slow[25:75, 8] = slow[25:75, 4] + np.array([0.01, 0.0, 0.0])
     pinching = Recording("pinching", time[::2], slow, np.ones(100), "right")
-    window = find_pinch(still, pinching)
+    window = find_pinch(still, pinching, takes_fists=True)
     assert window == PinchWindow(48, 50, 148, "right", opened=0)
-    assert find_pinch(pinching) == PinchWindow(24, 25, 74, "right", opened=0)
+    assert find_pinch(pinching, takes_fists=True) == PinchWindow(
+        24, 25, 74, "right", opened=0
+    )
 
 
 def test_a_robot_with_both_hands_holds_the_object_in_the_one_that_pinches(
@@ -366,7 +369,8 @@ def test_a_page_plays_both_hands_without_a_network(
     episode: Episode, tmp_path: Path
 ) -> None:
     page = tmp_path / "run.html"
-    write_page(page, {"robot": episode, "again": episode}, "a <run>")
+    later = episode._replace(at=Instant(*(column[5:] for column in episode.at)))
+    write_page(page, {"robot": episode, "later": later}, "a <run>")
     text = page.read_text(encoding="utf-8")
     assert "<title>a &lt;run&gt;" in text
     assert "__VISER_EMBED_DATA__" in text
@@ -463,7 +467,11 @@ def test_the_command_counts_every_trial_and_writes_a_simulation(
     assert found["trials"][0]["tried"] == ["fingertip-vectors"]
     drawn = [describe_trial(trial) for trial in random_trials(2, 0)]
     assert [
-        {k: v for k, v in trial.items() if k not in ("held", "tried")}
+        {
+            k: v
+            for k, v in trial.items()
+            if k not in ("held", "tried", "lost", "refused")
+        }
         for trial in found["trials"]
     ] == drawn
     assert cli.main([*words, "--out", str(out), "--torque", "0.2"]) == 0
@@ -491,12 +499,18 @@ def test_the_command_holds_what_it_meets(
     file = tmp_path / "made.npz"
     write_recordings([made_pick()], file)
     words = ["simulate", str(file), "--robot", "allegro_right", "--json"]
+    assert cli.main(words) == 0
+    by_default = json.loads(capsys.readouterr().out)["rows"]
     slips = {}
     for grip in ("grip", "grip+place"):
         assert cli.main([*words, "--grip", grip]) == 0
         plain, own = json.loads(capsys.readouterr().out)["rows"]
         assert own["mapping"] == f"{plain['mapping']}+{grip}"
         slips[grip] = own
+    # A robot that is simulated has encoders: it grips by default.
+    assert by_default[-1] == slips["grip"]
+    assert cli.main([*words, "--grip", "off"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == by_default[:1]
     # Where the object is known, it is not pushed away before it is held.
     assert slips["grip+place"]["held"] == "yes"
     assert slips["grip+place"]["slip mm"] < 5.0
@@ -561,7 +575,7 @@ def test_a_dozen_recordings_are_picks_and_the_household_can_be_simulated(
     made = list(picks(sorted(recordings.glob("*.npz"))))
     assert len({recording.name for recording in made}) == 12
     for recording in made:
-        window = find_pinch(recording)
+        window = find_pinch(recording, takes_fists=True)
         assert window.opened <= window.start < window.closed < window.end
     assert len(HOUSEHOLD) == 12
     for trial in HOUSEHOLD.values():

@@ -4,99 +4,31 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Iterator
-from functools import lru_cache
+import itertools
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from grip_cases import HUMAN, Blocked, gap_of, grip_follower, run, samples
 from picks import made_pick
 
-from handmap_qp import Hand, HandMapper, Recording, load_hand
+from handmap_qp import Hand, HandMapper, load_hand
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.human.recording import sample_columns
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.se3 import transform_points
 from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.grip import GripFollower, GripOptions, _Grip
-
-HUMAN = load_hand("human", points="landmarks")
-WIDTH = 0.03
+from handmap_qp.stream.grip import GripFollower
+from handmap_qp.stream.hand_grip import GripOptions, _Grip
+from handmap_qp.stream.object_place import ObjectPlace
 
 
 @pytest.fixture(scope="module")
 def allegro() -> Hand:
     return load_hand("allegro_right")
-
-
-@lru_cache
-def pick(opens: bool = False) -> Recording:
-    """A hand closes at .8 s; then it may open as it has closed."""
-    recording = made_pick("right")
-    if not opens:
-        return recording
-    back = np.arange(110)[::-1]
-    order = np.append(np.arange(110), back)
-    time = np.arange(len(order)) / 60.0
-    valid = np.ones(len(order), dtype=bool)
-    return Recording("pick", time, recording.landmarks[order], valid, "right")
-
-
-def samples(opens: bool = False) -> Iterator[HumanSample]:
-    recording = pick(opens)
-    columns = sample_columns(recording)
-    yield from map(columns.sample, range(len(recording.time)))
-
-
-def gap_of(hand: Hand, q: np.ndarray) -> float:
-    """Distance of the pads of thumb and index [m], by the poses of their links."""
-    placed = hand.configuration()
-    wrist = np.eye(4) if hand.is_floating else None
-    placed.place(hand.configuration_vector(q, wrist))
-    pads = [robot_fingers(hand).pads[name] for name in ("thumb", "index")]
-    places = [
-        transform_points(placed.data.oMi[pad.joint].homogeneous, pad.offset)
-        for pad in pads
-    ]
-    apart = np.linalg.norm(places[1] - places[0])
-    return float(apart - pads[0].radius - pads[1].radius)
-
-
-def grip_follower(hand: Hand, **options: Any) -> GripFollower:
-    follower = Follower(HandMapper(HUMAN, hand, "teleoperation"), smoothing=None)
-    return GripFollower(follower, GripOptions(**options))
-
-
-class Blocked:
-    """A hand whose pads cannot come nearer than an object is wide: its joints then stay."""
-
-    def __init__(self, hand: Hand, width: float = WIDTH) -> None:
-        self.hand = hand
-        self.width = width
-        self.q = hand.rest.copy()
-
-    def follow(self, q: np.ndarray) -> None:
-        if gap_of(self.hand, q) >= self.width:
-            self.q = q.copy()
-
-
-def run(
-    grip: GripFollower,
-    width: float = WIDTH,
-    opens: bool = False,
-    centre: np.ndarray | None = None,
-) -> Iterator[tuple[MapStep, np.ndarray]]:
-    """Yield each step, and the joints that had been measured."""
-    plant = Blocked(grip.follower.mapper.robot, width)
-    for sample in samples(opens):
-        measured = plant.q
-        step = grip.map_sample(sample, measured, centre)
-        plant.follow(step.command.q)
-        yield step, measured
 
 
 def test_without_an_object_nothing_is_gripped(allegro: Hand) -> None:
@@ -109,7 +41,7 @@ def test_without_an_object_nothing_is_gripped(allegro: Hand) -> None:
 
 
 def held(grip: GripFollower) -> _Grip:
-    found = grip._grip
+    found = grip.hand_grip._grip
     assert found is not None
     return found
 
@@ -165,7 +97,7 @@ def test_a_hand_that_is_not_pinching_grips_nothing(allegro: Hand) -> None:
         plant.follow(step.command.q)
         if step.command.effort is not None:
             assert step.named("pinching").max() > 0.5
-    assert grip._terms
+    assert grip.hand_grip.terms
     assert grip.follower.mapper.tasks == ()
 
 
@@ -203,7 +135,7 @@ def test_a_hand_that_trembles_keeps_what_it_grips(allegro: Hand) -> None:
     # A gap that rises by 1 mm a second, and trembles by 3 mm.
     for i in range(1800):
         gap = 0.02 + 0.001 * i / 60.0 + random.uniform(0.0, 0.003)
-        at = grip._held(at, np.array([gap]), 1.0 / 60.0)
+        at = grip.hand_grip._held(at, np.array([gap]), 1.0 / 60.0)
         assert at.opening == 0.0
 
 
@@ -224,7 +156,8 @@ def test_what_is_touched_is_pressed_no_harder_than_with_the_force(
     last, stopped = ran[-1]
     placed = allegro.configuration()
     placed.place(allegro.configuration_vector(stopped))
-    slopes, _ = grip._pairs[0].slopes(placed)
+    pads = grip.hand_grip._pairs[0]
+    slopes, _ = pads.slopes(placed, pads.state(placed).line)
     levers = slopes[allegro.joint_columns]
     # The gap that position control closes farther for one newton.
     compliance = levers @ levers / grip.grip.stiffness
@@ -251,7 +184,7 @@ def test_a_small_force_closes_gently(allegro: Hand) -> None:
         for sample in samples():
             gaps.append(gap_of(allegro, q))
             # Joints that lag behind their commands by 70 ms.
-            command = grip.map_sample(sample, q, centre).command
+            command = grip.map_sample(sample, q, centre, 0.0).command
             q = q + (command.q - q) * (1.0 / 60.0 / 0.07)
         near = np.array(gaps) < 0.03
         speeds.append(-np.diff(gaps)[near[1:]].min() * 60.0)
@@ -283,9 +216,11 @@ def test_it_opens_from_the_smallest_gap_of_the_grip(allegro: Hand) -> None:
     grip = grip_follower(allegro)
     at = _Grip(0, np.array([0]), allegro.rest, allegro.rest, 1.0, 0.03)
     for gap in (0.02, 0.01, 0.017):
-        at = grip._held(at, np.array([gap]), 0.02)
+        at = grip.hand_grip._held(at, np.array([gap]), 0.02)
         assert at.opening == 0.0
-    assert grip._held(at, np.array([0.02]), 0.02).opening == pytest.approx(0.2)
+    assert grip.hand_grip._held(at, np.array([0.02]), 0.02).opening == pytest.approx(
+        0.2
+    )
 
 
 def test_terms_of_the_user_stay(allegro: Hand) -> None:
@@ -293,7 +228,10 @@ def test_terms_of_the_user_stay(allegro: Hand) -> None:
     term = PointDistances(points, [(0, 1)], [0.05], [1e-6])
     grip = grip_follower(allegro)
     grip.follower.mapper.configure(tasks=[term])
-    seen = [(grip.follower.mapper.tasks, grip._terms) for _ in run(grip, opens=True)]
+    seen = [
+        (grip.follower.mapper.tasks, grip.hand_grip.terms)
+        for _ in run(grip, opens=True)
+    ]
     # Between samples, the mapper has the user's alone.
     assert {tasks for tasks, _ in seen} == {(term,)}
     assert {len(own) for _, own in seen} == {0, 1}
@@ -304,7 +242,7 @@ def test_a_new_reference_lets_go(allegro: Hand, way: str) -> None:
     grip = grip_follower(allegro)
     *_, (step, measured) = run(grip)
     assert step.command.effort is not None
-    assert grip._terms
+    assert grip.hand_grip.terms
     assert grip.follower.mapper.tasks == ()
     plain = copy.deepcopy(grip).follower
     plain.mapper.configure(tasks=())
@@ -314,7 +252,7 @@ def test_a_new_reference_lets_go(allegro: Hand, way: str) -> None:
     later = dataclasses.replace(sample, time=sample.time + 1.0 / 60.0)
     step = grip.map_sample(later, measured)
     assert step.command.effort is None
-    assert grip._grip is None
+    assert grip.hand_grip._grip is None
     np.testing.assert_array_equal(step.command.q, plain.map_sample(later).command.q)
 
 
@@ -345,7 +283,7 @@ def test_copies_continue_alike(allegro: Hand) -> None:
             same = each.map_sample(sample, plant.q)
             np.testing.assert_allclose(same.command.q, step.command.q, atol=1e-12)
         plant.follow(step.command.q)
-    assert grip._terms
+    assert grip.hand_grip.terms
     assert grip.follower.mapper.tasks == ()
 
 
@@ -358,10 +296,8 @@ def test_one_error_for_what_cannot_be_used(allegro: Hand) -> None:
         with pytest.raises(InvalidInputError, match="measured_q"):
             grip.map_sample(second, wrong)
     assert grip.follower.mapper.motion is before
-    for robot, method in ((allegro, "paper"), (load_hand("panda_gripper"), None)):
-        other = Follower(HandMapper(HUMAN, robot, method))
-        with pytest.raises(InvalidInputError, match="thumb turns"):
-            GripFollower(other)
+    with pytest.raises(InvalidInputError, match="`teleoperation` moves"):
+        GripFollower(Follower(HandMapper(HUMAN, allegro, "paper")))
     with pytest.raises(InvalidOptionsError, match="stiffness"):
         GripOptions(stiffness=0.0)
     with pytest.raises(InvalidInputError, match="grip: expected a GripOptions"):
@@ -394,7 +330,7 @@ def closings(allegro: Hand, away: np.ndarray) -> tuple[list[MapStep], np.ndarray
     q = allegro.rest
     steps = []
     for sample in samples():
-        steps.append(grip.map_sample(sample, q, centre))
+        steps.append(grip.map_sample(sample, q, centre, 0.0))
         q = steps[-1].command.q
     return steps, centre
 
@@ -416,6 +352,65 @@ def test_pads_close_around_a_known_place(allegro: Hand) -> None:
     assert (np.abs(np.diff(q, axis=0)) * 60.0 <= allegro.velocity_limits + 1e-9).all()
 
 
+def test_a_place_moves_pads_the_less_the_less_certain_it_is(allegro: Hand) -> None:
+    away = np.array([0.005, 0.006, -0.005])
+    centre = meeting(allegro) + away
+    missed = []
+    for deviation in (0.0, 0.005, 0.01, 0.03, 10.0):
+        grip = grip_follower(allegro)
+        ran = run(grip, width=-1.0, centre=centre, deviation=deviation)
+        command = next(itertools.islice(ran, 75, None))[0].command
+        middle = pads_middle(allegro, command.q, command.wrist)
+        missed.append(np.linalg.norm(middle - centre) / np.linalg.norm(away))
+    assert missed == sorted(missed)
+    assert missed[0] < 0.2
+    assert 0.3 < missed[1] < 0.8
+    # The person's own closing where nothing is known.
+    assert missed[-1] == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_touch_corrects_the_place_along_the_line_of_the_pads(allegro: Hand) -> None:
+    away = np.array([0.004, 0.004, -0.004])
+    centre = meeting(allegro) + away
+    grip = grip_follower(allegro)
+    ran = list(run(grip, centre=centre, deviation=0.005))
+    assert ran[-1][0].command.effort is not None
+    place = grip.hand_grip.place
+    assert place is not None
+    touch, measured = next(each for each in ran if each[0].command.effort is not None)
+    placed = allegro.configuration()
+    placed.place(allegro.configuration_vector(measured, touch.command.wrist))
+    pads = grip.hand_grip._pairs[0]
+    _, middle, line = pads.state(placed)
+    before = (middle - centre) @ line
+    after = (middle - place.centre) @ line
+    assert abs(after) < 0.3 * abs(before) + 1e-3
+    assert place.deviation_along(line) < 0.0025
+    across = np.cross(line, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    assert place.deviation_along(across) == pytest.approx(0.005, rel=0.1)
+
+
+def test_a_corrected_place_outlives_the_grip_and_an_object_that_is_hidden(
+    allegro: Hand,
+) -> None:
+    centre = meeting(allegro) + np.array([0.004, 0.004, -0.004])
+    grip = grip_follower(allegro)
+    *_, (step, q) = run(grip, opens=True, centre=centre, deviation=0.005)
+    assert step.command.effort is None
+    place = grip.hand_grip.place
+    assert place is not None
+    assert np.linalg.norm(place.correction) > 1e-3
+    *_, last = samples(opens=True)
+    for i in range(1, 4):
+        later = dataclasses.replace(last, time=last.time + i / 60.0)
+        grip.map_sample(later, q)
+    grip.map_sample(dataclasses.replace(last, time=last.time + 0.1), q, centre)
+    again = grip.hand_grip.place
+    assert again is not None
+    np.testing.assert_array_equal(again.correction, place.correction)
+
+
 def test_pads_beside_a_place_wait_until_they_are_around_it(allegro: Hand) -> None:
     """What one pad meets first is pushed away; a person who goes on closing is obeyed."""
     centre = meeting(allegro)
@@ -423,11 +418,11 @@ def test_pads_beside_a_place_wait_until_they_are_around_it(allegro: Hand) -> Non
     apart, gaps, pinching = [], [], []
     for sample in samples():
         # Joints that do not follow: the measured pads stay beside the place.
-        command = grip.map_sample(sample, allegro.rest, centre).command
+        command = grip.map_sample(sample, allegro.rest, centre, 0.0).command
         middle = pads_middle(allegro, allegro.rest, command.wrist)
         apart.append(np.linalg.norm(middle - centre))
         gaps.append(gap_of(allegro, command.q))
-        pinching.append(grip._closing.time)
+        pinching.append(grip.hand_grip._closing.time)
     least = np.minimum(4.0 * np.array(apart), 0.06)
     share = 1.0 - np.array(pinching) / 0.4
     waits = (share > 0.2) & (share < 0.8)
@@ -448,10 +443,13 @@ def test_the_term_of_a_place_has_the_slopes_of_its_error(allegro: Hand) -> None:
     grip = grip_follower(allegro)
     step = [step for step, _ in run(grip, width=-1.0)][75]
     centre = pads_middle(allegro, step.command.q, step.command.wrist) + 0.01
-    grip._placed.place(step.ik.q)
-    (term,) = grip._around(grip._pairs[0], centre, 0.0, 1.0)
+    grip.hand_grip._placed.place(step.ik.q)
+    place = ObjectPlace.first(centre, 0.0)
+    own_grip = grip.hand_grip
+    aimed = centre - 0.01
+    (term,) = own_grip._around(own_grip._pairs[0], place, aimed, 0.0, 1.0)
     placed = allegro.configuration()
-    own = [allegro.joint_columns[grip._pairs[0].columns].tolist()]
+    own = [allegro.joint_columns[grip.hand_grip._pairs[0].columns].tolist()]
     base = step.ik.q
 
     def error(way: np.ndarray) -> np.ndarray:
@@ -467,6 +465,13 @@ def test_the_term_of_a_place_has_the_slopes_of_its_error(allegro: Hand) -> None:
         wanted = slope if column in own[0] else np.zeros(3)
         # The middle turns with the line of the pads where their radii differ.
         np.testing.assert_allclose(jacobian[:, column], wanted, atol=2e-1)
+
+
+@pytest.mark.parametrize("deviation", [-0.001, np.nan, np.inf])
+def test_a_deviation_that_is_none_is_refused(allegro: Hand, deviation: float) -> None:
+    grip = grip_follower(allegro)
+    with pytest.raises(InvalidInputError, match="object_deviation"):
+        grip.map_sample(next(samples()), allegro.rest, np.zeros(3), deviation)
 
 
 @pytest.mark.parametrize("centre", [(1.0, 2.0), (0.0, 0.0, np.nan), "here"])

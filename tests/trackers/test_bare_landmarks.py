@@ -252,8 +252,8 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, name: str, suffix: str) ->
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("fps", [0.0, -30.0, np.nan, np.inf])
-def test_a_rate_that_is_none_is_refused(tmp_path: Path, fps: float) -> None:
+@pytest.mark.parametrize("fps", [0.0, -30.0, np.nan, np.inf, "30", [30.0], 30j])
+def test_a_rate_that_is_none_is_refused(tmp_path: Path, fps: Any) -> None:
     path = save(tmp_path / "x.npz", landmarks=LANDMARKS)
     with pytest.raises(InvalidInputError, match="fps: expected a rate > 0"):
         read_recording(path, "right", fps=fps)

@@ -226,6 +226,14 @@ def doubled(levels: int) -> bytes:
     return content + b"s."
 
 
+def named_by_lists(levels: int) -> bytes:
+    """Return a name that is a list of ten times the list before: a text of 10^levels characters."""
+    content = b"\x80\x04]q\x00"
+    for _ in range(levels):
+        content += b"](" + b"h\x00" * 10 + b"eq\x00"
+    return content + b"\x8c\x01x\x93."
+
+
 def repeated(times: int) -> bytes:
     """Return a table of many arrays, all of the same 64 kB."""
     content = pickle.dumps({"x": np.zeros(8192)}, protocol=2)
@@ -240,6 +248,7 @@ def repeated(times: int) -> bytes:
 BOMBS: dict[str, Callable[[], bytes]] = {
     "100,000 lists in each other": lambda: nested(100_000),
     "2^200 values": lambda: doubled(200),
+    "a name of 10^7 values": lambda: named_by_lists(7),
     "the same bytes 2000 times": lambda: repeated(2000),
     "a place in the memo": lambda: b"\x80\x04}r\xff\xff\xff\xff.",
     "bytes that are not there": lambda: b"\x80\x04\x8e" + b"\xff" * 7 + b"\x7f.",

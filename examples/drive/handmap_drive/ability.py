@@ -43,7 +43,7 @@ FAULTS = {0: "too hot, or a collision"}
 _YIELDING = 0.1
 """Time in which a motor comes back to its share of the current [s]."""
 _SILENT = 0.05
-"""Time without an answer after which the hand may have started anew [s]."""
+"""Time without an answer after which the hand may have restarted [s]."""
 _AWAY, _SLACK, _LONGEST = 0.1, 0.005, 0.1
 """A motor so far from its goal [rad], with a smaller share of the current, for so long [s]: off."""
 _PIECES = 8

@@ -20,6 +20,7 @@ from handmap_qp.apps.arguments import KeyFiles, hinted
 from handmap_qp.apps.connection import connected
 from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.tables import print_result
+from handmap_qp.client import Client, ServiceError
 from handmap_qp.errors import expect, warn
 from handmap_qp.hands import load_hand
 from .drive import HOTTEST, Loop
@@ -75,12 +76,29 @@ def compensated(driver: Driver, file: Path, down: Vector | None) -> Compensated:
     return Compensated(driver, tuning, Space(hand, driver, down).weights)
 
 
+def tell_stiffness(client: Client, file: Path) -> None:
+    """Tell a session by which stiffness the joints of a tuned hand press, if that is known.
+
+    A session that is not shared, or does not grip, is left as it is, with a warning.
+
+    Raises:
+        HandError: If the file is not that of a tuned hand.
+    """
+    stiffness = read_tuning(file).stiffness
+    if stiffness is None:
+        return
+    try:
+        client.configure(grip={"stiffness": stiffness})
+    except ServiceError as error:
+        warn(f"the session does not take the stiffness of the joints: {error}")
+
+
 @dataclass(frozen=True)
 class Drive:
     """Drive the motors of a hand by the commands of a session, while the space bar is held.
 
     Motors approach slowly. They have no torque while the key is not held, and while the session is
-    stopped, lost or starts anew. Ends by Ctrl-C, or when motors do not answer, are too hot or
+    stopped, lost or restarted. Ends by Ctrl-C, or when motors do not answer, are too hot or
     report a fault.
 
     Examples:
@@ -140,6 +158,8 @@ class Drive:
                 joints = compensated(driver, self.tuning, self.down)
             effort = effort_of(driver, self.effort)
             driver.connect()
+            if self.tuning:
+                tell_stiffness(client, self.tuning)
             loop = Loop(driver, command, effort, self.temperature, joints)
             try:
                 with stopping(driver) as over:

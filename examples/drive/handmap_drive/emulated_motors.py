@@ -32,7 +32,7 @@ class EmulatedMotors(ABC):
         wall: Least and largest angles to which they can move [rad].
         temperature: How hot they are [degrees Celsius].
         silent: Those that do not answer.
-        booting: Until when each motor starts anew: it hears and answers nothing [s].
+        booting: Until when each motor restarts: it hears and answers nothing [s].
         deaf: Registers for which messages to all motors get lost.
         heard: When they heard a message [s].
         patience: After how long without a message they hold [s].
@@ -91,7 +91,7 @@ class EmulatedMotors(ABC):
         self.patience[late] = np.inf
 
     def reboot(self, number: int, seconds: float, now: float) -> None:
-        """Let a motor start anew, as after a loss of its supply; of a hand, all of them do.
+        """Let a motor restart, as after a loss of its supply; of a hand, all of them do.
 
         Args:
             number: The motor's.

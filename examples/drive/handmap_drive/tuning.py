@@ -173,6 +173,20 @@ class Tuning(Document, frozen=True):
         found = {name: Joint(*row) for name, row in zip(names, rows, strict=True)}
         return cls(found, pinches)
 
+    @property
+    def stiffness(self) -> float | None:
+        """Stiffness of the joints [N m/rad], the median of those of which it is known.
+
+        A joint's largest torque is 1 / `weight` [N m], and stretches it by `stretch`. None where
+        weights of links did not tell any.
+        """
+        known = [
+            1.0 / (joint.weight * joint.stretch)
+            for joint in self.joints.values()
+            if joint.weight * joint.stretch > 0.0
+        ]
+        return float(np.median(known)) if known else None
+
     def arrays(self, names: Names) -> Joints:
         """Return what was found of joints in the order of names."""
         rows = [astuple(self.joints[name]) for name in names]

@@ -51,8 +51,8 @@ _ATTRIBUTES = {
     """,
     "HandPair": """
         fingers partners finger_of tips knuckles finger_ratio matched human_rest robot_rest
-        human_knuckles robot_knuckles thumb_likeness robot_bases robot_centre shape_points
-        human_reach reach_ratios palms is_carried rest_shares
+        human_knuckles robot_knuckles finger_likeness robot_bases robot_centre shape_points
+        human_reach reach_ratios palms is_carried regularisation
     """,
     "PalmMatch": "turn bases likeness",
 }

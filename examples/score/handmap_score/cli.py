@@ -144,7 +144,7 @@ class Score:
         for source in SOURCES:
             about[f"poses: {source.name}"] = f"{source.licence}, {source.credit}"
         if not self.peers:
-            about["peers"] = "not run; `make peers` in a checkout, then --peers"
+            about["peers"] = "not run; `pip install 'handmap-qp[peers]'`, then --peers"
         wanted = self._wanted(HANDS[: amount.hands], about)
         make_folder(self.out, "--out")
         scores = []

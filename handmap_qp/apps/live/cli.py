@@ -45,6 +45,8 @@ class Target:
         session: Public name of the session.
         preset: What the mapping is for, as in `handmap map`.
         person: File of the person's hand, of `handmap calibrate`.
+        shared: Let other clients clutch and configure the session, clear its stops, and say where
+            the robot's joints are, so that it grips.
         keys: For an encrypted service, the files NAME.key_secret and server.key.
         json: Print the summary as one JSON object instead of a table.
     """
@@ -59,6 +61,7 @@ class Target:
     person: Annotated[
         Path | None, hinted("PERSON.yaml", "(default: measured in the first samples)")
     ] = None
+    shared: bool = False
     keys: KeyFiles = None
     json: bool = False
 
@@ -74,6 +77,8 @@ class Target:
             for name in ("robot", "session", "preset", "person", "keys"):
                 if getattr(self, name) is not None:
                     raise InvalidInputError("needs --to", argument=f"--{name}")
+            if self.shared:
+                raise InvalidInputError("needs --to", argument="--shared")
         elif not self.robot:
             raise InvalidInputError(
                 "missing",
@@ -101,6 +106,7 @@ class Target:
                     keys=self.keys,
                     name=self.session,
                     preset=self.preset,
+                    is_shared=self.shared or None,
                     # Servers before this field refuse it.
                     upright=source.upright or None,
                 )

@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 from tyro.conf import arg
 
-import handmap_qp
 from handmap_qp.apps.arguments import (
     HandName,
     InputArguments,
@@ -37,9 +36,11 @@ from .comparison import (
     base_name,
     compare_methods,
     in_world_of,
+    is_peer,
     outside_methods,
     own_method,
     own_methods,
+    peers_program,
     prepare_take,
 )
 from .metrics import METRICS, Metric, arising
@@ -73,10 +74,11 @@ class Compare:
     --out writes table.md (overall and each recording), results.json, metrics.png (a panel for each
     metric) and poses.png (human and methods side by side in open, pointing, fist, pinches, spread).
 
-    --peers adds retargeting libraries by others, dex-retargeting and dexi-rs. They are run in
-    environments of their own, which `make peers` builds in a checkout. Hands outside the package
-    are given by path; benchmarks/hands/leap_right.yaml and svh_right.yaml need HANDMAP_HANDS, the
-    folder of their URDFs.
+    --peers adds retargeting libraries by others, dex-retargeting and dexi-rs: those that are
+    installed, as by `pip install 'handmap-qp[peers]'` (dexi-rs; with torch and six dex-retargeting
+    too), or in environments of their own, which `make peers` builds in a checkout. Hands outside
+    the package are given by path; benchmarks/hands/leap_right.yaml and svh_right.yaml need
+    HANDMAP_HANDS, the folder of their URDFs.
 
     Examples:
         handmap compare recording.npz --robot allegro_right
@@ -90,7 +92,7 @@ class Compare:
             is the Allegro of the first recording's side.
         methods: Methods to run: presets and other mappings by name, with +smooth for smoother
             motion, with +look-ahead for smoothing with the future too. Peers may be named too,
-            such as dex-vector; then --peers runs those only.
+            such as dexi-dexpilot; then --peers runs those only.
         peers: Run the peers too.
         peers_from: Folder of the program that runs the peers, compare.py.
         out: Folder to write to; created if it does not exist.
@@ -108,7 +110,7 @@ class Compare:
     peers: bool = False
     peers_from: Annotated[
         Path | None,
-        hinted("FOLDER", "(default: benchmarks/peers of the checkout)"),
+        hinted("FOLDER", "(default: that of the package)"),
     ] = None
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     person: PersonFile = None
@@ -235,13 +237,12 @@ def results_of(comparison: Comparison) -> Values:
 def methods_of(request: Compare) -> list[ComparedMethod]:
     """Return the methods by their names, peers last unless they are named."""
     outside = {}
-    if request.peers:
-        checkout = Path(handmap_qp.__file__).parents[1]
-        folder = request.peers_from or checkout / "benchmarks" / "peers"
+    if request.peers or any(map(is_peer, request.methods)):
+        folder = request.peers_from or peers_program()
         outside = outside_methods(folder, request.robot)
     first, *others = own_methods()
     names = request.methods or (first, first + SMOOTH, *others)
-    if outside.keys().isdisjoint(names):
+    if request.peers and outside.keys().isdisjoint(names):
         names = (*names, *outside)
     return [outside.get(name) or own_method(name, tuple(outside)) for name in names]
 

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+import handmap_qp
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
 from handmap_qp.hands import Hand, Names, Side, Values, find_fingers
@@ -60,6 +61,12 @@ SMOOTH = "+smooth"
 """Ending of a name that asks for smoother motion, as `--smooth` of `handmap map`."""
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
+
+# How names of the peers' methods begin, and what to do if one of them cannot run.
+_PEER_NAMES = ("dex-", "dexi-")
+_PEER_ADVICE = (
+    "those of dex-retargeting need torch and six, beside the extra peers of handmap-qp"
+)
 
 Progress = Callable[[int, str], None]
 """Takes how much is done, and in words what comes next."""
@@ -286,6 +293,18 @@ def compare_methods(
     return Comparison(robot, takes, names, runs)
 
 
+def peers_program() -> Path:
+    """Return the folder of the program that runs the peers: of the checkout, or of the package."""
+    package = Path(handmap_qp.__file__).parent
+    checkout = package.parent / "benchmarks" / "peers"
+    return checkout if checkout.is_dir() else package / "outside" / "peers"
+
+
+def is_peer(name: str) -> bool:
+    """Return whether a method is one of the peers, by its name."""
+    return name.startswith(_PEER_NAMES)
+
+
 def own_methods() -> Names:
     """Return the names of the package's own methods, without `+smooth`."""
     # `fixed_wrist` is for hands that cannot follow a palm.
@@ -309,7 +328,7 @@ def own_method(name: str, outside: Sequence[str] = ()) -> ComparedMethod:
         "--methods",
         f"some of {', '.join((*known, *outside))}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
         got=name,
-        advice="" if outside else "peers need --peers",
+        advice=_PEER_ADVICE if is_peer(name) else "",
     )
     return ComparedMethod(name, partial(_map_own, name))
 
@@ -333,7 +352,7 @@ def outside_methods(folder: Path, hand: str) -> dict[str, ComparedMethod]:
     program = folder / PROGRAM
     if not program.is_file():
         raise OutsideError(
-            f"no {PROGRAM} in {folder}: --peers needs a checkout with benchmarks/"
+            f"no {PROGRAM} in {folder}: expected the program of benchmarks/peers"
         )
     answer = _call(program, "list", hand)
     try:

@@ -11,10 +11,9 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, INFO
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
-from msgspec.structs import fields
 
 from handmap_qp.client import messages
 from handmap_qp.client.messages import (
@@ -63,13 +62,6 @@ _SHARE = 0.5
 """Share of all changes of options that one client may make."""
 
 
-_POSE_FIELDS = {
-    kind: [each.name for each in fields(kind) if Pose in get_args(each.type)]
-    for kind in get_args(AnyRequest)
-}
-"""Fields that hold a pose, by the kind of request."""
-
-
 class _Head(msgspec.Struct):
     """The fields that identify a request, which may be invalid elsewhere."""
 
@@ -101,33 +93,55 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
         The request; or the error to answer with, which has the field at fault, and the number of
         the request if it can be read.
     """
-    head = _Head()
-    known = messages.PROTOCOLS
     try:
-        head = _decode_head(payload)
-        request = None
-        if type(head.protocol) is not int or head.protocol in known:
-            request = _decode(payload)
+        request = _decode(payload)
     except msgspec.ValidationError as error:
-        message, path = _explain(error)
-        return Error(seq=head.number, code="invalid", message=message, field=path)
+        return _invalid(payload, error)
     except _UNREADABLE as error:
-        why = _why_unreadable(payload) or error
-        return Error(code="invalid", message=f"not a message: {why}"[:200])
-    wanted = known
+        return _unreadable(payload, error)
+    if request.protocol not in messages.PROTOCOLS:
+        return _wrong_protocol(request.seq, request.protocol, messages.PROTOCOLS)
     if isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL:
-        request, wanted = None, [_STOP_PROTOCOL]
-    if not request:
-        return Error(
-            seq=head.number,
-            code="protocol",
-            field="protocol",
-            message=f"expected version {' or '.join(map(str, wanted))}, got {head.protocol}",
-            protocols=known,
-        )
+        return _wrong_protocol(request.seq, request.protocol, (_STOP_PROTOCOL,))
     for place, message in _wrong_poses(request):
         return Error(seq=request.seq, code="invalid", message=message, field=place)
     return request
+
+
+def _invalid(payload: bytes, error: msgspec.ValidationError) -> Error:
+    """Return what is wrong with a message that is no request.
+
+    Its protocol comes first, because other versions may have other fields.
+    """
+    try:
+        head = _decode_head(payload)
+    except msgspec.ValidationError:
+        # It is not a map.
+        head = _Head()
+    except _UNREADABLE as broken:
+        # It breaks off behind what is invalid.
+        return _unreadable(payload, broken)
+    if type(head.protocol) is int and head.protocol not in messages.PROTOCOLS:
+        return _wrong_protocol(head.number, head.protocol, messages.PROTOCOLS)
+    message, path = _explain(error)
+    return Error(seq=head.number, code="invalid", message=message, field=path)
+
+
+def _wrong_protocol(seq: int, got: int, expected: tuple[int, ...]) -> Error:
+    """Return the refusal of a request of another version."""
+    return Error(
+        seq=seq,
+        code="protocol",
+        field="protocol",
+        message=f"expected version {' or '.join(map(str, expected))}, got {got}",
+        protocols=messages.PROTOCOLS,
+    )
+
+
+def _unreadable(payload: bytes, error: Exception) -> Error:
+    """Return the refusal of a message that is not msgpack, or that its transport did not read."""
+    why = _why_unreadable(payload) or error
+    return Error(code="invalid", message=f"not a message: {why}"[:200])
 
 
 def _why_unreadable(payload: bytes) -> str:
@@ -161,11 +175,7 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
 
 def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
     """Yield field and message of poses that cannot be used; infinity and NaN cannot either."""
-    fields = msgspec.structs.asdict(request)
-    poses = {name: fields[name] for name in _POSE_FIELDS[type(request)]}
-    for side, hand in (fields.get("hands") or {}).items():
-        poses[f"hands.{side}.wrist"] = hand.wrist
-    for name, pose in poses.items():
+    for name, pose in _poses(request):
         if pose is None:
             continue
         norm = math.hypot(*pose.quat_xyzw)
@@ -175,6 +185,24 @@ def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
         if not far <= LARGEST:
             message = f"expected at most {LARGEST:g} m from the origin, got {far:g} m"
             yield f"{name}.position", message
+
+
+def _poses(request: AnyRequest) -> list[tuple[str, Pose | None]]:
+    """Return the poses of a request, with the paths of their fields."""
+    match request:
+        case Step():
+            poses = [
+                ("wrist", request.wrist),
+                ("base", request.base),
+                ("object_pose", request.object_pose),
+            ]
+            for side, hand in (request.hands or {}).items():
+                poses.append((f"hands.{side}.wrist", hand.wrist))
+            return poses
+        case Open() | Reset():
+            return [("robot_wrist", request.robot_wrist)]
+        case _:
+            return []
 
 
 class Dispatcher:
@@ -406,7 +434,7 @@ class Dispatcher:
             case Step():
                 command = session.step(request, now)
                 self._metrics.counts["steps"] += 1
-                self._metrics.steps.observe(self.sessions.clock() - now)
+                self._metrics.note_step(self.sessions.clock() - now)
                 self._send(session, command)
                 return command
             case Status():

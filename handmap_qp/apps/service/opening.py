@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from msgspec import structs
@@ -76,7 +76,9 @@ from handmap_qp.stream import (
     GripOptions,
     ObjectFollower,
     RobotFollower,
+    RobotGripFollower,
     StreamGuard,
+    gripping,
 )
 from handmap_qp.trackers import LAYOUTS, SIDES
 from .safety import refuse_if
@@ -96,12 +98,11 @@ _FIELDS = {"human_q": "q", "wrist_pose": "wrist", "method": "preset"} | {
 }
 """Fields of requests by the arguments and choices of the library that take them."""
 
-_OF_ROBOT = {"input": "landmarks"} | dict.fromkeys(
-    ("mount", "robot_points", "grip", "object")
-)
+_OF_ROBOT = {"input": "landmarks"} | dict.fromkeys(("mount", "robot_points", "object"))
 """The only values of fields that a robot with two hands may be opened with."""
 
-AnyFollower = Follower | RobotFollower | GripFollower | ObjectFollower
+Gripping = GripFollower | RobotGripFollower
+AnyFollower = Follower | RobotFollower | Gripping | ObjectFollower
 Defer = Callable[..., Future["Hands"]]
 """Runs a function with its arguments in another thread, as `Executor.submit` does."""
 
@@ -337,24 +338,44 @@ def prepare_hands(
 
 
 def read_grip(request: Open) -> GripOptions | None:
-    """Read how a session grips, if it does; errors are as of `read_choice`."""
+    """Read how a session grips, if it may; errors are as of `read_choice`.
+
+    It does so by default, but for an `object`, whose fingers press only where it is asked for.
+    """
     given = request.grip
-    return None if given is None else _changed("grip", GripOptions(), given)
+    if given is False or (given is None and request.object is not None):
+        return None
+    is_given = isinstance(given, dict)
+    return _changed("grip", GripOptions(), given if is_given else {})
 
 
-def _holding(follower: Any, request: Open) -> AnyFollower:
-    """Let a follower grip, or touch and press the object of a request, if it says so."""
+def _holding(follower: Follower | RobotFollower, request: Open) -> AnyFollower:
+    """Let a follower grip if it can, or touch and press the object of a request."""
     given = request.object
-    if given is None and request.grip is None:
+    options = read_grip(request)
+    if given is not None:
+        refuse_if(request.input != "landmarks", "needs input=landmarks", "object")
+        with naming_field("object"):
+            is_named = isinstance(given, str)
+            shape = (
+                parse_object(given, "object")
+                if is_named
+                else MeshShape(np.array(given))
+            )
+            # A robot with two hands was refused before.
+            single = cast(Follower, follower)
+            return ObjectFollower(single, shape, grip=options)
+    is_asked = bool(request.grip) or request.grip == {}
+    has_landmarks = request.input == "landmarks"
+    refuse_if(is_asked and not has_landmarks, "needs input=landmarks", "grip")
+    if options is None or not has_landmarks:
         return follower
-    field = "grip" if given is None else "object"
-    refuse_if(request.input != "landmarks", "needs input=landmarks", field)
-    with naming_field(field):
-        if given is None:
-            return GripFollower(follower, read_grip(request))
-        is_named = isinstance(given, str)
-        shape = parse_object(given, field) if is_named else MeshShape(np.array(given))
-        return ObjectFollower(follower, shape, grip=read_grip(request))
+    try:
+        return gripping(follower, options)
+    except InvalidInputError as error:
+        if is_asked:
+            raise refused(error, "grip") from error
+        return follower
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:
@@ -418,9 +439,11 @@ def reopened(request: Open, preset: str, changes: Configure) -> Open:
     Raises:
         RefusedError: If there is no such preset, or no grip to change.
     """
-    is_alien = request.grip is None and changes.grip
+    is_alien = read_grip(request) is None and changes.grip
     refuse_if(is_alien, "this session was opened without it", "grip")
     opened = structs.asdict(request) | {"preset": preset}
+    if changes.grip and opened["grip"] is True:
+        opened["grip"] = {}
     if changes.preset is not None:
         with naming_field("preset"):
             opened["options"] = kept_options(request.options, changes.preset)

@@ -32,7 +32,8 @@ from handmap_qp.ik import (
     feasible,
     solve_by_daqp,
 )
-from handmap_qp.se3 import Array
+from handmap_qp.mapping import RobotCommand
+from handmap_qp.se3 import Array, frozen
 
 # Displacements of a sample are near this size [rad]; the solver is exact near one.
 _SCALE = 0.05
@@ -263,7 +264,7 @@ class SessionClock:
 class CommandedRobot(Gate):
     """A robot as last commanded.
 
-    Set its `motion` to what the gate of a mapper with the same limits admitted.
+    Let it `follow` what the gate of a mapper with the same limits admitted.
 
     Args:
         robot: The robot hand.
@@ -285,7 +286,24 @@ class CommandedRobot(Gate):
         super().__init__(robot, Motion.at_rest(vector, len(robot.active_columns), time))
         self._has_free_wrist = robot.is_floating and robot.wrist_frame.parentJoint == 1
         can_move = robot.is_floating or robot.moves_wrist.any()
-        self._fixed_wrist = None if can_move else self._wrist_at(vector)
+        self._fixed_wrist: Array | None = None
+        if not can_move:
+            self._fixed_wrist = self._wrist_at(vector)
+        # The posture that was asked for last, and what tells whether the robot is there yet.
+        self._known: tuple[Callable[[], Motion], Array, Array] | None = None
+
+    def follow(self, gate: Gate, command: RobotCommand) -> None:
+        """Move as a mapper's gate with the same limits has admitted.
+
+        The motion is read when it is asked for. It stays that of this command, wherever the gate
+        moves later.
+
+        Args:
+            gate: The gate.
+            command: The posture that the gate admitted last.
+        """
+        self.read_motion = gate.read_motion
+        self._known = self.read_motion, command.q, command.wrist
 
     def obey(self, ik: PointIk) -> None:
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
@@ -305,16 +323,17 @@ class CommandedRobot(Gate):
     @property
     def posture(self) -> tuple[Array, Array | None]:
         """Joint angles and wrist last commanded, as of `q` and `wrist`."""
-        motion = self.motion
-        q = motion.q[self.hand.q_indices]
-        if not self.is_placed:
-            return q, None
-        if self._fixed_wrist is not None:
-            return q, self._fixed_wrist
-        return q, self._wrist_at(motion.q)
+        if self._known is None or self._known[0] is not self.read_motion:
+            vector = self.motion.q
+            q = frozen(vector[self.hand.q_indices])
+            self._known = self.read_motion, q, self._wrist_at(vector)
+        _, q, wrist = self._known
+        return q, wrist if self.is_placed else None
 
     def _wrist_at(self, vector: Array) -> Array:
         """Return the pose of the wrist at a configuration of Pinocchio, shape (nq,)."""
+        if self._fixed_wrist is not None:
+            return self._fixed_wrist
         if self._has_free_wrist:
             # The first coordinates of the configuration are the wrist's own.
             wrist = pin.XYZQUATToSE3(vector[:7]) * self.hand.wrist_frame.placement

@@ -43,10 +43,11 @@ from handmap_qp.human import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik import Instant, Motion, When
 from handmap_qp.mapping import MapStep, check_joints
 from handmap_qp.se3 import Array
-from handmap_qp.stream import FollowingCheck
+from handmap_qp.stream import FollowingCheck, ObjectFollower
 from handmap_qp.trackers import LAYOUTS
 from .opening import (
     Calibration,
+    Gripping,
     Hands,
     naming_field,
     naming_option,
@@ -80,9 +81,15 @@ _STAGES = (
     "points",
 )
 """What a detail has of a step under the same names."""
-_OF_HELD = {"object_centre": "grip", "object_pose": "object"}
-"""What of a sample a session is opened with a field for."""
-_BARE = dict.fromkeys(("q", "points", *_OF_HELD)) | structs.asdict(HandSample())
+_OF_HELD = {
+    "object_centre": "a grip and measured joints of one hand",
+    "object_pose": "object",
+}
+"""What fields of a sample need in the session."""
+_FRESH = 0.05
+"""Joints that a driver measured so long ago are where the robot is now [s]."""
+_HELD_FIELDS = (*_OF_HELD, "object_deviation")
+_BARE = dict.fromkeys(("q", "points", *_HELD_FIELDS)) | structs.asdict(HandSample())
 """Fields of a hand in a sample that has `hands`."""
 
 
@@ -176,35 +183,42 @@ class SampleForm:
         make = HumanSample.of_checked if is_hand else HumanSample
         return make(landmarks=landmarks, **common)
 
-    def held(self, sample: Step) -> Values:
-        """Return what a sample has of robot and object, by name.
+    def held(self, sample: Step, measured: Array | None, *, grips: bool) -> Values:
+        """Return what a follower takes of robot and object, by name.
+
+        Args:
+            sample: The sample.
+            measured: Joints as they were measured of late [rad or m], shape (n,); None if they were
+                not.
+            grips: Whether the session holds what it meets.
 
         Raises:
-            RefusedError: If the session was opened without it.
+            RefusedError: If the sample has what the session cannot use, or lacks what it needs.
         """
-        request = self._request
-        holds_object = request.object is not None
-        grips = request.grip is not None and not holds_object
+        holds_object = self._request.object is not None
         given: Values = {}
-        if grips:
-            given["object_centre"] = sample.object_centre
-        elif sample.object_centre is not None:
-            raise _alien("object_centre")
         if holds_object:
             pose = sample.object_pose
             given["object_pose"] = None if pose is None else pose.matrix
         elif sample.object_pose is not None:
             raise _alien("object_pose")
         if grips:
-            given["measured_q"] = sample.measured_q
-            is_bare = sample.measured_q is None
+            given["measured_q"] = measured
+            is_asked = self._request.grip is not None
+            is_bare = is_asked and measured is None
             refuse_if(is_bare, "missing; it must come with a grip", "measured_q")
+        if sample.object_centre is not None:
+            if not grips or measured is None or self._sides:
+                raise _alien("object_centre")
+            given["object_centre"] = sample.object_centre
+            if sample.object_deviation is not None:
+                given["object_deviation"] = sample.object_deviation
         return given
 
 
 def _alien(field: str) -> RefusedError:
     """Return the refusal of a field that the session was not opened for."""
-    message = f"needs a session with {_OF_HELD[field]} alone"
+    message = f"needs a session with {_OF_HELD[field]}"
     return RefusedError("invalid", message, field=field)
 
 
@@ -264,6 +278,8 @@ class Session:
         self.answer: AnyReply = Done()
         self._form = SampleForm(request, self.robot)
         self._following: FollowingCheck | None = None
+        # When a driver measured joints last.
+        self._measured_at = -math.inf
         self._hands = hands
         start = self._start(self.robot.rest, None, request)
         self._place(*(start if former is None else former.posture), motion)
@@ -395,8 +411,7 @@ class Session:
             # Unexpected exception: hold, and restart the mapper from the last command.
             self._reset_mapper()
             raise
-        if self.request.grip is not None:
-            self._effort = step.command.effort
+        self._effort = step.command.effort
         status = step.status
         is_held = step.is_held
         if rule := step.rule:
@@ -508,6 +523,8 @@ class Session:
         with naming_field("measured_q"):
             self._following.measure(q, now, goes_on=isinstance(request, Measured))
         self._measured = np.clip(q, *self.robot.limits)
+        if isinstance(request, Measured):
+            self._measured_at = now
 
     def configure(self, request: Configure) -> None:
         """Change options; the reference stays, and the robot continues from where it is.
@@ -616,7 +633,10 @@ class Session:
         """Map a sample within the time granted."""
         mapper: Any = self._hands.mapper
         follower: Any = self._hands.follower
-        held = self._form.held(sample)
+        is_measured = sample.measured_q is not None or now - self._measured_at <= _FRESH
+        measured = self._measured if is_measured else None
+        grips = isinstance(follower, Gripping)
+        held = self._form.held(sample, measured, grips=grips)
         if sample.base is not None:
             refuse_if(not self.robot.parts, "a hand alone has no floating base", "base")
             mapper.base_pose = sample.base.matrix
@@ -682,7 +702,7 @@ class Session:
         with naming_option(hands.robot, choice):
             mapper.configure(method, ik=choice.ik)
         follower: Any = hands.follower
-        if grip:
+        if grip and isinstance(follower, Gripping | ObjectFollower):
             follower.grip = grip
         self.request = wanted
         self._hands = hands._replace(choice=choice)
@@ -695,10 +715,11 @@ class Session:
         if self._is_slewing:
             return
         mapper = self._hands.mapper
+        if self._commanded.moves_as(mapper.point_ik.gate):
+            return
+        # It may have braked meanwhile, or a sample was refused half-way.
         motion = self._commanded.motion
-        former = mapper.motion
-        if motion is not former and not all(map(np.array_equal, motion, former)):
-            # It may have braked meanwhile, or a sample was refused half-way.
+        if not all(map(np.array_equal, motion, mapper.motion)):
             mapper.motion = motion
 
     def _accept(self, now: float) -> list[str]:
@@ -712,7 +733,7 @@ class Session:
         """Move the robot to the mapper's posture within its limits; return flags."""
         mapper = self._hands.mapper
         if mapper.ik.has_velocity_limits and not self._is_slewing:
-            self._commanded.motion = mapper.motion
+            self._commanded.follow(mapper.point_ik.gate, step.command)
             return []
         target = step.command
         is_there = self._commanded.advance(target.q, target.wrist, self._when)

@@ -1,5 +1,6 @@
 """The command `handmap simulate`."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,16 +15,25 @@ from handmap_qp.apps.arguments import (
     hinted,
 )
 from handmap_qp.apps.offline.comparison import own_methods
-from handmap_qp.apps.tables import print_result, progress
+from handmap_qp.apps.tables import Row, print_result
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Names, Values, hand_sides, is_robot, load_whole, sided_name
-from handmap_qp.human import axis_direction
-from handmap_qp.mapping import parse_object
+from handmap_qp.hands import (
+    Hand,
+    Names,
+    Values,
+    hand_sides,
+    is_robot,
+    load_whole,
+    sided_name,
+)
+from handmap_qp.mapping import parse_object, surface
 from handmap_qp.output_files import check_output
+from handmap_qp.stream import has_grasp
 from handmap_qp.trackers import save_npz
-from .commands import chosen_methods, map_pinch, read_pick
+from .commands import chosen_methods, map_pinch, map_take, read_pick
 from .gripping import GripScene
-from .physics import Physics
+from .pad_motion import PersonPads, meeting_row
+from .physics import Physics, choose_gravity
 from .pictures import film, picture, write_page
 from .pinch import (
     Objects,
@@ -31,14 +41,11 @@ from .pinch import (
     PinchScene,
     PinchTrial,
     describe_trial,
-    outcome_row,
     random_trials,
-    trial_row,
 )
-from .simulator import Episode
+from .torques import torque_limits
+from .tried import Tried, fates, loss_rows, single_row, tried_row, try_all
 
-Outcomes = dict[str, dict[int, PinchOutcome]]
-"""By the mapping's name and the trial's index; objects that overlap its hand are left out."""
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 _FILES = {
     "out": (".npz",),
@@ -47,43 +54,54 @@ _FILES = {
     "html": (".html", ".htm"),
 }
 """Options that name a file to write, and its suffixes."""
+# Pads are so far from the object at the start: in trials, and at least for a single object [m].
+_CLEAR_IN_TRIALS, _CLEAR_AT_LEAST = 0.015, 0.005
 
 
 @dataclass(frozen=True)
 class Simulate:
     """Simulate a mapped hand that holds an object, with contacts, friction and gravity.
 
-    The recording shows a pinch: an object stands where the robot's pads meet. It must stay between
-    them until the human opens the hand. With --trials, random objects and places are tried, and the
-    table shows how many were held by every mapping.
+    The recording shows a pick: an open hand pinches with thumb and index finger. An object stands
+    where the robot's pads meet, and must stay between them until the human opens the hand. Each
+    object that is not held has its cause. With --trials, random objects and places are tried, and
+    the tables show how many were held by every mapping, and why the others were not. A fist is no
+    pick: thumb and index finger must face each other.
 
     A robot with both hands follows both; the hand that pinches longest holds the object.
 
     Links touch the object, not each other. Actuators are springs with critical damping.
 
     Examples:
-        handmap simulate pinch.npz --robot allegro_right --film pinch.gif
+        handmap simulate demo --robot allegro_right --picture demo.png
+        handmap simulate pinch --robot allegro_right --film pinch.gif
+        handmap simulate pinch --robot allegro_right --methods teleoperation dexi-dexpilot
         handmap simulate left.npz right.npz --robot g1 --film pinch.gif
-        handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
-        handmap simulate pinch.npz --robot allegro_right --stiffness 6 --html pinch.html
-        handmap simulate pinch.npz --robot allegro_right --trials 50 --grip grip+place
+        handmap simulate pinch --robot allegro_right --trials 200 --methods teleoperation object
+        handmap simulate pinch --robot allegro_right --stiffness 6 --html pinch.html
+        handmap simulate pinch --robot allegro_right --trials 50 --grip grip+place
 
     Attributes:
-        recordings: Recording with a pinch of thumb and index finger; for a robot with both hands,
-            of both in one file or in two.
+        recordings: Recording with a pinch of thumb and index finger; `demo` and `pinch` come with
+            the package. For a robot with both hands, of both in one file or in two.
         robot: Robot hand, by name or by the path of its hand.yaml; `allegro` is the Allegro of the
             recording's side. Or a robot with both hands: a
             name of `handmap robots list`, or the path of its robot.yaml.
-        methods: Mappings, as of `handmap compare`.
-        peers: Folder of the program that runs outside methods, such as benchmarks/peers.
+        methods: Mappings, as of `handmap compare`; peers by name too, such as dexi-dexpilot.
+        peers: Folder of a program that runs further outside methods.
         grip: One mapping more: the first preset, and what thumb and finger meet is held with 5 N by
-            the measured joints alone (grip), or with the object's place known too (grip+place).
+            the measured joints alone (grip), or with the object's place known too (grip+place). If
+            omitted, `grip` where no --methods are named and the hand can; `off` for none.
         object: box:SIDE, box:XxYxZ, sphere:DIAMETER, cylinder:DIAMETERxLENGTH [m], or a mesh file.
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
         stiffness: Stiffness of the fingers' actuators [N m/rad].
-        torque: Largest torque of the fingers' actuators [N m]; 1000 stands for none but the URDF's.
-        up: World axis against gravity; y if omitted, z for a robot with both hands.
+        torque: Largest torque of the fingers' actuators [N m], beside the URDF's; the maker's if
+            omitted. 1000 leaves the URDF's alone.
+        up: World axis against gravity; the recording's if omitted, or that of a robot with both
+            hands. Where the recording does not say, y is assumed.
+        place: The object stands where each mapping's own pads meet (robot), or where the person's
+            would, on a hand of the robot's size (person): the same place for every mapping.
         side: Which hand the recording is of, where the file does not say.
         fps: Samples a second, in place of the time in the file; needed where it has none.
         trials: Random objects and places, for every mapping.
@@ -100,13 +118,16 @@ class Simulate:
     robot: HandName = "three_finger"
     methods: Annotated[Names, hinted("METHOD...", "(default: the first preset)")] = ()
     peers: Annotated[Path | None, hinted("FOLDER")] = None
-    grip: Literal["grip", "grip+place"] | None = None
+    grip: Literal["grip", "grip+place", "off"] | None = None
     object: Annotated[str, arg(metavar="OBJECT")] = "box:0.03"
     mass: Annotated[float, arg(metavar="KG")] = 0.05
     friction: float = 0.8
     stiffness: float = 3.0
-    torque: float = 1e3
-    up: Up | None = None
+    torque: Annotated[float | None, hinted("FLOAT", "(default: the maker's)")] = None
+    up: Annotated[
+        Up | None, hinted("{x,y,z,-x,-y,-z}", "(default: the recording's)")
+    ] = None
+    place: Literal["robot", "person"] = "robot"
     side: FileSide = None
     fps: float | None = None
     trials: int = 0
@@ -119,36 +140,52 @@ class Simulate:
     json: bool = False
 
     def run(self) -> None:
-        """Simulate, print a table, and write the files."""
+        """Simulate, print tables and what was assumed, and write the files."""
         shape = parse_object(self.object, is_centred=True)
         trial = PinchTrial(shape, self.mass, self.friction)
         self._check(trial)
         trials = [trial]
         if self.trials:
             trials = random_trials(self.trials, self.seed, self.objects, trial)
-        outcomes = self._simulate(trials)
-        found: Values = {"robot": self.robot, "seed": self.seed}
+        scenes, assumed, person = self._scenes()
+        tried = {name: try_all(name, scene, trials) for name, scene in scenes.items()}
+        if not any(one.outcomes for one in tried.values()):
+            first = next(iter(tried.values()))
+            raise first.refusals[len(trials) - 1]
+        found: Values = {"robot": self.robot, "seed": self.seed, "assumed": assumed}
+        tables = {f"{self.robot}: simulated": self._rows(tried)}
+        found["rows"] = tables[f"{self.robot}: simulated"]
         if self.trials:
-            found["rows"] = [
-                trial_row(name, [*made.values()]) | {"refused": len(trials) - len(made)}
-                for name, made in outcomes.items()
-            ]
             found["trials"] = [
-                describe_trial(trial) | _by_whom(outcomes, i)
+                describe_trial(trial) | fates(tried, i)
                 for i, trial in enumerate(trials)
             ]
+            found["losses"] = {name: one.losses for name, one in tried.items()}
+            tables["Why objects were not held"] = loss_rows(tried)
         else:
-            found["rows"] = [
-                outcome_row(name, made[0]) for name, made in outcomes.items()
+            self._write(
+                {n: one.outcomes[0] for n, one in tried.items() if one.outcomes}
+            )
+        if person:
+            width = float(surface(shape).extents[0])
+            found["pads"] = [
+                meeting_row(name, person.offset(scene.closing, width))
+                for name, scene in scenes.items()
             ]
-            self._write({name: made[0].episode for name, made in outcomes.items()})
+            tables["Where the pads meet, from where the person's do"] = found["pads"]
+        tables["Assumed"] = assumed
         files = filter(None, map(vars(self).get, _FILES))
-        tables = {f"{self.robot}: simulated": found["rows"]}
         print_result(found, tables, files, as_json=self.json)
+
+    def _rows(self, tried: Mapping[str, Tried]) -> list[Row]:
+        """Return a row for each mapping."""
+        if self.trials:
+            return [tried_row(name, one) for name, one in tried.items()]
+        return [single_row(name, one) for name, one in tried.items()]
 
     def _check(self, trial: PinchTrial) -> None:
         """Reject options that contradict each other, before any work is done."""
-        is_whole = self.grip is not None and is_robot(self.robot)
+        is_whole = self.grip not in (None, "off") and is_robot(self.robot)
         expect(not is_whole, "--grip", "a robot with one hand", value=self.robot)
         problem = advice = ""
         if self.objects == "varied" and trial != PinchTrial():
@@ -163,64 +200,75 @@ class Simulate:
                 problem, argument="--trials", value=self.trials, advice=advice
             )
 
-    def _physics(self) -> Physics:
-        up = self.up or ("z" if is_robot(self.robot) else "y")
-        # An axis without a sign is the positive one.
-        x, y, z = (0.0 - 9.81 * axis_direction(f"{up:+>2}")).tolist()
-        return Physics(
-            friction=self.friction,
-            joint_stiffness=self.stiffness,
-            torque=self.torque,
-            gravity=(x, y, z),
-        )
+    def _scenes(self) -> tuple[dict[str, PinchScene], Row, PersonPads | None]:
+        """Return what each mapping makes of the recording, what is assumed, and the person's pads.
 
-    def _simulate(self, trials: list[PinchTrial]) -> Outcomes:
-        """Pinch every object by every mapping."""
+        The pads are None of a robot whose palm does not go where the person's is: on an arm, or
+        with both hands.
+        """
         name = self.robot
         inputs = InputArguments(side=self.side, fps=self.fps)
         if hand_sides(name) and self.recordings:
             name = sided_name(name, inputs.side_of(self.recordings[0]))
         methods = chosen_methods(self.methods, self.peers, name)
         robot = load_whole(name)
-        outcomes: Outcomes = {}
-        physics = self._physics()
-        mapped, window = map_pinch(methods, robot, self.recordings, inputs)
+        is_on_person = robot.is_floating and not robot.parts
+        wanted = "a hand without an arm"
+        expect(
+            is_on_person or self.place == "robot", "--place", wanted, value=self.robot
+        )
+        take = person = None
+        if robot.parts:
+            mapped, window = map_pinch(methods, robot, self.recordings, inputs)
+            gravity, up = choose_gravity(self.up, robot.spec.upright, "of the robot")
+        else:
+            take, window = read_pick(robot, self.recordings, inputs)
+            mapped = map_take(methods, take, robot)
+            upright = take.recording.upright
+            gravity, up = choose_gravity(self.up, upright, "of the recording")
+            person = PersonPads(take, window, robot) if is_on_person else None
+        physics = Physics(
+            friction=self.friction,
+            joint_stiffness=self.stiffness,
+            torque=self.torque,
+            gravity=gravity,
+        )
+        least_clear = _CLEAR_IN_TRIALS if self.trials else _CLEAR_AT_LEAST
+        placing = person.motion if person and self.place == "person" else None
         scenes = {
-            method.name: PinchScene(commands, window, physics)
+            method.name: PinchScene(commands, window, physics, placing, least_clear)
             for method, commands in zip(methods, mapped, strict=True)
         }
-        if self.grip:
-            take, window = read_pick(robot, self.recordings, inputs)
-            name = f"{own_methods()[0]}+{self.grip}"
-            sees = self.grip == "grip+place"
-            scenes[name] = GripScene(take, robot, window, physics, sees)
-        for name, scene in scenes.items():
-            made = outcomes[name] = {}
-            with progress(name, len(trials)) as advance:
-                for i, trial in enumerate(trials):
-                    try:
-                        made[i] = scene.run(trial)
-                    except InvalidInputError:
-                        if i + 1 == len(trials) and not made:
-                            raise
-                    advance(i + 1)
-        return outcomes
+        grip = self._grip_of(robot)
+        if grip and take:
+            name = f"{own_methods()[0]}+{grip}"
+            sees = grip == "grip+place"
+            scenes[name] = gripping = GripScene(take, robot, window, physics, sees)
+            gripping.placing = placing
+            gripping.least_clear = least_clear
+        assumed = {
+            "up": up,
+            "torque": torque_limits(robot, self.torque).source,
+            "object": f"stands where the {self.place}'s pads meet",
+        }
+        return scenes, assumed, person
 
-    def _write(self, episodes: dict[str, Episode]) -> None:
-        """Write the files: of the first mapping; the page shows all."""
-        episode = next(iter(episodes.values()))
+    def _grip_of(self, robot: Hand) -> str:
+        """Return how the first preset grips; nothing if it is not to be simulated."""
+        if self.grip is not None:
+            return "" if self.grip == "off" else self.grip
+        is_plain = not (self.methods or robot.parts)
+        return "grip" if is_plain and has_grasp(robot) else ""
+
+    def _write(self, outcomes: dict[str, PinchOutcome]) -> None:
+        """Write the files: of the first mapping that could start; the page shows all."""
+        first = next(iter(outcomes.values()))
         if self.out:
-            save_npz(self.out, episode.columns)
+            save_npz(self.out, first.columns)
         if self.picture:
-            picture(episode, self.picture)
+            picture(first.episode, self.picture)
         if self.film:
-            film(episode, self.film)
+            film(first.episode, self.film)
         if self.html:
+            episodes = {name: one.episode for name, one in outcomes.items()}
             write_page(self.html, episodes, f"{self.robot}, simulated")
-
-
-def _by_whom(outcomes: Outcomes, trial: int) -> dict[str, list[str]]:
-    """Return which mappings tried an object, and which held it."""
-    tried = [name for name in outcomes if trial in outcomes[name]]
-    held = [name for name in tried if outcomes[name][trial].is_held]
-    return {"tried": tried, "held": held}

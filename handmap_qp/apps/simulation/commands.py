@@ -1,8 +1,7 @@
 """What mappings command over time, and when the human pinches: `map_pinch`, `find_pinch`."""
 
 import math
-from collections.abc import Sequence
-from operator import itemgetter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,17 +14,27 @@ from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     Take,
     base_name,
+    is_peer,
     outside_methods,
     own_method,
     own_methods,
+    peers_program,
     prepare_take,
 )
 from handmap_qp.apps.offline.look_ahead import look_ahead
 from handmap_qp.apps.offline.trajectory import RobotMotion, map_hands, stretches
-from handmap_qp.errors import expect
+from handmap_qp.apps.tables import progress
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Hand, Names, Side, joined
-from handmap_qp.human import PALM, Recording, tip_gaps
-from handmap_qp.se3 import rigid_fit
+from handmap_qp.human import (
+    PALM,
+    Recording,
+    fit_recording,
+    measure_hand,
+    scaled_human,
+    tip_gaps,
+)
+from handmap_qp.se3 import Array, rigid_fit, unit
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import read_hands, read_recording
 
@@ -36,6 +45,14 @@ _CLOSED, _OPEN = 0.022, 0.035
 _SHORTEST, _BEFORE = 0.5, 1.0
 # A hand is open from this gap on [m], and its palm turns less than that while it closes [deg].
 _WIDE, _TURN = 0.065, 25.0
+# Thumb and index finger of a pick face each other by more than this, as of `pads_facing`.
+_FACING = -0.2
+# Samples of a closed hand that are looked at.
+_LOOKS = 9
+# Last joint and landmark of the tip of thumb and index finger, and the other's tip.
+_LAST_JOINTS = ((3, 4, 8), (7, 8, 4))
+# A joint that bends by so much shows where its tip goes [rad].
+_BEND = 1e-4
 
 
 class PinchWindow(NamedTuple):
@@ -62,12 +79,20 @@ def chosen_methods(
 ) -> list[ComparedMethod]:
     """Return mappings by name, of this package and of an outside program; one preset if none.
 
+    Args:
+        names: Their names.
+        peers: Folder of the outside program; that of the peers if omitted, where one is named.
+        robot: The robot hand, by name or path.
+
     Raises:
         InvalidInputError: If there is no such mapping.
+        OutsideError: If the outside program cannot run.
     """
-    outside = outside_methods(peers, robot) if peers else {}
+    outside = {}
+    if peers or any(map(is_peer, names)):
+        outside = outside_methods(peers or peers_program(), robot)
     names = names or own_methods()[:1]
-    return [outside.get(name) or own_method(name) for name in names]
+    return [outside.get(name) or own_method(name, tuple(outside)) for name in names]
 
 
 def map_pinch(
@@ -91,7 +116,23 @@ def map_pinch(
         used = [hands[side] for side in whole.by_side]
         return [_map_hands(method.name, whole, used) for method in methods], window
     take, window = read_pick(robot, files, inputs)
-    return [method.map_take(take, robot) for method in methods], window
+    return map_take(methods, take, robot), window
+
+
+def map_take(
+    methods: Sequence[ComparedMethod], take: Take, robot: Hand
+) -> list[RobotMotion]:
+    """Return what each mapping commands for a recording, with a progress bar.
+
+    Raises:
+        HandmapError: If a mapping cannot map it.
+    """
+    mapped = []
+    with progress("mapping", len(methods)) as advance:
+        for done, method in enumerate(methods):
+            advance(done, method.name)
+            mapped.append(method.map_take(take, robot))
+    return mapped
 
 
 def read_pick(
@@ -117,29 +158,80 @@ def _map_hands(name: str, robot: Hand, recordings: Sequence[Recording]) -> Robot
     return map_hands(recordings, robot, person, options)[0]
 
 
-def find_pinch(*recordings: Recording) -> PinchWindow:
-    """Find the longest pinch of thumb and index finger, in samples of the longest recording.
+def find_pinch(*recordings: Recording, takes_fists: bool = False) -> PinchWindow:
+    """Find the longest pick by thumb and index finger, in samples of the longest recording.
+
+    Args:
+        recordings: The recordings, one for each hand.
+        takes_fists: Whether thumb and index finger may close without facing each other.
 
     Raises:
-        InvalidInputError: If there is no pinch of half a second, or the longest is no pick: within
-            a second before it, thumb and index finger are over 65 mm apart, and from then until
-            they close, the palm turns by less than 25 degrees.
+        InvalidInputError: If there is no pinch of half a second, or none of them is a pick: within
+            a second before it, thumb and index finger are over 65 mm apart; from then until they
+            close, the palm turns by less than 25 degrees; and closed, they face each other, as
+            they do not in a fist. The message is about the longest pinch.
     """
-    pinches = [(0.0, 0, 0, np.zeros(0), recordings[0])]
-    for recording in recordings:
-        time = recording.time
-        gap = tip_gaps(recording.landmarks)[:, 0]
-        # Samples without landmarks interrupt nothing.
-        for run in stretches(~(gap > _OPEN)):
-            shut = run.start + np.flatnonzero(gap[run] < _CLOSED)
-            if len(shut):
-                closed, end = shut[[0, -1]]
-                length = time[min(run.stop, len(time) - 1)] - time[closed]
-                pinches.append((length, closed, end, gap, recording))
-    length, closed, end, gap, recording = max(pinches, key=itemgetter(0))
     name = ", ".join(recording.name for recording in recordings)
+    closings = sorted(
+        (closing for recording in recordings for closing in _closings(recording)),
+        key=lambda closing: closing.length,
+        reverse=True,
+    )
+    longest = closings[0].length if closings else 0.0
     wanted = f"a pinch of thumb and index finger of {_SHORTEST:g} s"
-    expect(length >= _SHORTEST, name, wanted, got=f"{length:.2f} s")
+    expect(longest >= _SHORTEST, name, wanted, got=f"{longest:.2f} s")
+    instants = max(recordings, key=len).time[:-1]
+    problems: list[InvalidInputError] = []
+    for closing in closings:
+        if closing.length < _SHORTEST:
+            break
+        try:
+            return _pick(closing, name, instants, takes_fists)
+        except InvalidInputError as error:
+            problems.append(error)
+    raise problems[0]
+
+
+class _Closing(NamedTuple):
+    """Thumb and index finger that close, and stay so.
+
+    Attributes:
+        recording: The recording.
+        gap: Distance of thumb and index landmarks in all its samples [m], shape (T,).
+        closed: Index of the first closed sample.
+        end: Index of the last one.
+        length: Time for which they stay closed [s].
+    """
+
+    recording: Recording
+    gap: Array
+    closed: int
+    end: int
+    length: float
+
+
+def _closings(recording: Recording) -> Iterator[_Closing]:
+    """Yield every closing of thumb and index finger."""
+    time = recording.time
+    gap = tip_gaps(recording.landmarks)[:, 0]
+    # Samples without landmarks interrupt nothing.
+    for run in stretches(~(gap > _OPEN)):
+        shut = run.start + np.flatnonzero(gap[run] < _CLOSED)
+        if len(shut):
+            closed, end = shut[[0, -1]].tolist()
+            length = float(time[min(run.stop, len(time) - 1)] - time[closed])
+            yield _Closing(recording, gap, closed, end, length)
+
+
+def _pick(
+    closing: _Closing, name: str, instants: Array, takes_fists: bool
+) -> PinchWindow:
+    """Return when a closing happens, by the index of instants [s].
+
+    Raises:
+        InvalidInputError: If it is no pick.
+    """
+    recording, gap, closed, end, _ = closing
     time = recording.time
     recent = np.searchsorted(time, time[closed] - _BEFORE)
     instant = f"in the second before it closes at {time[closed]:.2f} s"
@@ -153,7 +245,52 @@ def find_pinch(*recordings: Recording) -> PinchWindow:
     turn = math.degrees(Rotation.from_matrix(palms[:3, :3]).magnitude())
     wanted = f"a palm that turns by less than {_TURN:g} degrees {instant}"
     expect(turn < _TURN, name, wanted, got=f"{turn:.0f} degrees")
-    instants = max(recordings, key=len).time[:-1]
+    if not takes_fists:
+        facing = pads_facing(recording, slice(closed, end + 1))
+        wanted = f"thumb and index finger that face each other at {time[closed]:.2f} s"
+        got = "a fist, in which the thumb lies on the back of the finger"
+        advice = "nothing can be held there, so it is no pick"
+        expect(facing > _FACING, name, wanted, got=got, advice=advice)
     ends = time[[start, closed, end, opened]]
     start, closed, end, opened = np.searchsorted(instants, ends).tolist()
     return PinchWindow(start, closed, end, recording.side, opened)
+
+
+def pads_facing(recording: Recording, samples: slice) -> float:
+    """Return how far thumb and index finger face each other, as a cosine.
+
+    A finger faces half-way between where its last segment points and where its tip goes as its
+    last joint bends: there is the skin of its pad. The cosine is that of the angle from there to
+    the other's tip, seen from the middle of the last segment, and the smaller one of both fingers.
+    In pinches of people it is 0.1 to 0.6, in fists below -0.5: there the thumb lies on the back of
+    the index finger.
+
+    Args:
+        recording: The recording.
+        samples: Which samples; the median over some valid ones counts.
+
+    Raises:
+        InvalidInputError: If none of the samples is valid.
+    """
+    valid = np.arange(len(recording))[samples][recording.valid[samples]]
+    expect(len(valid), recording.name, "valid samples of a closed hand", got="none")
+    chosen = np.linspace(0, len(valid) - 1, min(_LOOKS, len(valid))).round().astype(int)
+    part = recording.part(valid[chosen])
+    lengths = measure_hand(recording)
+    human = scaled_human(part, lengths=lengths).with_points("landmarks")
+    cosines = [
+        min(_faces(human, q, *last) for last in _LAST_JOINTS)
+        for q in fit_recording(part, lengths=lengths).q
+    ]
+    return float(np.median(cosines))
+
+
+def _faces(human: Hand, q: Array, joint: int, tip: int, other: int) -> float:
+    """Return the cosine between where a finger faces, and the direction to another tip."""
+    bent = q.copy()
+    bent[joint] += _BEND
+    points = human.points(q, np.eye(4))
+    palmar = unit(human.points(bent, np.eye(4))[tip] - points[tip])
+    distal = unit(points[tip] - points[tip - 1])
+    middle = (points[tip - 1] + points[tip]) / 2.0
+    return float(unit(palmar + distal) @ unit(points[other] - middle))

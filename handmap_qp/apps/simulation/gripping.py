@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from handmap_qp.apps.offline.comparison import Take
 from handmap_qp.apps.offline.trajectory import trajectory_of
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Vector
 from handmap_qp.human import sample_columns
 from handmap_qp.mapping import HandMapper, MapStep
 from handmap_qp.stream import Follower, GripFollower, GripOptions
@@ -24,19 +24,33 @@ class GripScene(PinchScene):
         window: When the human pinches.
         physics: Actuators, gravity and time steps.
         sees: Whether the object's place is known too, until it is gripped.
+        deviation: Standard deviation of that place along each axis, as it is stated [m].
+
+    Attributes:
+        deviation: As given.
+        place_error: How far the stated place is from the object's middle [m], in world axes.
 
     Raises:
         InvalidInputError: If the hand's default preset cannot grip.
     """
 
     def __init__(
-        self, take: Take, hand: Hand, window: PinchWindow, physics: Physics, sees: bool
+        self,
+        take: Take,
+        hand: Hand,
+        window: PinchWindow,
+        physics: Physics,
+        sees: bool,
+        deviation: float = 0.0,
     ) -> None:
         human = take.human.with_points("landmarks")
         follower = Follower(HandMapper(human, hand), smoothing=None)
         self._samples = sample_columns(take.recording)
-        self._options = GripOptions(stiffness=physics.joint_stiffness)
+        stiffness = physics.joint_stiffness
+        self._options = GripOptions(stiffness=stiffness, sliding_stiffness=stiffness)
         self._sees = sees
+        self.deviation = deviation
+        self.place_error: Vector = (0.0, 0.0, 0.0)
         self._opened = follower
 
         def steps() -> Iterator[MapStep]:
@@ -58,8 +72,10 @@ class GripScene(PinchScene):
         grip = GripFollower(follower, self._options)
         time = self.commands.time
         for i in range(start + 1, self.window.end + 1):
-            place = simulator.object_pose[:3, 3] if self._sees else None
+            place = None
+            if self._sees:
+                place = simulator.object_pose[:3, 3] + self.place_error
             sample = self._samples.sample(i)
-            step = grip.map_sample(sample, simulator.q, place)
+            step = grip.map_sample(sample, simulator.q, place, self.deviation)
             simulator.follow(step.ik.q, time[i] - time[i - 1])
             yield time[i]

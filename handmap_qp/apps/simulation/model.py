@@ -16,6 +16,7 @@ from handmap_qp.hands import Hand, Values, read_collision_shapes
 from handmap_qp.mapping import Cylinder, Shape, geometry_of
 from handmap_qp.se3 import Arrays, mirror_sign, quat_wxyz_from_rotation
 from .physics import Physics
+from .torques import torque_limits
 
 OBJECT = "/object"
 WRIST = "/wrist"
@@ -109,11 +110,9 @@ def build_model(
     inertia = model.dof_M0[model.jnt_dofadr[model.actuator_trnid[:, 0]]]
     damping = 2.0 * np.sqrt(model.actuator_gainprm[:, 0] * inertia)
     model.actuator_biasprm[:, 2] = -damping
-    efforts = hand.model.effortLimit[hand.v_indices]
-    efforts[efforts == 0.0] = np.inf
-    bounds = np.where(hand.moves_wrist, np.inf, physics.torque)
+    torques = torque_limits(hand, physics.torque).values
     model.actuator_forcelimited[:] = True
-    model.actuator_forcerange = np.outer(np.minimum(efforts, bounds), (-1.0, 1.0))
+    model.actuator_forcerange = np.outer(torques, (-1.0, 1.0))
     return model
 
 

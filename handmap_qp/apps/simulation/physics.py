@@ -6,8 +6,13 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Vector
+from handmap_qp.human import axis_direction
 from handmap_qp.options import NotNegative, Options, Positive
 from handmap_qp.se3 import Array, lengths, unit
+
+_GRAVITY = 9.81  # m/s^2
+# As in the worlds of Leap Motion, OpenXR and WebXR.
+_USUAL_UP = "+y"
 
 
 class Physics(Options, frozen=True):
@@ -24,8 +29,8 @@ class Physics(Options, frozen=True):
         torsion: Coefficient of friction against spinning about the contact normal [m]: the radius
             of a soft pad's patch times `friction`. 0 for hard fingers, as in Sec. IV.
         joint_stiffness: Stiffness of the fingers' actuators [N m/rad, N/m].
-        torque: Largest torque of the fingers' actuators [N m, N], and at most the effort limits of
-            the URDF; 1000 stands for none.
+        torque: Largest torque of the fingers' actuators [N m, N], beside the effort limits of the
+            URDF; the maker's if omitted, as of `torque_limits`.
         armature: Inertia of each motor at its joint [kg m^2].
         density: Density of links whose URDF gives no mass [kg/m^3].
         gravity: Acceleration [m/s^2], in world axes.
@@ -37,7 +42,7 @@ class Physics(Options, frozen=True):
     friction: NotNegative = 0.8
     torsion: NotNegative = 0.005
     joint_stiffness: Positive = 3.0
-    torque: Positive = 1e3
+    torque: Positive | None = None
     armature: NotNegative = 5e-4
     density: Positive = 1000.0
     gravity: Vector = (0.0, 0.0, -9.81)
@@ -62,6 +67,27 @@ class Physics(Options, frozen=True):
                 expected=f"at least two time steps, {2.0 * self.time_step:g} s",
                 value=self.contact_time,
             )
+
+
+def choose_gravity(
+    asked: str | None, upright: str, whose: str
+) -> tuple[tuple[float, float, float], str]:
+    """Return the acceleration of gravity [m/s^2] in world axes, and in words which way is up.
+
+    Args:
+        asked: The axis against gravity that was asked for, such as `z` or `-y`; None if none was.
+        upright: The axes of the world that are up and forward; empty if they are not known.
+        whose: Whose world it is, for the words.
+    """
+    if asked:
+        axis, text = f"{asked:+>2}", "as asked for"
+    elif upright:
+        axis, text = upright.split()[0], f"{whose}, which says so"
+    else:
+        axis, text = _USUAL_UP, f"assumed: the world {whose} is not described; see --up"
+    # An axis without a sign is the positive one, and 0 has none.
+    x, y, z = (0.0 - _GRAVITY * axis_direction(axis)).tolist()
+    return (x, y, z), f"{axis}, {text}"
 
 
 def turn_up(up: Array, along: Array | None = None) -> Array:

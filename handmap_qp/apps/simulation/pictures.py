@@ -118,7 +118,8 @@ def write_page(path: Path, episodes: Mapping[str, Episode], title: str) -> None:
 
     Args:
         path: The file.
-        episodes: What happened, by the name to show; at the same times.
+        episodes: What happened, by the name to show; with the same end. A simulation that starts
+            later waits in its first posture.
         title: Title of the page.
 
     Raises:
@@ -126,21 +127,25 @@ def write_page(path: Path, episodes: Mapping[str, Episode], title: str) -> None:
         InvalidInputError: If the file cannot be written.
     """
     variants = []
+    longest = max(episodes.values(), key=lambda episode: len(episode.at.time))
+    times = longest.at.time.tolist()
     for name, episode in episodes.items():
         # From +z up, as in pictures, to +y up and seen along +z, as in the view.
         axes = UPRIGHT[:3, :3] @ turn_up(episode.physics.up)
         held = surface(episode.shape)
         hand = episode.hand
+        instants = list(map(Instant, *episode.at))
+        waiting = [instants[0]] * (len(times) - len(instants))
         samples = [
             ViewSample(
-                time=float(at.time),
+                time=time,
                 robot_q=at.q,
                 robot_wrist=at.wrist,
                 robot_points=hand.points(at.q, at.wrist if hand.is_floating else None),
                 object_pose=at.object_pose,
                 note=f"{at.normal_force:.1f} N, {at.links_touching} links touch",
             )
-            for at in map(Instant, *episode.at)
+            for time, at in zip(times, waiting + instants, strict=True)
         ]
         variants.append(Variant(name, hand, None, samples, held, axes))
     page = make_page(title, None, variants, display=Display("world"))

@@ -1,9 +1,10 @@
 """Pinch and carry: a recorded pinch closes on an object, which must then stay (`PinchScene`).
 
-The object stands on a stand where the robot's pads come together when nothing is between them, and
-the hand starts open, clear of it. The stand lets go when the thumb and another finger have pressed
-on it for a while, or when the pads should have met it long ago. From then until the human opens his
-hand, the object must stay between the pads. `random_trials` draws many objects and places.
+The object stands on a stand where the robot's pads come together when nothing is between them, or
+where the person's do, and the hand starts open, clear of it. The stand lets go when the thumb and
+another finger have pressed on it for a while, or when the pads should have met it long ago. From
+then until the human opens his hand, the object must stay between the pads. `random_trials` draws
+many objects and places.
 """
 
 import math
@@ -31,23 +32,25 @@ from handmap_qp.mapping import (
 )
 from handmap_qp.se3 import (
     Array,
+    Arrays,
     affine,
     inverse_pose,
     lengths,
     rotation_from_rpy,
     transform_points,
+    unit,
 )
 from .commands import PinchWindow
+from .losses import PRESSED, Loss, Touch, loss_in_try
+from .pad_motion import INDEX, Meeting, PadMotion
 from .physics import Physics, turn_up
 from .simulator import Episode, Instant, Simulator
 
 CUBE = Box((0.03, 0.03, 0.03))
 """The nominal object."""
 
-_INDEX = "index"
-# The stand lets go when thumb and another finger press with such a force [N], without a break for
-# such a time [s].
-_PRESSED, _GRIPPED = 0.2, 0.2
+# The stand lets go when thumb and another finger press without a break for such a time [s].
+_GRIPPED = 0.2
 # A grip that is not there so long after the pads should have met the object does not come [s].
 _LATEST = 1.0
 # A hand starts with its pads so far from the object [m].
@@ -87,12 +90,12 @@ class Pads:
         fingers = robot_fingers(hand)
         chains = fingers.chains
         expect(
-            {THUMB, _INDEX} <= chains.keys(),
+            {THUMB, INDEX} <= chains.keys(),
             "robot",
-            f"a hand with {THUMB} and {_INDEX}",
+            f"a hand with {THUMB} and {INDEX}",
             got=f"{hand.name} with {', '.join(chains)}",
         )
-        self.pair = PadPair(fingers.pads[THUMB], fingers.pads[_INDEX])
+        self.pair = PadPair(fingers.pads[THUMB], fingers.pads[INDEX])
         bodies = ["world", *hand.model.names[1:]]
         self.bodies = [bodies[pad.joint] for pad in self.pair]
         self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
@@ -109,9 +112,35 @@ class Pads:
 
     def is_pinched(self, simulator: Simulator) -> bool:
         """Return whether the thumb and another link press on the object."""
+        return min(self._forces(simulator)) > PRESSED
+
+    def touch(self, simulator: Simulator, time: float, start: Array) -> Touch:
+        """Return how the hand touches the object now.
+
+        Args:
+            simulator: The simulation.
+            time: The instant [s].
+            start: Where the object's middle was at first [m], shape (3,).
+        """
+        thumb, others = self._forces(simulator)
+        places = self.places(simulator)
+        line = unit(places[1] - places[0])
+        middle = simulator.object_pose[:3, 3]
+        off = middle - places[0]
+        return Touch(
+            time=time,
+            thumb=thumb,
+            others=others,
+            beside=math.dist(off, (off @ line) * line),
+            moved=math.dist(middle, start),
+            height=float((middle - start) @ unit(simulator.physics.up)),
+        )
+
+    def _forces(self, simulator: Simulator) -> tuple[float, float]:
+        """Return the normal forces of the thumb, and of all other links [N]."""
         forces = simulator.pressing()
         thumb = sum(forces.get(name, 0.0) for name in self._of_thumb)
-        return min(thumb, sum(forces.values()) - thumb) > _PRESSED
+        return thumb, sum(forces.values()) - thumb
 
 
 class PinchTrial(NamedTuple):
@@ -144,6 +173,8 @@ class PinchOutcome(NamedTuple):
         force: Mean normal force while held [N].
         torque: Largest torque of a finger's actuator while held [N m].
         episode: The simulation.
+        loss: Why it was not held; None if it was.
+        course: How the hand touched it, at each instant of the episode.
     """
 
     is_held: bool
@@ -154,18 +185,20 @@ class PinchOutcome(NamedTuple):
     force: float
     torque: float
     episode: Episode
+    loss: Loss | None
+    course: tuple[Touch, ...]
 
-
-class Meeting(NamedTuple):
-    """Where the robot's pads are at an instant, or at many as columns with a leading axis.
-
-    Attributes:
-        time: The instant [s].
-        places: As of `Pads.places`.
-    """
-
-    time: Array
-    places: Array
+    @property
+    def columns(self) -> Arrays:
+        """Plain arrays by name, as written to a file: those of the episode, and of the touches."""
+        return {
+            **self.episode.columns,
+            "thumb_force": np.array([one.thumb for one in self.course]),
+            "other_force": np.array([one.others for one in self.course]),
+            "beside_pads": np.array([one.beside for one in self.course]),
+            "moved": np.array([one.moved for one in self.course]),
+            "loss": np.array(self.loss or ""),
+        }
 
 
 @dataclass(eq=False)
@@ -177,6 +210,9 @@ class PinchScene:
             hands, the first one pinches.
         window: When the human pinches.
         physics: Actuators, gravity and time steps; the friction is that of each trial.
+        placing: Pads between which objects stand; the robot's own if omitted.
+        least_clear: Distance of the pads from the object at the start that will do where 15 mm
+            cannot be had [m].
 
     Raises:
         InvalidInputError: If the hand has no thumb, or no index finger.
@@ -186,6 +222,8 @@ class PinchScene:
     commands: RobotMotion
     window: PinchWindow
     physics: Physics
+    placing: PadMotion | None = None
+    least_clear: float = _CLEAR
 
     def __post_init__(self) -> None:
         self.pads = Pads(self.commands.robot.hands[0])
@@ -200,20 +238,23 @@ class PinchScene:
             What became of the object.
 
         Raises:
-            InvalidInputError: If the open hand overlaps the object, or its pads are not 15 mm clear
-                of it, wherever the trial may start.
+            InvalidInputError: If the open hand overlaps the object, or its pads are not
+                `least_clear` from it, wherever the trial may start.
         """
         pads = self.pads
         width = surface(trial.shape).extents[0]
         met = self.meeting(width)
-        place = pads.pair.middle(met.places) + trial.offset
+        placing = self.placing or self.closing
+        spot = placing.meeting(width)
+        place = placing.pair.middle(spot.places) + trial.offset
         # The object's z is up and its x along the pinch, turned about the vertical.
         turn = rotation_from_rpy((0.0, 0.0, trial.yaw))
-        axes = turn_up(self.physics.up, met.places[1] - met.places[0]).T @ turn
+        axes = turn_up(self.physics.up, spot.places[1] - spot.places[0]).T @ turn
         physics = self.physics.replaced(mass=trial.mass, friction=trial.friction)
         simulator = Simulator(self.commands.robot, trial.shape, physics)
         start = self._put_clear(simulator, affine(axes, place))
         instants = []
+        course = []
         away = []
         # Index at which the stand lets go, and the time until which there was no grip.
         freed, loose = -1, self.commands.time[start]
@@ -223,15 +264,15 @@ class PinchScene:
                 pads.places(simulator)
             )
             away.append(lengths(off))
-            if not pads.is_pinched(simulator):
+            touch = pads.touch(simulator, float(time), place)
+            course.append(touch)
+            if not touch.is_pinched:
                 loose = time
             if freed < 0 and time >= min(loose + _GRIPPED, met.time + _LATEST):
                 simulator.set_stand(holds=False)
                 freed = i
-        if freed < 0:
-            # Pads that never gripped had no object to lose.
-            away[-1] = np.inf
-        return _outcome(Episode.of(simulator, instants), np.array(away), freed, width)
+        episode = Episode.of(simulator, instants)
+        return _outcome(episode, tuple(course), np.array(away), freed, width)
 
     def meeting(self, width: float) -> Meeting:
         """Return the first instant at which the pads are as near as an object is wide.
@@ -245,16 +286,10 @@ class PinchScene:
         Returns:
             The instant, or that of the smallest gap if the pads do not come near enough.
         """
-        closing = self._closing
-        gaps = np.array([self.pads.pair.gap(places) for places in closing.places])
-        # Never nearer, or never farther: where they are nearest.
-        after = max(1, np.argmax(gaps <= width) or np.argmin(gaps))
-        share = np.interp(width, (gaps[after], gaps[after - 1]), [1.0, 0.0])
-        ends = (column[after - 1 : after + 1] for column in closing)
-        return Meeting(*(start + share * (end - start) for start, end in ends))
+        return self.closing.meeting(width)
 
     @cached_property
-    def _closing(self) -> Meeting:
+    def closing(self) -> PadMotion:
         """The robot's own motion by the commands, with nothing between the pads."""
         simulator = Simulator(self.commands.robot, _NOTHING, self.physics)
         start = self.window.opened
@@ -262,23 +297,36 @@ class PinchScene:
         simulator.set_stand(holds=True)
         # Not by what a subclass makes of the touch.
         played = PinchScene._play(self, simulator, start)
-        places = [(time, self.pads.places(simulator)) for time in played]
-        return Meeting(*map(np.array, zip(*places, strict=True)))
+        instants = [(time, self.pads.places(simulator)) for time in played]
+        times, places = map(np.array, zip(*instants, strict=True))
+        return PadMotion(times, places, self.pads.pair)
 
     def _put_clear(self, simulator: Simulator, pose: Array) -> int:
-        """Put the object on its stand, and the hand where it is last clear; return that sample."""
+        """Put the object on its stand, and the hand where it is last clear; return that sample.
+
+        Where the hand is never clear by 15 mm, put it where it is clearest.
+        """
         pads = others = 0.0
+        clearest = (self.least_clear, -1)
         for start in range(self.window.start, self.window.opened - 1, -1):
             simulator.reset(self.commands.at(start), pose)
             pads = simulator.clearance(self.pads.bodies)
             others = simulator.clearance()
-            if others > 0.0 and pads >= _CLEAR:
-                simulator.set_stand(holds=True)
-                return start
+            if others > 0.0:
+                clearest = max(clearest, (min(pads, _CLEAR), start))
+            if clearest >= (_CLEAR, 0):
+                break
+        start = clearest[1]
+        if start >= 0:
+            simulator.reset(self.commands.at(start), pose)
+            simulator.set_stand(holds=True)
+            return start
         raise InvalidInputError(
             argument=self.commands.robot.name,
-            expected=f"an open hand clear of the object, its pads by {1e3 * _CLEAR:g} mm",
+            expected="an open hand clear of the object, its pads by "
+            f"{1e3 * self.least_clear:g} mm",
             got=f"pads at {1e3 * pads:.0f} mm, the nearest link at {1e3 * others:.0f} mm",
+            advice="try a smaller --object, or another recording",
         )
 
     def _play(self, simulator: Simulator, start: int) -> Iterator[float]:
@@ -289,18 +337,32 @@ class PinchScene:
             yield time[i]
 
 
-def _outcome(episode: Episode, away: Array, freed: int, width: float) -> PinchOutcome:
-    """Judge what happens from an index on, by distances from the pads' middle, shape (T,)."""
-    lost = np.flatnonzero(away[freed:] > _LOST + width / 2.0)
+def _outcome(
+    episode: Episode,
+    course: tuple[Touch, ...],
+    away: Array,
+    freed: int,
+    width: float,
+) -> PinchOutcome:
+    """Judge what happens from an index on, by distances from the pads' middle, shape (T,).
+
+    The index is -1 if the stand never let go.
+    """
+    is_away = away > _LOST + width / 2.0
+    if freed < 0:
+        # Pads that never gripped had no object to lose.
+        is_away[-1] = True
+    lost = np.flatnonzero(is_away[freed:])
     free = Instant(*(column[freed:] for column in episode.at))
     kept = Instant(*(column[: 1 + lost[0]] if len(lost) else column for column in free))
     poses = inverse_pose(kept.wrist) @ kept.object_pose
     turns = poses[:, :3, :3]
     turn = Rotation.from_matrix(turns[-1] @ turns[0].T).magnitude()
+    is_held = bool(
+        not len(lost) and free.links_touching[-1] >= 2 and np.ptp(free.time) >= _GRIPPED
+    )
     return PinchOutcome(
-        is_held=not len(lost)
-        and free.links_touching[-1] >= 2
-        and np.ptp(free.time) >= _GRIPPED,
+        is_held=is_held,
         held_time=np.ptp(kept.time),
         pinch_time=np.ptp(free.time),
         slip=lengths(poses[:, :3, 3] - poses[0, :3, 3]).max(),
@@ -308,7 +370,19 @@ def _outcome(episode: Episode, away: Array, freed: int, width: float) -> PinchOu
         force=kept.normal_force.mean(),
         torque=np.abs(kept.torque[:, ~episode.hand.moves_wrist]).max(),
         episode=episode,
+        loss=None if is_held else _loss(course, away, freed, width),
+        course=course,
     )
+
+
+def _loss(course: tuple[Touch, ...], away: Array, freed: int, width: float) -> Loss:
+    """Return why an object was not held: one try, which ends as the object is away."""
+    end = len(course)
+    if freed >= 0 and len(gone := np.flatnonzero(away[freed:] > _LOST + width / 2.0)):
+        end = freed + gone[0] + 1
+    elif course[-1].is_pinched:
+        return Loss.TOO_LATE
+    return loss_in_try(course[:end]) or Loss.SLIPPED
 
 
 def random_trials(
@@ -366,7 +440,6 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
     """Summarise the trials of one mapping in a row of a table."""
     rows = [outcome_row(name, outcome) for outcome in outcomes]
     held = [row for row in rows if row["held"] == "yes"]
-    rate, low, high = success_rate(len(held), len(rows))
     shares = [o.held_time / max(o.pinch_time, 1e-9) for o in outcomes]
     medians = {
         key: round(np.median([row[key] for row in held]), 2) if held else "-"
@@ -375,10 +448,22 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
     return {
         "mapping": name,
         "trials": len(rows),
+        "held %": "-",
+        "95 % interval": "-",
+        "time held %": "-",
+        **medians,
+    } | _shares(len(held), shares)
+
+
+def _shares(held: int, shares: Sequence[float]) -> Row:
+    """Return columns of what was held of the objects that could be tried; none of no objects."""
+    if not shares:
+        return {}
+    rate, low, high = success_rate(held, len(shares))
+    return {
         "held %": round(100.0 * rate, 1),
         "95 % interval": f"{100.0 * low:.0f}-{100.0 * high:.0f}",
         "time held %": round(100.0 * np.mean(shares), 1),
-        **medians,
     }
 
 
@@ -391,15 +476,29 @@ def describe_trial(trial: PinchTrial) -> Row:
     }
 
 
+OUTCOME_COLUMNS = (
+    "held",
+    "held s",
+    "of s",
+    "slip mm",
+    "rotation deg",
+    "force N",
+    "torque N m",
+    "why not",
+)
+"""Columns of `outcome_row`, without the mapping's name."""
+
+
 def outcome_row(name: str, outcome: PinchOutcome) -> Row:
     """Describe one trial in a row of a table."""
-    return {
-        "mapping": name,
-        "held": "yes" if outcome.is_held else "no",
-        "held s": round(outcome.held_time, 2),
-        "of s": round(outcome.pinch_time, 2),
-        "slip mm": round(1e3 * outcome.slip, 1),
-        "rotation deg": round(math.degrees(outcome.rotation)),
-        "force N": round(outcome.force, 1),
-        "torque N m": round(outcome.torque, 2),
-    }
+    values = (
+        "yes" if outcome.is_held else "no",
+        round(outcome.held_time, 2),
+        round(outcome.pinch_time, 2),
+        round(1e3 * outcome.slip, 1),
+        round(math.degrees(outcome.rotation)),
+        round(outcome.force, 1),
+        round(outcome.torque, 2),
+        outcome.loss or "",
+    )
+    return {"mapping": name} | dict(zip(OUTCOME_COLUMNS, values, strict=True))

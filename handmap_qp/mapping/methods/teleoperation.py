@@ -10,12 +10,12 @@ extended, and that thumb and finger touch. Contact rows keep links apart.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
 from handmap_qp.hands import CONTACT_GAP, FINGERS, LINK_MARGIN, THUMB, Hand
-from handmap_qp.ik import Compiled
+from handmap_qp.ik import Compiled, IkOptions
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
@@ -72,7 +72,7 @@ class TeleoperationMap(Compiled, PalmMap):
         self.rest = pair.matched
         self.method = method
         self.pair = pair
-        self.rest_shares = pair.rest_shares
+        self.regularisation = pair.regularisation
         self.estimator = method.estimator
         self.palm_before = method.palm_of(sample)
         # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
@@ -88,9 +88,9 @@ class TeleoperationMap(Compiled, PalmMap):
     def _prepare_directions(self) -> None:
         """Say how the person's vectors from the knuckles become the robot's, for each point.
 
-        On a hand like the person's they are places: the robot's knuckle plus the person's vector,
-        times the ratio of reaches. On another hand they are changes from rest, where fingers are as
-        in the matched posture; a thumb that is like the person's points as it does there too.
+        A finger that is like the person's is asked for places: the robot's knuckle plus the
+        person's vector, times the ratio of reaches. Another finger is asked for changes from rest,
+        where it is as in the matched posture, and another thumb only for the motion of the hand.
         """
         pair = self.pair
         choices = self.method.choices
@@ -101,25 +101,29 @@ class TeleoperationMap(Compiled, PalmMap):
         reaches = lengths(human)
         is_base = reaches == 0.0
         at_rest = lengths(robot) / np.where(is_base, 1.0, reaches)
+        changed = pair.robot_rest - at_rest[:, None] * human
         is_thumb = np.array(pair.fingers)[finger] == THUMB
-        changed = np.where(
-            is_thumb[:, None],
-            pair.robot_bases[finger],
-            pair.robot_rest - at_rest[:, None] * human,
+        like = pair.finger_likeness[finger]
+        placed = np.where(is_thumb, 1.0, like)
+        self.ratios = placed * pair.reach_ratios[finger] + (1.0 - placed) * at_rest
+        self.bases = (
+            placed[:, None] * pair.robot_bases[finger]
+            + (1.0 - placed[:, None]) * changed
         )
-        like = pair.palms.likeness
-        places = like * pair.reach_ratios[finger]
-        self.ratios = places + (1.0 - like) * at_rest
-        self.bases = (1.0 - like) * changed + like * pair.robot_bases[finger]
-        of_thumb = choices.thumb_direction * pair.thumb_likeness
+        of_thumb = like * choices.thumb_direction
         directions = np.where(is_thumb, of_thumb, choices.finger_direction)
-        self.directions = like + (1.0 - like) * directions
-        # Bases that a joint moves on the palm follow the person's.
-        self.carried = np.where(pair.is_carried[finger], places, 0.0)
+        exact = pair.palms.likeness
+        self.directions = exact + (1.0 - exact) * directions
+        self._carry_bases()
+
+    def _carry_bases(self) -> None:
+        """Let bases that a joint moves on the palm follow the person's, on hands that are alike."""
+        pair = self.pair
+        is_carried = pair.palms.likeness * pair.is_carried[pair.finger_of]
+        self.carried = is_carried * pair.reach_ratios[pair.finger_of]
         at_start = pair.human_rest[self.starts]
-        moved = pair.palms.bases[finger] - pair.robot_bases[finger]
-        moved = np.where(pair.is_carried[finger][:, None], like * moved, 0.0)
-        self.bases += moved - self.carried[:, None] * at_start
+        moved = (pair.palms.bases - pair.robot_bases)[pair.finger_of]
+        self.bases += is_carried[:, None] * moved - self.carried[:, None] * at_start
 
     def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
@@ -186,7 +190,7 @@ class TeleoperationMap(Compiled, PalmMap):
             found | known,
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
-            rest_shares=self.rest_shares,
+            regularisation=self.regularisation,
         )
 
     def _moved(self, estimate: MotionEstimate, now: Array) -> Array:
@@ -318,7 +322,7 @@ class Teleoperation(AlignedOptions, frozen=True):
             different sides.
         finger_direction: How far the targets of fingers are turned to the directions of the
             person's, from the knuckle; not where they pinch.
-        thumb_direction: The same of a thumb that rests like the person's.
+        thumb_direction: The same of a thumb that reaches the places where the person's is.
         pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
         contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
             1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
@@ -328,10 +332,13 @@ class Teleoperation(AlignedOptions, frozen=True):
     """
 
     bound_type = BoundTeleoperation
+    weights: ClassVar[IkOptions] = FOLLOWING.replaced(
+        rest_weight=0.7, damping=2.0, takes_detours=True, points_follow_wrist=True
+    )
     residual_gain: Share = 1.0
     extension_weight: _Weight = 1.0
     thumb_extension_weight: _Weight = 2.5
-    finger_direction: Share = 0.75
+    finger_direction: Share = 1.0
     thumb_direction: Share = 1.0
     pinch_weight: _Weight = 5.0
     contact_gap: Annotated[float, number(high=0.04)] = CONTACT_GAP
@@ -353,9 +360,7 @@ def fingers_correspond(human: Hand, robot: Hand) -> bool:
 PRESETS = {
     "teleoperation": Preset(
         Teleoperation(),
-        FOLLOWING.replaced(
-            rest_weight=0.7, damping=2.0, takes_detours=True, points_follow_wrist=True
-        ),
+        Teleoperation.weights,
         "gestures and pinches of a tracked hand: each robot finger does what the human's does",
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
         rank=0,

@@ -386,6 +386,9 @@ class _Machine:
 
     def _name_of_stack(self) -> None:
         module, name = self._last(2)
+        # The text of a list may be far longer than the file: lists may share their items.
+        if not isinstance(module, str) or not isinstance(name, str):
+            _refuse("holds a name that is not a text")
         self._push_name(f"{module}.{name}")
 
     def _push_name(self, place: str) -> None:

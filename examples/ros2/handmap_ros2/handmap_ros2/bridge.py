@@ -55,6 +55,7 @@ class Bridge:
         self._client = client
         self._controller = controller
         self._heard = time.monotonic()
+        self._last: Command | None = None
         for name in SERVICES:
             node.serve(name, lambda name=name: self._act(name))
 
@@ -63,7 +64,9 @@ class Bridge:
         now = time.monotonic()
         if command := self._client.latest(_WAIT):
             self._heard = now
-            for topic, message in messages_of(command, self._controller).items():
+            made = messages_of(command, self._controller, self._last)
+            self._last = command
+            for topic, message in made.items():
                 self._node.publish(topic, message)
         elif now - self._heard > _SILENT:
             self._heard = now
@@ -85,18 +88,33 @@ class Bridge:
         return ""
 
 
-def messages_of(command: Command, controller: str) -> dict[str, Message]:
+def time_since(last: Command | None, command: Command) -> float:
+    """Return the time that a controller has for a command: since the one published before [s].
+
+    Commands in between may have been skipped, and the time that was granted to speed limits ends
+    at a cap, so it is the difference of the server's instants. Without a command of the same epoch
+    before, it is the time that was granted.
+    """
+    if last is None or last.epoch != command.epoch:
+        return command.dt
+    passed = command.server_time - last.server_time
+    return passed if passed > 0.0 else command.dt
+
+
+def messages_of(
+    command: Command, controller: str, last: Command | None = None
+) -> dict[str, Message]:
     """Return the messages of a command by topic, all with one stamp.
 
     Args:
         command: The command.
         controller: Name of the controller: `/NAME/commands` is read by ros2_control's forward
             controllers, `/NAME/joint_trajectory` by its joint_trajectory_controller.
+        last: The command that was published before; None if there was none.
     """
     header = stamp_of(time.time()), "handmap"
     q, effort = command.q, command.effort
-    # The time that the command's own speed limits were granted.
-    point = q, (), (), effort, stamp_of(command.dt)
+    point = q, (), (), effort, stamp_of(time_since(last, command))
     about = {
         "session": command.name,
         "epoch": command.epoch,

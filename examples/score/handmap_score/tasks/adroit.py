@@ -22,6 +22,7 @@ from handmap_qp.apps.onboarding.detect import detect_hands
 from handmap_qp.apps.onboarding.edit import described
 from handmap_qp.apps.onboarding.speeds import with_speed
 from handmap_qp.apps.onboarding.write import open_source, write_hand
+from handmap_qp.apps.simulation.losses import AWAY
 from handmap_qp.errors import HandmapError, expect
 from handmap_qp.hands import FINGERS, Hand, load_hand
 from handmap_qp.se3 import Array
@@ -41,8 +42,6 @@ _FINGER_OF = dict(zip(("th", "ff", "mf", "rf", "lf"), FINGERS, strict=True))
 """Fingers by the first letters of the maker's names of bodies."""
 _LIFTED = 0.01
 """Height above its place on the table from which a ball counts as gripped [m]."""
-_PUSHED = 0.01
-"""Distance from which a ball that was touched counts as pushed away [m]."""
 _TURNED = 0.1
 """Angle from which a door counts as moved [rad]."""
 
@@ -322,7 +321,7 @@ def relocate_cause(course: Sequence[Signals]) -> str:
     grips = [one for one in course if len(one.touching) > 1]
     if not grips:
         return "touched by one part"
-    if grips[0].moved - first.moved > _PUSHED:
+    if grips[0].moved - first.moved > AWAY:
         is_thumb = first.touching == {"thumb"}
         return f"pushed away by {'the thumb' if is_thumb else 'a finger'}"
     return "touched, never gripped"

@@ -95,7 +95,7 @@ def _on_table(
     """
     return Entry(
         make=lambda hand, objects: task(_load(hand), objects),
-        hands=(person.OWN, *table.TORQUES),
+        hands=(person.OWN, *table.HANDS),
         describe=None,
         operators=operators,
         usual=tuple(operators)[:1],

@@ -10,13 +10,14 @@ from types import MappingProxyType
 import mujoco
 import numpy as np
 
+from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.apps.simulation.model import OBJECT, TABLE
 from handmap_qp.mapping import Cylinder
 from handmap_qp.se3 import Array
 from .household import HOUSEHOLD, Household, egg, rings
 from .table import TableTask
 from .task import Scene, Signals
-from .touch import Touch, cause_of_lost_grip, cause_of_no_grip
+from .touch import cause_of_lost_grip, cause_of_no_grip
 
 LIFT = "lift"
 """Name of the task."""

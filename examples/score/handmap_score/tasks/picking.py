@@ -8,11 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.se3 import Array
 from .household import HOUSEHOLD
 from .table import TableTask
 from .task import Signals
-from .touch import Touch, cause_of_lost_grip, cause_of_no_grip
+from .touch import cause_of_lost_grip, cause_of_no_grip
 
 PICK = "pick"
 """Name of the task."""

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import mujoco
 import numpy as np
 
+from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.apps.simulation.model import OBJECT
 from handmap_qp.mapping import Cylinder
 from handmap_qp.se3 import Array
@@ -18,7 +19,7 @@ from .household import Household
 from .person import LARGEST_STEP, Look, PalmMotion, Person, Phase
 from .table import FIXTURE, TableTask
 from .task import Signals
-from .touch import Touch, cause_of_lost_grip, cause_of_no_grip
+from .touch import cause_of_lost_grip, cause_of_no_grip
 
 POUR = "pour"
 """Name of the task."""

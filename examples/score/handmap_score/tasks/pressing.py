@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from handmap_qp.apps.offline.comparison import prepare_take
+from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.hands import Hand
 from handmap_qp.human import Recording
 from handmap_qp.mapping import Box
@@ -35,7 +36,6 @@ from .person import (
 )
 from .table import FIXTURE, TableTask
 from .task import Signals
-from .touch import Touch
 
 BUTTON = "button"
 """Name of the task."""

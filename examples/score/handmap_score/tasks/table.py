@@ -16,12 +16,12 @@ person's pinch, turned by up to 20 degrees.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 
+from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.apps.simulation.model import OBJECT
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch import Pads
@@ -42,12 +42,10 @@ from .household import Household
 from .operator import HumanHand, Joints
 from .person import home
 from .task import Scene, Signals
-from .touch import Contacts, Touch
+from .touch import Contacts
 
-TORQUES: Mapping[str, float] = MappingProxyType(
-    {"allegro_right": 0.7, "leap_right": 0.95, "shadow_right": 2.0}
-)
-"""Largest torque of a finger's joint by the maker [N m]; of other hands, their description's."""
+HANDS = ("allegro_right", "leap_right", "shadow_right")
+"""Robot hands that the tasks are for by default."""
 
 RATE = 60.0
 """Samples of the operator and commands of the robot in a second."""
@@ -348,11 +346,7 @@ class _Bench:
     """
 
     def __init__(self, robot: Hand, held: Household, furnish: Furnish) -> None:
-        physics = Physics(
-            mass=held.mass,
-            friction=held.friction,
-            torque=TORQUES.get(robot.name, Physics().torque),
-        )
+        physics = Physics(mass=held.mass, friction=held.friction)
         self.simulator = Simulator(
             robot, held.shape, physics, table=0.0, furnish=furnish
         )

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.mapping import Cylinder
 from handmap_qp.se3 import Array
 from .fixtures import SHOWN, add_mover, forward, moved
@@ -22,7 +23,7 @@ from .household import Household
 from .person import LARGEST_STEP, Look, PalmMotion, Person, Phase
 from .table import FIXTURE, TableTask
 from .task import Signals
-from .touch import Touch, cause_of_no_grip
+from .touch import cause_of_no_grip
 
 CAP = "cap"
 """Name of the task."""

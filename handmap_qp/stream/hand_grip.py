@@ -1,0 +1,349 @@
+"""`HandGrip`: what the thumb and a finger of one hand have met is held by a posture and a force.
+
+A pinch that closes around an object asks for pads that touch, as it does without one: the object is
+pushed along, and slips. So where the measured gap of the pads stays behind the commanded one, the
+measured joints of both fingers are kept, and closing on becomes torques that press along the line
+between the pads. The QP pulls to joint positions that press so: its limits hold.
+
+Where it is known at which place the object is, both pads close around it, so that none of them
+pushes it away before the other one is there: as far as the place is certain.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from handmap_qp.hands import THUMB, Hand, PadPair
+from handmap_qp.ik import AttachedPoints, JointPositions, Task
+from handmap_qp.mapping import HandMapper, MapStep, robot_fingers
+from handmap_qp.options import Options, Positive
+from handmap_qp.se3 import Array, lengths, smoothstep, unit
+from .closing_pads import ClosingPads, FingerPads
+from .object_place import ObjectPlace
+
+# Weights of a held joint, which leave other terms little, of one that turns [1/rad] and of one that
+# slides [1/m]: both are as strict where a pad is 50 mm from its joint.
+_HELD = 3000.0
+_HELD_SLIDING = 6e4
+# Share of a pinch from which on a person grips, and at which pads close around an object.
+_PINCHING = 0.5
+_CLOSING = 0.1
+# Between jaws, whose gap follows at any width, the share of a pinch rises from 0 to 1 as the
+# person's fingers come from the first gap to the second one [m].
+_JAWS_FROM, _JAWS_TO = 0.07, 0.02
+# Pads that close feel how far they may go. They go no faster than that depth in this time, by which
+# joints are late [s], and have met something where this share is behind.
+_LATE = 0.07
+_BEHIND = 0.5
+# Pads so near an object close around it, and do so least at twice the distance [m].
+_NEAR = 0.05
+# Pads beside an object would push it away. Their gap is at least so many times the distance of
+# their middle from it, but no more than this [m], and less and less for this time [s]. Distances
+# count beyond so many standard deviations of the place.
+_FUNNEL = 4.0
+_WIDE = 0.06
+_PATIENCE = 0.4
+_CERTAIN = 2.0
+# Pads that move no faster than this for so long have met something [m/s, s].
+_STILL = 0.03
+_TOUCHED = 0.1
+# Time over which a force is raised, and a grip is let go [s].
+_RAISED = 0.1
+_LET_GO = 0.1
+# A grip forgets the smallest gap of the person's fingers this fast [m/s]: trackers tremble.
+_FORGETS = 0.02
+
+
+class GripOptions(Options, frozen=True):
+    """How what is gripped is held.
+
+    Attributes:
+        stiffness: Stiffness of the fingers' position control [N m/rad].
+        force: Force with which thumb and finger press [N].
+        gentle: Whether pads close no farther, near an object whose place is known, than presses
+            with the force. That makes them slow, too: for what breaks.
+        behind: How far the measured gap of the pads stays behind the commanded one where they have
+            met something [m]; at most half of what presses with the force if they close gently.
+        opens_by: How much farther apart than in the grip a person's fingers let go [m].
+        sliding_stiffness: Stiffness of the position control of jaws that slide [N/m].
+    """
+
+    stiffness: Positive = 3.0
+    force: Positive = 5.0
+    gentle: bool = False
+    behind: Positive = 0.01
+    opens_by: Positive = 0.008
+    sliding_stiffness: Positive = 2000.0
+
+
+class _Closing(NamedTuple):
+    """Pads that close, and may meet something."""
+
+    finger: int = -1  # number of the finger, in the order of the pinches
+    gap: float = 0.0  # measured gap of the pads [m]
+    least: float = 0.0  # least gap that presses with no more than the force [m]
+    time: float = 0.0  # for how long the person has pinched [s]
+    met: float = 0.0  # time since they have met something [s]
+
+
+class _Grip(NamedTuple):
+    """What is held."""
+
+    finger: int  # number of the finger, in the order of the pinches
+    columns: Array  # columns of q that move thumb and finger, shape (c,)
+    posture: Array  # measured joint positions at the touch [rad or m], shape (n,)
+    levers: Array  # torque of each joint for 1 N between the pads [m], shape (n,)
+    force: float  # force that the command had there [N]
+    gap: float  # smallest gap of the person's fingers since then [m]
+    time: float = 0.0  # time since then [s]
+    opening: float = 0.0  # share of the way out, from 0 to 1
+
+
+def can_grip(mapper: HandMapper) -> bool:
+    """Return whether a `HandGrip` can hold what a mapper's robot hand meets.
+
+    It can by a method with pinches, and a hand with a thumb and a finger, or two jaws.
+    """
+    return _has_pinches(mapper) and has_grasp(mapper.robot)
+
+
+def has_grasp(robot: Hand) -> bool:
+    """Return whether a robot hand has a thumb and a finger, or two jaws."""
+    names = robot_fingers(robot).names
+    return THUMB in names and len(names) > 1
+
+
+def _has_pinches(mapper: HandMapper) -> bool:
+    return hasattr(mapper.method, "pinch_weight")
+
+
+class HandGrip:
+    """Finds what thumb and finger meet by measured joints, and says how the QP holds it.
+
+    Args:
+        mapper: Moves the hand; see `can_grip`.
+        options: How what is gripped is held.
+
+    Attributes:
+        options: As given; may be changed between samples.
+        terms: Further terms of the QP's cost for the next sample.
+        is_seen: Whether it is known where the object is now.
+        place: Where it was seen last; None before that.
+    """
+
+    def __init__(self, mapper: HandMapper, options: GripOptions) -> None:
+        self.options = options
+        self._mapper = mapper
+        self._hand = hand = mapper.robot
+        fingers = robot_fingers(hand)
+        self._has_jaws = fingers.has_jaws
+        pads = [fingers.pads[name] for name in fingers.names]
+        used = [fingers.used[name] for name in fingers.names]
+        self._pairs = [
+            FingerPads(
+                AttachedPoints(hand, [pads[0].place, pad.place]),
+                PadPair(pads[0], pad),
+                np.union1d(used[0].columns, finger.columns),
+            )
+            for pad, finger in zip(pads[1:], used[1:], strict=True)
+        ]
+        self._slides = np.zeros(len(hand.joint_names), dtype=bool)
+        for finger in used:
+            self._slides[finger.columns] |= finger.is_jaw
+        self._placed = hand.configuration()
+        self._has_pinches = True
+        self.let_go()
+
+    @property
+    def effort(self) -> Array | None:
+        """Torques with which a grip presses [N m or N], shape (n,); None without one."""
+        return None if self._grip is None else self._torques(self._grip)
+
+    def let_go(self) -> None:
+        """Grip nothing, and forget where the object is."""
+        self._grip: _Grip | None = None
+        self._closing = _Closing()
+        self.is_seen = False
+        self.place: ObjectPlace | None = None
+        # Whether the person's fingers have been apart since: only then they grip.
+        self._is_apart = False
+        self._reference = self._mapper.reference
+        self.terms: tuple[Task, ...] = ()
+
+    def prepare(self) -> None:
+        """Let go where the mapper has another reference, or a method without pinches by now."""
+        mapper = self._mapper
+        self._has_pinches = _has_pinches(mapper)
+        if mapper.reference is not self._reference or not self._has_pinches:
+            self.let_go()
+
+    def see(self, centre: Array, deviation: float) -> None:
+        """Take where the object is.
+
+        Args:
+            centre: Middle of the object in the robot's world [m], shape (3,).
+            deviation: Standard deviation of that along each axis [m].
+        """
+        self.is_seen = True
+        if self.place is None:
+            self.place = ObjectPlace.first(centre, deviation)
+        else:
+            self.place = self.place.at(centre, deviation)
+
+    def advance(self, step: MapStep, q: Array | None, dt: float) -> None:
+        """Go on with a grip, or see whether there is one.
+
+        Args:
+            step: The step of the hand, which was not held.
+            q: Joint positions that were measured before it [rad or m], shape (n,); None where they
+                were not read. What is held then stays held, and nothing else is met.
+            dt: Time that its command took [s].
+        """
+        self.terms = ()
+        if self._grip is None and q is None:
+            self._closing = _Closing()
+            return
+        if not self._has_pinches:
+            return
+        gaps = step.named("gaps")
+        if self._grip is not None:
+            self._grip = self._held(self._grip, gaps, dt)
+        elif q is not None:
+            self._close(step, q, gaps, dt)
+        grip = self._grip
+        if grip is None:
+            return
+        if grip.opening >= 1.0:
+            place = self.place
+            self.let_go()
+            # What was touched may be gripped again.
+            self.place = place
+            return
+        positions = grip.posture + self._torques(grip) / self._stiffness
+        weights = np.where(self._slides[grip.columns], _HELD_SLIDING, _HELD)
+        weights = weights * (1.0 - grip.opening) ** 2
+        self.terms = (JointPositions(self._hand, grip.columns, positions, weights),)
+
+    @property
+    def _stiffness(self) -> Array:
+        """Stiffness of the joints [N m/rad or N/m], shape (n,)."""
+        options = self.options
+        return np.where(self._slides, options.sliding_stiffness, options.stiffness)
+
+    def _close(self, step: MapStep, q: Array, gaps: Array, dt: float) -> None:
+        """Close pads, around a place if it is known, until they have met something."""
+        finger = int(gaps.argmin())
+        if self._has_jaws:
+            away = _JAWS_FROM - gaps[finger]
+            pinching = float(smoothstep(away / (_JAWS_FROM - _JAWS_TO)))
+        else:
+            pinching = step.named("pinching")[finger]
+        self._is_apart |= bool(pinching <= _PINCHING)
+        if pinching <= 0.0:
+            self._closing = _Closing()
+            return
+        pads = self._pairs[finger]
+        # Where the hand is, by its measured joints; then where it is commanded.
+        placed = self._placed
+        # A fixed hand takes no wrist.
+        wrists = step.ik.wrists[: self._hand.is_floating]
+        placed.place(self._hand.configuration_vector(q, *wrists))
+        gap, middle, line = pads.state(placed)
+        slopes, _ = pads.slopes(placed, line)
+        levers = np.zeros_like(q)
+        # An arm moves both pads alike, but for rounding.
+        levers[pads.columns] = -slopes[self._hand.joint_columns[pads.columns]]
+        # How far the command is in what the pads meet, where they press with the force.
+        depth = self.options.force * (levers @ (levers / self._stiffness))
+        placed.place(step.ik.q)
+        commanded, aimed, _ = pads.state(placed)
+        before = self._closing
+        if finger != before.finger:
+            before = _Closing(finger, np.inf, commanded, before.time)
+        # Not at once: joints that are late would let it jump.
+        pressing = max(gap - depth, before.least - depth * dt / _LATE)
+        behind = self.options.behind
+        if self.options.gentle:
+            behind = min(behind, _BEHIND * depth)
+        if self.is_seen and self.place is not None:
+            least = max(
+                pressing if self.options.gentle else -np.inf,
+                _funnel(self.place, middle, before.time),
+            )
+            share = min(pinching / _CLOSING, 1.0)
+            self.terms = self._around(pads, self.place, aimed, least, share)
+        is_met = (
+            pinching > _PINCHING
+            and self._is_apart
+            and abs(gap - before.gap) < _STILL * dt
+            and gap - commanded > behind
+        )
+        met = is_met * (before.met + dt)
+        time = before.time + dt * (pinching > _PINCHING)
+        self._closing = _Closing(finger, gap, pressing, time, met)
+        if met < _TOUCHED:
+            return
+        pressed = levers @ (self._stiffness * (step.command.q - q))
+        force = np.clip(pressed / (levers @ levers), 0.0, self.options.force)
+        self._grip = _Grip(finger, pads.columns, q, levers, force, gaps[finger])
+        if self.is_seen and self.place is not None:
+            self.place = self.place.touched(middle, line)
+
+    def _around(
+        self,
+        pads: FingerPads,
+        place: ObjectPlace,
+        aimed: Array,
+        least: float,
+        share: float,
+    ) -> tuple[Task, ...]:
+        """Return the term by which pads close around a place, if the command is near it.
+
+        Args:
+            pads: The pads.
+            place: The place.
+            aimed: The commanded middle between the pads [m], shape (3,).
+            least: Least gap of the pads [m].
+            share: Share of the weights.
+        """
+        off = lengths(aimed - place.centre)
+        near = float(np.clip(2.0 - off / _NEAR, 0.0, 1.0))
+        if near <= 0.0:
+            return ()
+        columns = self._hand.joint_columns[pads.columns]
+        own = np.isin(np.arange(self._placed.nv), columns)
+        term = ClosingPads(pads, own, place.centre, place.shares, least, near * share)
+        return (term,)
+
+    def _held(self, grip: _Grip, gaps: Array, dt: float) -> _Grip:
+        """Return a grip after a sample of the person's gaps."""
+        gap = gaps[grip.finger]
+        way = dt if gap > grip.gap + self.options.opens_by else -dt
+        return grip._replace(
+            gap=min(grip.gap + _FORGETS * dt, gap),
+            time=grip.time + dt,
+            opening=max(grip.opening + way / _LET_GO, 0.0),
+        )
+
+    def _torques(self, grip: _Grip) -> Array:
+        """Return the torques with which a grip presses [N m or N], shape (n,)."""
+        share = min(grip.time / _RAISED, 1.0)
+        force = grip.force + share * (self.options.force - grip.force)
+        return (1.0 - grip.opening) * force * grip.levers
+
+
+def _funnel(place: ObjectPlace, middle: Array, time: float) -> float:
+    """Return the least gap of pads beside a place [m]; -inf for pads that may be around it.
+
+    Args:
+        place: Where the object is.
+        middle: The measured middle between the pads [m], shape (3,).
+        time: For how long the person has pinched [s].
+    """
+    away = middle - place.centre
+    off = float(lengths(away)) - _CERTAIN * place.deviation_along(unit(away))
+    if off <= 0.0:
+        return -np.inf
+    return min(_FUNNEL * off, _WIDE) * (1.0 - time / _PATIENCE)

@@ -1,0 +1,74 @@
+"""Where an object is, with the uncertainty of that: what touches measure, and what they do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handmap_qp.stream.object_place import ObjectPlace
+
+CENTRE = np.array([0.1, -0.2, 0.3])
+X = np.array([1.0, 0.0, 0.0])
+
+
+def test_a_place_counts_less_the_less_certain_it_is() -> None:
+    shares = [
+        ObjectPlace.first(CENTRE, deviation).shares
+        for deviation in (0.0, 0.005, 0.01, 1.0)
+    ]
+    np.testing.assert_allclose(shares[0], np.eye(3))
+    diagonals = [share[0, 0] for share in shares]
+    assert diagonals == sorted(diagonals, reverse=True)
+    # Twice as uncertain, half the weight; and next to none where nothing is known.
+    assert diagonals[1] / diagonals[2] == pytest.approx(2.0, rel=0.05)
+    assert diagonals[3] < 0.002
+
+
+@given(
+    st.floats(0.0, 0.02),
+    st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
+    st.floats(-0.02, 0.02),
+)
+def test_a_touch_measures_along_its_normal_alone(
+    deviation: float, direction: list[float], missed: float
+) -> None:
+    normal = np.array(direction)
+    normal = normal / np.linalg.norm(normal) if np.linalg.norm(normal) > 0.1 else X
+    before = ObjectPlace.first(CENTRE, deviation)
+    across = np.cross(normal, [0.3, -0.5, 0.7])
+    after = before.touched(CENTRE + missed * normal + 0.05 * across, normal)
+    moved = after.centre - CENTRE
+    # By a part of the way, and nothing across.
+    np.testing.assert_allclose(np.cross(moved, normal), 0.0, atol=1e-12)
+    way = moved @ normal * np.sign(missed)
+    assert -1e-12 <= way <= abs(missed) + 1e-12
+    assert after.deviation_along(normal) <= deviation + 1e-12
+    sideways = across / np.linalg.norm(across)
+    assert after.deviation_along(sideways) == pytest.approx(deviation, abs=1e-9)
+
+
+def test_touches_along_three_axes_correct_a_place() -> None:
+    true = CENTRE + np.array([0.008, -0.006, 0.01])
+    place = ObjectPlace.first(CENTRE, 0.01)
+    for axis in np.eye(3):
+        place = place.touched(true, axis)
+    np.testing.assert_allclose(place.centre, true, atol=5e-4)
+    for axis in np.eye(3):
+        assert place.deviation_along(axis) < 0.002
+    # Of a place that is exact, a touch corrects nothing.
+    exact = ObjectPlace.first(CENTRE, 0.0).touched(true, X)
+    np.testing.assert_array_equal(exact.centre, CENTRE)
+
+
+def test_a_correction_stays_with_its_object() -> None:
+    place = ObjectPlace.first(CENTRE, 0.01).touched(CENTRE + 0.01 * X, X)
+    moved = place.at(CENTRE + 0.005 * X, 0.01)
+    np.testing.assert_allclose(moved.centre - place.centre, 0.005 * X)
+    assert moved.deviation_along(X) == place.deviation_along(X)
+    # An object elsewhere is another one, and so is a place that is stated otherwise.
+    another = place.at(CENTRE + 0.1 * X, 0.01)
+    otherwise = place.at(CENTRE, 0.005)
+    for each in (another, otherwise):
+        np.testing.assert_array_equal(each.correction, np.zeros(3))
