@@ -58,6 +58,9 @@ def course_of(
         (course_of((0.2, 1.0, 0.0, 0.02)), Loss.PUSHED_BY_THUMB),
         (course_of((0.2, 0.0, 1.0, 0.001)), Loss.ONE_SIDE),
         (course_of((0.1, 1.0, 1.0, 0.0)), Loss.SQUEEZED_OUT),
+        # A try of one instant, with and without a press.
+        (course_of((1.0 / RATE, 1.0, 1.0, 0.0)), Loss.SQUEEZED_OUT),
+        (course_of((1.0 / RATE, 0.1, 0.1, 0.0)), Loss.SQUEEZED_OUT),
         (course_of((0.5, 1.0, 1.0, 0.0), beside=0.02), Loss.BESIDE),
         (course_of((0.5, 1.0, 1.0, 0.0)), None),
     ],

@@ -119,6 +119,6 @@ def tries(course: Sequence[Touch]) -> list[list[Touch]]:
 
 
 def _time_step(course: Sequence[Touch]) -> float:
-    """Return the usual time between two instants [s]; infinite for one instant."""
+    """Return the usual time between two instants [s]; zero for one instant."""
     times = [one.time for one in course]
-    return float(np.median(np.diff(times))) if len(times) > 1 else np.inf
+    return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
