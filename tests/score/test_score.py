@@ -40,6 +40,7 @@ from handmap_qp.apps.offline.comparison import (
     OutsideError,
     Take,
     compare_methods,
+    is_peer,
     own_method,
 )
 from handmap_qp.apps.offline.fidelity import ByFinger, sample_workspace
@@ -298,7 +299,7 @@ def test_page_has_gestures_with_source_and_licence(written: Path) -> None:
     methods = [row["method"] for row in hand["mappings"]]
     assert {*methods} == {"paper", "object"}
     # Peers that did not run say how to.
-    assert "make peers" in results["about"]["peers"]
+    assert "handmap-qp[peers]" in results["about"]["peers"]
     assert [row["mapping"] for row in results["overview"]] == methods
 
 
@@ -394,20 +395,20 @@ def test_mappings_go_on_without_peers_that_cannot_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def without_peers(request: Compare) -> list[ComparedMethod]:
-        if request.peers:
+        if request.peers or any(map(is_peer, request.methods)):
             raise OutsideError("not built")
         return methods_of(request)
 
     monkeypatch.setattr(cli, "methods_of", without_peers)
-    about: dict[str, Any] = {}
-    named = Compare((), "three_finger", ("paper", "dex-vector"), peers=True)
-    (method,) = cli.mappings_of(named, about)
-    assert method.name == "paper"
-    assert about == {"peers on three_finger": "left out: not built"}
-    with pytest.raises(OutsideError):
-        cli.mappings_of(replace(named, methods=("dex-vector",)), about)
-    with pytest.raises(InvalidInputError):
-        cli.mappings_of(replace(named, peers=False), about)
+    # The name of a peer asks for it, with and without --peers.
+    for peers in (True, False):
+        about: dict[str, Any] = {}
+        named = Compare((), "three_finger", ("paper", "dex-vector"), peers=peers)
+        (method,) = cli.mappings_of(named, about)
+        assert method.name == "paper"
+        assert about == {"peers on three_finger": "left out: not built"}
+        with pytest.raises(OutsideError):
+            cli.mappings_of(replace(named, methods=("dex-vector",)), about)
 
 
 def test_hands_that_are_not_installed_are_left_out(
