@@ -359,7 +359,9 @@ def test_files_that_extend_each_other_are_rejected(tmp_path: Path) -> None:
 def test_shapes_that_a_file_has_in_wrong_places_are_moved() -> None:
     spec = load_hand("three_finger").spec
     robot = ET.fromstring(read_urdf(spec))
-    link = next(link for link in robot.iter("link") if link.find("collision"))
+    link = next(
+        link for link in robot.iter("link") if link.find("collision") is not None
+    )
     for tag in ("visual", "collision"):
         shape = link.find(tag)
         assert shape is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from functools import partial
@@ -62,6 +63,7 @@ class Service:
         self.now = 0.0
         self.seq = 0
         self.store = PostureStore(file)
+        weakref.finalize(self, self.store.close)
         self.sessions = Sessions(
             Settings(supervisor=("supervisor",), **caps),
             CACHE,

@@ -3,7 +3,6 @@
 import asyncio
 import hashlib
 import hmac
-import itertools
 import math
 import secrets
 import time
@@ -129,7 +128,7 @@ class Sessions:
         self._taken: dict[str, str] = {}
         # After a restart, owners are on their way back.
         self._last_heard = dict.fromkeys(self.store.records, self.clock())
-        self._numbers = itertools.count(1)
+        self._unnamed = 0  # sessions that were opened without a name
 
     @property
     def names(self) -> Names:
@@ -179,8 +178,7 @@ class Sessions:
             RefusedError: With the field at fault, or `busy`, `rate`, `denied`.
         """
         self._check(request, by)
-        # Else a name that is unique also over restarts, because others may watch it.
-        name = request.name or f"session-{next(self._numbers)}-{secrets.token_hex(3)}"
+        name = request.name or self._new_name()
         owner = by.owner(request.session)
         self._opening[request.session] = _Opening(name, by.account, owner)
         try:
@@ -286,6 +284,11 @@ class Sessions:
             largest = largest_account(self._taken.values())
             oldest = next(s for s, each in self._taken.items() if each == largest)
             del self._taken[oldest]
+
+    def _new_name(self) -> str:
+        """Return a name that is unique also over restarts, because others may watch the session."""
+        self._unnamed += 1
+        return f"session-{self._unnamed}-{secrets.token_hex(3)}"
 
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
