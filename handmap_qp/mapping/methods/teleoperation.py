@@ -338,7 +338,7 @@ class Teleoperation(AlignedOptions, frozen=True):
     residual_gain: Share = 1.0
     extension_weight: _Weight = 1.0
     thumb_extension_weight: _Weight = 2.5
-    finger_direction: Share = 1.0
+    finger_direction: Share = 0.75
     thumb_direction: Share = 1.0
     pinch_weight: _Weight = 5.0
     contact_gap: Annotated[float, number(high=0.04)] = CONTACT_GAP
