@@ -243,7 +243,7 @@ BAD = {
     ),
     "no peers": (
         ["{one}", "--methods", "dex-vector"],
-        "got dex-vector: peers need --peers",
+        "nor installed here: pip install 'handmap-qp[peers]'",
     ),
     "method twice": (
         ["{one}", "--methods", "paper", "paper"],

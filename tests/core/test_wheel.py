@@ -107,6 +107,9 @@ def test_wheel_holds_the_package_and_the_hands(wheel: Path) -> None:
 
     expected = {f"handmap_qp/{name}" for name in files_under(ROOT / "handmap_qp")}
     expected |= {f"handmap_qp/urdf/{name}" for name in files_under(ROOT / "urdf")}
+    # Programs that run peers, so that they can be compared with where there is no checkout.
+    peers = files_under(ROOT / "benchmarks" / "peers")
+    expected |= {f"handmap_qp/outside/peers/{name}" for name in peers}
     found = {name for name in names if ".dist-info/" not in name}
     assert found - expected == {
         name for name in names if name.startswith("handmap_qp/_core.")
