@@ -535,11 +535,11 @@ def test_contacts_leave_the_joints_of_right_hands_their_range(name: str) -> None
 
 
 def test_a_joint_that_contacts_lock_is_found(tmp_path: Path) -> None:
-    # A ball on the palm, 0.6 rad of flexion away from the finger at rest.
+    # A ball on the palm, 0.6 rad of flexion away from a finger that cannot go around it.
     hand = load_hand("three_finger")
     q = hand.rest.copy()
-    q[hand.joint_names.index("f3_proximal")] += 0.6
-    palm, distal = hand.link_poses(["palm", "finger3_distal"], q)
+    q[hand.joint_names.index("f1_proximal")] += 0.6
+    palm, distal = hand.link_poses(["palm", "finger1_distal"], q)
     x, y, z = transform_points(inverse_pose(palm), distal[:3, 3])
     ball = (
         f'<collision><origin xyz="{x} {y} {z}"/><geometry><sphere radius="0.012"/>'
@@ -551,7 +551,7 @@ def test_a_joint_that_contacts_lock_is_found(tmp_path: Path) -> None:
     locked = load_hand(msgspec.structs.replace(hand.spec, urdf=str(urdf)))
     found = warnings_of(found_by(check_contacts(locked)))
     assert found
-    assert all("palm and finger3" in line for line in found["urdf"].splitlines())
+    assert all("palm and finger1" in line for line in found["urdf"].splitlines())
     report = check_hand("three_finger")
     assert "A tour of gestures" in report.measured
 
