@@ -99,6 +99,10 @@ class GripFollower:
             InvalidInputError: As there, or if a number here cannot be used.
             InvalidOptionsError: As there, or if the method has no pinches.
         """
+        own = self.hand_grip
+        # Most sessions never measure.
+        if measured_q is None and object_centre is None and own.is_idle:
+            return self.follower.map_sample(sample, **times)
         mapper = self.follower.mapper
         q = _checked(measured_q, "measured_q", mapper.robot.rest.shape)
         centre: Array | None = None
@@ -107,7 +111,6 @@ class GripFollower:
             is_length = 0.0 <= object_deviation < np.inf
             wanted = "a length >= 0 m"
             expect(is_length, "object_deviation", wanted, value=object_deviation)
-        own = self.hand_grip
         own.prepare()
         step = map_with(self.follower, own.terms, sample, **times)
         if step.status not in _STILL:
@@ -180,6 +183,8 @@ class RobotGripFollower:
         Raises:
             InvalidInputError: As there, or if a number here cannot be used.
         """
+        if measured_q is None and all(hand.is_idle for hand in self.hands.values()):
+            return self.follower.map_samples(samples, **times)
         mapper = self.follower.mapper
         q = _checked(measured_q, "measured_q", mapper.robot.rest.shape)
         terms = {}

@@ -161,6 +161,16 @@ class HandGrip:
         """Torques with which a grip presses [N m or N], shape (n,); None without one."""
         return None if self._grip is None else self._torques(self._grip)
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is held, closed or known: a sample without `q` changes nothing."""
+        return (
+            self._grip is None
+            and self.place is None
+            and self._closing.finger < 0
+            and not self._is_apart
+        )
+
     def let_go(self) -> None:
         """Grip nothing, and forget where the object is."""
         self._grip: _Grip | None = None

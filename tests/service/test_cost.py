@@ -29,9 +29,9 @@ from handmap_qp.hands import Side
 from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.ik.core import core
 
-MOST_CALLS = 155
+MOST_CALLS = 130
 """Calls of Python and C for an answer."""
-MOST_CALLS_FOR_TWO = 430
+MOST_CALLS_FOR_TWO = 400
 """Likewise for a robot with two hands."""
 WARM = 20
 MEASURED = 20
