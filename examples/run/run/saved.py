@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -21,9 +21,12 @@ from handmap_qp.mapping.methods import homogeneous, teleoperation
 from handmap_qp.stream.follower import RejoinKind, Smoothing
 from handmap_qp.stream.hand_grip import GripOptions
 from .form import HAND, KIND, ROBOT, File, decode
-from .gripping import GrippingFollower, GrippingRobotFollower
+from .gripping import GrippingFollower
 from .hands import KINDS, Record
 from .trackers.layouts import LAYOUTS, Layout
+
+if TYPE_CHECKING:
+    from .robot_gripping import GrippingRobotFollower
 
 _MAKERS: dict[str, type] = {
     "Homogeneous": homogeneous.Homogeneous,
@@ -93,6 +96,9 @@ def load_robot(
 
     The first sample of each hand is its reference.
     """
+    # Most programs have one hand.
+    from .robot_gripping import GrippingRobotFollower
+
     with _opened(Path(path), ROBOT) as saved:
         robot = saved.robot
         robot.parts = tuple(each.robot for each in saved.hands)
@@ -100,7 +106,6 @@ def load_robot(
             part.whole = robot
         humans = {each.robot.side: each.human for each in saved.hands}
         options = _options(saved.hands)
-        # Its module is imported at this first use: most programs have one hand.
         mapper = mapping.RobotMapper(robot, humans, turns_in=saved.turns_in, **options)
     return GrippingRobotFollower(mapper, grip, rejoin=rejoin, smoothing=smoothing)
 
