@@ -333,10 +333,7 @@ class Dispatcher:
         return self.sessions.clock() - self._started
 
     def _tick(self, session: Session, now: float) -> None:
-        before = session.counts.copy()
-        command = session.tick(now)
-        self._metrics.counts += session.counts - before
-        if command:
+        if command := session.tick(now):
             self._send(session, command)
 
     def _for_stream(self, sample: Sample, by: Caller) -> None:
