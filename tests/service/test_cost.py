@@ -33,8 +33,8 @@ MOST_CALLS = 122
 """Calls of Python and C for an answer."""
 MOST_CALLS_FOR_TWO = 365
 """Likewise for a robot with two hands."""
-MOST_CALLS_OF_A_TICK = 9
-"""Calls for a look at a session that is led, of which there are 200 in a second."""
+MOST_CALLS_OF_A_TICK = 14
+"""Calls for a look at a session that is led, of which there are 50 in a second."""
 WARM = 20
 MEASURED = 20
 

@@ -487,6 +487,12 @@ class Session:
         flags = ["watchdog"] + ["at_rest"] * self._is_at_rest
         return self._command(now, status, flags)
 
+    @property
+    def due(self) -> float:
+        """When `tick` may do something next if no request comes [s]; in the past for at once."""
+        due = self._clock.due(self._state)
+        return min(due, self._following.lost_at) if self._following else due
+
     def release(self) -> None:
         """Let the robot hold its posture until `clutch`."""
         self._hands.mapper.release()
