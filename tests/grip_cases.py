@@ -10,6 +10,7 @@ import numpy as np
 from picks import made_pick
 
 from handmap_qp import Hand, HandMapper, Recording, load_hand
+from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.hand_pair import robot_fingers
@@ -88,3 +89,33 @@ def run(
         step = grip.map_sample(sample, measured, centre, deviation)
         plant.follow(step.command.q)
         yield step, measured
+
+
+class BlockedHands:
+    """A robot each of whose hands is `Blocked`; joints of the arms go where they are told."""
+
+    def __init__(self, robot: Hand, widths: dict[str, float]) -> None:
+        self.robot = robot
+        self.q = robot.rest.copy()
+        self.widths = widths
+
+    def follow(self, q: np.ndarray) -> None:
+        robot = self.robot
+        moved = q.copy()
+        for (side, hand), own in zip(
+            robot.by_side.items(), robot.finger_joints, strict=True
+        ):
+            if gap_of(hand, q) < self.widths[side]:
+                moved[own] = self.q[own]
+        self.q = moved
+
+
+def both_hands(opens: bool = False) -> list[dict[Side, HumanSample]]:
+    """A pick by both hands at once."""
+    sides: tuple[Side, ...] = "left", "right"
+    landmarks = {side: made_pick(side).landmarks for side in sides}
+    order = [*range(110)] + [*range(109, -1, -1)] * opens
+    return [
+        {side: HumanSample(k / 60.0, side, landmarks[side][i]) for side in sides}
+        for k, i in enumerate(order)
+    ]

@@ -32,7 +32,7 @@ from handmap_qp.se3 import (
     rigid_fit,
     rotation_from_quat_wxyz,
 )
-from handmap_qp.stream import RobotFollower
+from handmap_qp.stream import GripFollower, RobotFollower
 from handmap_qp.trackers import LAYOUTS, read_hands, read_recording
 
 ROOT = Path(__file__).parents[1]
@@ -130,19 +130,22 @@ def expected_columns(
     """Return what `handmap_qp` commands for a case, whose samples `kind` makes."""
     alone = module_of(ALONE)
     samples = alone.samples_of(folder / f"{name}.hand", kind)
+    measured = alone.measured_of(folder / f"{name}.hand")
     if isinstance(mapper, RobotMapper):
         follow = RobotFollower(mapper).map_samples
+    elif isinstance(measured, list):
+        follow = GripFollower(Follower(mapper)).map_sample
     else:
         follow = Follower(mapper).map_sample
-    return alone.columns_of(follow, samples)
+    return alone.columns_of(follow, samples, measured)
 
 
 def difference(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> float:
-    """Return the largest difference of commands, targets and margins.
+    """Return the largest difference of commands, targets, margins and torques.
 
     Infinite if other things are said, or only one keeps shapes apart.
     """
-    columns = ("q", "wrist", "targets", "margins")
+    columns = ("q", "wrist", "targets", "margins", "effort")
     is_alike = all(one[name].shape == other[name].shape for name in columns)
     if not is_alike or not np.array_equal(one["said"], other["said"]):
         return np.inf

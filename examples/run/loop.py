@@ -4,7 +4,8 @@
     python loop.py my.hand samples.npz                 # on the robot's, with handmap-run alone
 
 Samples are those of a file here, by `time` [s] and `landmarks` [m] of the right hand. Put your
-tracker in the place of `samples`, and your driver in the place of `print`.
+tracker in the place of `samples`, and your driver in the place of `print`. If it reads encoders,
+give their joints as `measured_q` too: the hand then holds what it meets.
 """
 
 import sys

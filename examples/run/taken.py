@@ -25,12 +25,14 @@ OWN = Path(__file__).with_name("run")
 
 TAKEN = """
 errors se3 options
+hands/configuration hands/pad
 human/recording human/sample
 ik/core ik/limits ik/options ik/qp ik/tasks ik/collision
 mapping/alignment mapping/decomposition mapping/estimation mapping/exclusive mapping/mapper
 mapping/method mapping/palm mapping/robot_mapper
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
-stream/follower stream/following stream/guard stream/robot_follower stream/step_table
+stream/closing_pads stream/follower stream/following stream/grip stream/guard stream/hand_grip
+stream/object_place stream/robot_follower stream/step_table
 trackers/hand_geometry trackers/plausibility trackers/wrist_axes
 client/__init__ client/messages
 """

@@ -39,8 +39,8 @@ from .library import robot_files as robot_files
 from .library import sided_name as sided_name
 from .library import why_missing as why_missing
 from .model import read_mimic_rules as read_mimic_rules
-from .pads import Pad as Pad
-from .pads import PadPair as PadPair
+from .pad import Pad as Pad
+from .pad import PadPair as PadPair
 from .pads import ball_in as ball_in
 from .pads import find_pads as find_pads
 from .robot import BASE as BASE

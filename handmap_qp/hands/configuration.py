@@ -31,7 +31,7 @@ def moved_by(model: pin.Model, joints: Sequence[int]) -> Array:
     """
     # Parents have smaller indices than their children.
     is_support = np.eye(model.njoints)
-    for joint, parent in enumerate(model.parents.tolist()[1:], start=1):
+    for joint, parent in enumerate([*model.parents][1:], start=1):
         is_support[joint] += is_support[parent]
     owners = np.repeat(np.arange(model.njoints), model.nvs)
     return is_support[[*joints]][:, owners]

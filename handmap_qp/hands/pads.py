@@ -3,10 +3,8 @@
 A description names them, or they are found in the collision shapes.
 """
 
-import math
 from collections import defaultdict
 from functools import lru_cache
-from typing import NamedTuple
 
 import coal
 import msgspec
@@ -14,8 +12,9 @@ import numpy as np
 
 from handmap_qp.se3 import Array, transform_points, unit
 from .collision_shapes import read_collision_shapes
-from .fingers import Finger, Place, find_fingers, place_of
+from .fingers import Finger, find_fingers, place_of
 from .hand import Hand
+from .pad import Pad
 from .spec import PointSpec
 
 # A fingertip that lies deeper under its surface than this is the middle of a round tip [m].
@@ -32,49 +31,6 @@ _SMALLEST = 0.003
 
 Surface = list[tuple[Array, float]]
 """Convex shapes: each is the hull of balls of one radius around points [m], shape (k, 3)."""
-
-
-class Pad(NamedTuple):
-    """A ball that touches a fingertip's surface from inside.
-
-    Attributes:
-        joint: Joint of the model that carries it.
-        offset: Its middle in the joint's frame [m], shape (3,).
-        radius: Its radius [m].
-        cover: How far a pad of the description rises above the collision shapes [m], as a soft
-            cover does that the URDF does not have.
-    """
-
-    joint: int
-    offset: Array
-    radius: float
-    cover: float = 0.0
-
-    @property
-    def place(self) -> Place:
-        """Its middle."""
-        return self.joint, self.offset
-
-
-class PadPair(NamedTuple):
-    """The pads of a thumb and a finger."""
-
-    thumb: Pad
-    finger: Pad
-
-    def gap(self, places: Array) -> float:
-        """Return the distance between their surfaces, < 0 for pads in each other [m].
-
-        Args:
-            places: Their middles [m], shape (2, 3).
-        """
-        return math.dist(*places) - self.thumb.radius - self.finger.radius
-
-    def middle(self, places: Array) -> Array:
-        """Return the point midway between their surfaces [m], shape (3,); see `gap`."""
-        thumb, finger = places
-        farther = self.thumb.radius - self.finger.radius
-        return (thumb + finger + farther * unit(finger - thumb)) / 2.0
 
 
 def find_pads(hand: Hand) -> dict[str, Pad]:

@@ -7,6 +7,7 @@ medians over 0.1 s first, which single outliers and noise hardly move.
 
 import math
 from collections import deque
+from itertools import repeat
 
 import numpy as np
 
@@ -100,7 +101,8 @@ class ContactGapMeter:
 
     def __init__(self, gap: float) -> None:
         self.gap = gap
-        self._recent: deque[tuple[float, list[float]]] = deque()
+        # The instants of recent samples, their gaps, and the least one of each.
+        self._recent: deque[tuple[float, list[float], float]] = deque()
         self._touches: deque[float] = deque(maxlen=_TOUCHES[1])
         self._least = math.inf
         self._is_due = False
@@ -117,14 +119,15 @@ class ContactGapMeter:
         """
         # For so few numbers, numpy takes twice as long as plain floats.
         thumb, *tips = landmarks[TIPS, :].tolist()
-        self._recent.append((time, [math.dist(thumb, tip) for tip in tips]))
+        gaps = [*map(math.dist, repeat(thumb), tips)]
+        self._recent.append((time, gaps, min(gaps)))
         while not 0.0 <= time - self._recent[0][0] <= _MEDIAN_TIME:
             self._recent.popleft()
         if len(self._recent) < 3:
             return False
-        rows = [gaps for _, gaps in self._recent]
+        _, rows, least = zip(*self._recent, strict=True)
         is_waiting = self._least == math.inf and not self._is_due
-        if is_waiting and min(map(min, rows)) >= TOUCH_GAP:
+        if is_waiting and min(least) >= TOUCH_GAP:
             # No median is below the least number, so no touch begins.
             return False
         columns = map(sorted, zip(*rows, strict=True))

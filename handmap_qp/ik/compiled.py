@@ -4,17 +4,36 @@ The core (`handmap_qp/core`, C++) does what `handmap_qp.ik.qp`, `limits` and `co
 rounding: they are its readable reference. It has kinematics, distances and a QP solver of its own.
 """
 
+import warnings
 from functools import lru_cache
 from typing import Any, get_args
 
+from handmap_qp.errors import MissingCoreWarning
 from handmap_qp.hands import Hand
-from .core import core
+from .core import core, problem
 from .limits import Gate
 from .options import IkOptions
 from .qp import Status
 
 STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""
+
+
+def _warn_of_missing_core() -> None:
+    """Warn that Python maps although nobody asked for that, once in a program."""
+    # Few need it.
+    import multiprocessing
+
+    # Workers have the installation of the process that started them, which has warned. They import
+    # its main module before they know their parent, but have a name of their own.
+    if multiprocessing.current_process().name == "MainProcess":
+        slow = "Python maps, some hundred times slower"
+        message = f"{slow}: {problem}, or set HANDMAP_PURE=1"
+        warnings.warn(message, MissingCoreWarning, stacklevel=2)
+
+
+if problem:
+    _warn_of_missing_core()
 
 
 @lru_cache(maxsize=16)

@@ -12,6 +12,10 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
+_AGAIN = (
+    "install handmap_qp again with a C++ compiler, such as g++ (`make` in a checkout)"
+)
+
 
 def fingerprint() -> str:
     """Return a fingerprint of the core's sources; empty in a wheel, which has none."""
@@ -21,21 +25,22 @@ def fingerprint() -> str:
     return f"{zlib.crc32(content):08x}" if content else ""
 
 
-def _load() -> tuple[Any, str]:
+def _load() -> tuple[Any, str, str]:
     if os.environ.get("HANDMAP_PURE", "") not in ("", "0"):
-        return None, "Python path: HANDMAP_PURE is set"
-    again = "install handmap_qp again with a C++ compiler, such as g++"
+        return None, "Python path: HANDMAP_PURE is set", ""
     try:
         found = importlib.import_module("handmap_qp._core")
     except ImportError as error:
-        return None, f"Python path: no compiled core ({error}); {again}"
-    if fingerprint() not in ("", found.SOURCES):
-        return None, f"Python path: the core is older than its sources; {again}"
-    return found, "compiled core"
+        problem = f"no compiled core ({error}); {_AGAIN}"
+    else:
+        if fingerprint() in ("", found.SOURCES):
+            return found, "compiled core", ""
+        problem = f"the core is older than its sources; {_AGAIN}"
+    return None, f"Python path: {problem}", problem
 
 
-core, description = _load()
-"""The core, or None; which path runs, and why, in words."""
+core, description, problem = _load()
+"""The core, or None; which path runs, and why; and why it is not the one that is wanted."""
 
 
 def in_core(reference: T) -> T:

@@ -248,8 +248,8 @@ StepStatus = Status | Literal["held", "gliding"]
 """Outcome of a step: that of the inverse kinematics, or that of the tracker's samples."""
 
 
-# A wrist this near its target has arrived [m].
-_ARRIVED = IkOptions().point_tolerance
+# A wrist this near its target has arrived [m, rad].
+_ARRIVED, _ARRIVED_TURN = (IkOptions().point_tolerance / WRIST_LEVERS).tolist()
 
 
 def arm_held_by(hand: Hand, at_speed_limit: Array, at_limit: Array) -> Array:
@@ -263,9 +263,8 @@ def arm_held_by(hand: Hand, at_speed_limit: Array, at_limit: Array) -> Array:
         at_limit: Whether it is at a position limit, shape (T, n).
     """
     arm = hand.moves_wrist
-    by_speed, by_limit = (
-        of[..., arm].any(axis=-1) for of in (at_speed_limit, at_limit)
-    )
+    by_speed = at_speed_limit[..., arm].any(axis=-1)
+    by_limit = at_limit[..., arm].any(axis=-1)
     return np.where(by_speed, "speed", np.where(by_limit, "limit", "reach"))
 
 
@@ -474,7 +473,9 @@ class MapStep(ArrayStruct, frozen=True):
         if self.stages.status in ("released", "failed"):
             return ""
         summary = self.stages.summary
-        if (np.array(summary.wrist_error) * WRIST_LEVERS).max() <= _ARRIVED:
+        # For two numbers, numpy takes many times as long. Neither is NaN if both have arrived.
+        off, turned = summary.wrist_error
+        if off <= _ARRIVED and turned <= _ARRIVED_TURN:
             return ""
         hand = self.ik.hand
         if not hand.moves_wrist.any():

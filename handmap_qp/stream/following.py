@@ -82,5 +82,11 @@ class FollowingCheck:
 
     def is_lost(self, now: float) -> bool:
         """Return whether a joint does not follow, or measurements stay away for over 150 ms."""
-        since = min(self._off_since.min() + self._patience, self._heard + _SILENCE)
-        return self._is_limited and now >= since
+        return now >= self.lost_at
+
+    @property
+    def lost_at(self) -> float:
+        """When the robot is lost if it is not measured until then, on the calls' clock [s]."""
+        if not self._is_limited:
+            return math.inf
+        return min(self._off_since.min() + self._patience, self._heard + _SILENCE)

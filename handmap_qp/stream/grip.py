@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from msgspec import structs
@@ -16,12 +16,16 @@ from numpy.typing import ArrayLike
 from handmap_qp.errors import expect
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample
-from handmap_qp.mapping import MapStep, RobotStep, Stages
+from handmap_qp.mapping import MapStep, Stages
 from handmap_qp.se3 import Array, as_floats
 from .follower import Follower, further_terms, map_with
 from .hand_grip import GripOptions, HandGrip, can_grip
 from .object_place import PLACE_DEVIATION
-from .robot_follower import RobotFollower
+
+if TYPE_CHECKING:
+    # Most programs have one hand.
+    from handmap_qp.mapping import RobotStep
+    from .robot_follower import RobotFollower
 
 S = TypeVar("S", bound=MapStep)
 
@@ -211,9 +215,9 @@ def gripping(
     Raises:
         InvalidInputError: As of `GripFollower` and `RobotGripFollower`.
     """
-    if isinstance(follower, RobotFollower):
-        return RobotGripFollower(follower, grip)
-    return GripFollower(follower, grip)
+    if isinstance(follower, Follower):
+        return GripFollower(follower, grip)
+    return RobotGripFollower(follower, grip)
 
 
 def _checked(

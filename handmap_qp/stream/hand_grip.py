@@ -18,6 +18,7 @@ import numpy as np
 from handmap_qp.hands import THUMB, Hand, PadPair
 from handmap_qp.ik import AttachedPoints, JointPositions, Task
 from handmap_qp.mapping import HandMapper, MapStep, robot_fingers
+from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
 from handmap_qp.options import Options, Positive
 from handmap_qp.se3 import Array, lengths, smoothstep, unit
 from .closing_pads import ClosingPads, FingerPads
@@ -116,7 +117,7 @@ def has_grasp(robot: Hand) -> bool:
 
 
 def _has_pinches(mapper: HandMapper) -> bool:
-    return hasattr(mapper.method, "pinch_weight")
+    return isinstance(mapper.bound, BoundTeleoperation)
 
 
 class HandGrip:

@@ -22,6 +22,7 @@ from patience import PATIENCE, kept_going, wait_until
 from service_tools import address_of, client_of, connected, human_q, in_loop, serving
 
 from handmap_qp import cli
+from handmap_qp.apps.datasets.robot_log import read_robot_log
 from handmap_qp.apps.service.server import Server
 from handmap_qp.client import Client
 
@@ -189,8 +190,9 @@ def test_motors_that_are_reset_are_a_stop(chain: Chain) -> None:
     assert not chain.has_torque
 
 
-def test_the_session_hears_where_the_joints_are(chain: Chain) -> None:
-    chain.start("--no-deadman")
+def test_the_session_hears_where_the_joints_are(chain: Chain, tmp_path: Path) -> None:
+    file = tmp_path / "take.npz"
+    chain.start("--no-deadman", "--log", str(file), "--task", "wave")
     chain.wait_for(torque=True)
     with client_of(chain.server) as page:
         page.watch("lab")
@@ -205,9 +207,14 @@ def test_the_session_hears_where_the_joints_are(chain: Chain) -> None:
     # Ctrl-Z does not freeze it with a goal on its way.
     assert chain.process is not None
     chain.process.send_signal(signal.SIGTSTP)
-    code, _, _ = chain.end()
+    code, _, err = chain.end()
     assert code == 0
     assert not chain.has_torque
+    # Motors that had no time to arrive leave no log, and say so.
+    if "is not written" not in err:
+        log = read_robot_log(file)
+        assert (log.task, log.robot) == ("wave", "servos")
+        assert len(log.joint_names) == 8
 
 
 def test_motors_move_only_while_the_space_bar_is_held(chain: Chain) -> None:
@@ -280,6 +287,7 @@ def test_motors_of_a_command_that_is_killed_stop_themselves(chain: Chain) -> Non
         (["--effort", "nan", "--no-deadman"], "--effort: expected a share, 0 to 1"),
         (["--down", "0", "0", "0"], "--down: expected a direction"),
         (["--down", "0", "0", "1"], "--down: expected --tuning too"),
+        (["--log", "take.csv"], "--log: expected a file that ends in .npz"),
         ([], "--no-deadman: expected a terminal whose space bar"),
         (["--from", "HERE", "other"], "SESSION: "),
     ],

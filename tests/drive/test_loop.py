@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 from typing import get_args
 from unittest.mock import Mock, patch
 
@@ -22,7 +23,9 @@ from handmap_drive.drive import (
 )
 from handmap_drive.driver import DriverError, Health
 from handmap_drive.gate import APPROACH
+from handmap_drive.recorder import Recorder
 
+from handmap_qp.apps.datasets.robot_log import read_robot_log
 from handmap_qp.client import Command
 from handmap_qp.errors import InvalidInputError
 
@@ -81,10 +84,15 @@ def command(a: float = 0.0, b: float = 0.0, **more: object) -> Command:
 class Drive:
     """A loop and its motors, with a clock of its own."""
 
-    def __init__(self, first: Command, motors: Motors | None = None) -> None:
+    def __init__(
+        self,
+        first: Command,
+        motors: Motors | None = None,
+        recorder: Recorder | None = None,
+    ) -> None:
         self.motors = motors or Motors()
         with patch("handmap_drive.drive.monotonic", return_value=0.0):
-            self.loop = Loop(self.motors, first, EFFORT, 60.0)
+            self.loop = Loop(self.motors, first, EFFORT, 60.0, None, recorder)
         self.now = 0.0
 
     def go(
@@ -405,3 +413,33 @@ def test_the_summary_is_of_what_was_driven(drive: Drive) -> None:
     assert rows["following error, largest [rad]"] == 0.0
     assert rows["turns"] == len(drive.motors.written)
     assert rows["stops"] == 0
+
+
+def test_a_log_has_what_joints_did_while_they_followed(tmp_path: Path) -> None:
+    recorder = Recorder(NAMES)
+    drive = Drive(command(a=0.2, b=0.5), recorder=recorder)
+    drive.go(3.0, command(a=0.2, b=0.5))
+    # The key is let go, and the way back is an approach.
+    drive.go(0.5, command(a=0.2, b=0.5), held=False)
+    drive.go(3.0, command(a=0.3, b=0.5))
+    recorder.save(tmp_path / "take.npz", "leap", "lift a cup")
+    log = read_robot_log(tmp_path / "take.npz")
+    assert (log.joint_names, log.robot, log.task) == (NAMES, "leap", "lift a cup")
+    # Goals that have arrived: no row is of an approach.
+    assert np.abs(log.q - log.action).max() < 0.01
+    numbers = np.unique(log.episode)
+    assert len(numbers) == 2
+    for number, told in zip(numbers, (0.2, 0.3), strict=True):
+        own = log.episode == number
+        np.testing.assert_allclose(log.action[own][-1], [0.5, told], atol=1e-6)
+        assert np.diff(log.time[own]).max() == pytest.approx(0.01)
+    # Motors say shares of their torque, and nobody knows how much that is.
+    assert not log.known_efforts.any()
+
+
+def test_a_log_without_a_motion_is_not_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    Recorder(NAMES).save(tmp_path / "take.npz", "leap")
+    assert "take.npz is not written" in capsys.readouterr().err
+    assert not [*tmp_path.iterdir()]

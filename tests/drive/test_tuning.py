@@ -21,6 +21,7 @@ from handmap_drive.drive import Loop
 from handmap_drive.driver import DriverError, Health
 from handmap_drive.fit import fit_encoders, fit_joint
 from handmap_drive.gate import APPROACH, Gate
+from handmap_drive.joint_map import Direct
 from handmap_drive.motion import Log, Motion
 from handmap_drive.pinches import plan_pinches
 from handmap_drive.ritual import find_tuning
@@ -760,3 +761,13 @@ def test_a_session_is_told_the_stiffness_of_tuned_joints(
         assert capsys.readouterr().err == ""
         tell_stiffness(driver, file)
         assert "stiffness of the joints" in capsys.readouterr().err
+
+
+def test_torques_are_known_where_weights_told_the_largest() -> None:
+    # A share of the largest per N m: the largest is half a newton metre.
+    known = msgspec.structs.replace(JOINT, weight=2.0)
+    motors = Played(known, STIFF)
+    joints = Compensated(motors, Tuning({"b": known, "a": STIFF}))
+    found = joints.torques(np.array([-0.3, 0.3]))
+    np.testing.assert_allclose(found, [-0.15, np.nan])
+    assert np.isnan(Direct(motors).torques(np.array([0.1, 0.2]))).all()

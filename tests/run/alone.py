@@ -2,6 +2,8 @@
 
     python alone.py FOLDER        # CASE.hand and CASE.SIDE.npz become CASE.out.npz
 
+CASE.measured.npy has the joints that are measured before each sample, for a case that grips.
+
 Nothing that a robot's computer lacks can be imported. Prints one JSON object: versions, CPU times
 and the modules that were imported. Runs with numpy 1.26 as well.
 """
@@ -9,6 +11,7 @@ and the modules that were imported. Runs with numpy 1.26 as well.
 import json
 import sys
 import time
+from itertools import repeat
 from pathlib import Path
 
 ABSENT = (
@@ -63,13 +66,24 @@ def samples_of(file, kind):
         yield samples if len(hands) > 1 else next(iter(samples.values()))
 
 
-def columns_of(follow, samples):
+def measured_of(file):
+    """Return what a follower is told of the robot before each sample, by name."""
+    import numpy as np
+
+    measured = file.with_suffix(".measured.npy")
+    if not measured.exists():
+        return repeat({})
+    return [{"measured_q": q} for q in np.load(measured)]
+
+
+def columns_of(follow, samples, measured):
     """Return what a follower commands for the samples of a case, as columns by name."""
     import numpy as np
 
-    rows, every_margin = [], []
-    for sample in samples:
-        step = follow(sample)
+    rows, every_margin, every_effort = [], [], []
+    # Measurements repeat without end where there are none.
+    for sample, told in zip(samples, measured):  # noqa: B905
+        step = follow(sample, **told)
         said = []
         for part in (step, *getattr(step, "hands", {}).values()):
             problem = part.finding.problem if part.finding else ""
@@ -78,9 +92,14 @@ def columns_of(follow, samples):
             about = str(part.is_held), str(part.is_gliding), str(len(margins))
             said += [part.status, part.rule, problem, *about]
             every_margin.extend(margins)
-        rows.append((step.command.q, step.command.wrist, step.targets, said))
+        command = step.command
+        effort = np.zeros(0) if command.effort is None else command.effort
+        said.append(str(len(effort)))
+        every_effort.extend(effort)
+        rows.append((command.q, command.wrist, step.targets, said))
     columns = map(np.array, zip(*rows, strict=True))
     found = dict(zip(("q", "wrist", "targets", "said"), columns, strict=True))
+    found["effort"] = np.array(every_effort)
     return found | {"margins": np.array(every_margin)}
 
 
@@ -102,7 +121,7 @@ def main(folder):
         loaded = time.process_time()
         samples = [*samples_of(file, handmap_run.HumanSample)]
         began = time.process_time()
-        columns = columns_of(follow, samples)
+        columns = columns_of(follow, samples, measured_of(file))
         each = 1e6 * (time.process_time() - began) / len(samples)
         times["robot" if is_robot else "hand"].append((loaded - started, each))
         np.savez(file.with_suffix(".out.npz"), **columns)

@@ -20,6 +20,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from faulty_recordings import DEMO
+from grip_cases import HUMAN as GRIPPING
+from grip_cases import grip_follower, pick, run
 from limit_judge import HUMANS, in_turns, judge, samples_of, without
 from run_cases import (
     ALONE,
@@ -32,7 +34,6 @@ from run_cases import (
     recording_with,
     robot_mapper_of,
     write_case,
-    write_package,
 )
 
 import handmap_qp
@@ -62,14 +63,6 @@ ROBOTS = {"g1": "teleoperation", "ur5_pair": "paper"}
 PINCH = next(both_hands())
 
 
-@pytest.fixture(scope="session")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make the package importable, beside `handmap_qp`."""
-    folder = write_package(tmp_path_factory.mktemp("site"))
-    sys.path.insert(0, str(folder))
-    return folder
-
-
 def test_it_follows_alone_as_the_library_does(site: Path, tmp_path: Path) -> None:
     # Every fault with one hand, and every hand and method with one fault.
     cases = {f"fault{i}": (*CASES[0], fault) for i, fault in enumerate(FAULTS)}
@@ -81,6 +74,11 @@ def test_it_follows_alone_as_the_library_does(site: Path, tmp_path: Path) -> Non
     for name, preset in ROBOTS.items():
         mappers[name] = robot_mapper_of(name, preset, PINCH)
         write_case(tmp_path, name, mappers[name], *PINCH.values())
+    # A pick whose joints stay behind: the hand grips.
+    mappers["grip"] = HandMapper(GRIPPING, load_hand("allegro_right"), "teleoperation")
+    write_case(tmp_path, "grip", mappers["grip"], pick(opens=True))
+    ran = run(grip_follower(load_hand("allegro_right")), opens=True)
+    np.save(tmp_path / "grip.measured.npy", [measured for _, measured in ran])
     words = [sys.executable, str(ALONE), str(tmp_path)]
     variables = {"PATH": os.environ["PATH"], "PYTHONPATH": str(site)}
     done = subprocess.run(
@@ -96,6 +94,7 @@ def test_it_follows_alone_as_the_library_does(site: Path, tmp_path: Path) -> Non
         allowed = 1e-9 if name in ROBOTS else 1e-12
         assert difference(found, expected) <= allowed, (name, cases.get(name))
         said |= {*found["said"][:, 2]}
+        assert found["effort"].any() == (name == "grip")
     assert len(said) > 4, said
     assert {"numpy", "msgspec"} <= {*json.loads(done.stdout)["modules"]}
 

@@ -33,7 +33,14 @@ from handmap_qp.apps.service.sessions import LEASE, Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.apps.service.websocket import _from_json
-from handmap_qp.client.messages import PROTOCOL, Command, Error, Request, Status
+from handmap_qp.client.messages import (
+    PROTOCOL,
+    Command,
+    Error,
+    Measured,
+    Request,
+    Status,
+)
 
 
 class Desk:
@@ -95,6 +102,52 @@ def test_of_samples_that_come_together_the_newest_is_mapped() -> None:
         assert [command["time"] for command in here.published] == [19.0]
         assert here.sessions.named("lab").counts == {"steps": 1}
         assert here.metrics.counts["replaced"] == 19
+
+
+def test_the_next_look_is_when_a_watchdog_may_act() -> None:
+    with desk({}, watchdog=0.25, max_dt=0.04) as here:
+        # Before the first sample, a robot that was led before may have to brake.
+        assert here.dispatcher.tick() <= 0.0
+        sample = Sampler()
+        here.take(sample())
+        # The next sample may be two periods late before the robot brakes.
+        assert here.dispatcher.tick() == pytest.approx(0.08)
+        here.now += 0.077
+        published = len(here.published)
+        assert here.dispatcher.tick() == pytest.approx(0.003)
+        assert len(here.published) == published
+        here.now += 1.0
+        assert here.dispatcher.tick() < 0.0
+        assert here.published[-1]["status"] == "hold"
+        here.take(sample(1.0))
+        assert here.dispatcher.tick() == pytest.approx(0.08)
+        # A second session that is not led is looked at as often as it needs.
+        other = make_session()
+        request = msgspec.structs.replace(other.request, session="x" * 20)
+        other.request = request
+        here.sessions.by_secret[request.session] = other
+        assert here.dispatcher.tick() <= 0.0
+
+
+def test_without_a_session_nothing_is_due() -> None:
+    here = Desk()
+    assert here.dispatcher.tick() == np.inf
+    here.sessions.close()
+
+
+@pytest.mark.parametrize("error", [None, 0.2])
+def test_a_robot_that_may_be_lost_is_looked_at_in_time(error: float | None) -> None:
+    with desk({}, watchdog=5.0, max_dt=1.0, following_error=error) as here:
+        sample = Sampler()
+        here.take(sample())
+        (session,) = here.sessions.by_secret.values()
+        q = session.posture[0]
+        told = Measured(
+            protocol=PROTOCOL, seq=99, session=SECRET, measured_q=tuple(q.tolist())
+        )
+        here.take(told)
+        # Measurements that stay away for 150 ms are a loss where errors count.
+        assert here.dispatcher.tick() == pytest.approx(0.15 if error else 2.0)
 
 
 def test_rates_are_capped_for_each_connection_and_recover() -> None:

@@ -7,13 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from grip_cases import WIDTH, Blocked, gap_of, grip_follower, run, samples
-from picks import made_pick
+from grip_cases import (
+    WIDTH,
+    Blocked,
+    BlockedHands,
+    both_hands,
+    gap_of,
+    grip_follower,
+    run,
+    samples,
+)
 
-from handmap_qp import Hand, load_hand
+from handmap_qp import load_hand
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.robot import load_robot
-from handmap_qp.human.recording import sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
 from handmap_qp.stream.grip import RobotGripFollower
@@ -52,38 +59,6 @@ def test_jaws_around_nothing_grip_nothing() -> None:
         assert step.command.effort is None
 
 
-class BlockedHands:
-    """A robot each of whose hands is `Blocked`; joints of the arms go where they are told."""
-
-    def __init__(self, robot: Hand, widths: dict[str, float]) -> None:
-        self.robot = robot
-        self.q = robot.rest.copy()
-        self.widths = widths
-
-    def follow(self, q: np.ndarray) -> None:
-        robot = self.robot
-        moved = q.copy()
-        for (side, hand), own in zip(
-            robot.by_side.items(), robot.finger_joints, strict=True
-        ):
-            if gap_of(hand, q) < self.widths[side]:
-                moved[own] = self.q[own]
-        self.q = moved
-
-
-def both(opens: bool = False) -> list[dict[Any, HumanSample]]:
-    """A pick by both hands at once."""
-    columns = {side: sample_columns(made_pick(side)) for side in ("left", "right")}
-    order = [*range(110)] + [*range(109, -1, -1)] * opens
-    found = []
-    for k, i in enumerate(order):
-        hands = {side: each.sample(i) for side, each in columns.items()}
-        for side, sample in hands.items():
-            hands[side] = HumanSample(k / 60.0, sample.side, sample.landmarks)
-        found.append(hands)
-    return found
-
-
 def robot_grip(**options: Any) -> RobotGripFollower:
     mapper = RobotMapper(load_robot("ur5_pair"))
     return RobotGripFollower(RobotFollower(mapper), GripOptions(**options))
@@ -95,7 +70,7 @@ def gripped(
     robot = grip.follower.mapper.robot
     plant = BlockedHands(robot, widths)
     steps = []
-    for hands in both(opens):
+    for hands in both_hands(opens):
         steps.append(grip.map_samples(hands, plant.q))
         plant.follow(steps[-1].command.q)
     return steps
@@ -136,7 +111,7 @@ def test_both_hands_of_a_robot_grip_at_once() -> None:
     # Both are told another force at once.
     grip.grip = GripOptions(force=1.5)
     again = copy.deepcopy(grip)
-    last = both()[-1]
+    last = both_hands()[-1]
     later = {s: HumanSample(2.0, x.side, x.landmarks) for s, x in last.items()}
     halved = again.map_samples(later, None).command.effort
     assert halved is not None
@@ -149,7 +124,7 @@ def test_a_robot_that_meets_nothing_follows_as_without_a_grip() -> None:
     plain = RobotFollower(RobotMapper(load_robot("ur5_pair")))
     robot = plain.mapper.robot
     plant = BlockedHands(robot, {"left": -1.0, "right": -1.0})
-    for hands in both():
+    for hands in both_hands():
         step = grip.map_samples(hands, plant.q)
         plant.follow(step.command.q)
         assert step.command.effort is None

@@ -23,8 +23,10 @@ from handmap_qp.apps.tables import print_result
 from handmap_qp.client import Client, ServiceError
 from handmap_qp.errors import expect, warn
 from handmap_qp.hands import load_hand
+from handmap_qp.output_files import check_output
 from .drive import HOTTEST, Loop
 from .driver import Driver
+from .recorder import Recorder
 from .running import Effort, MotorsFile, effort_of, find_driver, stopping
 from .space import Space, Vector
 from .tuning import Compensated, read_tuning
@@ -106,6 +108,7 @@ class Drive:
         handmap drive lab --driver leap --port /dev/ttyUSB0 --effort 0.1
         handmap drive lab --driver servos --motors mine.yaml --port /dev/ttyACM0
         handmap drive lab --driver leap --port /dev/ttyUSB0 --tuning my_leap.yaml
+        handmap drive lab --driver leap --port /dev/ttyUSB0 --log cups.npz --task "lift a cup"
 
     Attributes:
         session: Public name of the session.
@@ -120,6 +123,9 @@ class Drive:
         effort: Limit of the torque, a share of the motors' largest.
         temperature: Largest temperature of a motor [degrees Celsius].
         deadman: Whether motors move only while the space bar is held.
+        log: File to write what the joints did while they followed, for `handmap convert`: measured
+            and commanded angles, and with --tuning torques [N m].
+        task: What is done, in words, for the log.
         keys: For an encrypted service, the files NAME.key_secret and server.key.
         json: Print the summary as one JSON object instead of a table.
     """
@@ -134,6 +140,8 @@ class Drive:
     effort: Effort = None
     temperature: float = HOTTEST
     deadman: bool = True
+    log: Annotated[Path | None, hinted("FILE.npz", "(default: none)")] = None
+    task: str = ""
     keys: KeyFiles = None
     json: bool = False
 
@@ -146,6 +154,7 @@ class Drive:
             expect(self.tuning is not None, "--down", "--tuning too")
         is_limit = self.temperature > 0.0
         expect(is_limit, "--temperature", "more than 0", value=self.temperature)
+        log = check_output("--log", self.log, (".npz",)) if self.log else None
         with connected("--from", self.source, self.keys, refused="SESSION") as client:
             client.watch(self.session)
         key = held_key() if self.deadman else nullcontext(lambda: True)
@@ -160,10 +169,13 @@ class Drive:
             driver.connect()
             if self.tuning:
                 tell_stiffness(client, self.tuning)
-            loop = Loop(driver, command, effort, self.temperature, joints)
+            recorder = Recorder(driver.joint_names) if log else None
+            loop = Loop(driver, command, effort, self.temperature, joints, recorder)
             try:
                 with stopping(driver) as over:
                     loop.run(client, is_held, over)
             finally:
+                if recorder and log:
+                    recorder.save(log, self.driver, self.task)
                 rows = loop.summary()
                 print_result(rows, {self.driver: rows}, as_json=self.json)

@@ -15,6 +15,7 @@ from handmap_qp.hands import Values
 from .driver import Driver, DriverError, check_places, insisting
 from .gate import Gate
 from .joint_map import Direct, JointMap
+from .recorder import Recorder
 
 SILENCE = 0.08
 """Time without a command after which motors only hold [s]."""
@@ -88,6 +89,7 @@ class Loop:
         effort: Limit of the torque, a share of the largest.
         hottest: Largest temperature of a motor [degrees Celsius].
         joints: Maps joints to motors; joints do what motors are told if omitted.
+        recorder: Keeps what joints do while they follow; nothing is kept if omitted.
 
     Attributes:
         state: What the loop does with the motors.
@@ -104,13 +106,15 @@ class Loop:
         effort: float,
         hottest: float,
         joints: JointMap | None = None,
+        recorder: Recorder | None = None,
     ) -> None:
         self._driver = driver
+        self._recorder = recorder
         self._gate = Gate(driver)
         self._joints = joints or Direct(driver)
         self._effort = effort
         self._hottest = hottest
-        q, _, health = insisting(self._gate.read)
+        q, self._torque, health = insisting(self._gate.read)
         health.check(driver.joint_names, hottest)
         self._q = self._joints.angles(q)
         check_places(self._q, driver.joint_names, self._joints.range)
@@ -216,7 +220,7 @@ class Loop:
         """
         self._is_read = False
         try:
-            q, _, health = self._gate.read()
+            q, torque, health = self._gate.read()
         except DriverError:
             self._unread += 1
             if now - self._answered > UNANSWERED:
@@ -225,6 +229,7 @@ class Loop:
         self._is_read = True
         self._answered = now
         self._q = self._joints.angles(q)
+        self._torque = torque
         health.check(self._driver.joint_names, self._hottest)
 
     def act(self, now: float, *, is_held: bool = True) -> None:
@@ -239,6 +244,8 @@ class Loop:
         self._report(problem)
         before = self.state
         self.state = self._find_state(problem, now)
+        if self._recorder and self.state is not before:
+            self._recorder.begin()
         if self.state is State.STOPPED:
             self._stops += before is not State.STOPPED
             self._gate.stop()
@@ -310,7 +317,11 @@ class Loop:
     def _write(self, now: float) -> None:
         """Move the motors on towards the commands."""
         share = HOLDING if self.state is State.HOLDING else 1.0
-        target = self._joints.command(self._path(now))
+        asked = self._path(now)
+        if self._recorder and self.state is State.FOLLOWING:
+            effort = self._joints.torques(self._torque)
+            self._recorder.add(now, self._q, asked, effort)
+        target = self._joints.command(asked)
         goal = self._gate.write(target, share * self._effort, now)
         self._expected = self._joints.reached(goal)
 

@@ -2,6 +2,8 @@
 
 from typing import Protocol
 
+import numpy as np
+
 from handmap_qp.se3 import Array
 from .driver import Driver
 
@@ -26,6 +28,9 @@ class JointMap(Protocol):
 
     def angles(self, q: Array) -> Array:
         """Return the angles of joints by those that motors tell [rad], shapes (n,)."""
+
+    def torques(self, share: Array) -> Array:
+        """Return the torques of joints by shares of the largest, NaN if not known [N m], (n,)."""
 
 
 class Direct:
@@ -52,3 +57,7 @@ class Direct:
     def angles(self, q: Array) -> Array:
         """See `JointMap`."""
         return q
+
+    def torques(self, share: Array) -> Array:
+        """See `JointMap`."""
+        return np.full_like(share, np.nan, dtype=float)

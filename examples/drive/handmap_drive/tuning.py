@@ -307,6 +307,11 @@ class Compensated:
         """See `JointMap`."""
         return q + self._joints.encoder
 
+    def torques(self, share: Array) -> Array:
+        """See `JointMap`; known of joints whose links have shown how much they weigh."""
+        weight = self._joints.weight
+        return share / np.where(weight > 0.0, weight, np.nan)
+
 
 class Delayed:
     """Returns values as they were some turns ago, on straight lines between turns.

@@ -8,6 +8,11 @@ It needs numpy (1.26 or later), msgspec and pyzmq. What follows here follows in 
     step = follower.map_sample(HumanSample(time, "right", landmarks))
     step.command.q                                  # in the order of step.command.joint_names
 
+With the joints that its encoders measure, the hand holds what it meets, by torques that it says:
+
+    step = follower.map_sample(sample, measured_q=motors.read())
+    step.command.effort                             # [N m or N]; None without a grip
+
 `handmap_run.client` is the client of the mapping service.
 """
 
@@ -21,10 +26,12 @@ from handmap_qp.errors import (
 )
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.stream.follower import Follower, Smoothing
+from handmap_qp.stream.hand_grip import GripOptions
 from .saved import load, load_robot
 
 __all__ = [
     "Follower",
+    "GripOptions",
     "HandError",
     "HandmapError",
     "HumanSample",

@@ -6,28 +6,35 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from handmap_qp import __version__, mapping, stream
+from handmap_qp import __version__, mapping
 from handmap_qp.errors import HandError
+from handmap_qp.hands.pad import Pad
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import PointDistances
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.methods import homogeneous, teleoperation
-from handmap_qp.options import Options
-from handmap_qp.stream.follower import Follower, RejoinKind, Smoothing
+from handmap_qp.stream.follower import RejoinKind, Smoothing
+from handmap_qp.stream.hand_grip import GripOptions
 from .form import HAND, KIND, ROBOT, File, decode
+from .gripping import GrippingFollower
 from .hands import KINDS, Record
 from .trackers.layouts import LAYOUTS, Layout
 
-_OPTIONS: dict[str, type[Options]] = {
+if TYPE_CHECKING:
+    from .robot_gripping import GrippingRobotFollower
+
+_MAKERS: dict[str, type] = {
     "Homogeneous": homogeneous.Homogeneous,
     "IkOptions": IkOptions,
+    "Pad": Pad,
     "Teleoperation": teleoperation.Teleoperation,
 }
+"""Kinds that are made of their fields by a call."""
 _KINDS: dict[str, type] = {
     "BoundHomogeneous": homogeneous.BoundHomogeneous,
     "BoundTeleoperation": teleoperation.BoundTeleoperation,
@@ -56,23 +63,26 @@ def load(
     *,
     rejoin: RejoinKind = "glide",
     smoothing: Smoothing | None = Smoothing(),
-) -> Follower:
+    grip: GripOptions | None = GripOptions(),
+) -> GrippingFollower:
     """Return a follower of a saved hand; its first sample is the reference.
 
     Args:
         path: The file.
         rejoin: As of `Follower`.
         smoothing: As of `Follower`.
+        grip: How the hand holds what it meets, where samples come with measured joints; None to
+            hold nothing.
 
     Raises:
         HandError: If the file is not a saved hand, is damaged, or is of another version.
         OSError: If it cannot be read.
-        InvalidInputError: If `smoothing` is something else.
+        InvalidInputError: If `smoothing` or `grip` is something else.
         InvalidOptionsError: If `rejoin` is.
     """
     with _opened(Path(path), HAND) as saved:
         mapper = HandMapper(saved.human, saved.robot, **_options([saved]))
-    return Follower(mapper, rejoin=rejoin, smoothing=smoothing)
+    return GrippingFollower(mapper, grip, rejoin=rejoin, smoothing=smoothing)
 
 
 def load_robot(
@@ -80,11 +90,15 @@ def load_robot(
     *,
     rejoin: RejoinKind = "glide",
     smoothing: Smoothing | None = Smoothing(),
-) -> stream.RobotFollower:
+    grip: GripOptions | None = GripOptions(),
+) -> GrippingRobotFollower:
     """Return a follower of a saved robot with two hands; arguments and errors as of `load`.
 
     The first sample of each hand is its reference.
     """
+    # Most programs have one hand.
+    from .robot_gripping import GrippingRobotFollower
+
     with _opened(Path(path), ROBOT) as saved:
         robot = saved.robot
         robot.parts = tuple(each.robot for each in saved.hands)
@@ -92,9 +106,8 @@ def load_robot(
             part.whole = robot
         humans = {each.robot.side: each.human for each in saved.hands}
         options = _options(saved.hands)
-        # Its module is imported at this first use: most programs have one hand.
         mapper = mapping.RobotMapper(robot, humans, turns_in=saved.turns_in, **options)
-    return stream.RobotFollower(mapper, rejoin=rejoin, smoothing=smoothing)
+    return GrippingRobotFollower(mapper, grip, rejoin=rejoin, smoothing=smoothing)
 
 
 def _options(hands: Sequence[Any]) -> dict[str, Any]:
@@ -154,8 +167,8 @@ def _made(value: Any) -> Any:
     kind = value.get("")
     if kind is None:
         return fields
-    if kind in _OPTIONS:
-        return _OPTIONS[kind](**fields)
+    if kind in _MAKERS:
+        return _MAKERS[kind](**fields)
     # The core knows the shapes by the names of their kinds.
     found = object.__new__(_KINDS.get(kind) or type(kind, (Record,), {}))
     vars(found).update(fields)

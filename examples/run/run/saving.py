@@ -11,9 +11,11 @@ import pinocchio as pin
 
 import handmap_qp
 from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands import Hand
 from handmap_qp.human import landmarks_at_rest
-from handmap_qp.mapping import HandMapper, RobotMapper
+from handmap_qp.mapping import HandMapper, RobotMapper, robot_fingers
 from handmap_qp.options import Options
+from handmap_qp.stream import can_grip
 from handmap_qp.trackers import LAYOUTS
 from .form import HAND, KIND, ROBOT, File, encode
 
@@ -55,6 +57,8 @@ _ATTRIBUTES = {
         human_reach reach_ratios palms is_carried regularisation
     """,
     "PalmMatch": "turn bases likeness",
+    "Pad": "joint offset radius cover",
+    "Finger": "columns is_jaw",
 }
 """What the core, the guard and the maps read of each class; both sides have the same names."""
 
@@ -107,6 +111,8 @@ def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
     if mapper.tasks or mapper.ik.tasks:
         _refuse("tasks", "further tasks are in Python alone")
     robot = _packed(mapper.robot) | {"landmarks": None, "collisions": collisions}
+    if can_grip(mapper):
+        robot["grasp"] = _grasp(mapper.robot)
     human = _packed(mapper.human) | {"landmarks": landmarks_at_rest(mapper.human)}
     orders = {
         name: np.array(layout.order("right"))
@@ -123,6 +129,19 @@ def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
         "joint_tolerance": mapper.joint_tolerance,
         "quat_order": mapper.quat_order,
         "orders": orders,
+    }
+
+
+def _grasp(robot: Hand) -> dict[str, Any]:
+    """Return what grips of a robot hand need of its fingers."""
+    fingers = robot_fingers(robot)
+    names = fingers.names
+    return {
+        "": "Grasp",
+        "names": names,
+        "has_jaws": fingers.has_jaws,
+        "pads": {name: _packed(fingers.pads[name]) for name in names},
+        "used": {name: _packed(fingers.used[name]) for name in names},
     }
 
 

@@ -8,12 +8,11 @@ file has both hands at the same instants, they are one episode. In a data set of
 that an episode lacks is at rest, and not valid.
 """
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -21,11 +20,16 @@ from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands import Hand, Names
 from handmap_qp.se3 import Array, Arrays, unit
 from handmap_qp.trackers import SIDES
-from handmap_qp.trackers.formats.hdf5 import check_room, created
-from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 from .episodes import read_episode
 from .manifest import Line
 from .sources import BOTH
+from .training_sets import (
+    Columns,
+    Episode,
+    next_frames,
+    write_lerobot,
+    write_robomimic,
+)
 
 WRIST_NAMES = (
     "wrist_x",
@@ -40,24 +44,6 @@ WRIST_NAMES = (
 _NO_WRIST = np.eye(7)[3]
 Robots = Mapping[str, Hand]
 """Robot hands by side, or a robot with two hands by `BOTH`."""
-
-
-class Episode(NamedTuple):
-    """An episode of the data set.
-
-    Attributes:
-        sources: Keys of its recordings.
-        task: What is done, in words.
-        state: States of all hands side by side, shape (N, n).
-        action: The state of the next frame, shape (N, n).
-        valid: Whether each hand was seen, shape (N, number of hands).
-    """
-
-    sources: str
-    task: str
-    state: Array
-    action: Array
-    valid: Array
 
 
 def assemble(
@@ -83,9 +69,23 @@ def assemble(
     """
     hands = dict(sorted(robots.items()))
     episodes = _episodes(lines, folder, fps, hands)
+    columns = Columns(state_names(hands), SIDES if BOTH in hands else tuple(hands))
+    robot = " and ".join(hand.name for hand in hands.values())
     if form == "robomimic":
-        return _write_robomimic(episodes, folder / "episodes.hdf5", hands)
-    return _write_lerobot(episodes, folder / "lerobot", fps, hands)
+        file = folder / "episodes.hdf5"
+        write_robomimic(episodes, file, columns, robot=robot, argument="--out")
+        return file
+    root = folder / "lerobot"
+    write_lerobot(
+        episodes,
+        root,
+        columns,
+        fps=fps,
+        robot=robot,
+        argument="--out",
+        overwrite=True,
+    )
+    return root
 
 
 def state_names(hands: Robots) -> Names:
@@ -98,66 +98,6 @@ def state_names(hands: Robots) -> Names:
             before = f"{part.side}_" if hand.parts else before
             names += [before + name for name in WRIST_NAMES]
     return tuple(names)
-
-
-def _write_lerobot(
-    episodes: Iterator[Episode], root: Path, fps: float, hands: Robots
-) -> Path:
-    names = state_names(hands)
-    features = {
-        "observation.state": Feature("float32", names),
-        "action": Feature("float32", names),
-        "observation.valid": Feature("bool", SIDES if BOTH in hands else tuple(hands)),
-    }
-    with writing_set(
-        root,
-        fps=fps,
-        features=features,
-        robot_type=_robot_names(hands),
-        argument="--out",
-        overwrite=True,
-    ) as writer:
-        for sources, task, *arrays in episodes:
-            columns = dict(zip(features, arrays, strict=True))
-            writer.add(columns, task, {"source": sources})
-    return root
-
-
-def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Robots) -> Path:
-    env = {
-        "env_name": _robot_names(hands),
-        "env_type": 2,
-        "env_kwargs": {"state_names": state_names(hands)},
-    }
-    total = 0
-    with created(path, "--out") as file:
-        data = file.create_group("data")
-        data.attrs["env_args"] = json.dumps(env)
-        for i, episode in enumerate(episodes):
-            check_room(file, 5 * episode.state.nbytes)
-            demo = data.create_group(f"demo_{i}")
-            count = len(episode.state)
-            demo.attrs.update(
-                num_samples=count, source=episode.sources, task=episode.task
-            )
-            columns = {
-                "actions": episode.action,
-                "states": episode.state,
-                "rewards": np.zeros(count),
-                "dones": (np.arange(count) == count - 1).astype(np.int64),
-                "obs/state": episode.state,
-                "obs/valid": episode.valid,
-                "next_obs/state": episode.action,
-            }
-            for name, column in columns.items():
-                demo[name] = column
-            total += count
-        data.attrs["total"] = total
-    return path
-
-
-def _robot_names(hands: Robots) -> str:
-    return " and ".join(hand.name for hand in hands.values())
 
 
 def _episodes(
@@ -200,8 +140,10 @@ def _episode(
         sources=", ".join(line.key for line, _ in pairs),
         task=line.task or folder.replace("_", " ") or "human hand motion",
         state=whole,
-        action=np.concatenate([whole[1:], whole[-1:]]),
+        action=next_frames(whole),
         valid=np.hstack(valid),
+        # A mapped recording has none: nobody has measured a robot.
+        effort=np.zeros((count, 0)),
     )
 
 

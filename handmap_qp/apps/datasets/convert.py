@@ -1,7 +1,9 @@
 """The command `handmap convert`."""
 
 import json
+import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -13,7 +15,9 @@ from handmap_qp.apps.arguments import FileSide, check_names, hinted
 from handmap_qp.errors import expect
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers import FORMATS, format_to_write, list_sources
+from handmap_qp.trackers.formats.base import RecordingFormat
 from handmap_qp.trackers.formats.mano import ENVIRONMENT
+from .robot_log import is_robot_log, read_robot_log, write_robot_logs
 
 
 @dataclass(frozen=True)
@@ -38,12 +42,16 @@ class Convert:
 
     Of these, lerobot, robomimic, egodex and mcap need `handmap-qp[files]`.
 
+    Logs of a robot (`handmap drive --log`, or a bag with joint_states and joint_commands) become
+    data sets of lerobot or robomimic: measured joints, commands, and efforts in N m where known.
+
     Examples:
         handmap convert take.npz take.csv
         handmap convert left.npz right.npz both.hdf5 --format egodex
         handmap convert episode.hdf5 lerobot_set
         handmap convert demos.hdf5 takes --format npz   (a file for each)
         handmap convert demo demo.mcap
+        handmap convert drive.npz robot_set --fps 30
 
     Attributes:
         paths: Files or data sets to read, then the file or folder to write. `FILE::NAME` is one
@@ -51,7 +59,8 @@ class Convert:
         format: Format to write, where the suffix does not tell it.
         mano: The licensed MANO model: MANO_RIGHT.pkl, or the folder that holds both hands.
         side: Which hand the recordings are of, where the files do not say.
-        fps: Samples a second, in place of the time in the files; needed where they have none.
+        fps: Samples a second, in place of the time in the files; needed where they have none. Of a
+            robot's logs, the frames a second to write; their own rate if omitted.
         json: Print one JSON object.
     """
 
@@ -75,6 +84,9 @@ class Convert:
         )
         *inputs, out = self.paths
         form = format_to_write(out, self.format)
+        if any(map(is_robot_log, inputs)):
+            self._convert_logs(inputs, out, form)
+            return
         has_files = bool(form.suffixes) and not out.suffix
         if form.suffixes and not has_files:
             check_output("OUT", out, form.suffixes)
@@ -104,13 +116,42 @@ class Convert:
             lost=form.losses(recordings),
         )
 
-    def _report(self, **done: Any) -> None:
+    def _convert_logs(
+        self, inputs: Sequence[Path], out: Path, form: RecordingFormat
+    ) -> None:
+        """Write logs of a robot as a data set."""
+        is_set = form.name in ("lerobot", "robomimic")
+        wanted = (
+            "a data set for logs of a robot: a folder for lerobot, .hdf5 for robomimic"
+        )
+        expect(is_set, "OUT", wanted, value=str(out))
+        for file in inputs:
+            alike = "logs of a robot alone, or none"
+            expect(is_robot_log(file), "IN", alike, value=str(file))
+        if self.fps is not None:
+            rate = 0.0 < self.fps < math.inf
+            expect(rate, "--fps", "frames a second, more than 0", value=self.fps)
+        if form.suffixes:
+            check_output("OUT", out, form.suffixes)
+        logs = [read_robot_log(file) for file in inputs]
+        kind = "robomimic" if form.name == "robomimic" else "lerobot"
+        unknown = write_robot_logs(logs, out, kind, self.fps)
+        self._report(
+            what="logs",
+            recordings=len(logs),
+            samples=sum(map(len, logs)),
+            files=[str(out)],
+            not_read=[],
+            lost=[f"efforts of {', '.join(unknown)}, not known"] if unknown else [],
+        )
+
+    def _report(self, what: str = "recordings", **done: Any) -> None:
         """Print what was converted, and what was lost: not read, or not held by the format."""
         if self.json:
             print(json.dumps(done))
             return
         lost = [*done["not_read"], *done["lost"]]
-        print(f"{done['recordings']} recordings, {done['samples']} samples")
+        print(f"{done['recordings']} {what}, {done['samples']} samples")
         print(f"lost: {', '.join(lost)}" if lost else "nothing was lost")
         for file in done["files"]:
             print(f"wrote {file}")

@@ -301,9 +301,14 @@ class Dispatcher:
             if isinstance(reply, Error):
                 send(reply)
 
-    def tick(self) -> None:
-        """Run the watchdogs and close idle sessions."""
+    def tick(self) -> float:
+        """Run the watchdogs and close idle sessions.
+
+        Returns:
+            Time until a watchdog may act next if no request comes [s]; not above 0 for at once.
+        """
         now = self.sessions.clock()
+        due = math.inf
         for session in list(self.sessions.by_secret.values()):
             is_idle = now - session.last_request > self._settings.idle
             if is_idle and not session.will_move:
@@ -314,6 +319,8 @@ class Dispatcher:
             except Exception as error:
                 # The watchdogs of the other sessions must continue.
                 self._failure(0, error)
+            due = min(due, session.due)
+        return due - now
 
     async def close(self) -> None:
         """Close all sessions."""
@@ -333,10 +340,7 @@ class Dispatcher:
         return self.sessions.clock() - self._started
 
     def _tick(self, session: Session, now: float) -> None:
-        before = session.counts.copy()
-        command = session.tick(now)
-        self._metrics.counts += session.counts - before
-        if command:
+        if command := session.tick(now):
             self._send(session, command)
 
     def _for_stream(self, sample: Sample, by: Caller) -> None:

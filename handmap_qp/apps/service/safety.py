@@ -225,6 +225,18 @@ class SessionClock:
         has_waited = wait is not None and now - self._held_since >= wait
         return "return" if has_waited and state is SessionState.HOLDING else None
 
+    def due(self, state: SessionState) -> float:
+        """Return when time may matter next if no request comes [s]; in the past for at once."""
+        if state is not SessionState.FOLLOWING:
+            return -math.inf
+        return self.last_sample + min(self._request.watchdog, self._patience)
+
+    @property
+    def _patience(self) -> float:
+        """Time without a sample after which a robot that follows brakes, if it moves [s]."""
+        # A sample may be a little late.
+        return 2.0 * self._request.max_dt
+
     def hasten(self) -> None:
         """Make the next command due at once."""
         self._last_command = -math.inf
@@ -237,8 +249,7 @@ class SessionClock:
             now: The present [s].
             robot: The robot, which must still come to a stop if it is braking.
         """
-        # A sample may be a little late.
-        is_led = now - self.last_sample <= 2.0 * self._request.max_dt
+        is_led = now - self.last_sample <= self._patience
         is_led &= state is SessionState.FOLLOWING
         is_braking = not is_led and robot.motion.is_braking
         if not (state.is_silent or state.is_halted or is_braking):

@@ -43,8 +43,9 @@ from .store import PostureStore
 from .websocket import WebSocketTransport
 
 TICK = 0.005
-_IDLE = 0.02
-"""Time between checks of the watchdogs, and of sockets without a session [s]."""
+"""Least time between checks of the watchdogs [s]."""
+_LONGEST = 0.02
+"""Longest time between them, and between checks of the sockets [s]."""
 _TICKS = 200
 _LATE = 0.1
 """Checks that delays are measured over, and the delay of one that is logged [s]."""
@@ -293,8 +294,8 @@ class Server:
         """Drive the watchdogs, and measure the delay of the event loop."""
         spent = time.process_time()
         late = Throttle()
+        pause = TICK
         while True:
-            pause = TICK if self.dispatcher.sessions.by_secret else _IDLE
             wanted = time.monotonic() + pause
             await asyncio.sleep(pause)
             lag = time.monotonic() - wanted
@@ -304,9 +305,11 @@ class Server:
             self._loads.append(spent - before)
             if lag > _LATE:
                 late.report(WARNING, "late", seconds=round(lag, 4))
+            pause = TICK
             try:
                 self._drain()
-                self.dispatcher.tick()
+                # A turn of the event loop takes as long as a third of an answer.
+                pause = min(max(TICK, self.dispatcher.tick()), _LONGEST)
             except Exception as error:
                 self._bugs.report(ERROR, "failed", failure=error)
 

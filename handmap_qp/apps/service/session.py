@@ -12,7 +12,7 @@ which is then the reference.
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import compress
 from typing import Any
 
@@ -117,6 +117,7 @@ class SampleForm:
             refuse_if(name not in LAYOUTS, message, "layout")
             self._layout = LAYOUTS[name]
             self._field, self._wanted = "values", f"values of {name}"
+        self._place = _FIELDS.index(self._field)
 
     def each(self, sample: Step, work: Callable[[Side, Step], Any]) -> Humans:
         """Return what `work` makes of each hand of a sample, by side.
@@ -158,11 +159,10 @@ class SampleForm:
             sample.points,
             sample.values,
         )
-        pairs = zip(_FIELDS, values, strict=True)
-        given = {field for field, value in pairs if value is not None}
-        if sample.valid or given:
-            wrong = min(given ^ {self._field}, key=_FIELDS.index, default="")
-            refuse_if(wrong, f"this session was opened for {self._wanted}", wrong)
+        # Nearly all samples have the field that is wanted, and no other.
+        is_right = values.count(None) == len(values) - 1
+        if not (is_right and values[self._place] is not None):
+            self._check_fields(sample.valid, values)
         if self._request.input != "landmarks":
             refuse_if(not sample.valid, "only landmarks may be invalid", "valid")
             is_bare = self._field == "q" and sample.wrist is None
@@ -182,6 +182,19 @@ class SampleForm:
         is_hand = landmarks.shape == UNSEEN.shape
         make = HumanSample.of_checked if is_hand else HumanSample
         return make(landmarks=landmarks, **common)
+
+    def _check_fields(self, is_valid: bool, values: Sequence[object]) -> None:
+        """Refuse a sample whose numbers are not of the session's kind; it may have none if invalid.
+
+        Args:
+            is_valid: Whether the tracker saw the hand.
+            values: What it has in each of `_FIELDS`.
+        """
+        pairs = zip(_FIELDS, values, strict=True)
+        given = {field for field, value in pairs if value is not None}
+        if is_valid or given:
+            wrong = min(given ^ {self._field}, key=_FIELDS.index, default="")
+            refuse_if(wrong, f"this session was opened for {self._wanted}", wrong)
 
     def held(self, sample: Step, measured: Array | None, *, grips: bool) -> Values:
         """Return what a follower takes of robot and object, by name.
@@ -235,6 +248,7 @@ class Session:
         account: Whose share of the service it uses, see `Caller.account`.
         motion: How the robot of that session moves, if it is running; at rest if omitted.
         waited: Time since the last command of that session [s].
+        totals: Counts of the service, which count the session's holds, too.
 
     Attributes:
         request: The request that opened it, with all changes of options since.
@@ -264,6 +278,7 @@ class Session:
         account: str = "",
         motion: Motion | None = None,
         waited: float = 0.0,
+        totals: Counter[str] | None = None,
     ) -> None:
         self.request = request
         self.name = name
@@ -272,6 +287,7 @@ class Session:
         self.robot = hands.mapper.robot
         self._has_arm = bool(self.robot.moves_wrist.any())
         self.counts = Counter[str]()
+        self._totals = Counter[str]() if totals is None else totals
         self.last_request = self._opened_at = now
         self.seq = self._stamped = request.seq
         self.payload = b""
@@ -449,7 +465,8 @@ class Session:
         while event := self._clock.event(self._state, now):
             if event == "return" and self._is_at_rest:
                 break
-            self.counts["watchdog"] += event == "silence"
+            if event == "silence":
+                self._count_hold("watchdog")
             self._handle(event)
         # A heartbeat counts too: the driver starts its next motion there.
         if not (dt := self._clock.take_turn(self._state, now, self._commanded)):
@@ -469,6 +486,12 @@ class Session:
             self._commanded.brake(self._when)
         flags = ["watchdog"] + ["at_rest"] * self._is_at_rest
         return self._command(now, status, flags)
+
+    @property
+    def due(self) -> float:
+        """When `tick` may do something next if no request comes [s]; in the past for at once."""
+        due = self._clock.due(self._state)
+        return min(due, self._following.lost_at) if self._following else due
 
     def release(self) -> None:
         """Let the robot hold its posture until `clutch`."""
@@ -594,11 +617,16 @@ class Session:
         before = self._state
         self._handle("loss")
         if self._state is not before:
-            self.counts["not_following"] += 1
+            self._count_hold("not_following")
             self._is_lost = True
             self._hands.mapper.release()
             self._be_where_measured()
             self._clock.hasten()
+
+    def _count_hold(self, reason: str) -> None:
+        """Count a hold that no client asked for, here and among those of the service."""
+        self.counts[reason] += 1
+        self._totals[reason] += 1
 
     def _be_where_measured(self) -> None:
         """Take the robot to be where it was measured last, and go on to watch it."""

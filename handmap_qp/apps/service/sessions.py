@@ -210,6 +210,7 @@ class Sessions:
                 account=by.account,
                 motion=running.motion if running else None,
                 waited=running.since_command(now) if running else 0.0,
+                totals=self.metrics.counts,
             )
         finally:
             del self._opening[request.session]

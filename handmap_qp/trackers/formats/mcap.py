@@ -5,11 +5,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_qp.errors import InvalidInputError, RecordingError, expect, require
 from handmap_qp.hands import HUMAN_JOINTS, Names, Side, load_hand
 from handmap_qp.human import (
     LANDMARK_COUNT,
@@ -154,6 +154,73 @@ class McapFormat(RecordingFormat):
                     _write_hand(writer, recording)
             (file,) = bag.glob("*.mcap")
             file.replace(temporary)
+
+
+class JointStates(NamedTuple):
+    """The messages of a topic of joint states.
+
+    Attributes:
+        time: Instants of their headers [s], strictly increasing, shape (T,).
+        names: Names of n joints.
+        position: Their positions [rad or m], shape (T, n).
+        effort: Their efforts [N m or N], shape (T, n); NaN where messages have none.
+    """
+
+    time: Array
+    names: Names
+    position: Array
+    effort: Array
+
+
+def joint_state_topics(path: Path) -> Names:
+    """Return the names of the topics of joint states of a bag; errors as `read_joint_states`."""
+    with _opened(path) as bag:
+        return _state_topics(bag)
+
+
+def _state_topics(bag: Any) -> Names:
+    topics = bag.topics.items()
+    return tuple(topic for topic, info in topics if info.msgtype == _STATE)
+
+
+def read_joint_states(path: Path) -> dict[str, JointStates]:
+    """Read all topics of joint states of a bag, by the names of the topics.
+
+    Messages that are not later than the one before are left out, and so are topics without any.
+
+    Raises:
+        RecordingError: If it cannot be read, or a message has other joints than the first one.
+        MissingExtraError: If rosbags is not installed.
+    """
+    with _opened(path) as bag:
+        found = {
+            topic: [message for _, message in _messages(bag, topic)]
+            for topic in _state_topics(bag)
+        }
+    return {
+        topic: _joint_states(path, topic, messages)
+        for topic, messages in found.items()
+        if messages
+    }
+
+
+def _joint_states(path: Path, topic: str, messages: Sequence[Any]) -> JointStates:
+    names = tuple(messages[0].name)
+    count = len(names)
+    rows = {}
+    latest = -np.inf
+    for message in messages:
+        if tuple(message.name) != names or len(message.position) != count:
+            problem = "has messages of different joints"
+            raise RecordingError(problem, file=path, array=topic)
+        # Drivers may repeat the same reading.
+        if (time := _instant(message)) > latest:
+            has_effort = len(message.effort) == count
+            effort = message.effort if has_effort else np.full(count, np.nan)
+            rows[time] = message.position, effort
+            latest = time
+    position, effort = map(np.array, zip(*rows.values(), strict=True))
+    return JointStates(np.array([*rows]), names, position, effort)
 
 
 @contextmanager

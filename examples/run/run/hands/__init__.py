@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
-from itertools import accumulate
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from handmap_qp.errors import expect
+from handmap_qp.hands import configuration
+from handmap_qp.hands.configuration import AttachedPoints
+from handmap_qp.hands.pad import Pad
+from handmap_qp.hands.pad import PadPair as PadPair
 from handmap_qp.ik.core import Compiled, core
 from handmap_qp.se3 import (
     Array,
     as_floats,
     check_pose,
+    cross,
+    frozen,
     quat_wxyz_from_rotation,
     transform_points,
 )
@@ -38,6 +42,13 @@ class Pose(Record):
 
     homogeneous: Array
 
+    @classmethod
+    def of(cls, homogeneous: Array) -> Pose:
+        """Return the pose of a matrix, shape (4, 4)."""
+        pose = cls()
+        pose.homogeneous = homogeneous
+        return pose
+
     @property
     def translation(self) -> Array:
         return self.homogeneous[:3, 3].copy()
@@ -45,22 +56,76 @@ class Pose(Record):
     def act(self, point: Array) -> Array:
         return transform_points(self.homogeneous, point)
 
-
-class AttachedPoints(Record):
-    """Points that are fixed to joints; see `hands.configuration`."""
-
-    def __init__(self, hand: Hand, places: Sequence[tuple[int, Array]]) -> None:
-        del hand
-        joints, offsets = zip(*places, strict=True)
-        self.joints = joints
-        self.offsets = np.array(offsets)
+    def __mul__(self, other: Pose) -> Pose:
+        """Return the pose of what is at another pose in this one's axes."""
+        return Pose.of(self.homogeneous @ other.homogeneous)
 
 
 class JointModel(Record):
-    """A joint of a `Model`; `S` is its motion, linear first, shape (6,)."""
+    """A joint of a `Model`; `S` is its motion, linear first, shape (6,), None if it is free."""
+
+    nv: int
+    S: Array | None
 
     def createData(self) -> JointModel:  # noqa: N802
         return self
+
+    @property
+    def motions(self) -> Array:
+        """What each of its coordinates does in its own axes, linear first, shape (nv, 6)."""
+        return np.eye(6) if self.S is None else self.S[None]
+
+
+class Model(Record):
+    """A tree of joints in place of Pinocchio's; the first one is the world, and no joint."""
+
+    joints: tuple[JointModel, ...]
+    njoints: int
+
+    @cached_property
+    def nvs(self) -> list[int]:
+        """Number of velocity coordinates of each joint."""
+        return [0, *(joint.nv for joint in self.joints[1:])]
+
+    @cached_property
+    def owners(self) -> Array:
+        """Joint of each velocity coordinate, shape (nv,)."""
+        return np.repeat(np.arange(self.njoints), self.nvs)
+
+    @cached_property
+    def motions(self) -> Array:
+        """What each of them does in the joint's axes: linear, then angular, (nv, 2, 3)."""
+        moving = [joint.motions for joint in self.joints[1:]]
+        return np.vstack(moving).reshape(-1, 2, 3)
+
+    def createData(self) -> Data:  # noqa: N802
+        return Data(self, np.zeros((0, 4, 4)))
+
+
+class Data:
+    """A model in one configuration, in place of Pinocchio's.
+
+    Args:
+        model: The model.
+        poses: Poses of its joints in the world, shape (njoints, 4, 4).
+
+    Attributes:
+        oMi: The same.
+    """
+
+    def __init__(self, model: Model, poses: Array) -> None:
+        self._model = model
+        self._poses = poses
+        self.oMi = [*map(Pose.of, poses)]
+
+    @cached_property
+    def J(self) -> Array:  # noqa: N802
+        """Velocity at the world's origin per velocity of the model, linear first, (6, nv)."""
+        poses = self._poses[self._model.owners]
+        moved = self._model.motions @ poses[:, :3, :3].swapaxes(-1, -2)
+        linear, turning = moved.swapaxes(0, 1)
+        linear = linear + cross(poses[:, :3, 3], turning)
+        return np.hstack([linear, turning]).T
 
 
 class Convex(Record):
@@ -76,21 +141,43 @@ class PairBounds(Compiled, Record):
     """Bounds of pairs of shapes, as of `ik.collision`."""
 
 
-class Configuration:
-    """A hand in one posture: its reference points and its wrist."""
+class Frame(Record):
+    """A place on a joint of a model."""
 
-    def __init__(self, hand: Hand) -> None:
-        self._hand = hand
-        ends = [*accumulate(len(each.reference_points) for each in hand.hands)]
-        self.parts = [*map(slice, [0, *ends], ends)]
+    def __init__(self, joint: int) -> None:
+        self.parentJoint = joint
+        self.placement = Pose.of(np.eye(4))
 
-    def place(self, vector: Array) -> None:
+
+class Configuration(configuration.Configuration):
+    """A hand in one posture, placed by the core; see `hands.configuration`."""
+
+    _hand: Hand
+
+    def place(self, q: Array) -> None:
+        """Put the hand at a configuration, shape (nq,)."""
         hand = self._hand
-        frames = (*hand.point_frames, hand.wrist_frame)
-        *points, wrist = hand.tree.poses(vector, frames)
-        self.points = np.reshape([pose[:3, 3] for pose in points], (-1, 3))
-        self.wrist = Pose()
-        self.wrist.homogeneous = wrist
+        poses = hand.tree.poses(q, hand.joint_frames)
+        self.data = Data(self.model, poses)
+        self.q = frozen(np.array(q))
+
+    __setstate__ = place
+
+
+class Grasp(Record):
+    """Pads and joints of a hand's fingers, the thumb first; see `mapping.hand_pair`.
+
+    Attributes:
+        names: Names of the fingers.
+        has_jaws: Whether they are jaws.
+        pads: The pad of each finger.
+        used: What moves each finger: `columns` of q, and whether it `is_jaw`.
+    """
+
+    names: Names = ()
+    has_jaws: bool = False
+    pads: dict[str, Pad]
+    used: dict[str, Any]
 
 
 class Hand(Record):
@@ -115,11 +202,18 @@ class Hand(Record):
     parts: tuple[Hand, ...] = ()
     whole: Hand
     has_floating_base = False
+    # Files from before grips have none.
+    grasp = Grasp()
 
     @cached_property
     def tree(self) -> Any:
         """The core's kinematics."""
         return core.Tree(self)
+
+    @cached_property
+    def joint_frames(self) -> list[Frame]:
+        """The joints of the model, the first of which is the world."""
+        return [*map(Frame, range(self.model.njoints))]
 
     def __getstate__(self) -> Values:
         """Return all but the core's own, which a copy makes again."""
@@ -137,7 +231,7 @@ class Hand(Record):
 
     def configuration(self) -> Configuration:
         """Return a new workspace."""
-        return Configuration(self)
+        return Configuration(cast("configuration.Hand", self))
 
     def configuration_vector(self, q: Any, wrist_pose: Any = None) -> Array:
         """Return the configuration of joint positions, shape (nq,)."""
@@ -212,7 +306,16 @@ def common_pairs(contacts: tuple[Any, ...]) -> tuple[bool, list[Any]]:
 
 KINDS = {
     kind.__name__: kind
-    for kind in (Pose, AttachedPoints, JointModel, Convex, PairBounds, Hand)
+    for kind in (
+        Pose,
+        AttachedPoints,
+        JointModel,
+        Model,
+        Convex,
+        PairBounds,
+        Grasp,
+        Hand,
+    )
 }
 """Kinds of records that do something, by name."""
 # Constants of the tree follow: see `taken.py`.

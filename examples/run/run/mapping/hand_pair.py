@@ -3,6 +3,7 @@
 from typing import Any, NoReturn
 
 from handmap_qp.errors import InvalidOptionsError
+from ..hands import Grasp, Hand
 
 
 def _refuse(*_: Any, **__: Any) -> NoReturn:
@@ -14,3 +15,8 @@ def _refuse(*_: Any, **__: Any) -> NoReturn:
 
 
 hand_pair = finger_landmarks = touching_distances = require_partners = _refuse
+
+
+def robot_fingers(hand: Hand) -> Grasp:
+    """Return what was measured on a robot hand for its grips."""
+    return hand.grasp

@@ -1,0 +1,279 @@
+"""`RobotLog`: what a robot did while it followed a person, measured, for data sets.
+
+`handmap drive --log` writes one; a ROS 2 bag with the topics of `handmap ros2` is one, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from handmap_qp.errors import RecordingError, expect
+from handmap_qp.hands import Names
+from handmap_qp.se3 import Array, Arrays, as_floats, frozen
+from handmap_qp.trackers import read_archive, reading
+from handmap_qp.trackers.formats.archive import member_names, save_npz
+from handmap_qp.trackers.formats.mcap import (
+    JointStates,
+    joint_state_topics,
+    read_joint_states,
+)
+from .training_sets import Columns, Episode, write_lerobot, write_robomimic
+
+_OWN = {"time", "joint_names", "q", "action"}
+"""Arrays that every log has."""
+_STATES, _COMMANDS = "joint_states", "joint_commands"
+"""Ends of the names of the topics of a bag: what a robot did, and what it was told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotLog:
+    """Measured joints of a robot, and what it was told, over time; its arrays are read-only.
+
+    Attributes:
+        name: Name of the file, without its suffix.
+        time: Instants, strictly increasing [s], shape (T,), T >= 2.
+        joint_names: Names of n joints.
+        q: Where they were measured [rad or m], shape (T, n).
+        action: Where they were told to be [rad or m], shape (T, n).
+        effort: Their torques [N m], or forces where they slide [N], shape (T, n); NaN where they
+            are not known. They are positive in the direction in which the joint's angle grows.
+        episode: Number of the episode of each instant, which only grows, shape (T,).
+        task: What was done, in words; empty if it is not known.
+        robot: Name of the robot.
+
+    Raises:
+        InvalidInputError: If an array has another shape or type than expected, time does not
+            increase, or an angle is not finite.
+    """
+
+    name: str
+    time: Array
+    joint_names: Names
+    q: Array
+    action: Array
+    effort: Array
+    episode: Array
+    task: str = ""
+    robot: str = "robot"
+
+    def __post_init__(self) -> None:
+        """Check the arrays, and replace them by read-only copies."""
+        time = as_floats(self.time, "time", shape=("T",), is_finite=True)
+        count, joints = len(time), len(self.joint_names)
+        expect(count > 1, "time", "two instants or more", value=count)
+        expect((np.diff(time) > 0.0).all(), "time", "strictly increasing instants")
+        expect(joints > 0, "joint_names", "one joint or more", value=joints)
+        shape = (count, joints)
+        columns = {
+            "time": time,
+            "q": as_floats(self.q, "q", shape=shape, is_finite=True),
+            "action": as_floats(self.action, "action", shape=shape, is_finite=True),
+            "effort": as_floats(self.effort, "effort", shape=shape),
+            "episode": as_floats(
+                self.episode, "episode", shape=(count,), is_finite=True
+            ),
+        }
+        grows = (np.diff(columns["episode"]) >= 0.0).all()
+        expect(grows, "episode", "numbers that do not fall")
+        for name, array in columns.items():
+            object.__setattr__(self, name, frozen(array.copy()))
+
+    def __len__(self) -> int:
+        """Number of instants."""
+        return len(self.time)
+
+    @property
+    def known_efforts(self) -> Array:
+        """Whether the effort of each joint is known at all instants, shape (n,)."""
+        return np.all(np.isfinite(self.effort), axis=0)
+
+    def episodes(self, fps: float, known: Array) -> Iterator[Episode]:
+        """Yield its episodes at a fixed rate; one of a single instant is left out.
+
+        Args:
+            fps: Frames per second.
+            known: Joints whose efforts are wanted, shape (n,).
+        """
+        ends = np.flatnonzero(np.diff(self.episode)) + 1
+        for own in np.split(np.arange(len(self)), ends):
+            time = self.time[own]
+            count = int((time[-1] - time[0]) * fps + 1e-6) + 1
+            if len(own) < 2:
+                continue
+            instants = np.minimum(time[0] + np.arange(count) / fps, time[-1])
+            state, action, effort = (
+                _resampled(instants, time, column[own])
+                for column in (self.q, self.action, self.effort[:, known])
+            )
+            yield Episode(
+                sources=self.name,
+                task=self.task or "teleoperation",
+                state=state,
+                action=action,
+                valid=np.zeros((count, 0), dtype=bool),
+                effort=effort,
+            )
+
+
+def _resampled(instants: Array, time: Array, columns: Array) -> Array:
+    """Interpolate columns (T, n), or none, at instants (N,); shape (N, n)."""
+    rows = [np.interp(instants, time, column) for column in columns.T]
+    return np.reshape(rows, (len(rows), len(instants))).T
+
+
+def is_robot_log(path: Path) -> bool:
+    """Return whether a file is a log of a robot; one that cannot be read is not."""
+    with suppress(RecordingError):
+        if path.suffix == ".npz" and path.is_file():
+            return member_names(path) >= _OWN
+        if path.suffix == ".mcap" and path.is_file():
+            return any(name.endswith(_COMMANDS) for name in joint_state_topics(path))
+    return False
+
+
+def read_robot_log(path: Path) -> RobotLog:
+    """Read a log of a robot.
+
+    An `.npz` has the arrays of `RobotLog`, of which `effort` and `episode` may be missing. In place
+    of `effort`, `current` [A], shape (T, n), and `torque_constant`, the torque of each joint for
+    one ampere [N m/A], shape (n,), NaN where it is not known, give the same. A bag has
+    `.../joint_states`, whose efforts are those of ROS, in N m, and `.../joint_commands`.
+
+    Raises:
+        RecordingError: If it cannot be read, lacks something, or is not as `RobotLog` wants it.
+        MissingExtraError: If the package of the format is not installed.
+    """
+    with reading(path, "is not a log of a robot"):
+        return _of_bag(path) if path.suffix == ".mcap" else _of_archive(path)
+
+
+def _of_archive(path: Path) -> RobotLog:
+    arrays = read_archive(path)
+    for name in sorted(_OWN - arrays.keys()):
+        raise RecordingError("is missing", file=path, array=name)
+    time = arrays["time"]
+    effort = arrays.get("effort")
+    if effort is None and "current" in arrays:
+        if "torque_constant" not in arrays:
+            problem = "is missing: it turns currents into torques"
+            raise RecordingError(problem, file=path, array="torque_constant")
+        effort = arrays["current"] * arrays["torque_constant"]
+    words = {
+        name: str(arrays[name].item()) for name in ("task", "robot") if name in arrays
+    }
+    return RobotLog(
+        name=path.stem,
+        time=time,
+        joint_names=tuple(map(str, arrays["joint_names"].tolist())),
+        q=arrays["q"],
+        action=arrays["action"],
+        effort=np.full_like(arrays["q"], np.nan) if effort is None else effort,
+        episode=arrays.get("episode", np.zeros(len(time))),
+        **words,
+    )
+
+
+def _of_bag(path: Path) -> RobotLog:
+    topics = read_joint_states(path)
+    states = _topic(path, topics, _STATES)
+    told = _topic(path, topics, _COMMANDS)
+    names = told.names
+    if missing := [name for name in names if name not in states.names]:
+        problem = f"its {_STATES} lack {', '.join(missing)}"
+        raise RecordingError(problem, file=path)
+    columns = [states.names.index(name) for name in names]
+    # The newest command at each instant; before the first one, the robot was told nothing.
+    newest = np.searchsorted(told.time, states.time, "right") - 1
+    led = newest >= 0
+    return RobotLog(
+        name=path.stem,
+        time=states.time[led],
+        joint_names=names,
+        q=states.position[led][:, columns],
+        action=told.position[newest[led]],
+        effort=states.effort[led][:, columns],
+        episode=np.zeros(led.sum()),
+    )
+
+
+def _topic(path: Path, topics: dict[str, JointStates], end: str) -> JointStates:
+    """Return the messages of the only topic whose name ends so."""
+    found = [states for topic, states in topics.items() if topic.endswith(end)]
+    if len(found) != 1:
+        problem = f"has {len(found)} topics .../{end}, expected one"
+        raise RecordingError(problem, file=path)
+    return found[0]
+
+
+def save_robot_log(path: Path, log: RobotLog) -> None:
+    """Write a log of a robot as an `.npz` file; an earlier file stays if writing fails.
+
+    Raises:
+        InvalidInputError: If it cannot be written.
+    """
+    words: dict[str, Any] = {"task": log.task, "robot": log.robot}
+    arrays: Arrays = {name: np.array(word) for name, word in words.items()}
+    arrays |= {
+        "time": log.time,
+        "joint_names": np.array(log.joint_names),
+        "q": log.q,
+        "action": log.action,
+        "effort": log.effort,
+        "episode": log.episode,
+    }
+    save_npz(path, arrays)
+
+
+def write_robot_logs(
+    logs: Sequence[RobotLog],
+    path: Path,
+    form: Literal["lerobot", "robomimic"],
+    fps: float | None = None,
+) -> Names:
+    """Write a data set of logs of one robot.
+
+    States are measured joints, and actions commanded ones. Efforts are those of the joints that
+    have them in all logs.
+
+    Args:
+        logs: The logs.
+        path: Folder, or file of robomimic, to write.
+        form: Form of the data set.
+        fps: Frames per second; the logs' own rate if omitted.
+
+    Returns:
+        Names of the joints whose efforts are left out.
+
+    Raises:
+        InvalidInputError: If the logs are of different joints, or it cannot be written.
+        MissingExtraError: If the package of the format is not installed.
+    """
+    expect(logs, "IN", "one log or more", got="none")
+    first = logs[0]
+    for log in logs[1:]:
+        expect(
+            log.joint_names == first.joint_names,
+            "IN",
+            f"logs of one robot, with the joints {', '.join(first.joint_names)}",
+            got=f"{', '.join(log.joint_names)} in {log.name}",
+        )
+    if fps is None:
+        fps = max(1, round(1.0 / np.median(np.diff(first.time))))
+    known = np.all([log.known_efforts for log in logs], axis=0)
+    by_effort = tuple(zip(first.joint_names, known, strict=True))
+    efforts = tuple(name for name, is_known in by_effort if is_known)
+    columns = Columns(first.joint_names, effort=efforts)
+    episodes = (episode for log in logs for episode in log.episodes(fps, known))
+    if form == "robomimic":
+        write_robomimic(episodes, path, columns, robot=first.robot, argument="OUT")
+    else:
+        write_lerobot(
+            episodes, path, columns, fps=fps, robot=first.robot, argument="OUT"
+        )
+    return tuple(name for name, is_known in by_effort if not is_known)
