@@ -9,7 +9,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from handmap_qp import HandMapper, Teleoperation, load_hand, read_recording
+from handmap_qp import (
+    AttachedPoints,
+    HandMapper,
+    Teleoperation,
+    load_hand,
+    read_recording,
+)
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands import (
@@ -19,7 +25,8 @@ from handmap_qp.hands import (
     pair_ends,
     read_collision_shapes,
 )
-from handmap_qp.mapping.objects import Box
+from handmap_qp.mapping import robot_fingers
+from handmap_qp.mapping.objects import Box, Sphere
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import Array, affine
 
@@ -28,6 +35,8 @@ HUMAN = load_hand("human", points="landmarks")
 ASIDE = affine(np.eye(3), [3.0, 3.0, 3.0])
 # MuJoCo's contacts are soft: joints are held elsewhere by as much.
 TOLERANCE = 1.05
+# Of the commanded postures, the one in which thumb and finger pinch.
+_PINCH = 23
 
 
 @cache
@@ -116,3 +125,32 @@ def test_links_do_not_press_without_squeeze() -> None:
     name = "allegro_right"
     forces = press(mapper_of(name, 0.0), commanded(name, 0.0))
     assert max(forces) == 0.0
+
+
+def press_on_ball(squeeze: float) -> float:
+    """Return the largest force of a link on a ball between the pads of a pinch [N]."""
+    mapper = mapper_of("allegro_right", squeeze)
+    hand = mapper.robot
+    # The instant of the pinch, where links overlap most.
+    q = commanded("allegro_right", squeeze)[_PINCH]
+    fingers = robot_fingers(hand)
+    places = [fingers.pads[name].place for name in fingers.names[:2]]
+    points = AttachedPoints(hand, places)
+    placed = hand.configuration()
+    placed.place(hand.configuration_vector(q))
+    middle = points.positions(placed).mean(axis=0)
+    physics = Physics(gravity=(0.0, 0.0, 0.0), torque=1000.0)
+    simulator = Simulator(hand, Sphere(0.012), physics)
+    # The ball lifts the pads off each other.
+    goal = hand.configuration_vector(q)
+    simulator.reset(goal, affine(np.eye(3), middle))
+    simulator.follow(goal, 1.0)
+    return max(simulator.pressing().values(), default=0.0)
+
+
+def test_a_ball_is_pressed_harder_but_by_no_more_than_asked_for() -> None:
+    squeeze = 3.0
+    without = press_on_ball(0.0)
+    pressed = press_on_ball(squeeze)
+    print(without, pressed)
+    assert 0.0 < without < pressed <= without + TOLERANCE * squeeze

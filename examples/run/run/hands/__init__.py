@@ -30,7 +30,7 @@ class Record:
 
 # Types of arguments, and what only describes a hand that is not saved yet.
 Finger = PointSpec = ShapePairs = Record
-load_hand = moved_by = named_pairs = pair_ends = None
+load_hand = moved_by = named_pairs = pair_ends = yield_to = None
 
 
 class Pose(Record):
@@ -74,6 +74,13 @@ class Convex(Record):
 
 class PairBounds(Compiled, Record):
     """Bounds of pairs of shapes, as of `ik.collision`."""
+
+
+class CollisionLimit(Record):
+    """Pairs of shapes that are kept apart, as of `ik.collision`."""
+
+    # Files of former versions do not have it.
+    yielding: Record | None = None
 
 
 class Configuration:
@@ -212,7 +219,15 @@ def common_pairs(contacts: tuple[Any, ...]) -> tuple[bool, list[Any]]:
 
 KINDS = {
     kind.__name__: kind
-    for kind in (Pose, AttachedPoints, JointModel, Convex, PairBounds, Hand)
+    for kind in (
+        Pose,
+        AttachedPoints,
+        CollisionLimit,
+        JointModel,
+        Convex,
+        PairBounds,
+        Hand,
+    )
 }
 """Kinds of records that do something, by name."""
 # Constants of the tree follow: see `taken.py`.
