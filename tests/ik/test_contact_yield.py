@@ -8,7 +8,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from handmap_qp import HandMapper, Teleoperation, load_hand, read_recording
-from handmap_qp.hands import ContactYield
+from handmap_qp.hands import ContactYield, load_robot
+from handmap_qp.mapping import RobotMapper
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import Array
 
@@ -139,3 +140,20 @@ def test_squeeze_can_be_changed_on_the_way_and_copied() -> None:
     later = [nearest_after(mapper, pinching) for _ in range(60)]
     assert nearest[deepest] < -1e-3
     assert later[-1] > 0.0
+
+
+def test_links_of_one_hand_of_a_robot_may_press_but_not_on_the_other_hand() -> None:
+    humans = {"left": load_hand("human_left", points="landmarks"), "right": HUMAN}
+    ik = get_preset("teleoperation").ik
+    mapper = RobotMapper(load_robot("g1"), humans, Teleoperation(squeeze=FORCE), ik=ik)
+    limit = mapper.point_ik.gate.collisions
+    assert limit
+    assert limit.yielding
+    may_press = limit.yielding.forces > 0.0
+    pressing = [
+        links for links, may in zip(limit.bounds.links, may_press, strict=False) if may
+    ]
+    sides = [{link.split("_")[0] for link in links} for links in pressing]
+    assert {"left"} in sides
+    assert {"right"} in sides
+    assert {"left", "right"} not in sides
