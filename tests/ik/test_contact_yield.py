@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from handmap_qp import HandMapper, Teleoperation, load_hand, read_recording
-from handmap_qp.hands import ContactYield, load_robot
+from handmap_qp.hands import ContactYield, Hand, Side, load_robot
 from handmap_qp.mapping import RobotMapper
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import Array
@@ -143,7 +143,10 @@ def test_squeeze_can_be_changed_on_the_way_and_copied() -> None:
 
 
 def test_links_of_one_hand_of_a_robot_may_press_but_not_on_the_other_hand() -> None:
-    humans = {"left": load_hand("human_left", points="landmarks"), "right": HUMAN}
+    humans: dict[Side, Hand] = {
+        "left": load_hand("human_left", points="landmarks"),
+        "right": HUMAN,
+    }
     ik = get_preset("teleoperation").ik
     mapper = RobotMapper(load_robot("g1"), humans, Teleoperation(squeeze=FORCE), ik=ik)
     limit = mapper.point_ik.gate.collisions
