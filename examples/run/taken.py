@@ -50,6 +50,7 @@ CHANGES = (
 )
 # Constants of files that need more than numpy.
 CONSTANTS = {
+    "hands/contact_yield": ("NEAR",),
     "hands/hand": ("LONGEST_STOP",),
     "hands/human": ("FINGERS", "THUMB", "CONTACT_GAP"),
     "hands/shape_pairs": ("LINK_MARGIN",),

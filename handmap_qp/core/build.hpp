@@ -371,6 +371,17 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
   auto pairs = std::make_unique<Pairs>(tree, bounds);
   pairs->margin = from.get<double>("margin");
   pairs->horizon = from.get<double>("horizon");
+  const nb::object yielding = from.object("yielding");
+  if (!yielding.is_none()) {
+    const Fields given(yielding);
+    pairs->yielding = {given.numbers("forces"), given.numbers("depths"),
+                       given.numbers("compliances"), given.numbers("torques")};
+    const ContactYield& own = pairs->yielding;
+    const size_t count = bounds->pairs.size(), size = static_cast<size_t>(tree.size);
+    expect(own.forces.size() == count && own.depths.size() == count &&
+               own.compliances.size() == size && own.torques.size() == size,
+           "wrong size of what yields");
+  }
   return pairs;
 }
 

@@ -45,6 +45,16 @@ struct Pair {
   Sparse signs;  // 1 where a coordinate moves the first shape, -1 where it moves the second
 };
 
+// Pairs nearer than this may touch each other's links: hands.contact_yield.NEAR [m].
+constexpr double kYieldNear = 1e-3;
+
+// How far pairs may overlap in commands: see handmap_qp/hands/contact_yield.py.
+struct ContactYield {
+  Vector forces, depths;         // of each pair, as they came
+  Vector compliances, torques;  // of each active coordinate
+  bool is_empty() const { return forces.empty(); }
+};
+
 // A box around all shapes of a joint, along its axes.
 struct JointBox {
   int joint;
@@ -114,6 +124,7 @@ class Pairs {
  public:
   const std::vector<Body>& bodies;
   double margin = 0.0, horizon = kInfinity;
+  ContactYield yielding;
 
   Pairs(const Tree& tree, std::shared_ptr<const PairBounds> bounds)
       : bounds_(std::move(bounds)), bodies(bounds_->bodies), tree_(tree), middle_(tree) {
@@ -180,10 +191,16 @@ class Pairs {
     row_pairs_.clear();
     double* row = rows.G.data();
     for (const auto& [place, k] : near_) {
-      const Found& found = found_[k];
-      linearise(at, k, found.normal, found.point, row);
+      linearise(at, k, found_[k].normal, found_[k].point, row);
       row += n;
-      rows.h.push_back(kGain * (found.distance - margins_[place]));
+    }
+    find_touching(rows.G);
+    overlaps_.clear();
+    row = rows.G.data();
+    for (const auto& [place, k] : near_) {
+      overlaps_.push_back(overlap_by(row, place));
+      row += n;
+      rows.h.push_back(kGain * (found_[k].distance - (margins_[place] - overlaps_.back())));
       row_pairs_.push_back(static_cast<int>(place));
     }
   }
@@ -213,12 +230,18 @@ class Pairs {
       if (before.distance > kKept + travel) return;
       const Found after = found_at(end, k);
       ends_.push_back({k, after});
+      // Distances count from here on: 0, or what yields may overlap.
+      const double floor = -overlap(at, k), room = before.distance - floor;
       // On a path from a to b, the distance is never below (a + b - travel) / 2.
-      if (!(before.distance > 0.0 && before.distance + after.distance - travel < kKept)) return;
-      const double kept = std::min(before.distance, kKept);
+      if (!(room > 0.0 || yields(k)) ||
+          !(before.distance + after.distance - travel < kKept + 2.0 * floor))
+        return;
+      const double kept =
+          room > 0.0 ? floor + std::min(room, kKept) : before.distance - kNearer;
+      const double between = kept - 0.5 * (room > 0.0 ? std::min(room, kKept) : kKept);
       if (after.distance < kept) meet(at, end, k, after);
       is_clear &= after.distance >= kept;
-      parts_.push_back({0.0, 1.0, k, kept, before, after});
+      parts_.push_back({0.0, 1.0, k, kept, between, before, after});
     });
     return is_clear && halve(at, step);
   }
@@ -228,8 +251,10 @@ class Pairs {
   bool meets_at(const Placed& at, const double* step, const Placed& end) {
     travel_along(step);
     met_.clear();
-    for (const auto& [place, k] : near_) {
-      const double nearest = std::min(found_[k].distance, margins_[place]) - kNearer;
+    for (size_t r = 0; r < near_.size(); ++r) {
+      const auto [place, k] = near_[r];
+      const double kept = margins_[place] - overlaps_[r];
+      const double nearest = std::min(found_[k].distance, kept) - kNearer;
       if (found_[k].distance - travel_of(k) > nearest) continue;
       const Found after = found_at(end, k);
       if (after.distance < nearest) meet(at, end, k, after);
@@ -259,11 +284,12 @@ class Pairs {
     rows.G.resize((rows.h.size() + met_.size()) * n, 0.0);
     double* row = rows.G.data() + rows.h.size() * n;
     for (const Met& met : met_) {
+      const size_t own = place(met.pair);
       linearise(at, met.pair, met.found.normal, met.found.point, row);
+      const double kept = (by_margins ? margins_[own] : kCleared) - overlap_by(row, own);
       row += n;
-      const double kept = by_margins ? margins_[place(met.pair)] : kCleared;
       rows.h.push_back(kGain * (met.found.distance - kept));
-      row_pairs_.push_back(static_cast<int>(place(met.pair)));
+      row_pairs_.push_back(static_cast<int>(own));
     }
     rows.count = static_cast<int>(rows.h.size());
   }
@@ -332,7 +358,7 @@ class Pairs {
   struct Part {
     double low, high;
     size_t pair;
-    double kept;
+    double kept, between;  // at points that are measured, and between them
     Found before, after;
   };
 
@@ -593,6 +619,49 @@ class Pairs {
     met_.push_back({k, {dot(normal, second - moved_a * known.point), normal, second}});
   }
 
+  // Whether a pair may ever overlap.
+  bool yields(size_t k) const { return !yielding.is_empty() && yielding.forces[place(k)] > 0.0; }
+
+  // Find the rows of `near_` whose pairs touch, where the robot is.
+  void find_touching(const Vector& G) {
+    touching_.clear();
+    touching_rows_.clear();
+    if (yielding.is_empty()) return;
+    const size_t n = tree_.size;
+    for (size_t r = 0; r < near_.size(); ++r) {
+      const double distance = found_[near_[r].second].distance;
+      if (!(distance <= kYieldNear)) continue;
+      touching_.push_back(clip(1.0 - distance / kYieldNear, 0.0, 1.0));
+      touching_rows_.insert(touching_rows_.end(), G.begin() + r * n, G.begin() + (r + 1) * n);
+    }
+  }
+
+  // How far a pair may overlap, by a row of its distance; see hands.ContactYield.overlaps.
+  double overlap_by(const double* row, size_t place) const {
+    if (yielding.is_empty() || !(yielding.forces[place] > 0.0)) return 0.0;
+    const size_t n = tree_.size;
+    double force = yielding.forces[place], give = 0.0;
+    for (size_t i = 0; i < n; ++i) {
+      if (row[i] != 0.0) force = std::min(force, yielding.torques[i] / std::abs(row[i]));
+      give += row[i] * yielding.compliances[i] * row[i];
+    }
+    for (size_t t = 0; t < touching_.size(); ++t) {
+      const double* other = touching_rows_.data() + t * n;
+      double shared = 0.0;
+      for (size_t i = 0; i < n; ++i) shared += row[i] * yielding.compliances[i] * other[i];
+      give += touching_[t] * std::min(shared, 0.0);
+    }
+    return std::min(force * std::max(give, 0.0), yielding.depths[place]);
+  }
+
+  // How far a pair that was measured may overlap, where the robot is.
+  double overlap(const Placed& at, size_t k) {
+    if (!yields(k)) return 0.0;
+    own_row_.assign(tree_.size, 0.0);
+    linearise(at, k, found_[k].normal, found_[k].point, own_row_.data());
+    return overlap_by(own_row_.data(), place(k));
+  }
+
   void linearise(const Placed& at, size_t k, const Vec3& normal, const Vec3& point,
                  double* row) const {
     const Vec3 moment = cross(point, normal);
@@ -619,7 +688,7 @@ class Pairs {
         const double bend = bend_of(part.pair);
         const double nearest = std::min(part.before.distance, part.after.distance);
         const Vec3 change = part.after.normal - part.before.normal;
-        if (!(nearest - dip(change, length, travel, bend) < 0.5 * part.kept)) continue;
+        if (!(nearest - dip(change, length, travel, bend) < part.between)) continue;
         const double middle = 0.5 * (part.low + part.high);
         // All parts of one interval are halved at one point.
         if (at_low != part.low) {
@@ -632,8 +701,8 @@ class Pairs {
         }
         const Found between = found_at(middle_, part.pair);
         if (between.distance < part.kept) meet(at, middle_, part.pair, between);
-        further_.push_back({part.low, middle, part.pair, part.kept, part.before, between});
-        further_.push_back({middle, part.high, part.pair, part.kept, between, part.after});
+        further_.push_back({part.low, middle, part.pair, part.kept, part.between, part.before, between});
+        further_.push_back({middle, part.high, part.pair, part.kept, part.between, between, part.after});
       }
       if (has_met()) return false;
       std::stable_sort(further_.begin(), further_.end(),
@@ -656,6 +725,9 @@ class Pairs {
   const std::vector<int> none_;
   std::vector<Chain> chains_;  // of the bodies, then of the joints, that of the world first
   Vector sums_, so_far_, moved_sums_;  // of turns times levers: see `sum_along`
+  Vector overlaps_;                        // that the pairs of `near_` may have
+  Vector touching_, touching_rows_;        // of pairs that touch: weights and rows
+  Vector own_row_;
   Vector margins_, same_;  // in the order in which pairs came
   std::vector<size_t> group_of_;  // likewise
   std::vector<char> changed_;

@@ -10,6 +10,8 @@ from .collision_shapes import read_collision_shapes as read_collision_shapes
 from .configuration import AttachedPoints as AttachedPoints
 from .configuration import Configuration as Configuration
 from .configuration import moved_by as moved_by
+from .contact_yield import NEAR as NEAR
+from .contact_yield import ContactYield as ContactYield
 from .fingers import PARALLEL as PARALLEL
 from .fingers import Finger as Finger
 from .fingers import PalmKinematics as PalmKinematics
@@ -60,6 +62,7 @@ from .shape_pairs import pair_distances as pair_distances
 from .shape_pairs import pair_ends as pair_ends
 from .shape_pairs import paired as paired
 from .shape_pairs import random_postures as random_postures
+from .shape_pairs import yield_to as yield_to
 from .sources import is_mjcf as is_mjcf
 from .sources import package_folder as package_folder
 from .sources import read_urdf as read_urdf
@@ -91,6 +94,9 @@ from .spec import read_document as read_document
 from .spec import read_hand_spec as read_hand_spec
 from .spec import read_yaml as read_yaml
 from .spec import typed as typed
+from .torques import DATA_SHEETS as DATA_SHEETS
+from .torques import TorqueLimits as TorqueLimits
+from .torques import torque_limits as torque_limits
 from .urdf import MOVABLE as MOVABLE
 from .urdf import USUAL_SPEEDS as USUAL_SPEEDS
 from .urdf import check_tree as check_tree

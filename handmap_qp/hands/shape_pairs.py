@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.se3 import Array, lengths
 from .collision_shapes import read_collision_shapes
+from .contact_yield import ContactYield, common_yield
 from .fingers import PARALLEL, Finger, PalmKinematics, find_fingers
 from .hand import Hand
 from .human import THUMB
 from .spec import Links, Names
+from .torques import are_prismatic, torque_limits
 
 LINK_MARGIN = 0.001
 """Margin between all links but those that pinch [m]."""
@@ -29,6 +31,9 @@ _COARSE = 5e-3
 _OVERLAPPING = 0.4
 # Joints that are no farther apart than this have crossing axes [m].
 _CROSSING = 1e-3
+# Links may overlap by this share of the thinner one's half thickness. Beyond its middle, the
+# direction in which shapes part turns round.
+_DEEPEST = 0.7
 
 
 class ShapePairs(NamedTuple):
@@ -39,11 +44,13 @@ class ShapePairs(NamedTuple):
         fingers: Finger whose distal link the pair brings together with the thumb's; empty for
             pairs that do not pinch.
         joined: Links of pairs that were left out because they never part.
+        yielding: How far they may overlap in commands; None for not at all.
     """
 
     geometry: pin.GeometryModel
     fingers: Names
     joined: tuple[Links, ...] = ()
+    yielding: ContactYield | None = None
 
     @property
     def links(self) -> tuple[Links, ...]:
@@ -176,11 +183,72 @@ def common_pairs(
     # Each finger is of one hand, so the others' names are empty.
     fingers = tuple(max(own[end] for own in owns) for end in common)
     pinching = []
-    for own in owns:
+    yielding = []
+    for pairs, own in zip(of, owns, strict=True):
         order = [*own]
+        yielding.append(
+            (pairs.yielding, np.array([order.index(end) for end in common]))
+        )
         found = [(k, order.index(end)) for k, end in enumerate(common) if own[end]]
         pinching.append(np.array(found, dtype=int).reshape(-1, 2).T)
-    return ShapePairs(paired(of[0].geometry, common), fingers), pinching
+    geometry = paired(of[0].geometry, common)
+    return ShapePairs(geometry, fingers, (), common_yield(yielding)), pinching
+
+
+def yield_to(
+    hand: Hand,
+    pairs: ShapePairs,
+    force: float,
+    stiffness: float,
+    sliding_stiffness: float,
+) -> ShapePairs:
+    """Return pairs of a hand's shapes of which thumb, fingers and palm may press on each other.
+
+    Neighbouring fingers may not.
+
+    Args:
+        hand: The hand.
+        pairs: The pairs.
+        force: Largest force between the shapes of a pair [N]; the motors' torques may allow less.
+        stiffness: Stiffness of the fingers' position control [N m/rad].
+        sliding_stiffness: The same of joints that slide [N/m].
+    """
+    chains = find_fingers(hand)
+    owner = {joint: name for name, chain in chains.items() for joint in chain.joints}
+    shapes = pairs.geometry.geometryObjects
+    thickness = np.array([_half_thickness(shape) for shape in shapes])
+    palm = hand.palm_frame.parentJoint
+    ends = pair_ends(pairs.geometry)
+    joints = [(shapes[i].parentJoint, shapes[j].parentJoint) for i, j in ends]
+    may_press = np.array([_may_press(pair, owner, palm) for pair in joints], dtype=bool)
+    thinner = thickness[np.array(ends, dtype=int).reshape(-1, 2)].min(axis=1)
+    size = len(hand.active_columns)
+    compliances = np.zeros(size)
+    torques = np.full(size, np.inf)
+    moves = np.any([chain.moves for chain in chains.values()], axis=0)
+    columns = hand.joint_columns[moves]
+    springs = np.where(are_prismatic(hand), sliding_stiffness, stiffness)
+    compliances[columns] = 1.0 / springs[moves]
+    torques[columns] = torque_limits(hand).values[moves]
+    yielding = ContactYield(
+        force * may_press, _DEEPEST * thinner * may_press, compliances, torques
+    )
+    return pairs._replace(yielding=yielding)
+
+
+def _may_press(joints: tuple[int, int], owner: dict[int, str], palm: int) -> bool:
+    """Return whether links on two joints are of thumb and finger, or of finger and palm."""
+    fingers = {owner[joint] for joint in joints if joint in owner}
+    if len(fingers) == 2:
+        return THUMB in fingers
+    return len(fingers) == 1 and palm in joints
+
+
+def _half_thickness(shape: pin.GeometryObject) -> float:
+    """Return half the least side of a shape's box along its own axes [m]."""
+    shape.geometry.computeLocalAABB()
+    box = shape.geometry.aabb_local
+    return float(np.min(box.max_ - box.min_)) / 2.0
 
 
 def _pinching_fingers(geometry: pin.GeometryModel, chains: dict[str, Finger]) -> Names:

@@ -49,6 +49,11 @@ the step brings nearer and within their margin, get such rows of the points ther
 margin, and the QP is solved again, a few times at most. Without them, links that are pressed flat
 on each other rock from corner to corner for ever.
 
+Pairs may yield (`handmap_qp.hands.contact_yield`): commanded links overlap by as much as presses
+with a given force. Then all of the above counts from that overlap on, as of the posture where the
+sample starts. A pair that overlaps by more, because the joints have moved since, must not come
+nearer, and its row parts it.
+
 Rows may hold a finger behind others, or a folded one, far from its target though another posture is
 near: a QP finds the nearest minimum. Where a point is away from its target, and not on its way,
 the hand looks ahead by the same QPs (`Detours`): where would it end if it went by its rest posture?
@@ -66,6 +71,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import (
+    NEAR,
     Configuration,
     Hand,
     ShapePairs,
@@ -243,6 +249,7 @@ class CollisionLimit:
 
     Attributes:
         margin: Distance to keep [m]; `horizon` as given.
+        yielding: How far the pairs may overlap; None for not at all.
         bounds: How far changes of coordinates move the pairs.
         columns: Which active coordinates move the shapes of any pair against each other, shape
             (n,). The others, such as those of a floating wrist, change no distance.
@@ -266,6 +273,7 @@ class CollisionLimit:
             pairs = named_pairs(hand, spec.pairs)
         self.margin = spec.margin if spec else 0.0
         self.horizon = horizon
+        self.yielding = pairs.yielding
         self._spread = hand.spread
         self._model = hand.model
         self.bounds = pair_bounds(hand.model, pairs.geometry)
@@ -310,6 +318,36 @@ class CollisionLimit:
                 reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
         kept = self.margin if margins is None else margins
         return self.within(q, kept + reach)
+
+    def overlaps(self, q: Array, near: NearPairs) -> Array:
+        """Return how far pairs may overlap in a posture [m], shape (r,).
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+            near: The pairs, measured there.
+        """
+        if self.yielding is None:
+            return np.zeros(len(near.pairs))
+        touching = self.within(q, NEAR)
+        jacobian = pin.computeJointJacobians(self._model, self._data, q)
+        G, others = (
+            self._turns_apart(each, jacobian) @ self._spread
+            for each in (near, touching)
+        )
+        return self.yielding.overlaps(near.pairs, G, others, touching.found[:, 0])
+
+    @cached_property
+    def _yields(self) -> Array:
+        """Which pairs may ever overlap, shape (k,)."""
+        if self.yielding is None:
+            return np.zeros(len(self.bounds.first), dtype=bool)
+        return self.yielding.forces > 0.0
+
+    def _turns_apart(self, near: NearPairs, jacobian: Array) -> Array:
+        """Return minus the derivatives of r distances, shape (r, c), by columns (6, c)."""
+        normals = near.found[:, 1:4]
+        wrenches = np.hstack([normals, np.cross(near.found[:, 4:], normals)])
+        return self.bounds.signs[near.pairs] * wrenches.dot(jacobian)
 
     def within(self, q: Array, horizon: Array | float = np.inf) -> NearPairs:
         """Measure the pairs within a horizon.
@@ -361,13 +399,21 @@ class CollisionLimit:
         pairs, before = self.within(q, KEPT + travel)
         there = pin.integrate(self._model, q, step)
         ends = np.array([before, self._found_at(there, pairs)])
+        # Distances count from here on: 0, or what yields may overlap.
+        floors = -self.overlaps(q, NearPairs(pairs, before))
+        room = before[:, 0] - floors
         # On a path from a to b, the distance is never below (a + b - travel) / 2.
-        is_open = ends[..., 0].sum(axis=0) - travel[pairs] < KEPT
-        is_open &= before[:, 0] > 0.0
-        pairs = pairs[is_open]
+        is_open = ends[..., 0].sum(axis=0) - travel[pairs] < KEPT + 2.0 * floors
+        is_open &= (room > 0.0) | self._yields[pairs]
+        pairs, floors, room = pairs[is_open], floors[is_open], room[is_open]
         ends = ends[:, is_open]
+        # What they keep where the path is measured, and between. Below the floor, come no nearer.
+        slack = np.minimum(room, KEPT)
+        is_below = room <= 0.0
         kept = np.full_like(travel, KEPT)
-        kept[pairs] = np.minimum(ends[0, :, 0], KEPT)
+        kept[pairs] = np.where(is_below, ends[0, :, 0] - _NEARER, floors + slack)
+        midway = kept.copy()
+        midway[pairs] -= 0.5 * np.where(is_below, KEPT, slack)
         met = self._meetings(q, there, pairs, ends[1], kept[pairs])
         if len(met.pairs):
             return met
@@ -381,7 +427,7 @@ class CollisionLimit:
             turned += length * bend[pairs]
             bent = 0.125 * turned * length * travel[pairs]
             nearest = ends[..., 0].min(axis=0)
-            is_open = nearest - bent < 0.5 * kept[pairs]
+            is_open = nearest - bent < midway[pairs]
             if not is_open.any():
                 continue
             if taken == _MOST_POINTS:
@@ -407,6 +453,7 @@ class CollisionLimit:
         Arguments are as of `measure`, which found `near`, and `met_on`, and so is the result.
         """
         kept = self.margin if margins is None else margins[near.pairs]
+        kept = kept - self.overlaps(q, near)
         least = np.minimum(near.found[:, 0], kept) - _NEARER
         there = pin.integrate(self._model, q, self._spread.dot(displacement))
         found = self._found_at(there, near.pairs)
@@ -448,11 +495,10 @@ class CollisionLimit:
             nearer than the margin.
         """
         pairs, found = near
-        normals = found[:, 1:4]
-        wrenches = np.hstack([normals, np.cross(found[:, 4:], normals)])
-        G = self.bounds.signs[pairs] * wrenches.dot(configuration.data.J)
+        G = self._turns_apart(near, configuration.data.J)
         kept = self.margin if margins is None else margins
         kept = kept[pairs] if isinstance(kept, np.ndarray) else kept
+        kept = kept - self.overlaps(configuration.q, near)
         return configuration.contracted(G), _GAIN * (found[:, 0] - kept)
 
 

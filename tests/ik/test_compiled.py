@@ -25,6 +25,7 @@ from handmap_qp import (
     IkOptions,
     PointDistances,
     TaskRows,
+    Teleoperation,
     hand_names,
     load_hand,
     read_recording,
@@ -88,6 +89,35 @@ def test_a_sample_of_both_paths_from_one_state_has_one_command(
         # A motion that is set ends a detour, so it is set for both.
         fast.motion = slow.motion = Motion(*slow.motion)
     assert worst < 1e-9
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "leap_right", "three_finger"])
+def test_hands_whose_links_press_have_one_command_on_both_paths(name: str) -> None:
+    robot = robot_of(name)
+    options = get_preset("teleoperation").ik.replaced(takes_detours=False)
+    method = Teleoperation(squeeze=4.0)
+    fast = HandMapper(HUMANS["right"], robot, method, ik=options)
+    slow = HandMapper(
+        HUMANS["right"], robot, method, ik=options.replaced(formulation="direct")
+    )
+    assert fast.point_ik.core is not None
+    assert slow.point_ik.core is None
+    limit = slow.point_ik.gate.collisions
+    assert limit
+    worst = 0.0
+    deepest = 0.0
+    for landmarks in read_recording("demo", "right").landmarks[:180:3]:
+        one = fast.map_landmarks(landmarks, dt=0.05)
+        other = slow.map_landmarks(landmarks, dt=0.05)
+        assert one.iterations == other.iterations
+        assert one.held_by == other.held_by
+        worst = max(worst, np.abs(one.command.q - other.command.q).max())
+        distances = limit.within(slow.motion.q).found[:, 0]
+        deepest = min(deepest, distances.min())
+        fast.motion = slow.motion = Motion(*slow.motion)
+    assert worst < 1e-9
+    # They overlapped, so the paths had to agree on by how much.
+    assert deepest < -5e-4
 
 
 @pytest.mark.parametrize("limit", [None, 25.0], ids=["free", "accelerating"])

@@ -37,7 +37,14 @@ from run_cases import (
 )
 
 import handmap_qp
-from handmap_qp import Follower, HandMapper, HumanSample, IkOptions, load_hand
+from handmap_qp import (
+    Follower,
+    HandMapper,
+    HumanSample,
+    IkOptions,
+    Teleoperation,
+    load_hand,
+)
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.errors import HandError, InvalidOptionsError
 from handmap_qp.hands import Side, load_robot
@@ -71,6 +78,14 @@ def test_it_follows_alone_as_the_library_does(site: Path, tmp_path: Path) -> Non
     for name, (robot, preset, fault) in cases.items():
         mappers[name] = mapper_of(robot, preset)
         write_case(tmp_path, name, mappers[name], recording_with(fault))
+    squeezing = get_preset("teleoperation")
+    mappers["squeeze"] = HandMapper(
+        load_hand("human", points="landmarks"),
+        load_hand("allegro_right"),
+        Teleoperation(squeeze=3.0),
+        ik=squeezing.ik,
+    )
+    write_case(tmp_path, "squeeze", mappers["squeeze"], recording_with(""))
     for name, preset in ROBOTS.items():
         mappers[name] = robot_mapper_of(name, preset, PINCH)
         write_case(tmp_path, name, mappers[name], *PINCH.values())

@@ -15,9 +15,9 @@ from handmap_score.tasks.picking import TRAY, PickTask, pick_cause
 from handmap_score.tasks.task import Scene
 
 from handmap_qp.apps.simulation.losses import Touch
-from handmap_qp.apps.simulation.torques import DATA_SHEETS
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import load_hand
+from handmap_qp.hands.torques import DATA_SHEETS
 
 # Whole attempts in MuJoCo: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -18,9 +18,9 @@ from handmap_qp.apps.simulation.losses import Loss, Touch, loss_in_try, tries
 from handmap_qp.apps.simulation.pad_motion import PersonPads
 from handmap_qp.apps.simulation.physics import Physics, choose_gravity
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
-from handmap_qp.apps.simulation.torques import torque_limits
 from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.torques import torque_limits
 from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.objects import Sphere
 from handmap_qp.trackers import read_recording

@@ -69,7 +69,7 @@ class Simulated:
         self.joint_names = tuple(n for n in hand.joint_names if n in joints)
         self._own = own = [*map(hand.joint_names.index, self.joint_names)]
         self.range = hand.limits[:, own]
-        shapes, fingers, _ = all_pairs(hand)
+        shapes, fingers, *_ = all_pairs(hand)
         pinching = paired(shapes, [*compress(pair_ends(shapes), fingers)])
         self._tips = CollisionLimit(hand, ShapePairs(pinching, ()))
         self._placed = hand.configuration()

@@ -25,6 +25,7 @@ from handmap_qp.hands import (
     is_robot,
     load_whole,
     sided_name,
+    torque_limits,
 )
 from handmap_qp.mapping import parse_object, surface
 from handmap_qp.output_files import check_output
@@ -43,7 +44,6 @@ from .pinch import (
     describe_trial,
     random_trials,
 )
-from .torques import torque_limits
 from .tried import Tried, fates, loss_rows, single_row, tried_row, try_all
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]

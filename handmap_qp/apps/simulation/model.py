@@ -12,11 +12,10 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands import Hand, Values, read_collision_shapes
+from handmap_qp.hands import Hand, Values, read_collision_shapes, torque_limits
 from handmap_qp.mapping import Cylinder, Shape, geometry_of
 from handmap_qp.se3 import Arrays, mirror_sign, quat_wxyz_from_rotation
 from .physics import Physics
-from .torques import torque_limits
 
 OBJECT = "/object"
 WRIST = "/wrist"

@@ -14,7 +14,15 @@ from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
-from handmap_qp.hands import CONTACT_GAP, FINGERS, LINK_MARGIN, THUMB, Hand
+from handmap_qp.hands import (
+    CONTACT_GAP,
+    FINGERS,
+    LINK_MARGIN,
+    THUMB,
+    Hand,
+    ShapePairs,
+    yield_to,
+)
 from handmap_qp.ik import Compiled, IkOptions
 from handmap_qp.mapping import (
     FOLLOWING,
@@ -225,7 +233,7 @@ class BoundTeleoperation(PalmMethod):
         pair = self.pair
         super().__init__(choices, human, pair.robot)
         self.wrist_to_palm = human.wrist_to_palm @ affine(pair.palms.turn.T)
-        self.contacts = pair.measured.contacts if choices.avoids_contact else None
+        self.contacts = self._contacts() if choices.avoids_contact else None
         # Margin between thumb and finger per human gap beyond where it begins. Places keep the gaps
         # of a hand like the person's by themselves.
         self.contact_slope = (1.0 - pair.palms.likeness) * _CONTACT_SLOPE
@@ -239,6 +247,20 @@ class BoundTeleoperation(PalmMethod):
         self.distances = pair.measured.distances
         self._prepare_aims()
         self._prepare_margins()
+
+    def _contacts(self) -> ShapePairs:
+        """Return the pairs that are kept apart, or may press on each other."""
+        choices = self.choices
+        contacts = self.pair.measured.contacts
+        if choices.squeeze == 0.0:
+            return contacts
+        return yield_to(
+            self.pair.robot,
+            contacts,
+            choices.squeeze,
+            choices.stiffness,
+            choices.sliding_stiffness,
+        )
 
     def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm, moved so that the knuckles of both hands have one centre."""
@@ -329,6 +351,10 @@ class Teleoperation(AlignedOptions, frozen=True):
         ridge: Pull of T towards a rotation.
         scale: Factor on the palm's translation, for arms that reach less far than a person's.
         avoids_contact: Whether links of the robot are kept apart.
+        squeeze: Force with which thumb, fingers and palm of the robot may press on each other [N]:
+            commanded links overlap by as much as presses with it. 0 for commands without overlap.
+        stiffness: Stiffness of the fingers' position control [N m/rad], for `squeeze`.
+        sliding_stiffness: The same of joints that slide [N/m].
     """
 
     bound_type = BoundTeleoperation
@@ -345,6 +371,9 @@ class Teleoperation(AlignedOptions, frozen=True):
     ridge: Annotated[float, number(high=1e3, above=True)] = 0.1
     scale: _Weight = 1.0
     avoids_contact: bool = True
+    squeeze: Annotated[float, number(high=100.0)] = 0.0
+    stiffness: Annotated[float, number(high=1e6, above=True)] = 3.0
+    sliding_stiffness: Annotated[float, number(high=1e9, above=True)] = 2000.0
 
     def fitted_to(self, human: Hand) -> Self:
         """Return these options with the contact gap of a person's hand."""

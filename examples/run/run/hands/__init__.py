@@ -34,7 +34,7 @@ class Record:
 
 # Types of arguments, and what only describes a hand that is not saved yet.
 Finger = PointSpec = ShapePairs = Record
-load_hand = moved_by = named_pairs = pair_ends = None
+load_hand = moved_by = named_pairs = pair_ends = yield_to = None
 
 
 class Pose(Record):
@@ -139,6 +139,13 @@ class Convex(Record):
 
 class PairBounds(Compiled, Record):
     """Bounds of pairs of shapes, as of `ik.collision`."""
+
+
+class CollisionLimit(Record):
+    """Pairs of shapes that are kept apart, as of `ik.collision`."""
+
+    # Files of former versions do not have it.
+    yielding: Record | None = None
 
 
 class Frame(Record):
@@ -309,6 +316,7 @@ KINDS = {
     for kind in (
         Pose,
         AttachedPoints,
+        CollisionLimit,
         JointModel,
         Model,
         Convex,

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands import Hand
 from handmap_qp.se3 import Array
+from .hand import Hand
 
 DATA_SHEETS: Mapping[str, float] = MappingProxyType(
     {"allegro": 0.7, "leap": 0.95, "shadow": 2.0}
@@ -57,7 +57,7 @@ def torque_limits(hand: Hand, limit: float | None = None) -> TorqueLimits:
         return TorqueLimits(
             values, f"at most {sheet:g} N m, by the maker of {family} hands"
         )
-    is_prismatic = _are_prismatic(hand)
+    is_prismatic = are_prismatic(hand)
     is_placeholder = efforts >= np.where(is_prismatic, *reversed(_PLACEHOLDERS))
     is_assumed = is_finger & is_placeholder
     assumed = np.where(is_prismatic, *reversed(_ASSUMED))
@@ -72,7 +72,7 @@ def _family(hand: Hand) -> str:
     return next((word for word in DATA_SHEETS if word in names), "")
 
 
-def _are_prismatic(hand: Hand) -> Array:
+def are_prismatic(hand: Hand) -> Array:
     """Return which of `hand.joint_names` are prismatic, shape (n,)."""
     model = hand.model
     kinds = [model.joints[model.getJointId(name)] for name in hand.joint_names]

@@ -1,0 +1,88 @@
+"""`ContactYield`: how far the commanded links of a hand may overlap, so that the real ones press.
+
+Position control of stiffness K presses on what stops a joint by `K (q_command - q)`. Links that are
+commanded to overlap by d press on each other by the force f with
+
+    d = A f,    A = G W G^T,
+
+where the rows G are the derivatives of the distances by the joints, and W = 1 / K. For pairs that
+touch at once, f may be larger than for one alone: a finger between thumb and palm gets the force of
+both. With c_kj <= 0 the entries of A by which one pair raises the force of another, a pair k may
+overlap by
+
+    d_k = F_k max(0, A_kk + sum_{j != k} w_j c_kj),    c_kj = min(A_kj, 0),
+
+and by no more than the links' shapes allow. The weight w_j is 1 for a pair that touches, and 0 from
+`NEAR` on. Proof that no pair that may yield presses by more than the largest F: let f_k be the
+largest force of all. Then `d_k = (A f)_k >= f_k (A_kk + sum c_kj)`, so `f_k <= F_k`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from handmap_qp.se3 import Array
+
+NEAR = 1e-3
+"""Pairs that are farther apart than this count as not touching [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactYield:
+    """How far pairs of shapes may overlap in commands.
+
+    Attributes:
+        forces: Largest force between the shapes of each pair [N], shape (k,); 0 for pairs that
+            must not overlap.
+        depths: Largest overlap of each pair [m], shape (k,).
+        compliances: Turn of each active coordinate by a torque of position control [rad/(N m),
+            m/N], shape (n,); 0 for those that are no finger's.
+        torques: Largest torque of each active coordinate [N m, N], shape (n,).
+    """
+
+    forces: Array
+    depths: Array
+    compliances: Array
+    torques: Array
+
+    def overlaps(
+        self, pairs: Array, G: Array, touching: Array, distances: Array
+    ) -> Array:
+        """Return how far pairs may overlap in one posture [m], shape (r,).
+
+        Args:
+            pairs: Their indices, shape (r,).
+            G: Rows of their distances in the active coordinates, shape (r, n).
+            touching: The same of the pairs that are nearer than `NEAR`, shape (t, n).
+            distances: Signed distances of those [m], shape (t,).
+        """
+        levers = np.abs(G)
+        usable = np.full_like(levers, np.inf)
+        np.divide(self.torques, levers, out=usable, where=levers > 0.0)
+        forces = np.minimum(self.forces[pairs], usable.min(axis=1, initial=np.inf))
+        weighted = self.compliances * G
+        alone = (weighted * G).sum(axis=1)
+        weights = np.clip(1.0 - distances / NEAR, 0.0, 1.0)
+        raised = np.minimum(weighted @ touching.T, 0.0) @ weights
+        gives = np.maximum(alone + raised, 0.0)
+        return np.minimum(forces * gives, self.depths[pairs])
+
+
+def common_yield(
+    of: Sequence[tuple[ContactYield | None, Array]],
+) -> ContactYield | None:
+    """Return how pairs of all hands of one robot yield; None if none does.
+
+    Args:
+        of: Of each hand, how its own pairs yield, and which of them are the common ones, (k,).
+    """
+    known = [(own, order) for own, order in of if own is not None]
+    if not known:
+        return None
+    return ContactYield(
+        np.max([own.forces[order] for own, order in known], axis=0),
+        np.max([own.depths[order] for own, order in known], axis=0),
+        np.max([own.compliances for own, _ in known], axis=0),
+        np.min([own.torques for own, _ in known], axis=0),
+    )

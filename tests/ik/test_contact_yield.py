@@ -1,0 +1,162 @@
+"""How far commanded links may overlap, so that the real ones press by a force."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import numpy as np
+from scipy.optimize import nnls
+
+from handmap_qp import HandMapper, Teleoperation, load_hand, read_recording
+from handmap_qp.hands import ContactYield, Hand, Side, load_robot
+from handmap_qp.mapping import RobotMapper
+from handmap_qp.mapping.presets import get_preset
+from handmap_qp.se3 import Array
+
+HUMAN = load_hand("human", points="landmarks")
+PINCH = read_recording("demo", "right").landmarks[:180:2]
+FORCE = 3.0  # N
+STIFFNESS = 2.0  # N m/rad
+# One sample moves links between the posture in which the overlap is computed and the next one [m].
+MOVED = 1.5e-3
+
+
+def overlaps_of(G: Array, torque: float = np.inf, depth: float = 1.0) -> Array:
+    """Return the overlaps of pairs that all touch, with one spring for each coordinate."""
+    count, size = G.shape
+    ones = np.ones
+    yielding = ContactYield(
+        FORCE * ones(count),
+        depth * ones(count),
+        ones(size) / STIFFNESS,
+        torque * ones(size),
+    )
+    return yielding.overlaps(np.arange(count), G, G, -1e-3 * ones(count))
+
+
+def forces_of(G: Array, overlaps: Array) -> Array:
+    """Return the contact forces of links that are commanded to overlap [N]."""
+    # A f = d + w, f >= 0, w >= 0, f w = 0: the optimum of |B^T f - x|^2 with B B^T = A, B x = d.
+    B = G / np.sqrt(STIFFNESS)
+    forces, _ = nnls(B.T, np.linalg.lstsq(B, overlaps, rcond=None)[0])
+    return forces
+
+
+def test_one_pair_presses_by_the_force() -> None:
+    G = np.array([[0.08, 0.05, -0.06]])
+    overlaps = overlaps_of(G)
+    np.testing.assert_allclose(overlaps, FORCE * np.square(G).sum() / STIFFNESS)
+    np.testing.assert_allclose(forces_of(G, overlaps), FORCE)
+
+
+def test_torques_and_shapes_limit_the_overlap() -> None:
+    G = np.array([[0.08, 0.05, -0.06]])
+    give = np.square(G).sum() / STIFFNESS
+    np.testing.assert_allclose(overlaps_of(G, torque=0.08), 1.0 * give)
+    np.testing.assert_allclose(overlaps_of(G, depth=0.002), 0.002)
+
+
+def test_a_finger_between_thumb_and_palm_is_pressed_by_no_more() -> None:
+    # Two joints of a thumb, two of the finger: thumb on finger, and finger on palm.
+    G = np.array([[0.06, 0.05, 0.07, 0.04], [0.0, 0.0, -0.07, -0.04]])
+    overlaps = overlaps_of(G)
+    assert overlaps[0] > 0.0
+    assert overlaps[1] == 0.0
+    np.testing.assert_allclose(forces_of(G, overlaps), FORCE, rtol=1e-9)
+
+
+def test_several_pairs_press_by_no_more_where_each_has_its_share() -> None:
+    random = np.random.default_rng(3)
+    counted = 0
+    for _ in range(300):
+        count = int(random.integers(2, 5))
+        G = random.normal(scale=0.05, size=(count, 12))
+        overlaps = overlaps_of(G)
+        if overlaps.min() <= 0.0:
+            continue
+        counted += 1
+        assert forces_of(G, overlaps).max() <= FORCE * (1.0 + 1e-9)
+    assert counted > 100
+
+
+def mapper_of(squeeze: float, name: str = "leap_right") -> HandMapper:
+    ik = get_preset("teleoperation").ik
+    return HandMapper(HUMAN, load_hand(name), Teleoperation(squeeze=squeeze), ik=ik)
+
+
+def nearest_after(mapper: HandMapper, landmarks: Array) -> float:
+    """Return the least distance of all pairs after a sample [m]."""
+    mapper.map_landmarks(landmarks, dt=0.033)
+    limit = mapper.point_ik.gate.collisions
+    assert limit
+    return float(limit.within(mapper.motion.q).found[:, 0].min())
+
+
+def test_pairs_overlap_by_no_more_than_they_may_and_others_never_do() -> None:
+    mapper = mapper_of(FORCE)
+    limit = mapper.point_ik.gate.collisions
+    assert limit
+    assert limit.yielding
+    must_not = limit.yielding.forces == 0.0
+    deepest = 0.0
+    for landmarks in PINCH:
+        before = mapper.motion.q
+        near = limit.within(before)
+        most = limit.overlaps(before, near)
+        mapper.map_landmarks(landmarks, dt=0.033)
+        distances = limit.within(mapper.motion.q).found[:, 0]
+        assert distances[must_not].min() > 0.0
+        # A pair that may overlap by less now, because joints have moved, comes no nearer.
+        least = np.minimum(-most, near.found[:, 0]) - 1e-5
+        assert (distances >= least).all()
+        deepest = min(deepest, distances.min())
+    assert deepest < -1e-3
+
+
+def test_a_hand_without_squeeze_is_kept_apart_as_before() -> None:
+    mapper = mapper_of(0.0)
+    limit = mapper.point_ik.gate.collisions
+    assert limit
+    assert limit.yielding is None
+    for landmarks in PINCH:
+        mapper.map_landmarks(landmarks, dt=0.033)
+        assert limit.within(mapper.motion.q).found[:, 0].min() > 0.0
+
+
+def test_squeeze_can_be_changed_on_the_way_and_copied() -> None:
+    mapper = mapper_of(FORCE)
+    nearest = [nearest_after(mapper, landmarks) for landmarks in PINCH]
+    deepest = int(np.argmin(nearest))
+    mapper = mapper_of(FORCE)
+    for landmarks in PINCH[: deepest + 1]:
+        mapper.map_landmarks(landmarks, dt=0.033)
+    pinching = PINCH[deepest]
+    other = deepcopy(mapper)
+    one = mapper.map_landmarks(pinching, dt=0.033).command.q
+    two = other.map_landmarks(pinching, dt=0.033).command.q
+    np.testing.assert_allclose(one, two, atol=1e-12)
+    mapper.configure(Teleoperation(), ik=mapper.ik)
+    # Links that overlap part again.
+    later = [nearest_after(mapper, pinching) for _ in range(60)]
+    assert nearest[deepest] < -1e-3
+    assert later[-1] > 0.0
+
+
+def test_links_of_one_hand_of_a_robot_may_press_but_not_on_the_other_hand() -> None:
+    humans: dict[Side, Hand] = {
+        "left": load_hand("human_left", points="landmarks"),
+        "right": HUMAN,
+    }
+    ik = get_preset("teleoperation").ik
+    mapper = RobotMapper(load_robot("g1"), humans, Teleoperation(squeeze=FORCE), ik=ik)
+    limit = mapper.point_ik.gate.collisions
+    assert limit
+    assert limit.yielding
+    may_press = limit.yielding.forces > 0.0
+    pressing = [
+        links for links, may in zip(limit.bounds.links, may_press, strict=False) if may
+    ]
+    sides = [{link.split("_")[0] for link in links} for links in pressing]
+    assert {"left"} in sides
+    assert {"right"} in sides
+    assert {"left", "right"} not in sides
