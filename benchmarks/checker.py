@@ -93,7 +93,7 @@ class Checker:
         hand, q = self._hand, np.atleast_2d(q)
         instants = [self._time]
         for stamp in np.broadcast_to(time, len(q)):
-            instants.append(max(float(stamp), instants[-1] + SHORTEST))
+            instants.append(counted(float(stamp), instants[-1]))
         self._time = instants[-1]
         dt = np.diff(instants)
         # The sums and differences of stamps are rounded.
@@ -171,11 +171,23 @@ class Checker:
         self._note("overlap", depths, OVERLAP)
 
     def _note(self, what: str, values: np.ndarray, most: float) -> None:
-        self.worst[what] = max(self.worst.get(what, -np.inf), float(values.max()))
+        # A NaN is a violation, and hides no other figure of its batch.
+        worst = float(np.fmax.reduce(values))
+        self.worst[what] = max(self.worst.get(what, -np.inf), worst)
         wrong = np.flatnonzero(~(values <= most))
         self.violations[what] += len(wrong)
         if len(wrong):
             self.first.setdefault(what, self.commands + int(wrong[0]))
+
+
+def counted(stamp: float, last: float) -> float:
+    """Return the instant of a command as it counts [s].
+
+    Args:
+        stamp: The time stamp of the command [s].
+        last: The instant of the command before, as it counts [s].
+    """
+    return max(stamp, last + SHORTEST)
 
 
 def twists(before: np.ndarray, after: np.ndarray) -> np.ndarray:

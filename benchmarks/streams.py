@@ -4,17 +4,19 @@ Hands come together, in turns, and at unequal rates; stamps repeat and go back; 
 one hand is lost and comes back. A run follows time stamps (`Follower`, `RobotFollower`), or gives a
 mapper the instants of its commands, or the times between them. Between samples the robot brakes, is
 released, engages again, or gets another limit of acceleration. `checker.py` judges the commands by
-their instants alone.
+their instants alone. Landmarks are computed, and commands are judged, many at a time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import groupby, islice
 from typing import Any, Literal, NamedTuple
 
 import hostile
 import numpy as np
-from checker import SHORTEST, Checker
+import pinocchio as pin
+from checker import SHORTEST, Checker, counted
 
 from handmap_qp import Follower, HandmapError, HandMapper, HumanSample, load_hand
 from handmap_qp.hands.hand import Hand
@@ -22,8 +24,10 @@ from handmap_qp.hands.robot import load_robot, robot_files
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import human_name
 from handmap_qp.ik.limits import Motion
+from handmap_qp.mapping.hand_pair import points_in_palm
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.se3 import transform_points
 from handmap_qp.stream.robot_follower import RobotFollower
 
 LIMITS = (None, 2.0, 10.0, 30.0, 100.0)
@@ -33,6 +37,7 @@ RATES = (120.0, 90.0, 60.0, 45.0, 30.0, 10.0)
 GAPS = (0.05, 0.1, 0.2, 0.3, 0.6, 2.0, 20.0)
 """Times without a sample [s]."""
 _FIRST = 1.0 / 60.0  # what the first command takes [s]
+_AHEAD = 200  # events whose landmarks are computed at a time
 
 Kind = Literal["stamps", "instants", "times"]
 
@@ -42,6 +47,29 @@ class Event(NamedTuple):
 
     stamp: float
     sides: tuple[Side, ...]
+
+
+class Sample(NamedTuple):
+    """Landmarks of the hands that have a sample [m], shape (21, 3), with its time stamp [s]."""
+
+    stamp: float
+    landmarks: dict[Side, np.ndarray]
+
+
+class Commanded(NamedTuple):
+    """A command that waits to be judged.
+
+    Attributes:
+        q: Joint positions [rad or m], shape (n,).
+        wrist: Pose of the wrist, shape (4, 4); None if it is fixed.
+        stamp: Time stamp [s].
+        limit: Limit of acceleration that it was given under [rad/s^2]; None for none.
+    """
+
+    q: np.ndarray
+    wrist: np.ndarray | None
+    stamp: float
+    limit: float | None
 
 
 def events(sides: tuple[Side, ...], rng: np.random.Generator) -> Iterator[Event]:
@@ -97,26 +125,39 @@ class Person:
         self._rates = rng.uniform(1.0, 9.0, (len(sides), 7))
         self._phases = rng.uniform(0.0, 2.0 * np.pi, (len(sides), 7))
 
-    def landmarks(self, side: Side, time: float) -> np.ndarray:
-        """Return the landmarks of a hand at an instant [m], shape (21, 3)."""
+    def samples(self, instants: Iterator[Event]) -> Iterator[Sample]:
+        """Yield the samples of events."""
+        while ahead := [*islice(instants, _AHEAD)]:
+            stamps = np.array([event.stamp for event in ahead])
+            rows = {side: self.landmarks(side, stamps) for side in self.hands}
+            for k, event in enumerate(ahead):
+                yield Sample(event.stamp, {side: rows[side][k] for side in event.sides})
+
+    def landmarks(self, side: Side, times: np.ndarray) -> np.ndarray:
+        """Return the landmarks of a hand [m], shape (T, 21, 3), at instants [s], shape (T,)."""
         hand = self.hands[side]
         k = [*self.hands].index(side)
-        waves = np.sin(self._rates[k] * time + self._phases[k])
-        share = 0.5 + 0.5 * waves[0]
+        waves = np.sin(self._rates[k] * times[:, None] + self._phases[k])
+        share = 0.5 + 0.5 * waves[:, :1]
         q = hand.rest + share * (0.6 * hand.upper_limits - hand.rest)
         q = np.clip(q, hand.lower_limits, hand.upper_limits)
-        wrist = np.eye(4)
-        turn = 0.8 * waves[1:4]
-        cosines, sines = np.cos(turn), np.sin(turn)
-        for i, (cos, sin) in enumerate(zip(cosines, sines, strict=True)):
-            rotation = np.eye(3)
-            a, b = (i + 1) % 3, (i + 2) % 3
-            rotation[[a, b], [a, b]] = cos
-            rotation[a, b], rotation[b, a] = -sin, sin
-            wrist[:3, :3] = wrist[:3, :3] @ rotation
+        wrists = np.tile(np.eye(4), (len(times), 1, 1))
+        for axis in range(3):
+            turns = _turns(axis, 0.8 * waves[:, 1 + axis])
+            wrists[:, :3, :3] = wrists[:, :3, :3] @ turns
         sign = 1.0 if side == "left" else -1.0
-        wrist[:3, 3] = 0.25 * waves[4:7] + np.array([0.0, 0.3 * sign, 0.0])
-        return hand.points(q, wrist)
+        wrists[:, :3, 3] = 0.25 * waves[:, 4:7] + np.array([0.0, 0.3 * sign, 0.0])
+        return transform_points(wrists @ hand.wrist_to_palm, points_in_palm(hand, q))
+
+
+def _turns(axis: int, angles: np.ndarray) -> np.ndarray:
+    """Return rotations about a coordinate axis by angles [rad], shape (T, 3, 3)."""
+    turns = np.tile(np.eye(3), (len(angles), 1, 1))
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    turns[:, a, a] = turns[:, b, b] = np.cos(angles)
+    turns[:, b, a] = np.sin(angles)
+    turns[:, a, b] = -turns[:, b, a]
+    return turns
 
 
 class StreamRun:
@@ -153,8 +194,11 @@ class StreamRun:
             (human,) = self._person.hands.values()
             self._mapper = HandMapper(human, robot, "teleoperation", ik=ik)
             self._follower = Follower(self._mapper)
-        self._events = events(sides, rng)
+        # Events have random numbers of their own, because they are drawn ahead.
+        (ahead,) = rng.spawn(1)
+        self._samples = self._person.samples(events(sides, ahead))
         self.checker = Checker(self._mapper.robot)
+        self._waiting: list[Commanded] = []
         self._is_placed = not self.robot.is_floating
         self._is_started = False
         self._last = 0.0
@@ -165,12 +209,17 @@ class StreamRun:
         return self._mapper.robot
 
     def advance(self, count: int, tally: hostile.Tally) -> None:
-        """Take steps into the tally."""
-        for _ in range(count):
-            event = next(self._events)
+        """Take steps into the tally; all commands are judged when it returns."""
+        try:
+            self._steps(count, tally)
+        finally:
+            self._judge_waiting()
+
+    def _steps(self, count: int, tally: hostile.Tally) -> None:
+        for sample in islice(self._samples, count):
             try:
                 self._interrupt()
-                step = self._take(event)
+                step = self._take(sample)
             except HandmapError as error:
                 tally.refused[type(error).__name__] += 1
                 continue
@@ -179,51 +228,58 @@ class StreamRun:
                 return
             tally.statuses[step.status] += 1
             tally.check_finite(step.command.q, step.targets, step.points)
-            self._judge(step.command, event.stamp)
+            self._judge(step.command, sample.stamp)
 
-    def _take(self, event: Event) -> Any:
+    def _take(self, sample: Sample) -> Any:
         """Let the robot take samples."""
+        stamp, landmarks = sample
         if not self._is_started:
-            self.checker.start(self._mapper.motion.q, event.stamp - _FIRST)
-            self._last = event.stamp - _FIRST
+            self._last = stamp - _FIRST
+            self.checker.start(self._mapper.motion.q, self._last)
             self._is_started = True
-        landmarks = {
-            side: self._person.landmarks(side, event.stamp) for side in event.sides
-        }
         if self._kind == "stamps":
             is_valid = self._rng.random() > 0.02
             samples = {
-                side: HumanSample(event.stamp, side, points, None, is_valid, 1.0)
+                side: HumanSample(stamp, side, points, None, is_valid, 1.0)
                 for side, points in landmarks.items()
             }
             if self._is_robot:
                 return self._follower.map_samples(samples)
-            (sample,) = samples.values()
-            return self._follower.map_sample(sample)
+            (only,) = samples.values()
+            return self._follower.map_sample(only)
         # The first command of a clock takes the mapper's own time.
-        times = {"time": event.stamp}
+        times = {"time": stamp}
         if self._kind == "times":
-            times = {"dt": max(event.stamp - self._last, SHORTEST)}
+            times = {"dt": max(stamp - self._last, SHORTEST)}
         if self._is_robot:
             return self._mapper.map_landmarks(landmarks, **times)
         (points,) = landmarks.values()
         return self._mapper.map_landmarks(points, **times)
 
     def _judge(self, command: Any, stamp: float) -> None:
-        """Judge a command at an instant [s]."""
-        robot = self.robot
-        wrist = command.wrist if robot.is_floating else None
-        vector = robot.configuration_vector(command.q, wrist)
+        """Judge a command at an instant [s], together with those that follow it."""
+        self._last = counted(stamp, self._last)
+        # Copies, so that the command is judged as it was given, whatever becomes of its arrays.
+        wrist = command.wrist.copy() if self.robot.is_floating else None
+        limit = self._mapper.ik.max_acceleration
+        self._waiting.append(Commanded(command.q.copy(), wrist, stamp, limit))
         if not self._is_placed:
             # It has moved from the posture of its reference already.
             self._is_placed = True
+            (vector,) = configurations(self.robot, self._waiting)
+            self._waiting.clear()
             self._mapper.motion = Motion.at_rest(
                 vector, self._mapper.point_ik.configuration.nv
             )
-            self.checker.start(vector, max(stamp, self.checker.time))
-        else:
-            self.checker.take(vector, stamp, self._mapper.ik.max_acceleration)
-        self._last = self.checker.time
+            self.checker.start(vector, self._last)
+
+    def _judge_waiting(self) -> None:
+        """Judge the commands that wait, all of one limit in one call."""
+        waiting, self._waiting = self._waiting, []
+        for limit, group in groupby(waiting, key=lambda each: each.limit):
+            commands = [*group]
+            stamps = np.array([each.stamp for each in commands])
+            self.checker.take(configurations(self.robot, commands), stamps, limit)
 
     def _interrupt(self) -> None:
         """Do something between samples, now and then."""
@@ -240,3 +296,22 @@ class StreamRun:
             # A stop of somebody else takes time that the next sample then has not.
             dt = float(10.0 ** rng.uniform(-3.0, -1.5))
             self._judge(mapper.hold(dt).command, self._last + dt)
+
+
+def configurations(robot: Hand, commands: list[Commanded]) -> np.ndarray:
+    """Return the Pinocchio configurations of commands, shape (T, nq).
+
+    Joints that follow others stay at zero: a judge without shapes does not look at them. Numbers
+    that are not finite stay what they are, so that the judge finds them.
+
+    Args:
+        robot: The robot.
+        commands: Its commands.
+    """
+    vectors = np.zeros((len(commands), robot.model.nq))
+    vectors[:, robot.q_indices] = [each.q for each in commands]
+    if robot.is_floating:
+        root = pin.XYZQUATToSE3(robot.configuration_vector(robot.rest)[:7])
+        for vector, each in zip(vectors, commands, strict=True):
+            vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(each.wrist) * root)
+    return vectors
