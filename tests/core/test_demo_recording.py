@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,19 @@ from handmap_qp.trackers.formats import DEMO_FILE
 SIDES: tuple[Side, ...] = ("left", "right")
 
 
+def members(file: Path) -> dict[str, bytes]:
+    """Return the arrays of a file by name; the archive around them differs between Pythons."""
+    with zipfile.ZipFile(file) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
 def test_the_command_makes_the_same_bytes(tmp_path: Path) -> None:
     write_demo(tmp_path / "demo.npz")
-    assert (tmp_path / "demo.npz").read_bytes() == DEMO_FILE.read_bytes()
+    assert members(tmp_path / "demo.npz") == members(DEMO_FILE)
     assert DEMO_FILE.stat().st_size < 300_000
     file = DEMO_FILE.with_name("pinch.npz")
     write_demo(tmp_path / "pinch.npz", PICK)
-    assert (tmp_path / "pinch.npz").read_bytes() == file.read_bytes()
+    assert members(tmp_path / "pinch.npz") == members(file)
     assert file.stat().st_size < 100_000
 
 

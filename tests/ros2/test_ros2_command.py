@@ -200,11 +200,14 @@ def chain() -> Iterator[tuple[Any, Client, Any]]:
     with serving() as server, client_of(server) as tracker:
         tracker.open("three_finger", name="lab", preset="paper", is_shared=True)
         words = ["lab", "--from", address_of(server), "--domain", str(DOMAIN)]
+        # As in the background of a shell.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         process = subprocess.Popen(
             [sys.executable, "-c", RUN, *words],
             stdout=subprocess.PIPE,
             text=True,
         )
+        signal.signal(signal.SIGINT, before)
         try:
             assert process.stdout is not None
             assert "ROS domain" in process.stdout.readline()

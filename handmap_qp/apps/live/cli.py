@@ -1,6 +1,5 @@
 """`handmap track`: lead live samples of a human hand to the service or into a file."""
 
-import signal
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from handmap_qp.apps import live
 from handmap_qp.apps.arguments import FileSide, KeyFiles, OpenSession, hinted
+from handmap_qp.apps.interrupts import ended_by_signals
 from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands import Values, load_hand, sided_name
@@ -234,13 +234,8 @@ def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> Values:
     """Lead samples to sinks until the source ends or Ctrl-C; print and return a summary."""
     # The state in one line on stderr, if stderr is a terminal.
     line = Console(stderr=True).status("waiting for the first sample")
-    # End on SIGTERM as on Ctrl-C, so that files are written and sessions closed.
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        with line:
-            summary = run(source, sinks, line.update)
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with ended_by_signals(), line:
+        summary = run(source, sinks, line.update)
     # Labels in words, counts by name in one line.
     rows = {
         name.replace("_", " "): ", ".join(

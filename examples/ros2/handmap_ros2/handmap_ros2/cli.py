@@ -9,6 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import KeyFiles, hinted
+from handmap_qp.apps.interrupts import ended_by_signals
 from handmap_qp.errors import HandmapError, expect
 
 
@@ -18,7 +19,7 @@ class Ros2:
 
     Needs no ROS: it speaks DDS. Topics are joint_commands (JointState) and wrist_command
     (PoseStamped) in the namespace, /CONTROLLER/commands and /CONTROLLER/joint_trajectory for
-    ros2_control, and /diagnostics with status and epoch. Ends by Ctrl-C.
+    ros2_control, and /diagnostics with status and epoch. Ends by Ctrl-C or SIGTERM.
 
     Examples:
         handmap ros2 lab
@@ -64,4 +65,5 @@ class Ros2:
                 f"{missing.name} is not installed: {advice}"
             ) from missing
         node = dds.DdsNode(int(domain), self.namespace)
-        node.follow(self.session, self.source, self.keys, self.controller)
+        with ended_by_signals():
+            node.follow(self.session, self.source, self.keys, self.controller)
