@@ -88,6 +88,7 @@ class Toy:
 
     def __init__(self, hand: str = "human") -> None:
         self.robot: Hand = load_hand(hand)
+        self.other: Hand | None = None
         self.model = mujoco.MjModel.from_xml_string(SLIDER)
         self.data = mujoco.MjData(self.model)
         self.joint = self.robot.joint_names[0]

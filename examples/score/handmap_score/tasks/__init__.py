@@ -19,6 +19,8 @@ Files, in the order of reading:
     turning.py    a task: turn a cap, and who turns it
     pouring.py    a task: pour balls into a bowl, and who tilts the cup
     inserting.py  a task: insert a peg with 2 mm of play, and who does it
+    handing.py    a task: hand a bar over with two hands
+    two_hands.py  an operator: a person with two hands, who does it
     replaying.py  operators: recorded people, open loop
     catalogue.py  tasks and their operators by name
     shares.py     intervals of shares, paired comparisons, stable orders

@@ -12,6 +12,7 @@ from handmap_qp.hands import Hand, Names, load_hand
 from . import (
     adroit,
     experts,
+    handing,
     inserting,
     judge,
     judge_picking,
@@ -24,6 +25,7 @@ from . import (
     replaying,
     table,
     turning,
+    two_hands,
 )
 from .operator import Operator
 from .task import Task
@@ -130,6 +132,9 @@ CATALOGUE: dict[str, Entry] = {
     ),
     inserting.PEG: _on_table(
         inserting.PegTask, inserting.OPERATORS, judge_table.recount_peg
+    ),
+    handing.HAND_OVER: _on_table(
+        handing.HandOverTask, two_hands.OPERATORS, judge_table.recount_hand_over
     ),
 }
 """All tasks by name."""

@@ -12,6 +12,8 @@ Mappings run live in the loop: what the robot does with a command is what the op
 
 import math
 import runpy
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -19,11 +21,11 @@ import numpy as np
 
 from handmap_qp.errors import HandmapError, InvalidInputError, did_you_mean, expect
 from handmap_qp.hands import Hand, Names
-from handmap_qp.human import scaled_human
+from handmap_qp.human import Recording, mirrored, scaled_human
 from handmap_qp.mapping import PRESETS, HandMapper
 from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.se3 import Array
-from .operator import HumanHand, Joints, Operator
+from .operator import OTHER, HumanHand, Joints, Operator
 
 UNMAPPED = "unmapped"
 STRAIGHT = "straight"
@@ -94,6 +96,32 @@ class Mapped:
         step = self._mapper.map_landmarks(hand.landmarks, dt=dt)
         names = self._mapper.robot.joint_names
         return dict(zip(names, step.command.q.tolist(), strict=True))
+
+
+class BothHands:
+    """One mapping for each hand of a person.
+
+    Args:
+        mapping: That of the hand, as in a task of one hand.
+        other: That of the other hand.
+    """
+
+    def __init__(self, mapping: Mapping, other: Mapping) -> None:
+        self._mapping = mapping
+        self._other = other
+
+    def reset(self) -> None:
+        """Begin an attempt with both hands."""
+        self._mapping.reset()
+        self._other.reset()
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Map both hands; joints of the other hand have names that begin with `OTHER`."""
+        joints = dict(self._mapping.map(hand, dt))
+        if hand.other is not None:
+            others = self._other.map(hand.other, dt)
+            joints |= {OTHER + name: value for name, value in others.items()}
+        return joints
 
 
 class Replayed:
@@ -210,7 +238,11 @@ def check_mapping(name: str) -> None:
 
 
 def make_mapping(
-    name: str, operator: Operator, robot: Hand, calibration: int
+    name: str,
+    operator: Operator,
+    robot: Hand,
+    calibration: int,
+    other: Hand | None = None,
 ) -> Mapping:
     """Return a mapping by name, for a person measured in a calibration recording.
 
@@ -219,18 +251,35 @@ def make_mapping(
         operator: Who will be mapped.
         robot: The robot hand.
         calibration: Seed of the operator's calibration recording.
+        other: The robot's other hand, in a task of two hands. It gets a mapping of the same kind,
+            for the mirror image of the person.
 
     Raises:
         HandmapError: If there is no such mapping, or it cannot be used with these hands.
     """
     check_mapping(name)
+    recording = partial(operator.calibrate, calibration)
+    mapping = _of_one_hand(name, recording, robot)
+    if other is None:
+        return mapping
+    return BothHands(mapping, _of_one_hand(name, lambda: mirrored(recording()), other))
+
+
+def _of_one_hand(name: str, calibrate: Callable[[], Recording], robot: Hand) -> Mapping:
+    """Return a mapping of one hand by its name.
+
+    Args:
+        name: As at the top of this file.
+        calibrate: Returns a recording of the person's hand.
+        robot: The robot hand.
+    """
     if name == UNMAPPED:
         return Unmapped()
     if name == STRAIGHT:
         return Straight(robot)
     if name.endswith(".npz"):
         return _trajectory(Path(name))
-    human = scaled_human(operator.calibrate(calibration))
+    human = scaled_human(calibrate())
     if ".py:" in name:
         return _of_user(name, human, robot)
     return Mapped(human, robot, name)

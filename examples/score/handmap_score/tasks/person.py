@@ -60,7 +60,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.simulation.commands import find_pinch
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Side
 from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.se3 import Array, affine, inverse_pose, transform_points, unit
 from handmap_qp.trackers import read_recording
@@ -850,9 +850,9 @@ OWN = "own"
 
 
 @cache
-def own_hand() -> Hand:
-    """Return the hand of the person in the package's recording, as a robot hand."""
-    return closing_of(read_recording(Path("pinch"), "right")).hand
+def own_hand(side: Side = "right") -> Hand:
+    """Return a hand of the person in the package's recording, as a robot hand."""
+    return prepare_take(read_recording(Path("pinch"), "right"), side).human
 
 
 OPERATORS: Mapping[str, Callable[[Hand], Person]] = MappingProxyType({"person": Person})
