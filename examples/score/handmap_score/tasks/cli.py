@@ -21,7 +21,7 @@ from .benches import Blocks, Cell, CellResult, cells_of, run_cells
 from .catalogue import CATALOGUE
 from .film import FilmError, FilmJob, draw_films
 from .journal import FILE, Kept
-from .mapping import STRAIGHT, UNMAPPED, check_mapping
+from .mapping import check_mapping
 from .page import tasks_page
 from .report import (
     Check,
@@ -52,7 +52,7 @@ class TasksRequest(NamedTuple):
         hands: Hands, by name or the path of their hand.yaml; the usual ones if empty.
         objects: Objects of the tasks that let choose; all if empty.
         operators: Operators; the usual ones of each task if empty.
-        methods: Mappings besides `unmapped` and `straight`; all presets if empty.
+        methods: Mappings besides the controls; all presets if empty.
         blocks: Seeds.
         processes: Processes that run attempts; as many as the machine has processors if 0.
         films: Whether to draw films.
@@ -180,9 +180,7 @@ def _cells(
         return [name for name in wanted if name in entry.operators]
 
     def methods(task: str, hand: str) -> Names:
-        # Both always run, because they show whether the judge is sound.
-        is_own = labels[hand] in CATALOGUE[task].own_hands
-        first = (UNMAPPED, STRAIGHT) if is_own else (STRAIGHT,)
+        first = CATALOGUE[task].controls(labels[hand])
         others = request.methods or tuple(PRESETS)
         return tuple(dict.fromkeys((*first, *others)))
 
@@ -237,7 +235,7 @@ def _write(
     """Write tasks.json and tasks.html, and print the tables."""
     rows = rows_of_results(results)
     pairs = pair_rows(groups_of(results))
-    checks = checks_of(results, {n: entry.own_hands for n, entry in CATALOGUE.items()})
+    checks = checks_of(results, CATALOGUE)
     notes = [*problems_of(results), *notes]
     document = {
         "about": about,

@@ -2,6 +2,8 @@
 
     unmapped            the operator's own joints; for an operator on its own hand
     straight            all fingers straight: what a task gives away for nothing
+    open                the operator's own joints in the open hand, for an operator on its own hand:
+                        the same control where straight fingers are so near that they enclose things
     NAME                a preset, such as `teleoperation` or `finger-vectors`
     FILE.py:NAME        of a user: a method (it has `bind`), or a callable that takes the person's
                         hand and the robot and returns a mapping (it has `reset` and `map`)
@@ -29,6 +31,7 @@ from .operator import OTHER, HumanHand, Joints, Operator
 
 UNMAPPED = "unmapped"
 STRAIGHT = "straight"
+OPEN = "open"
 
 
 @runtime_checkable
@@ -73,6 +76,22 @@ class Straight:
     def map(self, hand: HumanHand, dt: float) -> Joints:
         """Return the same posture for any hand."""
         return self._command
+
+
+class Open:
+    """The operator's own joints as they are at first, in the open hand, whatever follows."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the open hand."""
+        self._joints: Joints = {}
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the joints of the first sample."""
+        self._joints = self._joints or hand.joints
+        return self._joints
 
 
 class Mapped:
@@ -227,7 +246,7 @@ def check_mapping(name: str) -> None:
         is_whole = file.suffix == ".npz" or ":" in name
         expect(is_whole, "--methods", "FILE.py:NAME", got=name)
         return
-    known = {UNMAPPED, STRAIGHT, *PRESETS}
+    known = {UNMAPPED, STRAIGHT, OPEN, *PRESETS}
     if name not in known:
         raise InvalidInputError(
             f"no mapping {name!r}",
@@ -277,6 +296,8 @@ def _of_one_hand(name: str, calibrate: Callable[[], Recording], robot: Hand) -> 
         return Unmapped()
     if name == STRAIGHT:
         return Straight(robot)
+    if name == OPEN:
+        return Open()
     if name.endswith(".npz"):
         return _trajectory(Path(name))
     human = scaled_human(calibrate())

@@ -782,7 +782,7 @@ class Person:
             self._drops += self._phase is not Phase.LIFT
             self._start(Phase.REOPEN, closes=False)
             return
-        shift = look.target - (*look.middle[:2], look.bottom[2])
+        shift = look.target - (*self._guided(look)[:2], look.bottom[2])
         if self._phase is Phase.LIFT:
             shift[:2] = 0.0
         if self._phase is not Phase.LOWER:
@@ -791,7 +791,8 @@ class Person:
         # Only high above the target a rough place is good enough.
         is_rough = self._phase is not Phase.LOWER and self._hover == LIFT
         tolerance = ROUGH if is_rough else DEAD_ZONE
-        if not self._correct(motion, shift - since_then, tolerance):
+        is_down = self._phase is Phase.LOWER and self._is_down(look)
+        if not is_down and not self._correct(motion, shift - since_then, tolerance):
             return
         match self._phase:
             case Phase.LIFT:
@@ -817,6 +818,14 @@ class Person:
         """Go on with the object in the hand: lift it."""
         self._hover = LIFT
         self._start(Phase.LIFT, closes=True)
+
+    def _is_down(self, look: Look) -> bool:
+        """Return whether the object is seen to be put down, wherever it was to go exactly."""
+        return False
+
+    def _guided(self, look: Look) -> Array:
+        """Return the point of the object that is to be over the target [m], shape (3,)."""
+        return look.middle
 
     def _arrived(self, motion: PalmMotion) -> None:
         """Go on with the object over its target: lower it."""

@@ -5,9 +5,9 @@ state. It may add furniture to the model, such as a hole or a bowl.
 
 What is simplified: the hand passes through table and furniture, so that low objects can be gripped
 by hands with thick fingertips; an object that stands has a little putty under it, which resists
-tilting (`_PUTTY`), so that a pen can stand; links of the hand do not collide with each other. The
-wrist goes where the operator wants it, whatever the mapping says of it. Motors have the torque of
-the maker.
+tilting (`Household.putty`), so that a pen can stand; links of the hand do not collide with each
+other. The wrist goes where the operator wants it, whatever the mapping says of it. Motors have the
+torque of the maker.
 
 The place of an object does not depend on the robot or the mapping: it stands across the line of a
 person's pinch, turned by up to 20 degrees.
@@ -66,8 +66,6 @@ _ABOVE, _BEHIND, _BESIDE = 0.3, 0.15, 0.05
 """Where the palm starts, from the object [m]."""
 _STANDS = 0.002
 """Up to this height an object stands on its putty [m]."""
-_PUTTY = 0.01
-"""Lever of the putty: it resists turning with friction times weight times this [m]."""
 _LEVEL = 0.7
 """A direction is level if its height is below this."""
 _WORLD_UP = np.array([0.0, 0.0, 1.0])
@@ -269,7 +267,11 @@ class TableTask(ABC):
         weight = self._object.mass * float(
             np.linalg.norm(self._simulator.physics.gravity)
         )
-        resists = self._object.friction * weight * _PUTTY if height < _STANDS else 0.0
+        resists = (
+            self._object.friction * weight * self._object.putty
+            if height < _STANDS
+            else 0.0
+        )
         self._simulator.model.joint(OBJECT).frictionloss = [0.0] * 3 + [resists] * 3
 
     def _scene(self) -> Scene:
