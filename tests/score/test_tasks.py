@@ -578,7 +578,6 @@ def test_the_command_writes_what_it_prints(
         (Score(tasks=("door",), operators=("nobody",)), "nobody"),
         (Score(tasks=("door",), methods=("nothing",)), "nothing"),
         (Score(tasks=("door",), processes=0), "--processes"),
-        (Score(tasks=("door",), peers=True), "--peers"),
         (Score(attempts=3), "--attempts"),
         (Score(operators=("expert",)), "--operators"),
         (Score(films=False), "--no-films"),

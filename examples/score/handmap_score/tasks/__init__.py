@@ -5,6 +5,7 @@ Files, in the order of reading:
     operator.py   the seam of operators, and the human hand that they show
     task.py       the seam of tasks: scene, signals, success, record
     mapping.py    the seam of mappings, and all that can be named on the command line
+    outside.py    mappings: programs of others, live in a loop
     attempt.py    one attempt: the loop, and its outcome
     experts.py    operators: policies that move their own hand
     adroit.py     tasks: door and relocate of gymnasium-robotics

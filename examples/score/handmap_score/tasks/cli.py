@@ -22,6 +22,7 @@ from .catalogue import CATALOGUE
 from .film import FilmError, FilmJob, draw_films
 from .journal import FILE, Kept
 from .mapping import check_mapping
+from .outside import LIMITS, peer_methods
 from .page import tasks_page
 from .report import (
     Check,
@@ -58,6 +59,7 @@ class TasksRequest(NamedTuple):
         films: Whether to draw films.
         resume: Whether to go on with the attempts that the folder has.
         as_json: Whether to print JSON in place of tables.
+        peers: Whether to add all peers that can run here, as published and within our limits.
     """
 
     tasks: Names
@@ -71,6 +73,7 @@ class TasksRequest(NamedTuple):
     films: bool
     resume: bool
     as_json: bool
+    peers: bool = False
 
 
 def score_tasks(request: TasksRequest) -> None:
@@ -87,6 +90,8 @@ def score_tasks(request: TasksRequest) -> None:
     _check_names("--objects", request.objects, things)
     for method in request.methods:
         check_mapping(method)
+    if request.peers:
+        request = request._replace(methods=with_peers(request.methods))
     request.blocks.check()
     make_folder(request.out, "--out")
     # Before the attempts, because all that may fail comes first.
@@ -118,6 +123,20 @@ def score_tasks(request: TasksRequest) -> None:
                     notes.append(str(error))
     named = [_named(one, labels) for one in results]
     _write(request, named, films, notes, about)
+
+
+def with_peers(methods: Names) -> Names:
+    """Return mappings and all peers that can run here, as published and within our limits.
+
+    Args:
+        methods: Mappings that are asked for; all presets if empty.
+
+    Raises:
+        OutsideError: If no peer can run here.
+    """
+    found = peer_methods()
+    both = [name + end for name in found for end in ("", LIMITS)]
+    return tuple(dict.fromkeys((*(methods or PRESETS), *both)))
 
 
 @contextmanager

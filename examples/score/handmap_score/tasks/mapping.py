@@ -5,6 +5,8 @@
     open                the operator's own joints in the open hand, for an operator on its own hand:
                         the same control where straight fingers are so near that they enclose things
     NAME                a preset, such as `teleoperation` or `finger-vectors`
+    dexi-dexpilot       a peer as published, by its name in `handmap compare`; with `+limits` at the
+                        end, clipped by the robot's limits of position and speed
     FILE.py:NAME        of a user: a method (it has `bind`), or a callable that takes the person's
                         hand and the robot and returns a mapping (it has `reset` and `map`)
     FILE.npz            a trajectory, as `handmap map --out` writes it, whatever the person does
@@ -21,6 +23,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from handmap_qp.apps.offline.comparison import is_peer
 from handmap_qp.errors import HandmapError, InvalidInputError, did_you_mean, expect
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import Recording, mirrored, scaled_human
@@ -28,6 +31,7 @@ from handmap_qp.mapping import PRESETS, HandMapper
 from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.se3 import Array
 from .operator import OTHER, HumanHand, Joints, Operator
+from .outside import check_peer, outside_mapping
 
 UNMAPPED = "unmapped"
 STRAIGHT = "straight"
@@ -246,6 +250,9 @@ def check_mapping(name: str) -> None:
         is_whole = file.suffix == ".npz" or ":" in name
         expect(is_whole, "--methods", "FILE.py:NAME", got=name)
         return
+    if is_peer(name):
+        check_peer(name)
+        return
     known = {UNMAPPED, STRAIGHT, OPEN, *PRESETS}
     if name not in known:
         raise InvalidInputError(
@@ -276,7 +283,8 @@ def make_mapping(
     Raises:
         HandmapError: If there is no such mapping, or it cannot be used with these hands.
     """
-    check_mapping(name)
+    if not is_peer(name):  # the peer itself says what it does not know
+        check_mapping(name)
     recording = partial(operator.calibrate, calibration)
     mapping = _of_one_hand(name, recording, robot)
     if other is None:
@@ -300,6 +308,8 @@ def _of_one_hand(name: str, calibrate: Callable[[], Recording], robot: Hand) -> 
         return Open()
     if name.endswith(".npz"):
         return _trajectory(Path(name))
+    if is_peer(name):
+        return outside_mapping(name, robot)
     human = scaled_human(calibrate())
     if ".py:" in name:
         return _of_user(name, human, robot)
