@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from handmap_score.tasks import judge_table
 from handmap_score.tasks.attempt import attempt
+from handmap_score.tasks.benches import Blocks, Cell, run_cells
 from handmap_score.tasks.catalogue import CATALOGUE
 from handmap_score.tasks.handing import (
     HandOverTask,
@@ -278,3 +279,10 @@ def test_a_bar_counts_when_the_giving_hand_has_left() -> None:
     assert alone.cause in ("not taken", "dropped before it was taken")
     with pytest.raises(NoOtherHandError, match="robotiq_2f85"):
         HandOverTask(load_hand("robotiq_2f85"))
+
+
+def test_a_hand_without_a_left_one_is_named_with_its_reason() -> None:
+    """The other cells of a run go on."""
+    cells = [Cell("hand-over", "robotiq_2f85", "person", STRAIGHT)]
+    (result,) = run_cells(cells, Blocks((0,), 1), 1, lambda *_: None)
+    assert "robotiq_2f85" in result.problem
