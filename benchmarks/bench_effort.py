@@ -21,7 +21,8 @@ import common  # first: it sets the number of threads before numpy is loaded
 
 # isort: split
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -89,7 +90,12 @@ class LateSimulator(Simulator):
         self._told = 0.0
         self._gripped = 0.0
 
-    def follow(self, goal: np.ndarray, duration: float) -> None:
+    def follow(
+        self,
+        goal: np.ndarray,
+        duration: float,
+        others: Mapping[str, np.ndarray] = MappingProxyType({}),
+    ) -> None:
         """Move to the newest command that is old enough, as `Simulator.follow`."""
         self._told += duration
         self._waiting.append((self._told, goal))
@@ -100,7 +106,7 @@ class LateSimulator(Simulator):
         count = max(1, round(duration / self.physics.time_step))
         for share in np.arange(1, count + 1) / count:
             now = pin.interpolate(self.hand.model, start, goal, share)
-            self._simulator.follow(now, duration / count)
+            self._simulator.follow(now, duration / count, others)
             self._note(duration / count)
 
     def _note(self, duration: float) -> None:

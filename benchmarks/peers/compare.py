@@ -1,13 +1,14 @@
-"""The peers as outside methods of `handmap compare --peers`.
+"""The peers as outside methods of `handmap compare --peers` and `handmap score --tasks`.
 
 `compare.py list HAND` prints the methods as JSON. `compare.py run METHOD HAND IN.npz OUT.npz` maps
-a recording. HAND is a name or the path of a hand.yaml. On failure, the last line on stderr says
-why, and the exit code is 1.
+a recording. `compare.py live METHOD HAND` maps landmarks as they come (`live.py`). HAND is a name
+or the path of a hand.yaml. On failure, the last line on stderr says why, and the exit code is 1.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from handmap_qp.errors import HandmapError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.trackers.formats import read_recording
 from peers import build
+from peers.live import command_of
 from peers.results import METHODS, PeerError, peer_robot, run_peer
 
 
@@ -41,13 +43,21 @@ def run(method: str, hand: str, given: str, made: str) -> None:
     np.savez(made, allow_pickle=False, **columns)
 
 
+def live(method: str, hand: str) -> None:
+    """Become the worker of a method, in the environment of its peer."""
+    command = command_of(method, load_hand(hand))
+    # As `runner.py`: dex-retargeting keeps links in a set.
+    os.environ["PYTHONHASHSEED"] = "0"
+    os.execv(command[0], command)
+
+
 def main(words: list[str]) -> int:
     """Run a command; return the exit code."""
-    commands = {"list": (list_methods, 1), "run": (run, 4)}
+    commands = {"list": (list_methods, 1), "run": (run, 4), "live": (live, 2)}
     name, arguments = (words[0], words[1:]) if words else ("", [])
     if name not in commands or len(arguments) != commands[name][1]:
         print(
-            "usage: compare.py list HAND | run METHOD HAND IN.npz OUT.npz",
+            "usage: compare.py list HAND | run METHOD HAND IN.npz OUT.npz | live METHOD HAND",
             file=sys.stderr,
         )
         return 1

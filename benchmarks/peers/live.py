@@ -1,20 +1,18 @@
-"""dexi-rs live in a loop, as a mapping of `handmap score --tasks`.
+"""The peers live in a loop: `compare.py live METHOD HAND`, and mappings of `handmap score --tasks`.
 
-    pip install 'handmap-qp[peers]'      # or: make peers
+    handmap score --tasks pick --methods teleoperation dexi-dexpilot
     handmap score --tasks pick --methods teleoperation benchmarks/peers/live.py:dexpilot
 
-The peer runs in a process of its own, as published but without its low-pass filter; our limits clip
-its joints. Where the peer's robot has a wrist that ours has not (Shadow's), its turn is left out.
-
-The same file is the worker: `live.py METHOD ROBOT DATA` reads landmarks as JSON lines, answers
-joints, and begins anew at the line `"reset"`.
+`command_of` is the command of the worker, which this file is too when it is run: in the peer's
+environment, `live.py PEER METHOD ROBOT DATA IS_FILTERED JOINT...` prints the line `"ready"`, then
+reads landmarks (21, 3) [m] as lines of JSON and answers joints [rad], or begins anew at the line
+`"reset"`. Where the peer's robot has a wrist that ours has not (Shadow's), its turn is left out.
 """
 
 from __future__ import annotations
 
 import importlib
 import json
-import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,96 +23,94 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 if TYPE_CHECKING:
-    from handmap_score.tasks.operator import HumanHand, Joints
+    from handmap_score.tasks.mapping import Mapping
 
     from handmap_qp.hands.hand import Hand
 
-_PEER = "dexi-rs"
 _RESET = "reset"
+_READY = "ready"
 
 
-class LivePeer:
-    """A method of dexi-rs in a process of its environment.
+def command_of(method: str, robot: Hand) -> list[str]:
+    """Return the command of a worker that answers joints in the order of a robot hand.
 
     Args:
-        method: `dexpilot` or `vector`.
+        method: Name of one of `results.METHODS`.
         robot: A robot hand that the peers have a configuration for.
 
     Raises:
-        InvalidInputError: If they have none.
-        PeerError: If the peer does not start.
+        InvalidInputError: If there is no such method, or the peers do not know the robot.
+        PeerError: If the peers are not built.
     """
-
-    def __init__(self, method: str, robot: Hand) -> None:
-        results = importlib.import_module("peers.results")
-        build = importlib.import_module("peers.build")
-        command = [
-            build.python_of(_PEER),
-            __file__,
-            method,
-            results.peer_robot(robot),
-            build.data_folder(),
-        ]
-        try:
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-            )
-        except OSError as error:
-            raise results.PeerError(build.why_missing([_PEER])) from error
-        names = self._read()
-        self._columns = {
-            name: names.index(results.peer_joint(robot, name))
-            for name in robot.joint_names
-        }
-        self._low, self._high = robot.limits
-
-    def reset(self) -> None:
-        """Begin an attempt with a new solver."""
-        self._ask(_RESET)
-
-    def map(self, hand: HumanHand, dt: float) -> Joints:
-        """Return the peer's joints, clipped to the robot's limits."""
-        q = np.array(self._ask(hand.landmarks.tolist()))[[*self._columns.values()]]
-        q = np.clip(q, self._low, self._high)
-        return dict(zip(self._columns, q.tolist(), strict=True))
-
-    def _ask(self, value: str | list[list[float]]) -> list[float]:
-        assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps(value) + "\n")
-        self._process.stdin.flush()
-        return self._read()
-
-    def _read(self) -> list:
-        assert self._process.stdout is not None
-        return json.loads(self._process.stdout.readline())
+    results = importlib.import_module("peers.results")
+    build = importlib.import_module("peers.build")
+    chosen = results.method_of(method)
+    missing = build.missing_peers()
+    if chosen.peer in missing:
+        raise results.PeerError(build.why_missing(missing))
+    joints = [results.peer_joint(robot, name) for name in robot.joint_names]
+    return [
+        build.python_of(chosen.peer),
+        __file__,
+        chosen.peer,
+        chosen.method,
+        results.peer_robot(robot),
+        str(build.data_folder()),
+        json.dumps(chosen.is_filtered),
+        *joints,
+    ]
 
 
-def dexpilot(human: Hand, robot: Hand) -> LivePeer:
-    """Return DexPilot for a robot; the peer does not measure the person."""
-    return LivePeer("dexpilot", robot)
+def dexpilot(human: Hand, robot: Hand) -> Mapping:
+    """Return dexi-rs's DexPilot without its filter, with our limits.
+
+    The peer does not measure the person.
+    """
+    return _mapping("dexi-dexpilot-unfiltered", robot)
 
 
-def vector(human: Hand, robot: Hand) -> LivePeer:
-    """Return the vector method for a robot; the peer does not measure the person."""
-    return LivePeer("vector", robot)
+def vector(human: Hand, robot: Hand) -> Mapping:
+    """Return dexi-rs's vector method without its filter, with our limits."""
+    return _mapping("dexi-vector-unfiltered", robot)
 
 
-def serve(method: str, robot: str, data: str) -> None:
+def _mapping(method: str, robot: Hand) -> Mapping:
+    # Only who scores tasks asks for one.
+    outside = importlib.import_module("handmap_score.tasks.outside")
+    return outside.outside_mapping(method + outside.LIMITS, robot)
+
+
+def serve(
+    peer: str, method: str, robot: str, data: str, is_filtered: str, *joints: str
+) -> None:
     """Answer lines until the other end closes."""
     runner = importlib.import_module("peers.runner")
-    config = runner.load_config(Path(data), method, robot, is_filtered=False)
+    config = runner.load_config(
+        Path(data), method, robot, is_filtered=json.loads(is_filtered)
+    )
     indices = runner.human_indices(config)
-    sign = 1.0 if robot.endswith("right") else -1.0
-    solver = runner.DexiRs(config)
-    print(json.dumps(solver.joint_names), flush=True)
+
+    def new() -> tuple[runner.Solver, list[int]]:
+        solver = runner.SOLVERS[peer](config)
+        solver.sign = 1.0 if robot.endswith("right") else -1.0
+        return solver, [solver.joint_names.index(name) for name in joints]
+
+    solver, columns = new()
+    is_first = True
+    print(json.dumps(_READY), flush=True)
     for line in sys.stdin:
         value = json.loads(line)
         if value == _RESET:
-            solver = runner.DexiRs(config)
+            solver, columns = new()
+            is_first = True
             answer = []
         else:
-            reference = runner.reference_value(np.array(value), indices, sign)
-            answer = solver.retarget(reference).tolist()
+            landmarks = np.array(value)
+            if is_first and indices.ndim == 1:
+                solver.start(landmarks)
+            is_first = False
+            reference = runner.reference_value(landmarks, indices, solver.sign)
+            answer = solver.retarget(reference)[columns].tolist()
         print(json.dumps(answer), flush=True)
 
 

@@ -209,7 +209,7 @@ def run_peer(method: PeerMethod | str, recording: Recording, robot: Hand) -> Pee
         InvalidInputError: If there is no such method, or the peers do not know the robot.
         PeerError: If the peers are not built, or the run failed.
     """
-    chosen = _method(method)
+    chosen = method_of(method)
     name = peer_robot(robot)
     missing = build.missing_peers()
     if chosen.peer in missing:
@@ -382,7 +382,12 @@ def measured_palms(
     return poses
 
 
-def _method(method: PeerMethod | str) -> PeerMethod:
+def method_of(method: PeerMethod | str) -> PeerMethod:
+    """Return a way to run a peer by its name.
+
+    Raises:
+        InvalidInputError: If there is none.
+    """
     if isinstance(method, PeerMethod):
         return method
     if method not in METHODS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -685,3 +686,27 @@ def test_other_hands_run_too(
         np.testing.assert_allclose(
             follower, 1.01511 * q[:, names.index(leader)], atol=1e-5
         )
+
+
+@pytest.mark.parametrize("method", ["dexi-dexpilot", "dexi-vector", "dexi-position"])
+def test_live_answers_are_those_of_a_recording(
+    built: Any, allegro: Hand, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker asked sample by sample gives what a run gives, again after a reset."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    live = importlib.import_module("peers.live")
+    recording = stretch(read_recording("demo", "right"), 0, 12)
+    motion = built.results.run_peer(method, recording, allegro)
+    lines = [*recording.landmarks.tolist(), "reset", *recording.landmarks.tolist()]
+    done = subprocess.run(
+        live.command_of(method, allegro),
+        input="".join(json.dumps(line) + "\n" for line in lines),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    ready, *answers = map(json.loads, done.stdout.splitlines())
+    assert ready == "ready"
+    assert answers[12] == []
+    np.testing.assert_allclose(answers[:12], motion.q, atol=1e-12)
+    assert answers[13:] == answers[:12]

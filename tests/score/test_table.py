@@ -7,21 +7,32 @@ import numpy as np
 import pytest
 from handmap_score.tasks import judge_table
 from handmap_score.tasks.attempt import attempt
+from handmap_score.tasks.benches import Blocks, Cell, run_cells
 from handmap_score.tasks.catalogue import CATALOGUE
+from handmap_score.tasks.handing import (
+    HandOverTask,
+    NoOtherHandError,
+    mirrored_points,
+    mirrored_pose,
+)
 from handmap_score.tasks.inserting import PLAY, PegTask
 from handmap_score.tasks.lifting import STRENGTH, LiftTask
-from handmap_score.tasks.mapping import Straight, Unmapped
-from handmap_score.tasks.operator import HumanHand
+from handmap_score.tasks.mapping import OPEN, STRAIGHT, UNMAPPED, Unmapped, make_mapping
+from handmap_score.tasks.operator import OTHER, HumanHand
 from handmap_score.tasks.person import OWN, own_hand
 from handmap_score.tasks.pouring import BALLS, PourTask
 from handmap_score.tasks.pressing import PRESSED, ButtonTask
 from handmap_score.tasks.table import CAMERA, TableTask
 from handmap_score.tasks.task import Record, Scene
 from handmap_score.tasks.turning import TURNED, CapTask
+from handmap_score.tasks.two_hands import TwoHands
+
+from handmap_qp.hands import load_hand
+from handmap_qp.se3 import inverse_pose
 
 # Whole attempts in MuJoCo: not for the fast suite.
 pytestmark = pytest.mark.slow
-TASKS = ("lift", "button", "cap", "pour", "peg")
+TASKS = ("lift", "button", "cap", "pour", "peg", "hand-over")
 NO_LANDMARKS = np.zeros((21, 3))
 
 
@@ -64,13 +75,15 @@ def test_everything_rests_at_the_beginning(name: str) -> None:
 def test_own_hand_wins_and_straight_fingers_do_not(name: str) -> None:
     """The person does it with the own hand; both judges agree; a robot's straight ones do not."""
     entry = CATALOGUE[name]
-    for hand, mapping, is_won in (
-        (OWN, lambda robot: Unmapped(), True),
-        ("allegro_right", Straight, False),
+    for hand, method, is_won in (
+        (OWN, UNMAPPED, True),
+        (OWN, OPEN, False),
+        ("allegro_right", STRAIGHT, False),
     ):
         task = entry.make(hand, ())
         person = entry.operators["person"](task.robot)
-        done = attempt(task, person, mapping(task.robot), 1)
+        mapping = make_mapping(method, person, task.robot, 0, task.other)
+        done = attempt(task, person, mapping, 1)
         assert done.is_success == is_won
         assert done.record is not None
         assert entry.recount()(done.record) == is_won
@@ -90,6 +103,17 @@ def test_films_see_object_and_hand(name: str) -> None:
         assert z < 0.0
         assert abs(y / z) < half
         assert abs(x / z) < 4.0 / 3.0 * half
+
+
+@pytest.mark.parametrize("name", ["pick", "lift"])
+def test_every_object_can_be_carried_by_the_own_hand(name: str) -> None:
+    """The person's own hand carries nearly all objects, without being wedged against them."""
+    task = CATALOGUE[name].make(OWN, ())
+    assert isinstance(task, TableTask)
+    person = CATALOGUE[name].operators["person"](task.robot)
+    done = [attempt(task, person, Unmapped(), 600 + i) for i in range(len(task.things))]
+    assert sum(one.is_success for one in done) >= len(done) - 1
+    assert max(one.force for one in done) < 200.0
 
 
 def test_robots_meet_the_same_furniture() -> None:
@@ -195,3 +219,70 @@ def test_the_peg_has_the_play_that_is_said() -> None:
         fixture = task.model.body("/fixture").id
         bodies = task.model.geom_bodyid[task.data.contact.geom.reshape(-1, 2)]
         assert (bodies == fixture).any() == touches
+        # Steep chamfers of 45 degrees move a pin sideways only if it slides on them.
+        sliding = task.data.contact.friction[(bodies == fixture).any(axis=1), 0]
+        assert (sliding < 0.3).all()
+
+
+def test_the_left_hand_is_a_right_one_in_a_mirror() -> None:
+    """The left hand that is shown has its landmarks where its joints put them, mirrored."""
+    task = HandOverTask(load_hand("allegro_right"))
+    person = TwoHands(task.robot)
+    scene = task.reset(3)
+    for _ in range(90):
+        hand = person.see(scene)
+        scene = task.step(hand, {})
+    left = hand.other
+    assert left is not None
+    assert task.other is not None
+    palm = left.wrist @ task.other.wrist_to_palm
+    own = own_hand("left")
+    tips = own.points(
+        [left.joints[name] for name in own.joint_names],
+        palm @ inverse_pose(own.wrist_to_palm),
+    )
+    shown = left.landmarks[4::4]
+    nearest = np.linalg.norm(shown[:, None] - tips[None], axis=2).min(axis=1)
+    assert nearest.max() < 0.015
+    # Fingers point forward, and the thumb of the left hand is on the right.
+    across = left.landmarks[2] - left.landmarks[17]
+    assert palm[1, 1] > 0.5
+    assert across[0] > 0.02
+    right = hand.landmarks[2] - hand.landmarks[17]
+    assert right[0] < -0.02
+    assert np.array_equal(mirrored_points(mirrored_points(shown)), shown)
+    assert np.allclose(mirrored_pose(mirrored_pose(palm)), palm)
+    # The robot's other hand goes where it is shown.
+    wrist = scene.poses[f"{OTHER}wrist"]
+    assert np.linalg.norm(wrist[:3, 3] - left.wrist[:3, 3]) < 0.02
+
+
+def test_a_bar_counts_when_the_giving_hand_has_left() -> None:
+    """Neither judge counts a bar that both hands hold, or one that falls; both count it at the end.
+
+    A hand without a left one is rejected.
+    """
+    entry = CATALOGUE["hand-over"]
+    task = entry.make(OWN, ())
+    person = entry.operators["person"](task.robot)
+    mapping = make_mapping(UNMAPPED, person, task.robot, 0, task.other)
+    done = attempt(task, person, mapping, 2)
+    record = done.record
+    assert done.is_success
+    assert record is not None
+    assert judge_table.recount_hand_over(record)
+    early = record._replace(qpos=record.qpos[:-20], times=record.times[:-20])
+    assert not judge_table.recount_hand_over(early)
+    # Without the left hand's joints, the bar is never taken.
+    alone = attempt(task, person, Unmapped(), 2)
+    assert not alone.is_success
+    assert alone.cause in ("not taken", "dropped before it was taken")
+    with pytest.raises(NoOtherHandError, match="robotiq_2f85"):
+        HandOverTask(load_hand("robotiq_2f85"))
+
+
+def test_a_hand_without_a_left_one_is_named_with_its_reason() -> None:
+    """The other cells of a run go on."""
+    cells = [Cell("hand-over", "robotiq_2f85", "person", STRAIGHT)]
+    (result,) = run_cells(cells, Blocks((0,), 1), 1, lambda *_: None)
+    assert "robotiq_2f85" in result.problem

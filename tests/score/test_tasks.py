@@ -88,6 +88,7 @@ class Toy:
 
     def __init__(self, hand: str = "human") -> None:
         self.robot: Hand = load_hand(hand)
+        self.other: Hand | None = None
         self.model = mujoco.MjModel.from_xml_string(SLIDER)
         self.data = mujoco.MjData(self.model)
         self.joint = self.robot.joint_names[0]
@@ -315,6 +316,18 @@ def test_an_attempt_ends_a_while_after_the_operator_has_finished() -> None:
 # Mappings.
 
 
+def test_an_open_hand_stays_as_it_was_at_first() -> None:
+    hands = [
+        HumanHand(np.zeros((21, 3)), np.eye(4), {"joint": value})
+        for value in (0.1, 0.7)
+    ]
+    mapping = make_mapping("open", Pusher(), load_hand("human"), 0)
+    for first in hands:
+        mapping.reset()
+        assert mapping.map(first, 0.1) == first.joints
+        assert [mapping.map(hand, 0.1) for hand in hands] == [first.joints] * 2
+
+
 def test_the_identity_wins_what_unmapped_wins(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
@@ -471,7 +484,7 @@ def result_of(method: str, wins: Sequence[bool], **about: int) -> CellResult:
 
 def unmet(results: Sequence[CellResult]) -> set[str]:
     """Return the conditions that are not met, but for the order over blocks."""
-    checks = checks_of(results, {"toy": ("human",)})
+    checks = checks_of(results, CATALOGUE)
     return {
         check.what
         for check in checks
@@ -479,7 +492,9 @@ def unmet(results: Sequence[CellResult]) -> set[str]:
     }
 
 
-def test_a_judge_is_unsound_where_nothing_or_everything_wins() -> None:
+def test_a_judge_is_unsound_where_nothing_or_everything_wins(
+    toy: Entry, monkeypatch: pytest.MonkeyPatch
+) -> None:
     all_win, none_win = [True] * 20, [False] * 20
     sound = [result_of("unmapped", all_win), result_of("straight", none_win)]
     assert unmet(sound) == set()
@@ -487,6 +502,11 @@ def test_a_judge_is_unsound_where_nothing_or_everything_wins() -> None:
     assert unmet(gift) == {"straight fingers succeed in none"}
     hard = [result_of("unmapped", [*all_win[2:], False, False]), sound[1]]
     assert unmet(hard) == {"unmapped succeeds in at least 95 %"}
+    monkeypatch.setitem(CATALOGUE, "toy", toy._replace(own_control="open"))
+    assert unmet([sound[0], result_of("open", [True, *none_win[1:]])]) == {
+        "an open hand succeeds in none"
+    }
+    assert unmet(gift) == set()
     unseen = [sound[0], result_of("straight", none_win, recounted=0)]
     assert unmet([sound[0]._replace(blocks=unseen[1].blocks), unseen[1]])
 
@@ -558,7 +578,6 @@ def test_the_command_writes_what_it_prints(
         (Score(tasks=("door",), operators=("nobody",)), "nobody"),
         (Score(tasks=("door",), methods=("nothing",)), "nothing"),
         (Score(tasks=("door",), processes=0), "--processes"),
-        (Score(tasks=("door",), peers=True), "--peers"),
         (Score(attempts=3), "--attempts"),
         (Score(operators=("expert",)), "--operators"),
         (Score(films=False), "--no-films"),

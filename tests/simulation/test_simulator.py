@@ -487,3 +487,23 @@ def test_impossible_bodies_and_starts_are_refused() -> None:
             WEIGHT,
             1.0,
         )
+
+
+def test_a_further_hand_follows_its_own_commands_and_leaves_the_first_alone() -> None:
+    """Two hands of a family in one model: each is where it is commanded, and moves by itself."""
+    right, left = load_hand("allegro_right"), load_hand("allegro_left")
+    away = affine(np.eye(3), np.array([0.5, 0.0, 0.3]))
+    goal = right.configuration_vector(right.rest * 0.5 + 0.1)
+    end = left.configuration_vector(left.rest * 0.5 + 0.2, away)
+    places = []
+    for others, ends in (({}, {}), ({"/other/": left}, {"/other/": end})):
+        simulator = Simulator(right, CUBE, Physics(), others=others)
+        simulator.reset(goal, FAR, ends)
+        simulator.follow(goal, 0.5, ends)
+        places.append((simulator.q, simulator.wrist))
+        assert len(simulator.instant().torque) == len(right.joint_names)
+    assert np.allclose(places[0][0], places[1][0], atol=1e-9)
+    assert np.allclose(places[0][1], places[1][1], atol=1e-9)
+    assert np.allclose(simulator.wrist_of("/other/"), away, atol=1e-3)
+    q = [simulator.data.joint(f"/other/{n}").qpos[0] for n in left.joint_names]
+    assert np.allclose(q, end[left.q_indices], atol=1e-3)

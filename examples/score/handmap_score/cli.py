@@ -73,9 +73,9 @@ class Score:
     --full takes 6 hands, 5 seeds, 60 samples a second, and pictures of all.
 
     --tasks lets operators do tasks in closed loop in place of gestures, and writes tasks.html and
-    tasks.json. Methods are presets, FILE.py:NAME or a trajectory FILE.npz; `unmapped` and
-    `straight` always run. Each of --seeds begins a block: a calibration of the person, and
-    --attempts scenes.
+    tasks.json. Methods are presets, peers such as dexi-dexpilot (+limits clips them by the robot's
+    limits), FILE.py:NAME or a trajectory FILE.npz; the controls always run. Each of --seeds begins
+    a block: a calibration of the person, and --attempts scenes.
 
     Examples:
         handmap score
@@ -184,7 +184,6 @@ class Score:
             score_tasks,
         )
 
-        expect(not self.peers, "--peers", "no peers with --tasks", got="--peers")
         expect(not self.recordings, "--recordings", "none with --tasks", got="files")
         usual = FULL_ATTEMPTS if self.full else ATTEMPTS
         attempts = usual if self.attempts is None else self.attempts
@@ -198,6 +197,7 @@ class Score:
             objects=self.objects,
             operators=self.operators,
             methods=self.methods,
+            peers=self.peers,
             blocks=Blocks(self.seeds or BLOCKS, attempts),
             processes=processes,
             films=self.films,

@@ -5,6 +5,9 @@ program is a file `compare.py` in a folder of its own. It is run with this inter
 
 - `compare.py list HAND` prints JSON, `[{"name": ..., "about": ...}, ...]`: its methods for a hand;
 - `compare.py run METHOD HAND IN.npz OUT.npz` maps a recording.
+- `compare.py live METHOD HAND` maps sample by sample, for tasks in closed loop. It prints a line of
+  JSON when it is ready, and answers each line of its stdin: landmarks (21, 3) [m] by joints in the
+  order of the hand's `joint_names` [rad], the string "reset" by an empty list.
 
 HAND is the name of a hand of this package or the path of its `hand.yaml`. IN is a recording. OUT
 holds `q (T, n)` [rad] in the order of the hand's `joint_names`, `step_time (T,)` [s], and `wrist

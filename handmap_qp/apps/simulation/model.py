@@ -4,7 +4,8 @@ Bodies and joints are those of the hand's Pinocchio model, so mirrored, mounted 
 no second reader. Shapes are its collision shapes; meshes are their convex hulls.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import coal
@@ -23,7 +24,8 @@ TABLE = "/table"
 """Names of the object's body, of the wrist's site and of the table's shape; others bear the names
 of joints."""
 
-_MOCAP = "/mocap"
+MOCAP = "/mocap"
+"""Name of the body that leads the base of a hand that floats."""
 # Who collides with whom.
 _HAND = {"contype": 1, "conaffinity": 2}
 _HELD = {"contype": 2, "conaffinity": 1}
@@ -48,6 +50,7 @@ def build_model(
     physics: Physics,
     table: float | None = None,
     furnish: Callable[[mujoco.MjSpec], None] | None = None,
+    others: Mapping[str, Hand] = MappingProxyType({}),
 ) -> Any:
     """Build the model of a hand and an object.
 
@@ -58,26 +61,16 @@ def build_model(
         table: Height of a level table that carries the object [m], in a world with z up. The hand
             passes through it. No table if omitted.
         furnish: Adds further parts to the specification before it is compiled.
+        others: Further hands, by what the names of their bodies, joints and actuators begin with.
 
     Returns:
-        The `mujoco.MjModel`, with one actuator for each of `hand.joint_names`, in their order.
+        The `mujoco.MjModel`, with one actuator for each of `hand.joint_names`, in their order, then
+        those of the further hands.
 
     Raises:
         HandError: If the hand has no collision shapes, or they cannot be read.
     """
-    geometry = read_collision_shapes(hand)
-    if geometry.ngeoms == 0:
-        raise hand.spec.error(
-            "the URDF has no collision shapes to touch an object with",
-            key="urdf",
-            value=hand.spec.urdf,
-        )
-    spec = _empty_spec(physics)
-    bodies = _add_hand(spec, hand)
-    for part in geometry.geometryObjects:
-        bodies[part.parentJoint].add_geom(
-            **_shape(spec, part.geometry), **_placed(part.placement), **_HAND
-        )
+    spec = hand_spec(hand, physics)
     held = spec.worldbody.add_body(name=OBJECT)
     held.add_freejoint(name=OBJECT)
     match shape:
@@ -95,13 +88,9 @@ def build_model(
             pos=[0.0, 0.0, table],
             **_CARRIES,
         )
-    _couple_followers(spec, hand)
-    # A spring with critical damping for each joint of the hand, and of its arm.
-    stiffness = np.where(hand.moves_wrist, _ARM_STIFFNESS, physics.joint_stiffness)
-    for name, own in zip(hand.joint_names, stiffness.tolist(), strict=True):
-        spec.add_actuator(
-            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
-        ).set_to_position(kp=own)
+    for prefix, other in others.items():
+        frame = spec.worldbody.add_frame()
+        spec.attach(hand_spec(other, physics), prefix=prefix, frame=frame)
     if furnish is not None:
         furnish(spec)
     model = spec.compile()
@@ -109,10 +98,42 @@ def build_model(
     inertia = model.dof_M0[model.jnt_dofadr[model.actuator_trnid[:, 0]]]
     damping = 2.0 * np.sqrt(model.actuator_gainprm[:, 0] * inertia)
     model.actuator_biasprm[:, 2] = -damping
-    torques = torque_limits(hand, physics.torque).values
     model.actuator_forcelimited[:] = True
-    model.actuator_forcerange = np.outer(torques, (-1.0, 1.0))
+    # In the order of the actuators: the hand's, then those of the others.
+    torques = [
+        torque_limits(one, physics.torque).values for one in (hand, *others.values())
+    ]
+    model.actuator_forcerange = np.outer(np.concatenate(torques), (-1.0, 1.0))
     return model
+
+
+def hand_spec(hand: Hand, physics: Physics) -> Any:
+    """Return the specification of a hand with its actuators and nothing else.
+
+    Raises:
+        HandError: If the hand has no collision shapes, or they cannot be read.
+    """
+    geometry = read_collision_shapes(hand)
+    if geometry.ngeoms == 0:
+        raise hand.spec.error(
+            "the URDF has no collision shapes to touch an object with",
+            key="urdf",
+            value=hand.spec.urdf,
+        )
+    spec = _empty_spec(physics)
+    bodies = _add_hand(spec, hand)
+    for part in geometry.geometryObjects:
+        bodies[part.parentJoint].add_geom(
+            **_shape(spec, part.geometry), **_placed(part.placement), **_HAND
+        )
+    _couple_followers(spec, hand)
+    # A spring with critical damping for each joint of the hand, and of its arm.
+    stiffness = np.where(hand.moves_wrist, _ARM_STIFFNESS, physics.joint_stiffness)
+    for name, own in zip(hand.joint_names, stiffness.tolist(), strict=True):
+        spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        ).set_to_position(kp=own)
+    return spec
 
 
 def _empty_spec(physics: Physics) -> Any:
@@ -143,10 +164,10 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
         joint = model.joints[index]
         if joint.nv == 6:
             # A floating base, and the body that leads it.
-            spec.worldbody.add_body(name=_MOCAP, mocap=True)
+            spec.worldbody.add_body(name=MOCAP, mocap=True)
             body = spec.worldbody.add_body(name=name, gravcomp=1.0)
             body.add_freejoint(name=name)
-            _add_equality(spec, "WELD", "BODY", _MOCAP, name).data[10] = 1.0
+            _add_equality(spec, "WELD", "BODY", MOCAP, name).data[10] = 1.0
             _set_inertia(body, inertia, *_LEAST_OF_BASE)
         else:
             body = bodies[model.parents[index]].add_body(

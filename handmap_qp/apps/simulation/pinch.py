@@ -77,16 +77,17 @@ class Pads:
 
     Args:
         hand: The hand.
+        prefix: What the names of its bodies begin with in the simulation.
 
     Attributes:
         pair: The pads.
-        bodies: Names of the joints that carry them.
+        bodies: Names of the bodies that carry them.
 
     Raises:
         InvalidInputError: If the hand has no index finger, or no thumb.
     """
 
-    def __init__(self, hand: Hand) -> None:
+    def __init__(self, hand: Hand, prefix: str = "") -> None:
         fingers = robot_fingers(hand)
         chains = fingers.chains
         expect(
@@ -96,7 +97,7 @@ class Pads:
             got=f"{hand.name} with {', '.join(chains)}",
         )
         self.pair = PadPair(fingers.pads[THUMB], fingers.pads[INDEX])
-        bodies = ["world", *hand.model.names[1:]]
+        bodies = ["world", *(prefix + name for name in hand.model.names[1:])]
         self.bodies = [bodies[pad.joint] for pad in self.pair]
         self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
 

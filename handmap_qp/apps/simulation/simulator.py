@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import mujoco
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from handmap_qp.hands import Hand
 from handmap_qp.mapping import Shape
 from handmap_qp.se3 import Array, Arrays, affine, check_pose, quat_wxyz_from_rotation
-from .model import OBJECT, TABLE, WRIST, build_model
+from .model import MOCAP, OBJECT, TABLE, WRIST, build_model
 from .physics import Physics
 
 # Friction of the stand against turning the object acts at the last levers [m]: 2/3 of the radius of
@@ -92,6 +93,8 @@ class Simulator:
         table: Height of a level table that carries the object [m], in a world with z up. The hand
             passes through it. No table if omitted.
         furnish: Adds further parts to the specification before it is compiled.
+        others: Further hands that float, by what the names of their bodies begin with. They are
+            at rest at the origin until they are led.
 
     Attributes:
         hand: The hand.
@@ -112,18 +115,25 @@ class Simulator:
         physics: Physics = Physics(),
         table: float | None = None,
         furnish: Callable[[mujoco.MjSpec], None] | None = None,
+        others: Mapping[str, Hand] = MappingProxyType({}),
     ) -> None:
         self.hand = hand
         self.shape = shape
         self.physics = physics
-        self.model = build_model(hand, shape, self.physics, table, furnish)
+        self.model = build_model(hand, shape, self.physics, table, furnish, others)
         self.data = mujoco.MjData(self.model)
+        self._driven = _DrivenHand(hand, self.model, self.data)
+        self._others = {
+            prefix: _DrivenHand(other, self.model, self.data, prefix)
+            for prefix, other in others.items()
+        }
         self.target = hand.configuration_vector(hand.rest)
         self._due = 0.0
         # No shape has the number -1.
         self._table = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, TABLE)
-        # The actuators are in the order of the joints' names.
-        self._places = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
+        # The actuators are in the order of the joints' names; those of further hands follow.
+        own = self.model.actuator_trnid[: len(hand.joint_names), 0]
+        self._places = self.model.jnt_qposadr[own]
 
     @property
     def time(self) -> float:
@@ -138,7 +148,11 @@ class Simulator:
     @property
     def wrist(self) -> Array:
         """Pose of the wrist in the world, shape (4, 4)."""
-        return _pose_of(self.data.site(WRIST))
+        return self.wrist_of()
+
+    def wrist_of(self, prefix: str = "") -> Array:
+        """Return the pose of a hand's wrist in the world, shape (4, 4), by its prefix."""
+        return _pose_of(self.data.site(prefix + WRIST))
 
     @property
     def object_pose(self) -> Array:
@@ -164,20 +178,25 @@ class Simulator:
             object_pose=self.object_pose,
             normal_force=np.array(sum(forces)),
             links_touching=np.array(len(forces)),
-            torque=self.data.actuator_force.copy(),
+            torque=self.data.actuator_force[: len(self._places)].copy(),
         )
 
-    def reset(self, configuration: Array, object_pose: ArrayLike) -> None:
-        """Put hand and object at rest.
+    def reset(
+        self,
+        configuration: Array,
+        object_pose: ArrayLike,
+        others: Mapping[str, Array] = MappingProxyType({}),
+    ) -> None:
+        """Put hands and object at rest.
 
         Args:
             configuration: That of the hand (`Hand.configuration_vector`), shape (nq,).
             object_pose: Pose of the object, shape (4, 4).
+            others: Configurations of further hands, by their prefixes; as they were if omitted.
 
         Raises:
             InvalidInputError: On a wrong pose.
         """
-        hand = self.hand
         data = self.data
         self.target = configuration
         pose = check_pose(object_pose, "object_pose")
@@ -185,10 +204,9 @@ class Simulator:
         self.set_stand(holds=False)
         quat = quat_wxyz_from_rotation(pose[:3, :3])
         data.joint(OBJECT).qpos = np.concatenate([pose[:3, 3], quat])
-        for joint in hand.model.joints[1:]:
-            own = configuration[joint.idx_q :][: joint.nq]
-            name = hand.model.names[joint.id]
-            data.joint(name).qpos = own[_SEVEN] if joint.nq == 7 else own
+        self._driven.put(configuration)
+        for prefix, other in self._others.items():
+            other.put(others.get(prefix, other.target))
         self._due = 0.0
         self.lead(configuration)
         mujoco.mj_forward(self.model, data)
@@ -205,20 +223,31 @@ class Simulator:
         friction = self.physics.friction * weight if holds else 0.0
         self.model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
 
-    def follow(self, goal: Array, duration: float) -> None:
+    def follow(
+        self,
+        goal: Array,
+        duration: float,
+        others: Mapping[str, Array] = MappingProxyType({}),
+    ) -> None:
         """Move the command at an even speed to a configuration, and simulate meanwhile.
 
         Args:
             goal: Commanded configuration at the end (`Hand.configuration_vector`), shape (nq,).
             duration: Time that it takes [s]. It ends at a whole step of the simulation; later calls
                 make up for the rest, so that the time of a recording is kept.
+            others: Commanded configurations of further hands at the end, by their prefixes.
         """
         start = self.target
         self.target = goal
+        starts = {prefix: self._others[prefix].target for prefix in others}
         self._due += duration
         steps = max(1, round((self._due - self.time) / self.physics.time_step))
         for share in np.arange(1, steps + 1) / steps:
             self.lead(pin.interpolate(self.hand.model, start, goal, share))
+            for prefix, end in others.items():
+                other = self._others[prefix]
+                model = other.hand.model
+                other.lead(pin.interpolate(model, starts[prefix], end, share))
             mujoco.mj_step(self.model, self.data)
         # Contacts and velocities of the state after the last step.
         mujoco.mj_forward(self.model, self.data)
@@ -263,12 +292,56 @@ class Simulator:
         Args:
             command: Configuration of the hand, shape (nq,).
         """
-        self.data.ctrl[:] = command[self.hand.q_indices]
-        if self.hand.is_floating:
+        self._driven.lead(command)
+
+
+class _DrivenHand:
+    """A hand in a model, driven by its actuators and by the body that leads its base.
+
+    Args:
+        hand: The hand.
+        model: The model.
+        data: The state.
+        prefix: What the names of its bodies, joints and actuators begin with.
+
+    Attributes:
+        hand: The hand.
+        target: Last commanded configuration, shape (nq,).
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        prefix: str = "",
+    ) -> None:
+        self.hand = hand
+        self.target = hand.configuration_vector(hand.rest)
+        self._data = data
+        self._prefix = prefix
+        self._actuators = [model.actuator(prefix + n).id for n in hand.joint_names]
+        self._mocap = (
+            int(model.body(prefix + MOCAP).mocapid[0]) if hand.is_floating else -1
+        )
+
+    def put(self, configuration: Array) -> None:
+        """Put the hand at rest in a configuration, shape (nq,)."""
+        model = self.hand.model
+        for joint in model.joints[1:]:
+            own = configuration[joint.idx_q :][: joint.nq]
+            name = self._prefix + model.names[joint.id]
+            self._data.joint(name).qpos = own[_SEVEN] if joint.nq == 7 else own
+        self.lead(configuration)
+
+    def lead(self, command: Array) -> None:
+        """Command the joints, and the base if the hand floats, by a configuration, (nq,)."""
+        self.target = command
+        self._data.ctrl[self._actuators] = command[self.hand.q_indices]
+        if self._mocap >= 0:
             base = command[_SEVEN]
-            # The only one.
-            self.data.mocap_pos[0] = base[:3]
-            self.data.mocap_quat[0] = base[3:]
+            self._data.mocap_pos[self._mocap] = base[:3]
+            self._data.mocap_quat[self._mocap] = base[3:]
 
 
 def _pose_of(part: Any) -> Array:

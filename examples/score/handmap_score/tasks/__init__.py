@@ -5,6 +5,7 @@ Files, in the order of reading:
     operator.py   the seam of operators, and the human hand that they show
     task.py       the seam of tasks: scene, signals, success, record
     mapping.py    the seam of mappings, and all that can be named on the command line
+    outside.py    mappings: programs of others, live in a loop
     attempt.py    one attempt: the loop, and its outcome
     experts.py    operators: policies that move their own hand
     adroit.py     tasks: door and relocate of gymnasium-robotics
@@ -19,6 +20,8 @@ Files, in the order of reading:
     turning.py    a task: turn a cap, and who turns it
     pouring.py    a task: pour balls into a bowl, and who tilts the cup
     inserting.py  a task: insert a peg with 2 mm of play, and who does it
+    handing.py    a task: hand a bar over with two hands
+    two_hands.py  an operator: a person with two hands, who does it
     replaying.py  operators: recorded people, open loop
     catalogue.py  tasks and their operators by name
     shares.py     intervals of shares, paired comparisons, stable orders

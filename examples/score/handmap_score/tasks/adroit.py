@@ -151,6 +151,7 @@ class AdroitTask(ABC):
 
     def __init__(self, hand: str) -> None:
         self.robot: Hand = load_hand(hand)
+        self.other: Hand | None = None
         self._environment = _make(self._environment_class)
         model = self._environment.model
         self._joints = actuated_joints(model)

@@ -15,6 +15,7 @@ from handmap_qp.hands import Hand, Names
 from handmap_qp.se3 import Array
 from .attempt import Attempt, attempt
 from .catalogue import CATALOGUE
+from .handing import NoOtherHandError
 from .journal import Kept, Line
 from .mapping import Mapping as HandMapping
 from .mapping import file_of, make_mapping
@@ -232,7 +233,10 @@ def jobs_of(cell: Cell, blocks: Blocks, objects: Names = ()) -> list[Job]:
 def run_job(job: Job) -> Outcome:
     """Run one job; a mapping that cannot be used is an outcome too."""
     cell = job.cell
-    task = _task(cell.task, cell.hand, job.objects)
+    try:
+        task = _task(cell.task, cell.hand, job.objects)
+    except NoOtherHandError as error:
+        return Outcome((), problem=reason_of(error))
     operator = _operator(cell.task, cell.hand, cell.operator)
     try:
         mapping = _mapping(cell, job.calibration)
@@ -320,8 +324,8 @@ def _robot(task: str, hand: str) -> Hand:
 def _mapping(cell: Cell, calibration: int) -> HandMapping:
     """Make a mapping once for the attempts of a block, which follow one another."""
     operator = _operator(cell.task, cell.hand, cell.operator)
-    robot = _robot(cell.task, cell.hand)
-    return make_mapping(cell.method, operator, robot, calibration)
+    task = _task(cell.task, cell.hand, ())
+    return make_mapping(cell.method, operator, task.robot, calibration, task.other)
 
 
 def cells_of(

@@ -12,6 +12,7 @@ from handmap_qp.hands import Hand, Names, load_hand
 from . import (
     adroit,
     experts,
+    handing,
     inserting,
     judge,
     judge_picking,
@@ -24,7 +25,9 @@ from . import (
     replaying,
     table,
     turning,
+    two_hands,
 )
+from .mapping import OPEN, STRAIGHT, UNMAPPED
 from .operator import Operator
 from .task import Task
 
@@ -42,6 +45,7 @@ class Entry(NamedTuple):
         usual: Operators that are taken without --operators.
         recount: Returns the second judge.
         own_hands: Hands that are the operator's own, so that `unmapped` must succeed.
+        own_control: Mapping that must fail on these hands; on all others it is `straight`.
         objects: Objects of which some can be chosen.
     """
 
@@ -52,7 +56,18 @@ class Entry(NamedTuple):
     usual: tuple[str, ...]
     recount: Callable[[], judge.Recount]
     own_hands: Names
+    own_control: str = STRAIGHT
     objects: Names = ()
+
+    def controls(self, hand: str) -> Names:
+        """Return the mappings that always run on a hand: they show whether the judge is sound.
+
+        Args:
+            hand: The hand's name.
+        """
+        if hand in self.own_hands:
+            return (UNMAPPED, self.own_control)
+        return (STRAIGHT,)
 
 
 def _expert(kind: str, name: str, robot: Hand) -> Operator:
@@ -101,6 +116,7 @@ def _on_table(
         usual=tuple(operators)[:1],
         recount=lambda: recount,
         own_hands=(person.OWN,),
+        own_control=OPEN,
         objects=tuple(task.things),
     )
 
@@ -130,6 +146,9 @@ CATALOGUE: dict[str, Entry] = {
     ),
     inserting.PEG: _on_table(
         inserting.PegTask, inserting.OPERATORS, judge_table.recount_peg
+    ),
+    handing.HAND_OVER: _on_table(
+        handing.HandOverTask, two_hands.OPERATORS, judge_table.recount_hand_over
     ),
 }
 """All tasks by name."""

@@ -21,7 +21,8 @@ from .benches import Blocks, Cell, CellResult, cells_of, run_cells
 from .catalogue import CATALOGUE
 from .film import FilmError, FilmJob, draw_films
 from .journal import FILE, Kept
-from .mapping import STRAIGHT, UNMAPPED, check_mapping
+from .mapping import check_mapping
+from .outside import LIMITS, peer_methods
 from .page import tasks_page
 from .report import (
     Check,
@@ -52,12 +53,13 @@ class TasksRequest(NamedTuple):
         hands: Hands, by name or the path of their hand.yaml; the usual ones if empty.
         objects: Objects of the tasks that let choose; all if empty.
         operators: Operators; the usual ones of each task if empty.
-        methods: Mappings besides `unmapped` and `straight`; all presets if empty.
+        methods: Mappings besides the controls; all presets if empty.
         blocks: Seeds.
         processes: Processes that run attempts; as many as the machine has processors if 0.
         films: Whether to draw films.
         resume: Whether to go on with the attempts that the folder has.
         as_json: Whether to print JSON in place of tables.
+        peers: Whether to add all peers that can run here, as published and within our limits.
     """
 
     tasks: Names
@@ -71,6 +73,7 @@ class TasksRequest(NamedTuple):
     films: bool
     resume: bool
     as_json: bool
+    peers: bool = False
 
 
 def score_tasks(request: TasksRequest) -> None:
@@ -87,6 +90,8 @@ def score_tasks(request: TasksRequest) -> None:
     _check_names("--objects", request.objects, things)
     for method in request.methods:
         check_mapping(method)
+    if request.peers:
+        request = request._replace(methods=with_peers(request.methods))
     request.blocks.check()
     make_folder(request.out, "--out")
     # Before the attempts, because all that may fail comes first.
@@ -118,6 +123,20 @@ def score_tasks(request: TasksRequest) -> None:
                     notes.append(str(error))
     named = [_named(one, labels) for one in results]
     _write(request, named, films, notes, about)
+
+
+def with_peers(methods: Names) -> Names:
+    """Return mappings and all peers that can run here, as published and within our limits.
+
+    Args:
+        methods: Mappings that are asked for; all presets if empty.
+
+    Raises:
+        OutsideError: If no peer can run here.
+    """
+    found = peer_methods()
+    both = [name + end for name in found for end in ("", LIMITS)]
+    return tuple(dict.fromkeys((*(methods or PRESETS), *both)))
 
 
 @contextmanager
@@ -180,9 +199,7 @@ def _cells(
         return [name for name in wanted if name in entry.operators]
 
     def methods(task: str, hand: str) -> Names:
-        # Both always run, because they show whether the judge is sound.
-        is_own = labels[hand] in CATALOGUE[task].own_hands
-        first = (UNMAPPED, STRAIGHT) if is_own else (STRAIGHT,)
+        first = CATALOGUE[task].controls(labels[hand])
         others = request.methods or tuple(PRESETS)
         return tuple(dict.fromkeys((*first, *others)))
 
@@ -237,7 +254,7 @@ def _write(
     """Write tasks.json and tasks.html, and print the tables."""
     rows = rows_of_results(results)
     pairs = pair_rows(groups_of(results))
-    checks = checks_of(results, {n: entry.own_hands for n, entry in CATALOGUE.items()})
+    checks = checks_of(results, CATALOGUE)
     notes = [*problems_of(results), *notes]
     document = {
         "about": about,

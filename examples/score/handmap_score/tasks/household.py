@@ -17,12 +17,15 @@ class Household(NamedTuple):
         mass: Its mass [kg].
         friction: Coulomb coefficient.
         is_round: Whether it can be held from all sides.
+        putty: Lever of what keeps it from tilting where it stands [m]: a little putty, or a rack.
+            It resists with friction times weight times this.
     """
 
     shape: Shape
     mass: float
     friction: float
     is_round: bool = False
+    putty: float = 0.01
 
 
 def bar(width: float, back: float, front: float, height: float) -> MeshShape:
@@ -83,19 +86,22 @@ HOUSEHOLD: Mapping[str, Household] = MappingProxyType(
         "golf ball": Household(Sphere(0.0214), 0.046, 0.6, is_round=True),
         "tennis ball": Household(Sphere(0.033), 0.058, 0.9, is_round=True),
         "strawberry": Household(Sphere(0.015), 0.018, 0.7, is_round=True),
-        "mug's handle": Household(bar(0.012, 0.01, 0.1, 0.03), 0.09, 0.7),
+        "mug's handle": Household(bar(0.012, 0.01, 0.1, 0.03), 0.04, 0.7),
         "bottle": Household(
-            rings((-0.08, 0.025), (0.02, 0.025), (0.07, 0.012)),
+            rings((-0.09, 0.025), (0.01, 0.025), (0.05, 0.012)),
             0.1,
             0.6,
             is_round=True,
         ),
         "pen": Household(Cylinder(0.005, 0.14), 0.012, 0.6, is_round=True),
-        "plate's rim": Household(disc(0.008, 0.09, 0.015), 0.12, 0.5),
+        "plate's rim": Household(disc(0.012, 0.09, 0.015), 0.05, 0.5, putty=0.05),
     }
 )
-"""Objects of the sizes and masses of YCB's, made of simple shapes.
+"""Objects of about the sizes of YCB's, made of simple shapes.
 
+Their weights are such that the person's own hand, with the motors that all hands have, can carry
+them between two fingertips: the thinner an object, the less the fingers press on it. So mug and
+plate weigh what plastic ones do. Bottles end 50 mm above the grip, because the palm is above it.
 The mug's handle is a bar whose weight hangs 45 mm beside the grip, as the mug's does; the mug
-itself is not there to be touched.
+itself is not there to be touched. The plate stands in a rack.
 """

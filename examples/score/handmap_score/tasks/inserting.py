@@ -3,6 +3,9 @@
 The peg is a round pin below a handle with flat sides: rigid fingertips squeeze a round peg out
 where they meet it off its middle. The hole stands on the table, 40 mm high, with a chamfer of
 10 mm. The peg counts as inserted when it stands on the ground of the hole, upright and let go.
+
+Pin and hole are smooth (a friction of 0.2), so that the chamfer moves the pin sideways before it
+slips out of the fingers.
 """
 
 import math
@@ -18,7 +21,7 @@ from handmap_qp.mapping import Box
 from handmap_qp.se3 import Array
 from .fixtures import STANDS, TOUCHED, add_ring, ring
 from .household import Household
-from .person import PalmMotion, Person, Phase
+from .person import DEAD_ZONE, Look, PalmMotion, Person, Phase
 from .table import FIXTURE, TableTask
 from .task import Signals
 from .touch import cause_of_lost_grip, cause_of_no_grip
@@ -36,6 +39,11 @@ _HANDLE = (0.024, 0.03, 0.03)  # sides of the handle [m]
 _CHAMFER = 0.01  # catches what the person's dead zone and noise leave over [m]
 _NEAR = DEPTH + 0.015  # height at which the person looks again before going down [m]
 _SIDES = 16
+_SMOOTH = [
+    0.2,
+    1e-5,
+    1e-5,
+]  # of pin and hole: at the handle's .6 the chamfer would hold the pin
 _THIN = 0.004  # thickness of the chamfer's boxes [m]
 _UPRIGHT = math.cos(math.radians(10.0))
 
@@ -59,6 +67,7 @@ class PegTask(TableTask):
             size=[_RADIUS, _LENGTH / 2.0, 0.0],
             pos=[0.0, 0.0, -(_HANDLE[2] + _LENGTH) / 2.0],
             mass=0.01,
+            friction=_SMOOTH,
             **TOUCHED,
         )
         body = spec.worldbody.add_body(name=FIXTURE)
@@ -80,6 +89,8 @@ class PegTask(TableTask):
             straight + _CHAMFER / 2.0 - 0.5 * math.sqrt(0.5) * _THIN,
             STANDS,
         )
+        for geom in body.geoms:
+            geom.friction = _SMOOTH
 
     def _bottom(self, pose: Array) -> Array:
         return pose[:3, 3] - (_HANDLE[2] / 2.0 + _LENGTH) * pose[:3, 2]
@@ -92,7 +103,17 @@ class PegTask(TableTask):
 
 
 class Inserter(Person):
-    """A person who holds the peg closely above the hole before going down."""
+    """A person who brings the peg's end closely above the hole, looks, and goes down.
+
+    What is over the hole is the end of the pin, not the handle. The peg is let go when its end is
+    seen to be down, wherever the handle is: a tilted pin in its hole cannot be moved sideways.
+    """
+
+    def _guided(self, look: Look) -> Array:
+        return look.bottom
+
+    def _is_down(self, look: Look) -> bool:
+        return float(look.bottom[2] - look.target[2]) < DEAD_ZONE
 
     def _arrived(self, motion: PalmMotion) -> None:
         if self._hover == _NEAR:

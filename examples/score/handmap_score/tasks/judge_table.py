@@ -6,6 +6,7 @@ object (7), then what the task adds.
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .task import Record
 
@@ -52,6 +53,40 @@ def recount_pour(record: Record) -> bool:
     way = balls - bowl
     is_in = (np.hypot(way[..., 0], way[..., 1]) < 0.1) & (way[..., 2] < 0.05)
     return _longest(is_in.sum(axis=1) >= 6) >= 15
+
+
+def recount_hand_over(record: Record) -> bool:
+    """Return whether the bar stayed in the air with the left hand after the right one had left.
+
+    For half a second it must be 50 mm above its place and 60 mm from where the right wrist had it,
+    and rest in the left wrist's frame within 20 mm. Both hands have as many joints.
+    """
+    states = record.qpos
+    fingers = (states.shape[1] - 3 * _FREE) // 2
+    right = states[:, :_FREE]
+    bar = states[:, _FREE + fingers :][:, :_FREE]
+    left = states[:, _FREE + fingers + _FREE :][:, :_FREE]
+    height = bar[:, 2] - bar[0, 2]
+    if height.max() < 0.01:
+        return False
+    in_right = _relative(right, bar)
+    in_left = _relative(left, bar)
+    lifted = int(np.argmax(height > 0.01))
+    has_left = np.linalg.norm(in_right - in_right[lifted], axis=1) > 0.06
+    is_done = has_left & (height > 0.05)
+    is_done[: lifted + 1] = False
+    for end in range(30, len(states)):
+        span = slice(end - 29, end + 1)
+        moved = np.linalg.norm(in_left[span] - in_left[end], axis=1).max()
+        if is_done[span].all() and moved < 0.02:
+            return True
+    return False
+
+
+def _relative(frame: np.ndarray, bar: np.ndarray) -> np.ndarray:
+    """Return places of the bar in frames given by position and quaternion wxyz, (T, 3)."""
+    turns = Rotation.from_quat(np.roll(frame[:, 3:], -1, axis=1))
+    return turns.inv().apply(bar[:, :3] - frame[:, :3])
 
 
 def _longest(flags: np.ndarray) -> int:

@@ -40,7 +40,7 @@ class LiftTask(TableTask):
     things = MappingProxyType(
         {
             "full bottle": Household(
-                rings((-0.09, 0.028), (0.04, 0.028), (0.1, 0.013)),
+                rings((-0.1, 0.024), (0.01, 0.024), (0.05, 0.013)),
                 0.3,
                 0.6,
                 is_round=True,

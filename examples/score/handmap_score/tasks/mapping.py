@@ -2,7 +2,11 @@
 
     unmapped            the operator's own joints; for an operator on its own hand
     straight            all fingers straight: what a task gives away for nothing
+    open                the operator's own joints in the open hand, for an operator on its own hand:
+                        the same control where straight fingers are so near that they enclose things
     NAME                a preset, such as `teleoperation` or `finger-vectors`
+    dexi-dexpilot       a peer as published, by its name in `handmap compare`; with `+limits` at the
+                        end, clipped by the robot's limits of position and speed
     FILE.py:NAME        of a user: a method (it has `bind`), or a callable that takes the person's
                         hand and the robot and returns a mapping (it has `reset` and `map`)
     FILE.npz            a trajectory, as `handmap map --out` writes it, whatever the person does
@@ -12,21 +16,26 @@ Mappings run live in the loop: what the robot does with a command is what the op
 
 import math
 import runpy
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from handmap_qp.apps.offline.comparison import is_peer
 from handmap_qp.errors import HandmapError, InvalidInputError, did_you_mean, expect
 from handmap_qp.hands import Hand, Names
-from handmap_qp.human import scaled_human
+from handmap_qp.human import Recording, mirrored, scaled_human
 from handmap_qp.mapping import PRESETS, HandMapper
 from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.se3 import Array
-from .operator import HumanHand, Joints, Operator
+from .operator import OTHER, HumanHand, Joints, Operator
+from .outside import check_peer, outside_mapping
 
 UNMAPPED = "unmapped"
 STRAIGHT = "straight"
+OPEN = "open"
 
 
 @runtime_checkable
@@ -73,6 +82,22 @@ class Straight:
         return self._command
 
 
+class Open:
+    """The operator's own joints as they are at first, in the open hand, whatever follows."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the open hand."""
+        self._joints: Joints = {}
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the joints of the first sample."""
+        self._joints = self._joints or hand.joints
+        return self._joints
+
+
 class Mapped:
     """A method of the package, or one that fits its seam.
 
@@ -94,6 +119,32 @@ class Mapped:
         step = self._mapper.map_landmarks(hand.landmarks, dt=dt)
         names = self._mapper.robot.joint_names
         return dict(zip(names, step.command.q.tolist(), strict=True))
+
+
+class BothHands:
+    """One mapping for each hand of a person.
+
+    Args:
+        mapping: That of the hand, as in a task of one hand.
+        other: That of the other hand.
+    """
+
+    def __init__(self, mapping: Mapping, other: Mapping) -> None:
+        self._mapping = mapping
+        self._other = other
+
+    def reset(self) -> None:
+        """Begin an attempt with both hands."""
+        self._mapping.reset()
+        self._other.reset()
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Map both hands; joints of the other hand have names that begin with `OTHER`."""
+        joints = dict(self._mapping.map(hand, dt))
+        if hand.other is not None:
+            others = self._other.map(hand.other, dt)
+            joints |= {OTHER + name: value for name, value in others.items()}
+        return joints
 
 
 class Replayed:
@@ -199,7 +250,10 @@ def check_mapping(name: str) -> None:
         is_whole = file.suffix == ".npz" or ":" in name
         expect(is_whole, "--methods", "FILE.py:NAME", got=name)
         return
-    known = {UNMAPPED, STRAIGHT, *PRESETS}
+    if is_peer(name):
+        check_peer(name)
+        return
+    known = {UNMAPPED, STRAIGHT, OPEN, *PRESETS}
     if name not in known:
         raise InvalidInputError(
             f"no mapping {name!r}",
@@ -210,7 +264,11 @@ def check_mapping(name: str) -> None:
 
 
 def make_mapping(
-    name: str, operator: Operator, robot: Hand, calibration: int
+    name: str,
+    operator: Operator,
+    robot: Hand,
+    calibration: int,
+    other: Hand | None = None,
 ) -> Mapping:
     """Return a mapping by name, for a person measured in a calibration recording.
 
@@ -219,18 +277,40 @@ def make_mapping(
         operator: Who will be mapped.
         robot: The robot hand.
         calibration: Seed of the operator's calibration recording.
+        other: The robot's other hand, in a task of two hands. It gets a mapping of the same kind,
+            for the mirror image of the person.
 
     Raises:
         HandmapError: If there is no such mapping, or it cannot be used with these hands.
     """
-    check_mapping(name)
+    if not is_peer(name):  # the peer itself says what it does not know
+        check_mapping(name)
+    recording = partial(operator.calibrate, calibration)
+    mapping = _of_one_hand(name, recording, robot)
+    if other is None:
+        return mapping
+    return BothHands(mapping, _of_one_hand(name, lambda: mirrored(recording()), other))
+
+
+def _of_one_hand(name: str, calibrate: Callable[[], Recording], robot: Hand) -> Mapping:
+    """Return a mapping of one hand by its name.
+
+    Args:
+        name: As at the top of this file.
+        calibrate: Returns a recording of the person's hand.
+        robot: The robot hand.
+    """
     if name == UNMAPPED:
         return Unmapped()
     if name == STRAIGHT:
         return Straight(robot)
+    if name == OPEN:
+        return Open()
     if name.endswith(".npz"):
         return _trajectory(Path(name))
-    human = scaled_human(operator.calibrate(calibration))
+    if is_peer(name):
+        return outside_mapping(name, robot)
+    human = scaled_human(calibrate())
     if ".py:" in name:
         return _of_user(name, human, robot)
     return Mapped(human, robot, name)

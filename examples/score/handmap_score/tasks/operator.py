@@ -1,4 +1,4 @@
-"""The seam of operators: an operator sees a scene and shows a human hand."""
+"""The seam of operators: an operator sees a scene and shows a human hand, or two."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 Joints = Mapping[str, float]
 """Joint positions by the robot's joint names [rad or m]."""
 
+OTHER = "/other/"
+"""Begin of the names of all joints and bodies of the robot's other hand, in a task of two hands."""
 _NO_JOINTS: Joints = MappingProxyType({})
 
 
@@ -24,11 +26,14 @@ class HumanHand(NamedTuple):
         wrist: Pose that the operator wants for the robot's wrist, in the task's world, (4, 4).
         joints: Joints that the operator commands itself, by name [rad or m]: all joints of an
             expert on its own hand, arm included. Empty for an operator with another hand.
+        other: The person's other hand at the same instant, in a task of two hands; it leads the
+            robot's other hand. None in a task of one hand.
     """
 
     landmarks: Array
     wrist: Array
     joints: Joints = _NO_JOINTS
+    other: "HumanHand | None" = None
 
 
 class Operator(Protocol):

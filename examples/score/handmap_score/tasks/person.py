@@ -60,7 +60,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.simulation.commands import find_pinch
 from handmap_qp.errors import expect
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Side
 from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.se3 import Array, affine, inverse_pose, transform_points, unit
 from handmap_qp.trackers import read_recording
@@ -782,7 +782,7 @@ class Person:
             self._drops += self._phase is not Phase.LIFT
             self._start(Phase.REOPEN, closes=False)
             return
-        shift = look.target - (*look.middle[:2], look.bottom[2])
+        shift = look.target - (*self._guided(look)[:2], look.bottom[2])
         if self._phase is Phase.LIFT:
             shift[:2] = 0.0
         if self._phase is not Phase.LOWER:
@@ -791,7 +791,8 @@ class Person:
         # Only high above the target a rough place is good enough.
         is_rough = self._phase is not Phase.LOWER and self._hover == LIFT
         tolerance = ROUGH if is_rough else DEAD_ZONE
-        if not self._correct(motion, shift - since_then, tolerance):
+        is_down = self._phase is Phase.LOWER and self._is_down(look)
+        if not is_down and not self._correct(motion, shift - since_then, tolerance):
             return
         match self._phase:
             case Phase.LIFT:
@@ -817,6 +818,14 @@ class Person:
         """Go on with the object in the hand: lift it."""
         self._hover = LIFT
         self._start(Phase.LIFT, closes=True)
+
+    def _is_down(self, look: Look) -> bool:
+        """Return whether the object is seen to be put down, wherever it was to go exactly."""
+        return False
+
+    def _guided(self, look: Look) -> Array:
+        """Return the point of the object that is to be over the target [m], shape (3,)."""
+        return look.middle
 
     def _arrived(self, motion: PalmMotion) -> None:
         """Go on with the object over its target: lower it."""
@@ -850,9 +859,9 @@ OWN = "own"
 
 
 @cache
-def own_hand() -> Hand:
-    """Return the hand of the person in the package's recording, as a robot hand."""
-    return closing_of(read_recording(Path("pinch"), "right")).hand
+def own_hand(side: Side = "right") -> Hand:
+    """Return a hand of the person in the package's recording, as a robot hand."""
+    return prepare_take(read_recording(Path("pinch"), "right"), side).human
 
 
 OPERATORS: Mapping[str, Callable[[Hand], Person]] = MappingProxyType({"person": Person})

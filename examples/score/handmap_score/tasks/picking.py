@@ -1,7 +1,7 @@
 """Pick and place of household objects on a table: `PickTask`.
 
-The hand is to pick an object up and put it down in a tray of 16 cm beside it. Objects have sizes
-and masses of YCB's.
+The hand is to pick an object up and put it down in a tray of 16 cm beside it. Objects have
+about the sizes of YCB's.
 """
 
 from collections.abc import Sequence

@@ -100,20 +100,25 @@ class PourTask(TableTask):
 
 
 class Pourer(Person):
-    """A person who tilts what is held over the target, about the line of the pads."""
+    """A person who tilts what is held over the target about the line of the pads, and back."""
 
     def _arrived(self, motion: PalmMotion) -> None:
         self._tilted = 0.0
+        self._has_poured = False
         self._start(Phase.USE, closes=True)
 
     def _use(self, look: Look, motion: PalmMotion) -> None:
         if motion.is_moving(self._time):
             return
-        if self._tilted >= _TILT:
-            if self._time > self._since + _WAITS:
-                self._start(Phase.DONE, closes=True)
+        if self._tilted >= _TILT and not self._has_poured:
+            self._has_poured = self._time > self._since + _WAITS
             return
-        step = min(LARGEST_STEP, _TILT - self._tilted)
+        if self._has_poured and self._tilted <= 0.0:
+            self._start(Phase.DONE, closes=True)
+            return
+        # Tilt, and set upright again: balls that lie on the hand then roll off it.
+        left = -self._tilted if self._has_poured else _TILT - self._tilted
+        step = math.copysign(min(LARGEST_STEP, abs(left)), left)
         self._tilted += step
         # Outward, as the right forearm turns: the thumb's side up.
         line = look.pads.line

@@ -6,13 +6,19 @@ from itertools import combinations, pairwise
 from statistics import median
 from typing import NamedTuple
 
-from handmap_qp.hands import Names
 from .benches import CellResult
-from .mapping import STRAIGHT, UNMAPPED
+from .catalogue import Entry
+from .mapping import OPEN, STRAIGHT, UNMAPPED
 from .shares import Order, contradictions, mcnemar, order_of
 
 LEAST_UNMAPPED = 0.95
 """Share of successes that an operator needs on its own hand."""
+
+_CONTROLS = {
+    STRAIGHT: "straight fingers succeed in none",
+    OPEN: "an open hand succeeds in none",
+}
+"""Conditions of mappings that must fail."""
 
 Value = str | int | float
 Row = dict[str, Value]
@@ -125,30 +131,29 @@ def pair_rows(groups: Sequence[Group]) -> list[Row]:
 
 
 def checks_of(
-    results: Sequence[CellResult], own_hands: Mapping[str, Names]
+    results: Sequence[CellResult], entries: Mapping[str, Entry]
 ) -> list[Check]:
     """Return the conditions of soundness, each with what was measured.
 
     Args:
         results: All cells.
-        own_hands: Hands by task that are the operators' own.
+        entries: Tasks by name.
     """
     groups = groups_of(results)
     checks = []
     for group in groups:
         by_method = {one.cell.method: one for one in group.cells}
-        if straight := by_method.get(STRAIGHT):
-            share = straight.share
+        always = entries[group.task].controls(group.hand)
+        for name in always:
+            control = by_method.get(name)
+            if control is None or name not in _CONTROLS:
+                continue
+            share = control.share
             checks.append(
-                Check(
-                    "straight fingers succeed in none",
-                    group.label,
-                    share.successes == 0,
-                    str(share),
-                )
+                Check(_CONTROLS[name], group.label, share.successes == 0, str(share))
             )
         unmapped = by_method.get(UNMAPPED)
-        if unmapped and group.hand in own_hands.get(group.task, ()):
+        if unmapped and UNMAPPED in always:
             share = unmapped.share
             checks.append(
                 Check(

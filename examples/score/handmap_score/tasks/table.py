@@ -5,9 +5,9 @@ state. It may add furniture to the model, such as a hole or a bowl.
 
 What is simplified: the hand passes through table and furniture, so that low objects can be gripped
 by hands with thick fingertips; an object that stands has a little putty under it, which resists
-tilting (`_PUTTY`), so that a pen can stand; links of the hand do not collide with each other. The
-wrist goes where the operator wants it, whatever the mapping says of it. Motors have the torque of
-the maker.
+tilting (`Household.putty`), so that a pen can stand; links of the hand do not collide with each
+other. The wrist goes where the operator wants it, whatever the mapping says of it. Motors have the
+torque of the maker.
 
 The place of an object does not depend on the robot or the mapping: it stands across the line of a
 person's pinch, turned by up to 20 degrees.
@@ -27,7 +27,7 @@ from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.errors import expect
-from handmap_qp.hands import THUMB, Hand, Names
+from handmap_qp.hands import THUMB, Hand, Names, PadPair
 from handmap_qp.mapping import Sphere, surface
 from handmap_qp.se3 import (
     Array,
@@ -39,7 +39,7 @@ from handmap_qp.se3 import (
     unit,
 )
 from .household import Household
-from .operator import HumanHand, Joints
+from .operator import OTHER, HumanHand, Joints
 from .person import home
 from .task import Scene, Signals
 from .touch import Contacts
@@ -49,8 +49,6 @@ HANDS = ("allegro_right", "leap_right", "shadow_right")
 
 RATE = 60.0
 """Samples of the operator and commands of the robot in a second."""
-SIDEWAYS = 0.2
-"""Distance of the target from the object's first place [m]."""
 FIXTURE = "/fixture"
 """Name of the body that carries the furniture of a task."""
 CAMERA = "view"
@@ -68,8 +66,6 @@ _ABOVE, _BEHIND, _BESIDE = 0.3, 0.15, 0.05
 """Where the palm starts, from the object [m]."""
 _STANDS = 0.002
 """Up to this height an object stands on its putty [m]."""
-_PUTTY = 0.01
-"""Lever of the putty: it resists turning with friction times weight times this [m]."""
 _LEVEL = 0.7
 """A direction is level if its height is below this."""
 _WORLD_UP = np.array([0.0, 0.0, 1.0])
@@ -99,8 +95,12 @@ class TableTask(ABC):
     hold: ClassVar[int] = 15
     raised: ClassVar[float] = 0.0
     """Height of the object's lowest point above the table at the beginning [m]."""
+    carried: ClassVar[tuple[float, float]] = (0.2, 0.0)
+    """Where the held point of the object is to go, from the object's first place [m]."""
     yaw: ClassVar[float] = math.radians(20.0)
     """The object is turned by up to this [rad]."""
+    other: Hand | None = None
+    """The robot's other hand; None in a task of one hand."""
 
     def __init__(self, robot: Hand, objects: Names = ()) -> None:
         unknown = {*objects} - {*self.things}
@@ -113,8 +113,7 @@ class TableTask(ABC):
         self._robot = robot
         self._objects = tuple(objects) or tuple(self.things)
         self._pads = Pads(robot)
-        rest = np.clip(np.zeros(len(robot.joint_names)), *robot.limits)
-        self._rest = dict(zip(robot.joint_names, rest.tolist(), strict=True))
+        self._rest = straight_joints(robot)
         self._benches: dict[str, _Bench] = {}
         self.reset(0)
 
@@ -155,13 +154,15 @@ class TableTask(ABC):
         # x runs along the line of a person's pinch, which is forward.
         yaw = math.pi / 2.0 + random.uniform(-self.yaw, self.yaw)
         self._start = affine(rotation_from_rpy((0.0, 0.0, yaw)), place)
-        self._target = affine(np.eye(3), (place[0] + SIDEWAYS, place[1], 0.0))
+        self._target = affine(np.eye(3), (*(place[:2] + self.carried), 0.0))
         beside = random.uniform(-_BESIDE, _BESIDE)
         palm = affine(home(), place + np.array([beside, -_BEHIND, _ABOVE]))
         wrist = palm @ inverse_pose(self._robot.wrist_to_palm)
         self._command = dict(self._rest)
         self._place_furniture()
-        self._simulator.reset(self._configuration(wrist), self._start)
+        self._simulator.reset(
+            self._configuration(wrist), self._start, self._put_other(place)
+        )
         self._set_further()
         self._has_lifted = False
         self._steps = 0
@@ -173,7 +174,9 @@ class TableTask(ABC):
         known = {name: command[name] for name in self._command if name in command}
         self._command |= known
         self._set_putty()
-        self._simulator.follow(self._configuration(hand.wrist), self.time_step)
+        goal = self._configuration(hand.wrist)
+        others = self._lead_other(hand, command)
+        self._simulator.follow(goal, self.time_step, others)
         self._steps += 1
         return self._scene()
 
@@ -200,6 +203,14 @@ class TableTask(ABC):
     def _set_further(self) -> None:
         """Set the joints of further bodies at the beginning, after the hand and the object."""
         return
+
+    def _put_other(self, place: Array) -> Mapping[str, Array]:
+        """Return where the other hand starts, by its prefix, for an object at a place [m]."""
+        return {}
+
+    def _lead_other(self, hand: HumanHand, command: Joints) -> Mapping[str, Array]:
+        """Return the configuration that the other hand is commanded, by its prefix."""
+        return {}
 
     def _is_gripped(self, touch: Touch) -> bool:
         """Return whether the hand has the object."""
@@ -228,9 +239,7 @@ class TableTask(ABC):
         Returns:
             Where the surfaces of the pads face each other [m], shape (2, 3).
         """
-        line = unit(pads[1] - pads[0])
-        pair = self._pads.pair
-        return pads + np.outer((pair.thumb.radius, -pair.finger.radius), line)
+        return pad_surfaces(pads, self._pads.pair)
 
     # -- the loop
 
@@ -242,7 +251,10 @@ class TableTask(ABC):
     def _bench_of(self, name: str) -> "_Bench":
         """Return the simulator of an object; each is built once."""
         if name not in self._benches:
-            self._benches[name] = _Bench(self._robot, self.things[name], self._build)
+            others = {} if self.other is None else {OTHER: self.other}
+            self._benches[name] = _Bench(
+                self._robot, self.things[name], self._build, others
+            )
         return self._benches[name]
 
     def _configuration(self, wrist: Array) -> Array:
@@ -255,7 +267,11 @@ class TableTask(ABC):
         weight = self._object.mass * float(
             np.linalg.norm(self._simulator.physics.gravity)
         )
-        resists = self._object.friction * weight * _PUTTY if height < _STANDS else 0.0
+        resists = (
+            self._object.friction * weight * self._object.putty
+            if height < _STANDS
+            else 0.0
+        )
         self._simulator.model.joint(OBJECT).frictionloss = [0.0] * 3 + [resists] * 3
 
     def _scene(self) -> Scene:
@@ -302,6 +318,23 @@ class TableTask(ABC):
         )
 
 
+def pad_surfaces(pads: Array, pair: PadPair) -> Array:
+    """Return where the surfaces of two pads face each other [m], shape (2, 3).
+
+    Args:
+        pads: Middles of the pads of thumb and finger [m], shape (2, 3).
+        pair: Their radii.
+    """
+    line = unit(pads[1] - pads[0])
+    return pads + np.outer((pair.thumb.radius, -pair.finger.radius), line)
+
+
+def straight_joints(robot: Hand) -> dict[str, float]:
+    """Return all joints of a hand at 0, or at the limit next to it, by name [rad or m]."""
+    straight = np.clip(np.zeros(len(robot.joint_names)), *robot.limits)
+    return dict(zip(robot.joint_names, straight.tolist(), strict=True))
+
+
 def add_view(spec: mujoco.MjSpec) -> None:
     """Add a camera that looks across the table, lights, and colours; none of it moves anything."""
     for body in spec.bodies:
@@ -328,8 +361,8 @@ def add_view(spec: mujoco.MjSpec) -> None:
 
 
 def _colour_of(body: str) -> list[float]:
-    """Return the colour of a body: all but links of the hand have names with a slash."""
-    if not body.startswith("/"):
+    """Return the colour of a body: all but links of hands have names with one slash."""
+    if not body.startswith("/") or body.startswith(OTHER):
         return _HAND_COLOUR
     if body == OBJECT:
         return _OBJECT_COLOUR
@@ -342,15 +375,26 @@ class _Bench:
     Attributes:
         simulator: Hand, object and table.
         contacts: Forces of the hand on the object.
+        others: Forces of the other hands on it, by their prefixes.
         rest_height: Height of the object's origin when it stands on the table [m].
     """
 
-    def __init__(self, robot: Hand, held: Household, furnish: Furnish) -> None:
+    def __init__(
+        self,
+        robot: Hand,
+        held: Household,
+        furnish: Furnish,
+        others: Mapping[str, Hand],
+    ) -> None:
         physics = Physics(mass=held.mass, friction=held.friction)
         self.simulator = Simulator(
-            robot, held.shape, physics, table=0.0, furnish=furnish
+            robot, held.shape, physics, table=0.0, furnish=furnish, others=others
         )
         self.contacts = Contacts(self.simulator.model, robot, [OBJECT])
+        self.others = {
+            prefix: Contacts(self.simulator.model, other, [OBJECT], prefix)
+            for prefix, other in others.items()
+        }
         shape = surface(held.shape)
         self.rest_height = -float(shape.bounds[0, 2])
         self._vertices = np.asarray(shape.vertices, dtype=float)

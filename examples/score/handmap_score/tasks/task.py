@@ -107,6 +107,11 @@ class Task(Protocol):
         """The robot hand that mappings are made for."""
         ...
 
+    @property
+    def other(self) -> Hand | None:
+        """The robot's other hand, which gets a mapping of its own; None in a task of one hand."""
+        ...
+
     def reset(self, seed: int) -> Scene:
         """Begin an attempt; the seed chooses where things are."""
         ...
@@ -116,8 +121,9 @@ class Task(Protocol):
 
         Args:
             hand: The operator's hand; its wrist, or the joints of its arm, move the robot's wrist.
-            command: Commanded joints of the robot's fingers [rad or m]. Joints that are missing
-                keep their last command; names that the robot does not have are ignored.
+            command: Commanded joints of the robot's fingers [rad or m]; names of the other hand's
+                begin with `operator.OTHER`. Joints that are missing keep their last command; names
+                that the robot does not have are ignored.
         """
         ...
 

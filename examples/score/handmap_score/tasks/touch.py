@@ -20,15 +20,21 @@ class Contacts:
         model: The model.
         hand: The hand; the bodies of its links bear the names of its joints.
         touched: Names of the bodies that are touched.
+        prefix: What the names of the hand's bodies begin with in the model.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, hand: Hand, touched: Sequence[str]
+        self,
+        model: mujoco.MjModel,
+        hand: Hand,
+        touched: Sequence[str],
+        prefix: str = "",
     ) -> None:
         self._model = model
         bodies = [model.body(body).name for body in model.geom_bodyid.tolist()]
-        finger_of = fingers_of_links(hand)
-        links = {*hand.model.names[1:]}
+        of_links = fingers_of_links(hand)
+        finger_of = {prefix + link: finger for link, finger in of_links.items()}
+        links = {prefix + name for name in hand.model.names[1:]}
         self._is_touched = np.array([body in touched for body in bodies])
         # Links that are fixed to the world belong to a hand without a floating wrist.
         self._is_hand = np.array([body in links for body in bodies])
@@ -37,7 +43,7 @@ class Contacts:
         self._force = np.zeros(6)
 
     def by_link(self, data: mujoco.MjData) -> dict[str, float]:
-        """Return the normal force of each link that touches [N], by the link's joint."""
+        """Return the normal force of each link that touches [N], by the name of its body."""
         contact = data.contact
         first, second = contact.geom.reshape(-1, 2).T
         forward = self._is_touched[first] & self._is_hand[second]

@@ -3,8 +3,8 @@
 The cap is held at its side, turned by 100 degrees with the wrist, and gripped again if that was not
 enough. It rubs, and does not turn back by itself.
 
-The straight fingers of the person's own hand are no control here: thumb and index finger are then
-34 mm apart, enclose the cap of 32 mm, and turn it without closing. Robots' are 97 mm apart or more.
+Straight fingers of the person's own hand are 34 mm apart, enclose the cap of 32 mm, and turn it
+without closing, so the control on that hand is `open`. Those of robots are 97 mm apart or more.
 """
 
 import math

@@ -1,0 +1,171 @@
+"""Mappings by programs of others, live in a loop: `OutsideMapping`, `WithinLimits`.
+
+The program is that of `handmap compare --peers`, with the command `live METHOD HAND`
+(`handmap_qp.apps.offline.comparison`). It runs in a process of its own. Names are those of
+`handmap compare` and `handmap simulate`, such as `dexi-dexpilot`: the peer as published. With
+`+limits` at the end, the robot's limits of position and speed clip its joints.
+"""
+
+import json
+import subprocess
+import sys
+import weakref
+
+import numpy as np
+
+from handmap_qp.apps.offline.comparison import (
+    PROGRAM,
+    OutsideError,
+    outside_methods,
+    peers_program,
+)
+from handmap_qp.errors import InvalidInputError, did_you_mean
+from handmap_qp.hands import Hand, Names
+from handmap_qp.se3 import Array
+from .operator import HumanHand, Joints
+
+LIMITS = "+limits"
+"""Ending of the name of a peer whose joints are to be clipped."""
+_KNOWN_HAND = "allegro_right"
+_RESET = "reset"
+
+
+def base_of(name: str) -> str:
+    """Return the name of a peer without its ending."""
+    return name.removesuffix(LIMITS)
+
+
+def peer_methods() -> Names:
+    """Return the names of the peers' methods that can run here.
+
+    Raises:
+        OutsideError: If none can.
+    """
+    return tuple(outside_methods(peers_program(), _KNOWN_HAND))
+
+
+def check_peer(name: str) -> None:
+    """Reject a name that no peer has.
+
+    Raises:
+        InvalidInputError: If there is no such peer.
+        OutsideError: If none can run here.
+    """
+    known = peer_methods()
+    if base_of(name) not in known:
+        raise InvalidInputError(
+            f"no mapping {name!r}",
+            argument="--methods",
+            value=name,
+            advice=did_you_mean(base_of(name), known) or f"one of {', '.join(known)}",
+        )
+
+
+class OutsideMapping:
+    """A method of a peer, in a process of its own.
+
+    Args:
+        method: Its name.
+        robot: The robot hand.
+
+    Raises:
+        OutsideError: If the program does not start, such as for a hand that the peer does not know.
+    """
+
+    def __init__(self, method: str, robot: Hand) -> None:
+        self._method = method
+        self._names = robot.joint_names
+        hand = str(robot.spec.file or robot.name)
+        program = peers_program() / PROGRAM
+        self._process = subprocess.Popen(
+            [sys.executable, program, "live", method, hand],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        weakref.finalize(self, _end, self._process)
+        self._read()
+
+    def reset(self) -> None:
+        """Begin an attempt: the peer forgets all samples.
+
+        Raises:
+            OutsideError: If the program ended.
+        """
+        self._ask(_RESET)
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the peer's joints, as it gives them.
+
+        Raises:
+            OutsideError: If the program ended, or gives other numbers than one for each joint.
+        """
+        q = self._ask(hand.landmarks.tolist())
+        if len(q) != len(self._names) or not np.isfinite(q).all():
+            raise OutsideError(f"{self._method}: bad answer: {q}")
+        return dict(zip(self._names, q, strict=True))
+
+    def _ask(self, value: str | list[list[float]]) -> list[float]:
+        pipe = self._process.stdin
+        assert pipe is not None
+        try:
+            pipe.write(json.dumps(value) + "\n")
+            pipe.flush()
+        except BrokenPipeError:
+            # What it said before it ended is the reason.
+            pass
+        return self._read()
+
+    def _read(self) -> list[float]:
+        out, errors = self._process.stdout, self._process.stderr
+        assert out is not None
+        assert errors is not None
+        if line := out.readline():
+            return json.loads(line)
+        lines = errors.read().strip().splitlines() or ["it ended"]
+        raise OutsideError(f"{self._method}: {lines[-1]}")
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """Close the pipes of a program, which then ends."""
+    for pipe in (process.stdin, process.stdout, process.stderr):
+        if pipe is not None:
+            pipe.close()
+    process.wait()
+
+
+class WithinLimits:
+    """Another mapping, whose joints are clipped by the robot's limits of position and speed.
+
+    Args:
+        mapping: The other mapping.
+        robot: The robot hand.
+    """
+
+    def __init__(self, mapping: OutsideMapping, robot: Hand) -> None:
+        self._mapping = mapping
+        self._robot = robot
+        self._last: Array | None = None
+
+    def reset(self) -> None:
+        """Begin an attempt: the first posture is limited in position alone."""
+        self._mapping.reset()
+        self._last = None
+
+    def map(self, hand: HumanHand, dt: float) -> Joints:
+        """Return the clipped joints."""
+        names = self._robot.joint_names
+        joints = self._mapping.map(hand, dt)
+        q = np.clip([joints[name] for name in names], *self._robot.limits)
+        if self._last is not None:
+            step = self._robot.velocity_limits * dt
+            q = np.clip(q, self._last - step, self._last + step)
+        self._last = q
+        return dict(zip(names, q.tolist(), strict=True))
+
+
+def outside_mapping(name: str, robot: Hand) -> OutsideMapping | WithinLimits:
+    """Return a peer by its name, within the robot's limits where the name asks for them."""
+    mapping = OutsideMapping(base_of(name), robot)
+    return WithinLimits(mapping, robot) if name.endswith(LIMITS) else mapping
