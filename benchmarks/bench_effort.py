@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from bench_grips import held_cells
+from bench_grips import held_cells, losses
 from picks import picks
 
 from handmap_qp import load_hand
@@ -48,6 +48,10 @@ OBJECTS = {
 """Each object, and the force that is told for it [N]."""
 BREAKS = 4.0
 """Force of a link at which the egg breaks [N]."""
+BROKEN = "held, but broken"
+"""Why an egg that was carried is not held, beside the causes of `simulate`."""
+MEASURED = ("whole %", "peak N", "peak p95 N", "error within a fifth %")
+"""Columns of `row` that only trials have which could start."""
 DELAY = 0.04
 """Time that a command takes to the joints [s]."""
 FRICTIONS, GAINS = (0.3, 0.8), (0.8, 1.2)
@@ -144,6 +148,7 @@ def tried(
         "error": mean / force - 1.0 if outcome.is_held else np.nan,
         "friction": trial.friction,
         "gain": gain,
+        "loss": outcome.loss or ("" if is_whole else BROKEN),
     }
 
 
@@ -151,7 +156,7 @@ def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Summarise trials in a row of a table."""
     shown, done, held = held_cells(name, found)
     if not done:
-        return shown
+        return shown | dict.fromkeys(MEASURED, "-")
     peaks = [each["peak N"] for each in done]
     errors = np.abs([each["error"] for each in held])
     return shown | {
@@ -226,6 +231,9 @@ def main(words: Sequence[str] | None = None) -> None:
     keys = ("object",), ("robot", "object"), ("recording", "object")
     ending = f", seed {arguments.seed}"
     common.print_groups(found, keys, row, ending, to_stderr=to_stderr)
+    if causes := losses(found, "object"):
+        title = f"Why objects were not held{ending}"
+        common.print_table(title, causes, to_stderr=to_stderr)
     tried_ones = [each for each in found if each["held"] is not None]
     common.save_picture(arguments.picture, lambda: draw_peaks(tried_ones))
     results = {"seed": arguments.seed, "trials": found}

@@ -132,17 +132,22 @@ def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
     return shown
 
 
-def losses(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return how many objects each mapping lost by each cause, the most frequent cause first."""
+def losses(
+    found: Sequence[dict[str, Any]], key: str = "mapping"
+) -> list[dict[str, Any]]:
+    """Return how many objects were lost by each cause, the most frequent cause first.
+
+    Args:
+        found: The trials.
+        key: What the columns of the table are of.
+    """
     lost = Counter(
-        (each.get("loss") or REFUSED, each["mapping"])
-        for each in found
-        if not each["held"]
+        (each.get("loss") or REFUSED, each[key]) for each in found if not each["held"]
     )
     causes: Counter[str] = Counter()
     for (cause, _), count in lost.items():
         causes[cause] += count
-    names = dict.fromkeys(each["mapping"] for each in found)
+    names = dict.fromkeys(each[key] for each in found)
     return [
         {"why": cause} | {name: lost[cause, name] for name in names}
         for cause, _ in causes.most_common()

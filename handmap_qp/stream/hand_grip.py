@@ -6,7 +6,9 @@ measured joints of both fingers are kept, and closing on becomes torques that pr
 between the pads. The QP pulls to joint positions that press so: its limits hold.
 
 Where it is known at which place the object is, both pads close around it, so that none of them
-pushes it away before the other one is there: as far as the place is certain.
+pushes it away before the other one is there: as far as the place is certain. They gather around it
+while the person's fingers are still open, because a closing lasts some 0.2 s, and is over before
+slow joints have moved both pads there.
 """
 
 from __future__ import annotations
@@ -28,9 +30,11 @@ from .object_place import ObjectPlace
 # slides [1/m]: both are as strict where a pad is 50 mm from its joint.
 _HELD = 3000.0
 _HELD_SLIDING = 6e4
-# Share of a pinch from which on a person grips, and at which pads close around an object.
+# Share of a pinch from which on a person grips.
 _PINCHING = 0.5
-_CLOSING = 0.1
+# As the gap of the person's fingers falls from the first to the second of these [m], pads gather
+# around a known place: both are wider than any object that they could grip.
+_GATHER_FROM, _GATHERED = 0.13, 0.1
 # Between jaws, whose gap follows at any width, the share of a pinch rises from 0 to 1 as the
 # person's fingers come from the first gap to the second one [m].
 _JAWS_FROM, _JAWS_TO = 0.07, 0.02
@@ -252,9 +256,11 @@ class HandGrip:
         else:
             pinching = step.named("pinching")[finger]
         self._is_apart |= bool(pinching <= _PINCHING)
+        gathering = self._gathering(gaps[finger])
         if pinching <= 0.0:
             self._closing = _Closing()
-            return
+            if gathering == 0.0:
+                return
         pads = self._pairs[finger]
         # Where the hand is, by its measured joints; then where it is commanded.
         placed = self._placed
@@ -283,8 +289,7 @@ class HandGrip:
                 pressing if self.options.gentle else -np.inf,
                 _funnel(self.place, middle, before.time),
             )
-            share = min(pinching / _CLOSING, 1.0)
-            self.terms = self._around(pads, self.place, aimed, least, share)
+            self.terms = self._around(pads, self.place, aimed, least, gathering)
         is_met = (
             pinching > _PINCHING
             and self._is_apart
@@ -301,6 +306,17 @@ class HandGrip:
         self._grip = _Grip(finger, pads.columns, q, levers, force, gaps[finger])
         if self.is_seen and self.place is not None:
             self.place = self.place.touched(middle, line)
+
+    def _gathering(self, gap: float) -> float:
+        """Return the share of the weights by which pads gather around an object, from 0 to 1.
+
+        Args:
+            gap: Gap of the person's fingers [m].
+        """
+        if not self.is_seen or self.place is None:
+            return 0.0
+        share = (_GATHER_FROM - gap) / (_GATHER_FROM - _GATHERED)
+        return float(np.clip(share, 0.0, 1.0))
 
     def _around(
         self,

@@ -12,8 +12,8 @@ PLACE_DEVIATION = 0.005
 """Standard deviation along each axis of a place for which none is stated [m]: a depth camera's."""
 _TOUCH_DEVIATION = 0.002
 """Standard deviation of a place that a touch measures, along its normal [m]."""
-_TRUSTED = 0.0015
-"""Standard deviation at which a place counts 0.7 times as much as an exact one [m]."""
+_TRUSTED = 0.004
+"""Standard deviation at which a place counts half as much as an exact one [m]."""
 _SEVERAL = 3.0
 """A place farther from the one before than so many deviations is of another object."""
 _ANOTHER = 0.02
@@ -61,11 +61,12 @@ class ObjectPlace(NamedTuple):
     def shares(self) -> Array:
         """How much errors from the place count against those from an exact one, shape (3, 3).
 
-        `(1 + P / s^2)^(-1/2)` with the covariance P and s = 1.5 mm: weighted rows of least squares,
-        divided by the standard deviation that they have.
+        `(1 + P / s^2)^(-1)` with the covariance P and s = 4 mm: the share of a measurement in the
+        mean of two normal errors, of which the other one, the person's closing, has the standard
+        deviation s.
         """
         variances, axes = np.linalg.eigh(self.covariance)
-        shares = 1.0 / np.sqrt(1.0 + variances.clip(0.0) / _TRUSTED**2)
+        shares = 1.0 / (1.0 + variances.clip(0.0) / _TRUSTED**2)
         return (axes * shares) @ axes.T
 
     def deviation_along(self, direction: Array) -> float:

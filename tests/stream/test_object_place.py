@@ -21,8 +21,10 @@ def test_a_place_counts_less_the_less_certain_it_is() -> None:
     np.testing.assert_allclose(shares[0], np.eye(3))
     diagonals = [share[0, 0] for share in shares]
     assert diagonals == sorted(diagonals, reverse=True)
-    # Twice as uncertain, half the weight; and next to none where nothing is known.
-    assert diagonals[1] / diagonals[2] == pytest.approx(2.0, rel=0.05)
+    # As a measurement counts beside another one: by the inverse of the variances' sum.
+    odds = [share / (1.0 - share) for share in diagonals[1:3]]
+    assert odds[0] / odds[1] == pytest.approx(4.0)
+    # Next to none where nothing is known.
     assert diagonals[3] < 0.002
 
 
