@@ -13,8 +13,9 @@ overlap by
     d_k = F_k max(0, A_kk + sum_{j != k} w_j c_kj),    c_kj = min(A_kj, 0),
 
 and by no more than the links' shapes allow. The weight w_j is 1 for a pair that touches, and 0 from
-`NEAR` on. Proof that no pair that may yield presses by more than the largest F: let f_k be the
-largest force of all. Then `d_k = (A f)_k >= f_k (A_kk + sum c_kj)`, so `f_k <= F_k`.
+`NEAR` on. No pair that may yield then presses by more than the largest F, where the pair with the
+largest force f_k has a sum above 0: `d_k = (A f)_k >= f_k (A_kk + sum c_kj)`, so `f_k <= F_k`.
+Where that sum is not above 0, as in one of eleven random sets of contacts, there is no bound.
 """
 
 from collections.abc import Sequence
