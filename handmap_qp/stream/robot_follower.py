@@ -35,11 +35,10 @@ class CommandClock(NamedTuple):
 
     Hands whose stamps can be of one clock are taken to have one. Where a stamp cannot be, because a
     clock was set back or a hand has a sender of its own, the times of arrival say how much time has
-    passed since the robot's last command. Without them, that is not known: the robot stands still
-    for that command, its clock leaps, so that it is at rest, and the next sample of another hand is
-    taken to be of the same clock if it can be. A clock that jumps ahead is taken to be right,
-    unless the times of arrival contradict it: no sample may have come for so long. Stamps that run
-    faster than the times of arrival do not move the robot's clock either.
+    passed since the robot's last command. Without them, that is not known, and the sample takes
+    (nearly) none. A clock that jumps ahead is taken to be right, unless the times of arrival
+    contradict it: no sample may have come for so long. Stamps that run faster than the times of
+    arrival do not move the robot's clock either.
 
     Attributes:
         offsets: The robot's clock minus the stamps of each hand, by side [s].
@@ -48,7 +47,6 @@ class CommandClock(NamedTuple):
         rate: Judges gaps between commands, and knows their usual period.
         arrival: When the samples of the last command arrived [s]; None if that is not known.
         credit: The time that the next samples may account for by their arrival.
-        related: Hands whose clocks the last command related without knowing its time.
     """
 
     offsets: Mapping[Side, float] = {}
@@ -56,7 +54,6 @@ class CommandClock(NamedTuple):
     rate: SampleClock = SampleClock()
     arrival: float | None = None
     credit: ArrivalCredit = ArrivalCredit()
-    related: frozenset[Side] = frozenset()
 
     def advance(
         self, stamps: Mapping[Side, float], now: float, arrival: float | None
@@ -74,27 +71,21 @@ class CommandClock(NamedTuple):
             waited = self.rate.period
         offsets = dict(self.offsets)
         clocks = dict(self.stamps)
-        related = set()
         for side, stamp in stamps.items():
             clocks[side] = clocks.get(side, SampleClock()).advance(stamp)
             # A clock that was set back by less than `BEHIND` fits its former offset, and that of a
             # hand with the same clock that had no sample since.
             earliest = -GAP if clocks[side].is_set_back else -BEHIND
-            # A clock that was related just now first, because both may have jumped together; then
-            # its own, then those of the other hands.
+            # Its own clock first, then those of the other hands.
             farthest = _AHEAD if is_known else math.inf
-            candidates = [(offsets[s], _AHEAD) for s in self.related - {side}]
-            candidates += [(offsets[side], farthest)] if side in offsets else []
+            candidates = [(offsets[side], farthest)] if side in offsets else []
             candidates += [(offset, _AHEAD) for offset in offsets.values()]
             fitting = (
                 offset
                 for offset, most in candidates
                 if earliest <= stamp + offset - now <= most
             )
-            fits = next(fitting, None)
-            if fits is None and self.offsets and not is_known:
-                related.add(side)
-            offsets[side] = now + waited - stamp if fits is None else fits
+            offsets[side] = next(fitting, now + waited - stamp)
         time = max(stamp + offsets[side] for side, stamp in stamps.items())
         rate = self.rate.advance(time)
         granted, credit = rate.dt, self.credit
@@ -106,14 +97,8 @@ class CommandClock(NamedTuple):
             rate = rate._replace(stamp=time)
             for side, stamp in stamps.items():
                 offsets[side] = min(offsets[side], time - stamp)
-        if related:
-            # However long the robot stands still, it is at rest after it.
-            time += _AHEAD
-            granted = 0.0
-            rate = rate._replace(stamp=time)
-            offsets = {side: offset + _AHEAD for side, offset in offsets.items()}
-        clock = CommandClock(offsets, clocks, rate, arrival, credit, frozenset(related))
-        return clock, Instant(time, max(granted, SHORTEST_DT))
+        instant = Instant(time, max(granted, SHORTEST_DT))
+        return CommandClock(offsets, clocks, rate, arrival, credit), instant
 
 
 class RobotFollower:
