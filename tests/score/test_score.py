@@ -331,7 +331,7 @@ def test_pages_in_a_browser(written: Path) -> None:
         browser.press("ArrowDown", 40)
         assert "2 of 3 votes agree" in browser.evaluate("document.body.innerText")
         # Votes outlive the page, unless it is left before the browser has written them.
-        time.sleep(3.0)
+        time.sleep(8.0)
 
         def has_votes() -> bool:
             browser.open(f"file://{written}/votes.html")
