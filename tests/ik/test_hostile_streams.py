@@ -20,6 +20,8 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 STEPS = 250
 RUNS = (("three_finger", 14), ("allegro_right", 8), ("shadow_right", 9))
 """Hands and seeds of streams by time stamps, times and instants, with acceleration limits."""
+PAUSED = (("romeo", 91309), ("tiago_dual", 96016))
+"""Robots and seeds of streams that pause for 20 s before one of the hands has its first sample."""
 
 
 class Call(NamedTuple):
@@ -172,6 +174,15 @@ def test_a_stream_within_its_limits_has_no_violation(
     assert judge(streams.Checker(robot), calls, len(calls)) == one_by_one
     # It reaches its limits, so that a lower one is seen.
     assert one_by_one[2]["acceleration"] > 0.999
+
+
+@pytest.mark.parametrize("run", PAUSED, ids=lambda run: run[0])
+def test_a_robot_keeps_its_limits_after_a_pause_that_a_new_hand_ends(
+    streams: ModuleType, run: tuple[str, int]
+) -> None:
+    tally = tally_of(streams)
+    streams.hostile.take(streams.StreamRun(*run), STEPS, tally)
+    assert tally.is_exact, tally.found
 
 
 def test_a_speed_limit_that_is_a_little_lower_is_seen(

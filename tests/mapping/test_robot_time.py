@@ -166,8 +166,41 @@ def test_hands_with_clocks_of_their_own_are_related_by_their_arrival(
     assert worst.acceleration <= MOST * (1.0 + 1e-4)
 
 
+def after_a_pause(*later: tuple[float, Side]) -> list[Event]:
+    """Return samples of the left hand alone, then those of both hands 20 s after the last one."""
+    events = [Event(k / 60.0, ("left",)) for k in range(40)]
+    end = events[-1].time + 20.0
+    return events + [Event(end + time, (side,)) for time, side in later]
+
+
+PAUSED = {
+    "the other hand 2 ms later": after_a_pause(
+        *[(k / 60.0, "right") for k in range(6)],
+        *[(k / 60.0 + 0.002, "left") for k in range(6)],
+    ),
+    "the other hand much later": after_a_pause(
+        *[(k / 60.0, "right") for k in range(60)],
+        *[(k / 60.0 + 1.05, "left") for k in range(30)],
+    ),
+    "both hands at once": [
+        *after_a_pause(),
+        *[Event(20.0 + k / 60.0, SIDES) for k in range(41, 80)],
+    ],
+}
+"""A hand that had no sample before ends a pause of the other one."""
+
+
+@pytest.mark.parametrize("name", PAUSED)
+def test_a_pause_counts_once_whichever_hand_ends_it(
+    fresh: RobotFollower, name: str
+) -> None:
+    worst = followed(copy.deepcopy(fresh), sorted(PAUSED[name]))
+    assert worst.speed <= 1.0 + 1e-6
+    assert worst.acceleration <= MOST * (1.0 + 1e-6)
+
+
 @pytest.mark.parametrize("arrivals", [(None, None), (3.0, None), (None, 3.005)])
-@pytest.mark.parametrize("ahead", [1e6, -1e6])
+@pytest.mark.parametrize("ahead", [1e6, -5e3, -1e6])
 def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
     fresh: RobotFollower, ahead: float, arrivals: tuple[float | None, float | None]
 ) -> None:
@@ -180,6 +213,43 @@ def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
     follower.map_samples(other, arrival=arrivals[1])
     taken = follower.mapper.motion.time - before
     assert taken == pytest.approx(SHORTEST_DT, rel=1e-6)
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("arrivals", [(None, None), (3.0, None), (None, 3.005)])
+def test_a_robot_stands_still_for_a_pause_that_may_be_another_clock(
+    fresh: RobotFollower, side: Side, arrivals: tuple[float | None, float | None]
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = [Event(k / 60.0, ("right",)) for k in range(10)]
+    for samples in samples_of(events):
+        follower.map_samples(samples, arrival=arrivals[0])
+    before = follower.mapper.motion
+    (later,) = samples_of([Event(10.0 / 60.0, (side,))], {side: 5e3})
+    follower.map_samples(later, arrival=arrivals[1])
+    # No joint is faster than 100 rad/s.
+    np.testing.assert_allclose(
+        follower.mapper.motion.q, before.q, rtol=0.0, atol=100.0 * SHORTEST_DT
+    )
+    assert np.abs(follower.mapper.motion.velocity).max() < 1e-6
+    passed = follower.mapper.motion.time - before.time
+    assert passed == pytest.approx(5e3 + 1.0 / 60.0, rel=1e-9)
+
+
+def test_a_pause_is_that_of_the_stamps_where_arrivals_agree(
+    fresh: RobotFollower,
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = in_turns((60.0, 60.0), 0.4)
+    events += [Event(event.time + 20.0, event.sides) for event in events]
+    rng = np.random.default_rng(5)
+    times = []
+    for event, samples in zip(events, samples_of(events), strict=True):
+        arrival = event.time + rng.uniform(0.0, 0.004)
+        follower.map_samples(samples, arrival=arrival)
+        times.append(follower.mapper.motion.time)
+    expected = np.diff([event.time for event in events])
+    np.testing.assert_allclose(np.diff(times), expected, atol=2.0 * SHORTEST_DT)
 
 
 @pytest.mark.parametrize("knows_arrival", [True, False])
