@@ -101,11 +101,11 @@ class CommandClock(NamedTuple):
         if arrival is not None:
             credit, granted = credit.spend(rate.dt, arrival)
         if granted < rate.dt:
-            # These stamps outrun arrival. The clocks of hands without a sample stay as they are.
-            time = min(time, now + granted)
+            # These stamps outrun arrival. Hands may share a clock, so all of them lag behind.
+            excess = max(time - now - granted, 0.0)
+            time -= excess
             rate = rate._replace(stamp=time)
-            for side, stamp in stamps.items():
-                offsets[side] = min(offsets[side], time - stamp)
+            offsets = {side: offset - excess for side, offset in offsets.items()}
         if time - now > _AHEAD and not is_known:
             granted = 0.0
         instant = Instant(time, max(granted, SHORTEST_DT))

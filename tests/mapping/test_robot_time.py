@@ -300,6 +300,25 @@ def test_stamps_that_outrun_arrival_give_a_robot_no_more_time(
     assert needed >= 0.5 * arrival
 
 
+def test_hands_of_one_clock_keep_it_after_stamps_that_outrun_arrival(
+    fresh: RobotFollower,
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = in_turns((60.0, 45.0), 2.0, 0.3)
+    times = []
+    for event, samples in zip(events, samples_of(events), strict=True):
+        # For half a second, no sample arrives.
+        is_late = 0.5 < event.time <= 1.0
+        follower.map_samples(samples, arrival=1.0 if is_late else event.time)
+        times.append(follower.mapper.motion.time)
+    stamps = np.array([event.time for event in events])
+    later = stamps > 1.3
+    passed = np.diff(np.array(times)[later])
+    np.testing.assert_allclose(passed, np.diff(stamps[later]), atol=1e-9)
+    # The robot lags behind what arrived too late.
+    assert times[-1] - times[0] < stamps[-1] - stamps[0] - 0.1
+
+
 def test_a_robot_that_waits_for_both_hands_starts_from_rest(
     fresh: RobotFollower,
 ) -> None:
