@@ -206,11 +206,16 @@ class RobotFollower:
 def paired(recordings: Mapping[Side, Recording]) -> Iterator[dict[Side, HumanSample]]:
     """Yield the samples of both hands at the instants of the one that has most.
 
-    The other one's are the newest at each instant, and used once.
+    The other one's are the newest at each instant, and used once. At the first instant, one that is
+    more than `BEHIND` older is left out: it would say that the hands have different clocks.
     """
     leading = max(recordings.values(), key=len)
     columns = {side: sample_columns(each) for side, each in recordings.items()}
-    before = dict.fromkeys(columns, -1)
+    stale = leading.time[0] - BEHIND
+    before = {
+        side: np.searchsorted(each.time, stale, "left") - 1
+        for side, each in columns.items()
+    }
     for time in leading.time:
         newest = {
             side: np.searchsorted(each.time, time, "right") - 1

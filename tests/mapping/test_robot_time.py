@@ -34,7 +34,7 @@ from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.guard import GAP
-from handmap_qp.stream.robot_follower import RobotFollower
+from handmap_qp.stream.robot_follower import RobotFollower, paired
 
 MOST = 30.0
 """Limit of acceleration [rad/s^2]."""
@@ -124,7 +124,9 @@ def fresh(g1: Hand) -> RobotFollower:
 @st.composite
 def interleavings(draw: st.DrawFn) -> list[Event]:
     """Samples of both hands in any order, with gaps, repeated stamps and stamps that go back."""
-    steps = st.sampled_from([0.0, 1e-4, 0.004, 1.0 / 120.0, 1.0 / 60.0, 0.05, 0.2, 0.6])
+    steps = st.sampled_from(
+        [0.0, 1e-4, 0.004, 1.0 / 120.0, 1.0 / 60.0, 0.05, 0.2, 0.6, 20.0]
+    )
     sides = st.sampled_from([SIDES, ("left",), ("right",)])
     late = st.sampled_from([0.0, 0.0, 0.0, 0.0, 0.003, 0.1])
     time = 0.0
@@ -166,26 +168,23 @@ def test_hands_with_clocks_of_their_own_are_related_by_their_arrival(
     assert worst.acceleration <= MOST * (1.0 + 1e-4)
 
 
-def after_a_pause(*later: tuple[float, Side]) -> list[Event]:
-    """Return samples of the left hand alone, then those of both hands 20 s after the last one."""
+def after_a_pause(*later: Event) -> list[Event]:
+    """Return samples of the left hand alone, then others, whose times begin 20 s later [s]."""
     events = [Event(k / 60.0, ("left",)) for k in range(40)]
     end = events[-1].time + 20.0
-    return events + [Event(end + time, (side,)) for time, side in later]
+    return events + sorted(Event(end + time, sides) for time, sides in later)
 
 
 PAUSED = {
     "the other hand 2 ms later": after_a_pause(
-        *[(k / 60.0, "right") for k in range(6)],
-        *[(k / 60.0 + 0.002, "left") for k in range(6)],
+        *[Event(k / 60.0, ("right",)) for k in range(6)],
+        *[Event(k / 60.0 + 0.002, ("left",)) for k in range(6)],
     ),
     "the other hand much later": after_a_pause(
-        *[(k / 60.0, "right") for k in range(60)],
-        *[(k / 60.0 + 1.05, "left") for k in range(30)],
+        *[Event(k / 60.0, ("right",)) for k in range(60)],
+        *[Event(k / 60.0 + 1.05, ("left",)) for k in range(30)],
     ),
-    "both hands at once": [
-        *after_a_pause(),
-        *[Event(20.0 + k / 60.0, SIDES) for k in range(41, 80)],
-    ],
+    "both hands at once": after_a_pause(*[Event(k / 60.0, SIDES) for k in range(40)]),
 }
 """A hand that had no sample before ends a pause of the other one."""
 
@@ -194,7 +193,7 @@ PAUSED = {
 def test_a_pause_counts_once_whichever_hand_ends_it(
     fresh: RobotFollower, name: str
 ) -> None:
-    worst = followed(copy.deepcopy(fresh), sorted(PAUSED[name]))
+    worst = followed(copy.deepcopy(fresh), PAUSED[name])
     assert worst.speed <= 1.0 + 1e-6
     assert worst.acceleration <= MOST * (1.0 + 1e-6)
 
@@ -413,6 +412,27 @@ def test_a_single_hand_starts_from_rest_after_a_gap(
     last = np.abs(q[39] - q[38]) * 60.0
     braking = last * gap * max(1.0 - gap / 0.5, 0.0)
     assert (moved <= mapper.robot.velocity_limits * 0.05 + braking + 1e-9).all()
+
+
+def recording_of(side: Side, times: np.ndarray) -> Recording:
+    landmarks = np.array([landmarks_at(side, time) for time in times])
+    return Recording(side, times, landmarks, np.ones(len(times), bool), side)
+
+
+@pytest.mark.parametrize("lost", [0.5, 5.0])
+def test_recordings_keep_one_clock_where_a_hand_was_lost_at_the_start(
+    fresh: RobotFollower, lost: float
+) -> None:
+    times = np.arange(120) / 60.0
+    # The right hand is lost before the left one comes, and returns a little later.
+    right = np.concatenate([times[:30] - lost - 0.5, times[40:80] + 0.002])
+    recordings: dict[Side, Recording] = {
+        "left": recording_of("left", times),
+        "right": recording_of("right", right),
+    }
+    follower = copy.deepcopy(fresh)
+    q = [follower.map_samples(each).command.q for each in paired(recordings)]
+    check(judge(follower.mapper.robot, [*times], q))
 
 
 # -- the gate
