@@ -107,6 +107,7 @@ class CommandClock(NamedTuple):
             rate = rate._replace(stamp=time)
             offsets = {side: offset - excess for side, offset in offsets.items()}
         if time - now > _AHEAD and not is_known:
+            # A pause, or another clock: only a robot that stands still is slow enough for both.
             granted = 0.0
         instant = Instant(time, max(granted, SHORTEST_DT))
         return CommandClock(offsets, clocks, rate, arrival, credit), instant
@@ -159,7 +160,9 @@ class RobotFollower:
                 clock; by the time stamps if omitted. A sample whose stamp is not later than that
                 of the last command takes (nearly) no time.
             arrival: When the samples arrived, on a monotonic clock [s]: to check the rate of the
-                time stamps, and to relate hands whose senders have different clocks.
+                time stamps, to relate hands whose senders have different clocks, and to tell a
+                pause from another clock. Without it, a robot stands still for a sample that is
+                more than 10 s later than its last command.
         """
         expect(
             isinstance(samples, Mapping),
