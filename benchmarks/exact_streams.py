@@ -4,10 +4,11 @@
     python benchmarks/exact_streams.py --names g1 three_finger --seed 7 --steps 20000
 
 Hands of a robot come together, in turns, at unequal rates, with gaps, with stamps that repeat or go
-back; one is lost and comes back (`streams.py`). The run fails (exit code 1) on a position, speed or
-acceleration limit that is violated by the time stamps of the commands (`checker.py`), on a number
-that is not finite, and on an undocumented exception. A violation names its run: give its hand and
-seed to repeat it. Prints how many steps each hand and each robot took.
+back; one is lost and comes back. Half of the followers know times of arrival (`streams.py`). The
+run fails (exit code 1) on a position, speed or acceleration limit that is violated by the time
+stamps of the commands (`checker.py`), on a number that is not finite, and on an undocumented
+exception. A violation names its run: give its hand and seed to repeat it. Prints how many steps
+each hand and each robot took.
 """
 
 from __future__ import annotations

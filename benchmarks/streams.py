@@ -1,8 +1,9 @@
 """Hostile streams: samples of one hand, or of both hands of a robot, at hostile instants.
 
 Hands come together, in turns, and at unequal rates; stamps repeat and go back; there are gaps, and
-one hand is lost and comes back. A run follows time stamps (`Follower`, `RobotFollower`), or gives a
-mapper the instants of its commands, or the times between them. Between samples the robot brakes, is
+one hand is lost and comes back. A run follows time stamps (`Follower`, `RobotFollower`), some with
+times of arrival, or gives a mapper the instants of its commands, or the times between them. Between
+samples the robot brakes, is
 released, engages again, or gets another limit of acceleration. `checker.py` judges the commands by
 their instants alone. Landmarks are computed, and commands are judged, many at a time.
 """
@@ -28,6 +29,7 @@ from handmap_qp.mapping.hand_pair import points_in_palm
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.se3 import transform_points
+from handmap_qp.stream.guard import GAP
 from handmap_qp.stream.robot_follower import RobotFollower
 
 LIMITS = (None, 2.0, 10.0, 30.0, 100.0)
@@ -36,6 +38,10 @@ RATES = (120.0, 90.0, 60.0, 45.0, 30.0, 10.0)
 """Rates of a hand's samples [Hz]."""
 GAPS = (0.05, 0.1, 0.2, 0.3, 0.6, 2.0, 20.0)
 """Times without a sample [s]."""
+JITTERS = (0.0, 0.001, 0.004, 0.02)
+"""Largest delays of a sample on its way [s]."""
+PACKETS = (0.0, 0.0, 0.03, 0.1, 0.2)
+"""Periods at which all samples since the last packet arrive at once [s]; 0 for each by itself."""
 _FIRST = 1.0 / 60.0  # what the first command takes [s]
 _AHEAD = 200  # events whose landmarks are computed at a time
 
@@ -160,6 +166,36 @@ def _turns(axis: int, angles: np.ndarray) -> np.ndarray:
     return turns
 
 
+class Arrivals:
+    """When samples arrive: one after the other, behind a delay that varies, or many at once.
+
+    No stall is longer than a follower promises to accept (`GAP`). Half of all streams do not know
+    arrivals, and half of the others know those of half of their samples.
+
+    Args:
+        rng: Random numbers.
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._known = float(rng.choice([0.0, 0.0, 0.5, 1.0]))
+        self._jitter = float(rng.choice(JITTERS))
+        self._packet = float(rng.choice(PACKETS))
+        self._stamp = -np.inf
+        self._last = -np.inf
+
+    def arrival(self, stamp: float) -> float | None:
+        """Return when the next sample arrives [s], by its time stamp; None if it is not known."""
+        arrival = stamp + self._rng.uniform(0.0, self._jitter)
+        if self._packet > 0.0:
+            arrival = float(np.ceil(arrival / self._packet)) * self._packet
+        # What the stamp adds to the last one is part of the stall.
+        longest = max(GAP - max(stamp - self._stamp, 0.0), 0.0)
+        self._last = max(self._last, min(arrival, stamp + longest))
+        self._stamp = max(self._stamp, stamp)
+        return self._last if self._rng.random() < self._known else None
+
+
 class StreamRun:
     """One stream of a hand, or of both hands of a robot.
 
@@ -195,7 +231,8 @@ class StreamRun:
             self._mapper = HandMapper(human, robot, "teleoperation", ik=ik)
             self._follower = Follower(self._mapper)
         # Events have random numbers of their own, because they are drawn ahead.
-        (ahead,) = rng.spawn(1)
+        ahead, arriving = rng.spawn(2)
+        self._arrivals = Arrivals(arriving)
         self._samples = self._person.samples(events(sides, ahead))
         self.checker = Checker(self._mapper.robot)
         self._waiting: list[Commanded] = []
@@ -243,10 +280,11 @@ class StreamRun:
                 side: HumanSample(stamp, side, points, None, is_valid, 1.0)
                 for side, points in landmarks.items()
             }
+            arrival = self._arrivals.arrival(stamp)
             if self._is_robot:
-                return self._follower.map_samples(samples)
+                return self._follower.map_samples(samples, arrival=arrival)
             (only,) = samples.values()
-            return self._follower.map_sample(only)
+            return self._follower.map_sample(only, arrival=arrival)
         # The first command of a clock takes the mapper's own time.
         times = {"time": stamp}
         if self._kind == "times":

@@ -4,6 +4,7 @@ from .following import FollowingCheck as FollowingCheck
 from .grip import GripFollower as GripFollower
 from .grip import RobotGripFollower as RobotGripFollower
 from .grip import gripping as gripping
+from .guard import BEHIND as BEHIND
 from .guard import StreamGuard as StreamGuard
 from .hand_grip import GripOptions as GripOptions
 from .hand_grip import can_grip as can_grip

@@ -27,7 +27,12 @@ from .guard import BEHIND, GAP, ArrivalCredit, SampleClock
 _SILENCE = 0.25
 """Time without a sample after which a hand is held [s]."""
 _AHEAD = 10.0
-"""A sample that is later than the robot's last command by more is of another clock [s]."""
+"""A sample that is later than its arrival allows by more is of another clock [s].
+
+Without times of arrival, a sample that is later than the robot's last command by more may be.
+"""
+_LONGEST_PAUSE = 86400.0
+"""Without times of arrival, a sample that is later by more is of another clock [s]."""
 
 
 class CommandClock(NamedTuple):
@@ -36,9 +41,13 @@ class CommandClock(NamedTuple):
     Hands whose stamps can be of one clock are taken to have one. Where a stamp cannot be, because a
     clock was set back or a hand has a sender of its own, the times of arrival say how much time has
     passed since the robot's last command. Without them, that is not known, and the sample takes
-    (nearly) none. A clock that jumps ahead is taken to be right, unless the times of arrival
-    contradict it: no sample may have come for so long. Stamps that run faster than the times of
-    arrival do not move the robot's clock either.
+    (nearly) none. Stamps that run faster than the times of arrival do not move the robot's clock
+    either.
+
+    A stamp that is much later is taken to be right, whichever hand it is of, unless the times of
+    arrival contradict it: all hands may have paused. Without times of arrival, it may also be of
+    another clock. So the robot's clock goes by the stamp, but the robot stands still for that
+    command. Its displacement and its velocity are then zero, however much time has passed.
 
     Attributes:
         offsets: The robot's clock minus the stamps of each hand, by side [s].
@@ -67,6 +76,7 @@ class CommandClock(NamedTuple):
         """
         is_known = arrival is not None and self.arrival is not None
         waited = max(arrival - self.arrival, 0.0) if is_known else 0.0
+        farthest = waited + _AHEAD if is_known else _LONGEST_PAUSE
         if not self.offsets:
             waited = self.rate.period
         offsets = dict(self.offsets)
@@ -77,13 +87,12 @@ class CommandClock(NamedTuple):
             # hand with the same clock that had no sample since.
             earliest = -GAP if clocks[side].is_set_back else -BEHIND
             # Its own clock first, then those of the other hands.
-            farthest = _AHEAD if is_known else math.inf
-            candidates = [(offsets[side], farthest)] if side in offsets else []
-            candidates += [(offset, _AHEAD) for offset in offsets.values()]
+            candidates = [offsets[side]] if side in offsets else []
+            candidates += offsets.values()
             fitting = (
                 offset
-                for offset, most in candidates
-                if earliest <= stamp + offset - now <= most
+                for offset in candidates
+                if earliest <= stamp + offset - now <= farthest
             )
             offsets[side] = next(fitting, now + waited - stamp)
         time = max(stamp + offsets[side] for side, stamp in stamps.items())
@@ -92,11 +101,14 @@ class CommandClock(NamedTuple):
         if arrival is not None:
             credit, granted = credit.spend(rate.dt, arrival)
         if granted < rate.dt:
-            # These stamps outrun arrival. The clocks of hands without a sample stay as they are.
-            time = min(time, now + granted)
+            # These stamps outrun arrival. Hands may share a clock, so all of them lag behind.
+            excess = max(time - now - granted, 0.0)
+            time -= excess
             rate = rate._replace(stamp=time)
-            for side, stamp in stamps.items():
-                offsets[side] = min(offsets[side], time - stamp)
+            offsets = {side: offset - excess for side, offset in offsets.items()}
+        if time - now > _AHEAD and not is_known:
+            # A pause, or another clock: only a robot that stands still is slow enough for both.
+            granted = 0.0
         instant = Instant(time, max(granted, SHORTEST_DT))
         return CommandClock(offsets, clocks, rate, arrival, credit), instant
 
@@ -148,7 +160,9 @@ class RobotFollower:
                 clock; by the time stamps if omitted. A sample whose stamp is not later than that
                 of the last command takes (nearly) no time.
             arrival: When the samples arrived, on a monotonic clock [s]: to check the rate of the
-                time stamps, and to relate hands whose senders have different clocks.
+                time stamps, to relate hands whose senders have different clocks, and to tell a
+                pause from another clock. Without it, a robot stands still for a sample that is
+                more than 10 s later than its last command.
         """
         expect(
             isinstance(samples, Mapping),
@@ -195,11 +209,16 @@ class RobotFollower:
 def paired(recordings: Mapping[Side, Recording]) -> Iterator[dict[Side, HumanSample]]:
     """Yield the samples of both hands at the instants of the one that has most.
 
-    The other one's are the newest at each instant, and used once.
+    The other one's are the newest at each instant, and used once. At the first instant, one that is
+    more than `BEHIND` older is left out: it would say that the hands have different clocks.
     """
     leading = max(recordings.values(), key=len)
     columns = {side: sample_columns(each) for side, each in recordings.items()}
-    before = dict.fromkeys(columns, -1)
+    stale = leading.time[0] - BEHIND
+    before = {
+        side: np.searchsorted(each.time, stale, "left") - 1
+        for side, each in columns.items()
+    }
     for time in leading.time:
         newest = {
             side: np.searchsorted(each.time, time, "right") - 1

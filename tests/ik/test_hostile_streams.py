@@ -20,6 +20,8 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 STEPS = 250
 RUNS = (("three_finger", 14), ("allegro_right", 8), ("shadow_right", 9))
 """Hands and seeds of streams by time stamps, times and instants, with acceleration limits."""
+PAUSED = (("romeo", 91309), ("tiago_dual", 96016))
+"""Robots and seeds of streams that pause for 20 s before one of the hands has its first sample."""
 
 
 class Call(NamedTuple):
@@ -174,6 +176,19 @@ def test_a_stream_within_its_limits_has_no_violation(
     assert one_by_one[2]["acceleration"] > 0.999
 
 
+@pytest.mark.parametrize("run", PAUSED, ids=lambda run: run[0])
+@pytest.mark.parametrize("known", [0.0, 1.0])
+def test_a_robot_keeps_its_limits_after_a_pause_that_a_new_hand_ends(
+    streams: ModuleType, run: tuple[str, int], known: float
+) -> None:
+    tally = tally_of(streams)
+    paused = streams.StreamRun(*run)
+    # Share of the samples whose arrival is known.
+    paused._arrivals._known = known
+    streams.hostile.take(paused, STEPS, tally)
+    assert tally.is_exact, tally.found
+
+
 def test_a_speed_limit_that_is_a_little_lower_is_seen(
     streams: ModuleType, recorded: tuple[Any, list[Call]]
 ) -> None:
@@ -266,6 +281,28 @@ def test_commands_before_an_exception_are_judged_too(streams: ModuleType) -> Non
     run.advance(STEPS, tally)
     assert len(tally.undocumented) == 1
     assert run.checker.commands >= 0.8 * 50
+
+
+def test_no_stall_of_arrivals_is_longer_than_a_follower_accepts(
+    streams: ModuleType,
+) -> None:
+    rng = np.random.default_rng(3)
+    bursts = 0
+    for _ in range(40):
+        arrivals = streams.Arrivals(rng)
+        arrivals._known = 1.0
+        stamp = newest = 0.0
+        last = -np.inf
+        for period in rng.uniform(-0.1, 0.4, 200):
+            stamp += period
+            arrival = arrivals.arrival(stamp)
+            assert arrival >= max(stamp, last)
+            bursts += arrival == last
+            if 0.0 < stamp - newest <= streams.GAP:
+                assert arrival - newest <= streams.GAP + 1e-9
+            last = arrival
+            newest = max(newest, stamp)
+    assert bursts > 100
 
 
 def test_landmarks_that_are_computed_ahead_are_those_of_their_instants(

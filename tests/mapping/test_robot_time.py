@@ -34,7 +34,7 @@ from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.guard import GAP
-from handmap_qp.stream.robot_follower import RobotFollower
+from handmap_qp.stream.robot_follower import RobotFollower, paired
 
 MOST = 30.0
 """Limit of acceleration [rad/s^2]."""
@@ -124,7 +124,9 @@ def fresh(g1: Hand) -> RobotFollower:
 @st.composite
 def interleavings(draw: st.DrawFn) -> list[Event]:
     """Samples of both hands in any order, with gaps, repeated stamps and stamps that go back."""
-    steps = st.sampled_from([0.0, 1e-4, 0.004, 1.0 / 120.0, 1.0 / 60.0, 0.05, 0.2, 0.6])
+    steps = st.sampled_from(
+        [0.0, 1e-4, 0.004, 1.0 / 120.0, 1.0 / 60.0, 0.05, 0.2, 0.6, 20.0]
+    )
     sides = st.sampled_from([SIDES, ("left",), ("right",)])
     late = st.sampled_from([0.0, 0.0, 0.0, 0.0, 0.003, 0.1])
     time = 0.0
@@ -166,8 +168,38 @@ def test_hands_with_clocks_of_their_own_are_related_by_their_arrival(
     assert worst.acceleration <= MOST * (1.0 + 1e-4)
 
 
+def after_a_pause(*later: Event) -> list[Event]:
+    """Return samples of the left hand alone, then others, whose times begin 20 s later [s]."""
+    events = [Event(k / 60.0, ("left",)) for k in range(40)]
+    end = events[-1].time + 20.0
+    return events + sorted(Event(end + time, sides) for time, sides in later)
+
+
+PAUSED = {
+    "the other hand 2 ms later": after_a_pause(
+        *[Event(k / 60.0, ("right",)) for k in range(6)],
+        *[Event(k / 60.0 + 0.002, ("left",)) for k in range(6)],
+    ),
+    "the other hand much later": after_a_pause(
+        *[Event(k / 60.0, ("right",)) for k in range(60)],
+        *[Event(k / 60.0 + 1.05, ("left",)) for k in range(30)],
+    ),
+    "both hands at once": after_a_pause(*[Event(k / 60.0, SIDES) for k in range(40)]),
+}
+"""A hand that had no sample before ends a pause of the other one."""
+
+
+@pytest.mark.parametrize("name", PAUSED)
+def test_a_pause_counts_once_whichever_hand_ends_it(
+    fresh: RobotFollower, name: str
+) -> None:
+    worst = followed(copy.deepcopy(fresh), PAUSED[name])
+    assert worst.speed <= 1.0 + 1e-6
+    assert worst.acceleration <= MOST * (1.0 + 1e-6)
+
+
 @pytest.mark.parametrize("arrivals", [(None, None), (3.0, None), (None, 3.005)])
-@pytest.mark.parametrize("ahead", [1e6, -1e6])
+@pytest.mark.parametrize("ahead", [1e6, -5e3, -1e6])
 def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
     fresh: RobotFollower, ahead: float, arrivals: tuple[float | None, float | None]
 ) -> None:
@@ -180,6 +212,43 @@ def test_a_sample_of_another_clock_takes_no_time_unless_its_arrival_is_known(
     follower.map_samples(other, arrival=arrivals[1])
     taken = follower.mapper.motion.time - before
     assert taken == pytest.approx(SHORTEST_DT, rel=1e-6)
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("arrivals", [(None, None), (3.0, None), (None, 3.005)])
+def test_a_robot_stands_still_for_a_pause_that_may_be_another_clock(
+    fresh: RobotFollower, side: Side, arrivals: tuple[float | None, float | None]
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = [Event(k / 60.0, ("right",)) for k in range(10)]
+    for samples in samples_of(events):
+        follower.map_samples(samples, arrival=arrivals[0])
+    before = follower.mapper.motion
+    (later,) = samples_of([Event(10.0 / 60.0, (side,))], {side: 5e3})
+    follower.map_samples(later, arrival=arrivals[1])
+    # No joint is faster than 100 rad/s.
+    np.testing.assert_allclose(
+        follower.mapper.motion.q, before.q, rtol=0.0, atol=100.0 * SHORTEST_DT
+    )
+    assert np.abs(follower.mapper.motion.velocity).max() < 1e-6
+    passed = follower.mapper.motion.time - before.time
+    assert passed == pytest.approx(5e3 + 1.0 / 60.0, rel=1e-9)
+
+
+def test_a_pause_is_that_of_the_stamps_where_arrivals_agree(
+    fresh: RobotFollower,
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = in_turns((60.0, 60.0), 0.4)
+    events += [Event(event.time + 20.0, event.sides) for event in events]
+    rng = np.random.default_rng(5)
+    times = []
+    for event, samples in zip(events, samples_of(events), strict=True):
+        arrival = event.time + rng.uniform(0.0, 0.004)
+        follower.map_samples(samples, arrival=arrival)
+        times.append(follower.mapper.motion.time)
+    expected = np.diff([event.time for event in events])
+    np.testing.assert_allclose(np.diff(times), expected, atol=2.0 * SHORTEST_DT)
 
 
 @pytest.mark.parametrize("knows_arrival", [True, False])
@@ -228,6 +297,25 @@ def test_stamps_that_outrun_arrival_give_a_robot_no_more_time(
         assert needed <= 1.02 * arrival + GAP + 1e-3
     # The motion is too fast for the robot, so that it needs most of it.
     assert needed >= 0.5 * arrival
+
+
+def test_hands_of_one_clock_keep_it_after_stamps_that_outrun_arrival(
+    fresh: RobotFollower,
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = in_turns((60.0, 45.0), 2.0, 0.3)
+    times = []
+    for event, samples in zip(events, samples_of(events), strict=True):
+        # For half a second, no sample arrives.
+        is_late = 0.5 < event.time <= 1.0
+        follower.map_samples(samples, arrival=1.0 if is_late else event.time)
+        times.append(follower.mapper.motion.time)
+    stamps = np.array([event.time for event in events])
+    later = stamps > 1.3
+    passed = np.diff(np.array(times)[later])
+    np.testing.assert_allclose(passed, np.diff(stamps[later]), atol=1e-9)
+    # The robot lags behind what arrived too late.
+    assert times[-1] - times[0] < stamps[-1] - stamps[0] - 0.1
 
 
 def test_a_robot_that_waits_for_both_hands_starts_from_rest(
@@ -324,6 +412,27 @@ def test_a_single_hand_starts_from_rest_after_a_gap(
     last = np.abs(q[39] - q[38]) * 60.0
     braking = last * gap * max(1.0 - gap / 0.5, 0.0)
     assert (moved <= mapper.robot.velocity_limits * 0.05 + braking + 1e-9).all()
+
+
+def recording_of(side: Side, times: np.ndarray) -> Recording:
+    landmarks = np.array([landmarks_at(side, time) for time in times])
+    return Recording(side, times, landmarks, np.ones(len(times), bool), side)
+
+
+@pytest.mark.parametrize("lost", [0.5, 5.0])
+def test_recordings_keep_one_clock_where_a_hand_was_lost_at_the_start(
+    fresh: RobotFollower, lost: float
+) -> None:
+    times = np.arange(120) / 60.0
+    # The right hand is lost before the left one comes, and returns a little later.
+    right = np.concatenate([times[:30] - lost - 0.5, times[40:80] + 0.002])
+    recordings: dict[Side, Recording] = {
+        "left": recording_of("left", times),
+        "right": recording_of("right", right),
+    }
+    follower = copy.deepcopy(fresh)
+    q = [follower.map_samples(each).command.q for each in paired(recordings)]
+    check(judge(follower.mapper.robot, [*times], q))
 
 
 # -- the gate

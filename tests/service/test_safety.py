@@ -250,3 +250,16 @@ def test_simulated_time_counts_by_the_stamps() -> None:
     assert clock.grant(10.02, 0.0001)[0] == pytest.approx(0.02, abs=1e-12)
     assert clock.grant(99.0, 0.0002) == (0.05, ["dt_clamped"])
     assert clock.grant(98.0, 5.0) == (SHORTEST_DT, ["time_backwards"])
+
+
+def test_simulated_time_counts_once_behind_a_late_stamp() -> None:
+    clock = SessionClock(opening(max_dt=0.05, time_from="client"), 0.0)
+    stamps = [10.0, 10.02, 9.98, 9.99, 10.03, 10.03, 10.05]
+    _, *granted = [clock.grant(stamp, 0.0) for stamp in stamps]
+    dt = [time for time, _ in granted]
+    assert dt == pytest.approx([0.02, *[SHORTEST_DT] * 2, 0.01, SHORTEST_DT, 0.02])
+    is_late = ["time_backwards" in flags for _, flags in granted]
+    assert is_late == [False, True, True, False, True, False]
+    # A simulation that starts again.
+    assert clock.grant(0.0, 0.0)[0] == SHORTEST_DT
+    assert clock.grant(0.02, 0.0)[0] == pytest.approx(0.02)

@@ -34,6 +34,7 @@ from handmap_qp.ik import (
 )
 from handmap_qp.mapping import RobotCommand
 from handmap_qp.se3 import Array, frozen
+from handmap_qp.stream import BEHIND
 
 # Displacements of a sample are near this size [rad]; the solver is exact near one.
 _SCALE = 0.05
@@ -148,7 +149,8 @@ class SessionClock:
     With `time_from="server"`, a command may account for the time since the last one, and at most
     `max_dt`. Time stamps are only compared with it. So neither a jump of the client's clock nor a
     burst of samples nor a pause makes the robot exceed its speed limits. With `"client"`, for
-    simulated time, the time stamps count.
+    simulated time, the time stamps count. A stamp that is late by up to `BEHIND` takes (nearly) no
+    time. The next stamp takes the time by which it is later than all before.
 
     Args:
         request: The request that opened the session, which has its times.
@@ -193,7 +195,9 @@ class SessionClock:
         wanted = now - self._granted if is_ours else stamped
         if wanted > self._request.max_dt:
             flags.append("dt_clamped")
-        self._stamp = stamp
+        is_late = -BEHIND <= stamped <= 0.0 and not is_ours
+        if self._stamp is None or not is_late:
+            self._stamp = stamp
         self._arrival = self._granted = now
         self.waited = self.since_command(now) if is_ours else stamped
         return self._limited(wanted), flags
