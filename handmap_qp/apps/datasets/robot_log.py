@@ -237,8 +237,13 @@ def _topic(path: Path, topics: dict[str, JointStates], end: str) -> JointStates:
     return found[0]
 
 
-def save_robot_log(path: Path, log: RobotLog) -> None:
+def save_robot_log(path: Path, log: RobotLog, argument: str = "path") -> None:
     """Write a log of a robot as an `.npz` file; an earlier file stays if writing fails.
+
+    Args:
+        path: The file; its folder must exist.
+        log: The log.
+        argument: Argument or option that names the file, for errors.
 
     Raises:
         InvalidInputError: If it cannot be written.
@@ -253,7 +258,7 @@ def save_robot_log(path: Path, log: RobotLog) -> None:
         "effort": log.effort,
         "episode": log.episode,
     }
-    save_npz(path, arrays)
+    save_npz(path, arrays, argument)
 
 
 def write_robot_logs(
