@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from handmap_score.tasks import judge_table
+from handmap_score.tasks import benches, judge_table
 from handmap_score.tasks.attempt import attempt
 from handmap_score.tasks.benches import Blocks, Cell, run_cells
 from handmap_score.tasks.catalogue import CATALOGUE
@@ -27,7 +27,8 @@ from handmap_score.tasks.task import Record, Scene
 from handmap_score.tasks.turning import TURNED, CapTask
 from handmap_score.tasks.two_hands import TwoHands
 
-from handmap_qp.hands import load_hand
+from handmap_qp.errors import HandError
+from handmap_qp.hands import Hand, load_hand
 from handmap_qp.se3 import inverse_pose
 
 # Whole attempts in MuJoCo: not for the fast suite.
@@ -281,8 +282,20 @@ def test_a_bar_counts_when_the_giving_hand_has_left() -> None:
         HandOverTask(load_hand("robotiq_2f85"))
 
 
-def test_a_hand_without_a_left_one_is_named_with_its_reason() -> None:
-    """The other cells of a run go on."""
-    cells = [Cell("hand-over", "robotiq_2f85", "person", STRAIGHT)]
+@pytest.mark.parametrize("name", ["robotiq_2f85", "shadow_right"])
+def test_a_hand_without_a_left_one_is_named_with_its_reason(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other cells of a run go on; there may be no left hand, or it is not installed."""
+
+    def only_right(name: str) -> Hand:
+        if name.endswith("left"):
+            raise HandError(f"{name} is not installed: pip install it")
+        return load_hand(name)
+
+    monkeypatch.setattr("handmap_score.tasks.handing.load_hand", only_right)
+    benches._task.cache_clear()
+    cells = [Cell("hand-over", name, "person", STRAIGHT)]
     (result,) = run_cells(cells, Blocks((0,), 1), 1, lambda *_: None)
-    assert "robotiq_2f85" in result.problem
+    assert name in result.problem
+    assert "left" in result.problem

@@ -41,13 +41,14 @@ class NoOtherHandError(HandError):
 
     Attributes:
         name: Name of the hand.
+        why: Why the other one cannot be loaded; empty if there is none.
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__(
-            f"{name}: a task of two hands needs a right hand whose left one is installed"
-        )
+    def __init__(self, name: str, why: str = "") -> None:
+        needed = "a task of two hands needs a right hand whose left one is installed"
+        super().__init__(": ".join(filter(None, (name, needed, why))))
         self.name = name
+        self.why = why
 
 
 def mirrored_pose(pose: Array) -> Array:
@@ -64,7 +65,7 @@ def other_hand(robot: Hand) -> Hand:
     """Return the left hand that belongs to a right one, by its name.
 
     Raises:
-        NoOtherHandError: If there is none.
+        NoOtherHandError: If there is none, or it cannot be loaded.
     """
     if robot.name == own_hand().name:
         return own_hand("left")
@@ -72,7 +73,10 @@ def other_hand(robot: Hand) -> Hand:
     left = sided_name(family, "left")
     if family in (robot.name, left):
         raise NoOtherHandError(robot.name)
-    return load_hand(left)
+    try:
+        return load_hand(left)
+    except HandError as error:
+        raise NoOtherHandError(robot.name, str(error)) from error
 
 
 class HandOverTask(TableTask):
