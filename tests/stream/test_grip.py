@@ -514,3 +514,28 @@ def test_a_place_that_is_none_is_refused(allegro: Hand, centre: Any) -> None:
     grip = grip_follower(allegro)
     with pytest.raises(InvalidInputError, match="object_centre"):
         grip.map_sample(next(samples()), allegro.rest, centre)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"object_deviation": "5 mm"},
+        {"object_deviation": None},
+        {"object_deviation": 1e200},
+        {"object_centre": [1e200, 0.0, 0.0]},
+        {"measured_q": np.full(16, 1e200)},
+    ],
+)
+def test_numbers_that_cannot_be_are_an_error_before_the_robot_moves(
+    allegro: Hand, given: dict[str, Any]
+) -> None:
+    grip = grip_follower(allegro)
+    first, second, *_ = samples()
+    centre = np.zeros(3)
+    grip.map_sample(first, allegro.rest, centre)
+    before = grip.follower.mapper.motion
+    arguments = {"measured_q": allegro.rest, "object_centre": centre} | given
+    (name,) = given
+    with pytest.raises(InvalidInputError, match=name):
+        grip.map_sample(second, **arguments)
+    assert grip.follower.mapper.motion is before
