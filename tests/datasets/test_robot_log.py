@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from handmap_qp.apps.datasets.robot_log import (
 from handmap_qp.cli import main
 from handmap_qp.errors import RecordingError
 from handmap_qp.trackers import read_recording
+from handmap_qp.trackers.formats.mcap import _joint_states
 
 h5py = pytest.importorskip("h5py")
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -238,6 +240,30 @@ def put_hand(store: Any, writer: Any, connection: Any, header: Any) -> None:
     message = types[kind](header, poses)
     stamp = header.stamp.sec * 10**9 + header.stamp.nanosec
     writer.write(connection, stamp, store.serialize_cdr(message, kind))
+
+
+def test_readings_that_repeat_and_efforts_of_other_joints_are_left_out() -> None:
+    """Drivers may send a reading twice, and some send efforts of the motors alone."""
+
+    def message(time: float, position: float, effort: list[float]) -> SimpleNamespace:
+        stamp = SimpleNamespace(sec=0, nanosec=round(1e9 * time))
+        return SimpleNamespace(
+            header=SimpleNamespace(stamp=stamp),
+            name=["a", "b"],
+            position=np.full(2, position),
+            effort=np.array(effort),
+        )
+
+    messages = [
+        message(0.1, 1.0, [0.5, 0.6]),
+        message(0.1, 2.0, [0.7, 0.8]),
+        message(0.05, 3.0, []),
+        message(0.2, 4.0, [0.9]),
+    ]
+    found = _joint_states(Path("take"), "/lab/joint_states", messages)
+    np.testing.assert_allclose(found.time, [0.1, 0.2])
+    np.testing.assert_array_equal(found.position, [[1.0, 1.0], [4.0, 4.0]])
+    np.testing.assert_array_equal(found.effort, [[0.5, 0.6], [np.nan, np.nan]])
 
 
 def test_the_folder_of_a_bag_is_a_log(

@@ -534,7 +534,8 @@ def test_numbers_that_cannot_be_are_an_error_before_the_robot_moves(
     centre = np.zeros(3)
     grip.map_sample(first, allegro.rest, centre)
     before = grip.follower.mapper.motion
-    arguments = {"measured_q": allegro.rest, "object_centre": centre} | given
+    arguments: dict[str, Any] = {"measured_q": allegro.rest, "object_centre": centre}
+    arguments |= given
     (name,) = given
     with pytest.raises(InvalidInputError, match=name):
         grip.map_sample(second, **arguments)

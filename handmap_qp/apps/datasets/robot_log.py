@@ -113,7 +113,7 @@ class RobotLog:
             count = int((time[-1] - time[0]) * fps + 1e-6) + 1
             if len(own) < 2:
                 continue
-            instants = np.minimum(time[0] + np.arange(count) / fps, time[-1])
+            instants = time[0] + np.arange(count) / fps
             state, action, effort = (
                 _resampled(instants, time, column[own])
                 for column in (self.q, self.action, self.effort[:, known])
@@ -129,7 +129,10 @@ class RobotLog:
 
 
 def _resampled(instants: Array, time: Array, columns: Array) -> Array:
-    """Interpolate columns (T, n), or none, at instants (N,); shape (N, n)."""
+    """Interpolate columns (T, n), or none, at instants (N,); shape (N, n).
+
+    An instant that is later than all, by rounding, has the last row.
+    """
     rows = [np.interp(instants, time, column) for column in columns.T]
     return np.reshape(rows, (len(rows), len(instants))).T
 
