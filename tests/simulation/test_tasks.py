@@ -18,17 +18,16 @@ from simulation_cases import CUBE
 from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch, read_pick
+from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import (
-    Pads,
     PinchOutcome,
     PinchScene,
     PinchTrial,
-    describe_trial,
     random_trials,
-    success_rate,
 )
+from handmap_qp.apps.simulation.pinch_rows import describe_trial, success_rate
 from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads

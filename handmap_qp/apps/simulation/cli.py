@@ -36,14 +36,8 @@ from .gripping import GripScene
 from .pad_motion import PersonPads, meeting_row
 from .physics import Physics, choose_gravity
 from .pictures import film, picture, write_page
-from .pinch import (
-    Objects,
-    PinchOutcome,
-    PinchScene,
-    PinchTrial,
-    describe_trial,
-    random_trials,
-)
+from .pinch import Objects, PinchOutcome, PinchScene, PinchTrial, random_trials
+from .pinch_rows import describe_trial
 from .tried import Tried, fates, loss_rows, single_row, tried_row, try_all
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]

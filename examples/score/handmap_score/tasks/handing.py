@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from handmap_qp.apps.simulation.losses import PRESSED, Touch
-from handmap_qp.apps.simulation.pinch import Pads
+from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.errors import HandError
 from handmap_qp.hands import THUMB, Hand, Names, load_hand, sided_name
 from handmap_qp.mapping import Box

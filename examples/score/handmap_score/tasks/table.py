@@ -23,8 +23,8 @@ import numpy as np
 
 from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.apps.simulation.model import OBJECT
+from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Hand, Names, PadPair
