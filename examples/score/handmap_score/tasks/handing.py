@@ -17,9 +17,10 @@ from handmap_qp.hands import THUMB, Hand, Names, load_hand, sided_name
 from handmap_qp.mapping import Box
 from handmap_qp.se3 import Array, affine, inverse_pose, transform_points
 from .household import Household
+from .mapping import straight_joints
 from .operator import OTHER, HumanHand, Joints
 from .person import home, own_hand
-from .table import TableTask, pad_surfaces, straight_joints
+from .table import TableTask, pad_surfaces
 from .task import Scene, Signals
 from .touch import PALM, cause_of_no_grip
 
