@@ -256,11 +256,13 @@ class HandGrip:
         else:
             pinching = step.named("pinching")[finger]
         self._is_apart |= bool(pinching <= _PINCHING)
-        gathering = self._gathering(gaps[finger])
         if pinching <= 0.0:
             self._closing = _Closing()
-            if gathering == 0.0:
-                return
+            # Any tip may be the nearest in an open hand. People take things with the first finger.
+            finger = 0
+        gathering = self._gathering(gaps[finger])
+        if pinching <= 0.0 and gathering == 0.0:
+            return
         pads = self._pairs[finger]
         # Where the hand is, by its measured joints; then where it is commanded.
         placed = self._placed

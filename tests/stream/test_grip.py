@@ -13,7 +13,8 @@ import pytest
 from grip_cases import HUMAN, Blocked, gap_of, grip_follower, run, samples
 from picks import made_pick
 
-from handmap_qp import Hand, HandMapper, load_hand
+from handmap_qp import Hand, HandMapper, load_hand, read_recording
+from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
@@ -377,6 +378,58 @@ def test_pads_gather_around_a_place_before_the_person_pinches(allegro: Hand) -> 
     assert gathered < 0.7 * open_hand
     # The funnel's time counts from the pinch on.
     assert near.hand_grip._closing.time == 0.0
+
+
+def gathered_in_a_pick(name: str) -> tuple[Hand, np.ndarray, np.ndarray]:
+    """Return the commands before the pinch of a recorded pick, with a place and without.
+
+    The object is 14 mm beside where the pads of thumb and index finger meet.
+    """
+    hand = load_hand(name)
+    recording = read_recording("pinch", "right")
+    columns = sample_columns(recording)
+    human = prepare_take(recording).human
+    pads = grip_follower(hand).hand_grip._pairs[0]
+    placed = hand.configuration()
+    centre = None
+    found = []
+    for _ in range(2):
+        grip = GripFollower(Follower(HandMapper(human, hand, "teleoperation")))
+        q = hand.rest
+        steps = []
+        for k in range(len(recording)):
+            steps.append(grip.map_sample(columns.sample(k), q, centre, 0.003))
+            q = steps[-1].command.q
+        # The pick is in the first second; then the hand opens again.
+        opened = [step.named("pinching").max() <= 0.0 for step in steps[3:33]]
+        found.append(np.array([step.command.q for step in steps[3:33]])[opened])
+        gaps = [step.named("gaps")[0] for step in steps[3:]]
+        placed.place(steps[3 + int(np.argmin(gaps))].ik.q)
+        centre = pads.state(placed).middle + (0.008, 0.008, -0.008)
+    plain, gathered = found
+    return hand, gathered, plain
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "leap_right"])
+def test_pads_gather_without_a_tremble_around_a_place_that_is_out_of_reach(
+    name: str,
+) -> None:
+    """Fingers alone do not reach a place before the wrist is there."""
+    _, gathered, plain = gathered_in_a_pick(name)
+    assert len(gathered) > 20
+    bends = [np.abs(np.diff(q[-20:], 2, axis=0)).mean() for q in (gathered, plain)]
+    assert bends[0] < 2.0 * bends[1]
+
+
+def test_thumb_and_index_finger_gather_whichever_finger_is_nearest() -> None:
+    """In an open hand it may be any: in this recording, the ring finger's tip is."""
+    hand, gathered, plain = gathered_in_a_pick("allegro_right")
+    used = robot_fingers(hand).used
+    away = np.abs(gathered - plain).max(axis=0)
+    moved = {name: away[finger.columns].max() for name, finger in used.items()}
+    assert moved["index"] > 0.3
+    # The others make room at most.
+    assert moved["ring"] < 0.3 * moved["index"]
 
 
 def test_a_wide_open_hand_stays_the_persons(allegro: Hand) -> None:
