@@ -405,7 +405,7 @@ def gathered_in_a_pick(name: str) -> tuple[Hand, np.ndarray, np.ndarray]:
         found.append(np.array([step.command.q for step in steps[3:33]])[opened])
         gaps = [step.named("gaps")[0] for step in steps[3:]]
         placed.place(steps[3 + int(np.argmin(gaps))].ik.q)
-        centre = pads.state(placed).middle + (0.008, 0.008, -0.008)
+        centre = pads.state(placed).middle + np.array([0.008, 0.008, -0.008])
     plain, gathered = found
     return hand, gathered, plain
 
