@@ -6,9 +6,9 @@ measured joints of both fingers are kept, and closing on becomes torques that pr
 between the pads. The QP pulls to joint positions that press so: its limits hold.
 
 Where it is known at which place the object is, both pads close around it, so that none of them
-pushes it away before the other one is there: as far as the place is certain. They gather around it
-while the person's fingers are still open, because a closing lasts some 0.2 s, and is over before
-slow joints have moved both pads there.
+pushes it away before the other one is there: as far as the place is certain. Those of thumb and
+first finger gather around it while the person's fingers are still open, because a closing lasts
+some 0.2 s, and is over before slow joints have moved both pads there.
 """
 
 from __future__ import annotations
