@@ -91,7 +91,7 @@ def gripper() -> PinchScene:
     wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
     hand = load_hand("panda_gripper")
     commands = RobotMotion(hand, time, q, wrist, np.zeros(61))
-    physics = Physics(joint_stiffness=2000.0)
+    physics = Physics()
     return PinchScene(commands, PinchWindow(0, 10, 60), physics)
 
 

@@ -451,6 +451,7 @@ def test_links_without_mass_have_that_of_their_shapes() -> None:
     [
         {"friction": -0.1},
         {"joint_stiffness": 0.0},
+        {"sliding_stiffness": 0.0},
         {"time_step": float("nan")},
         {"gravity": (0.0, 0.0, float("inf"))},
         {"contact_time": 1e-3},
