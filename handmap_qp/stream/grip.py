@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import expect
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample
 from handmap_qp.mapping import MapStep, Stages
@@ -228,10 +228,12 @@ def _checked(
     """Return finite numbers of a shape, within `FARTHEST`, if there are any."""
     if given is None:
         return None
-    numbers = as_floats(given, name, shape=shape, is_finite=True)
-    # Squares of larger ones overflow.
-    is_near = bool(np.abs(numbers).max() <= FARTHEST)
-    expect(is_near, name, f"numbers within {FARTHEST:g}", value=numbers.tolist())
+    numbers = as_floats(given, name, shape=shape)
+    # Squares of larger ones overflow. NaN is not near either.
+    if not np.abs(numbers).max() <= FARTHEST:
+        as_floats(given, name, shape=shape, is_finite=True)
+        wanted = f"numbers within {FARTHEST:g}"
+        raise InvalidInputError(argument=name, expected=wanted, value=numbers.tolist())
     return numbers
 
 
