@@ -47,12 +47,8 @@ from handmap_qp.apps.simulation.commands import (
 )
 from handmap_qp.apps.simulation.gripping import GripScene
 from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pinch import (
-    PinchScene,
-    PinchTrial,
-    random_trials,
-    success_rate,
-)
+from handmap_qp.apps.simulation.pinch import PinchScene, PinchTrial, random_trials
+from handmap_qp.apps.simulation.pinch_rows import success_rate
 from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import Vector

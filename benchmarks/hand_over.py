@@ -33,8 +33,9 @@ import numpy as np
 from passing import CLOSING, FINGERS, HANGS, HELD_AT, RATE, SIDES, Person
 
 from handmap_qp import Hand
+from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pinch import Pads, success_rate
+from handmap_qp.apps.simulation.pinch_rows import success_rate
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands.pads import find_pads
 from handmap_qp.hands.robot import load_robot

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from handmap_qp.apps.simulation.pinch import success_rate
+from handmap_qp.apps.simulation.pinch_rows import success_rate
 from handmap_qp.apps.tables import print_rows
 
 QUANTITIES: dict[str, Callable[[dict[str, Any]], float]] = {

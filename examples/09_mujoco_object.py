@@ -20,9 +20,7 @@ def main() -> None:
     wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
     robot = load_hand("panda_gripper")
     commands = RobotMotion(robot, time, q, wrist, step_cpu=np.zeros(61))
-    scene = PinchScene(
-        commands, PinchWindow(0, 10, 60), Physics(joint_stiffness=2000.0)
-    )
+    scene = PinchScene(commands, PinchWindow(0, 10, 60), Physics())
     outcome = scene.run(PinchTrial(mass=0.1))
     lifted = np.ptp(outcome.episode.at.object_pose[:, 2, 3])
     print("held" if outcome.is_held else "lost", end=", ")

@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Instant, Simulator
 from handmap_qp.client import Client, Command
 from handmap_qp.errors import InvalidInputError

@@ -96,6 +96,7 @@ from .spec import read_yaml as read_yaml
 from .spec import typed as typed
 from .torques import DATA_SHEETS as DATA_SHEETS
 from .torques import TorqueLimits as TorqueLimits
+from .torques import are_prismatic as are_prismatic
 from .torques import torque_limits as torque_limits
 from .urdf import MOVABLE as MOVABLE
 from .urdf import USUAL_SPEEDS as USUAL_SPEEDS

@@ -1,6 +1,7 @@
 """The torques that a hand's motors have: `torque_limits`."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -68,8 +69,17 @@ def torque_limits(hand: Hand, limit: float | None = None) -> TorqueLimits:
 def _family(hand: Hand) -> str:
     """Return the word of `DATA_SHEETS` in the names of a hand; empty if there is none."""
     parts = hand.parts or (hand,)
-    names = " ".join(f"{part.name} {part.spec.urdf}" for part in parts).lower()
+    names = " ".join(f"{part.name} {_urdf_name(part)}" for part in parts).lower()
     return next((word for word in DATA_SHEETS if word in names), "")
+
+
+def _urdf_name(hand: Hand) -> str:
+    """Return the name of a hand's URDF: within a package, its whole path, which has the maker's.
+
+    Folders of a user may have any names.
+    """
+    urdf = hand.spec.urdf
+    return urdf if "://" in urdf else Path(urdf).name
 
 
 def are_prismatic(hand: Hand) -> Array:

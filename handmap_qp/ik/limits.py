@@ -93,6 +93,9 @@ LONGEST_STEP = 3.0
 After a longer one the robot has stood still, and must not make up for it in one command.
 """
 
+BEHIND = 1.0
+"""An instant that is earlier than the robot's last command by more is of another clock [s]."""
+
 # A stop that ends outside the limits by no more counts as inside [rad or m].
 _ROUNDING = 1e-12
 # Accelerations from here on count as no limit [rad/s^2, m/s^2].

@@ -30,6 +30,7 @@ from handmap_qp.human import (
     palm_fit_weights,
 )
 from handmap_qp.ik import (
+    BEHIND,
     LONGEST_STEP,
     Compiled,
     IkOptions,
@@ -70,11 +71,6 @@ from .method import (
     get_preset,
 )
 
-_ANOTHER_CLOCK = 1.0
-"""After a reset, an instant that is earlier than the last command by more is of another clock [s].
-
-A stream takes the same limit, `stream.guard.BEHIND`.
-"""
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
 
@@ -158,7 +154,7 @@ class Mover:
         if self._clock_offset is None:
             return usual
         instant = time + self._clock_offset
-        if self._was_reset and instant < self.motion.time - _ANOTHER_CLOCK:
+        if self._was_reset and instant < self.motion.time - BEHIND:
             # Such as that of the next recording.
             return usual
         return Instant(instant, LONGEST_STEP * usual)
@@ -433,6 +429,8 @@ class HandMapper(Mover):
         target_map = reference.map
         own: Any = None if sample.wrist is None else self._core_at(target_map)
         targets = None if own else target_map.targets(sample)
+        if targets and self.tasks:
+            targets = structs.replace(targets, tasks=(*targets.tasks, *self.tasks))
         if bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             bound.start(sample, reference.posture)
@@ -487,7 +485,7 @@ class HandMapper(Mover):
                 targets.wrist,
                 when,
                 rest=target_map.rest,
-                tasks=(*targets.tasks, *self.tasks),
+                tasks=targets.tasks,
                 margins=targets.margins,
                 regularisation=targets.regularisation,
                 speed=speed,

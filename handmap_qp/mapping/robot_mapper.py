@@ -136,9 +136,7 @@ class Leader(HandMapper):
         when: When,
         speed: float,
     ) -> Any:
-        """Ask the robot to move, with this hand's further terms."""
-        if self.tasks:
-            targets = structs.replace(targets, tasks=(*targets.tasks, *self.tasks))
+        """Ask the robot to move."""
         dt = own_time(when)
         return Asked(pose, targets, target_map.rest, dt, speed, target_map)
 

@@ -8,11 +8,16 @@ import numpy as np
 
 from handmap_qp.hands import Configuration, PadPair
 from handmap_qp.ik import AttachedPoints, TaskRows
-from handmap_qp.se3 import Array, unit
+from handmap_qp.se3 import Array, lengths, unit
 
 # Weights that leave other terms little: of pads that stay apart, and of their middle [1/m].
 _APART = 6000.0
 _CENTRED = 1000.0
+# A pad turns about its joints on arcs of about this radius [m]. A place that is so far that fingers
+# do not reach it pulls them along tangents, past the nearest point of the arc and back in the next
+# sample, for ever. So steps cost what the arc takes away (Levenberg-Marquardt): nothing at the
+# place.
+_BEND = 0.05
 # The gap of pads counts from this far before its least one [m], so that it ends there smoothly.
 _EDGE = 0.005
 
@@ -95,4 +100,9 @@ class ClosingPads(NamedTuple):
         more = state.gap - self.least
         apart = self.share * _APART * np.clip(1.0 - more / _EDGE, 0.0, 1.0)
         near = apart * min(more, 0.0) if apart else 0.0
-        return TaskRows(np.append(off, near), np.vstack([rows, apart * gap]))
+        pull = float(lengths(placed @ off))
+        return TaskRows(
+            np.append(off, near),
+            np.vstack([rows, apart * gap]),
+            _BEND * pull * self.own,
+        )

@@ -13,11 +13,11 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from handmap_qp.errors import expect
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands import Side
 from handmap_qp.human import HumanSample
 from handmap_qp.mapping import MapStep, Stages
-from handmap_qp.se3 import Array, as_floats
+from handmap_qp.se3 import FARTHEST, Array, as_floats, is_real
 from .follower import Follower, further_terms, map_with
 from .hand_grip import GripOptions, HandGrip, can_grip
 from .object_place import PLACE_DEVIATION
@@ -112,7 +112,9 @@ class GripFollower:
         centre: Array | None = None
         if object_centre is not None:
             centre = _checked(object_centre, "object_centre", (3,))
-            is_length = 0.0 <= object_deviation < np.inf
+            is_length = (
+                is_real(object_deviation) and 0.0 <= object_deviation <= FARTHEST
+            )
             wanted = "a length >= 0 m"
             expect(is_length, "object_deviation", wanted, value=object_deviation)
         own.prepare()
@@ -223,10 +225,16 @@ def gripping(
 def _checked(
     given: ArrayLike | None, name: str, shape: tuple[int, ...]
 ) -> Array | None:
-    """Return finite numbers of a shape, if there are any."""
+    """Return finite numbers of a shape, within `FARTHEST`, if there are any."""
     if given is None:
         return None
-    return as_floats(given, name, shape=shape, is_finite=True)
+    numbers = as_floats(given, name, shape=shape)
+    # Squares of larger ones overflow. NaN is not near either.
+    if not np.abs(numbers).max() <= FARTHEST:
+        as_floats(given, name, shape=shape, is_finite=True)
+        wanted = f"numbers within {FARTHEST:g}"
+        raise InvalidInputError(argument=name, expected=wanted, value=numbers.tolist())
+    return numbers
 
 
 def _with_effort(step: S, effort: Array) -> S:

@@ -33,6 +33,7 @@ from handmap_qp.human import (
     palm_sizes,
     sample_columns,
 )
+from handmap_qp.ik import BEHIND as BEHIND
 from handmap_qp.ik import LONGEST_STEP, Compiled, in_core
 from handmap_qp.se3 import Array, lengths, nearest_rotation
 from handmap_qp.trackers import (
@@ -48,8 +49,6 @@ from handmap_qp.trackers import (
 
 GAP = 0.25
 """A longer time between stamps is a gap: samples are missing, or the clock was set [s]."""
-BEHIND = 1.0
-"""A sample that is earlier than the robot's last command by more is of another clock [s]."""
 # A stamp earlier by more than this is of a clock that was set back, not of a late sample [s].
 _SET_BACK = 1.0
 _SET_FORWARD = (

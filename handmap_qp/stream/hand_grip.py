@@ -6,9 +6,9 @@ measured joints of both fingers are kept, and closing on becomes torques that pr
 between the pads. The QP pulls to joint positions that press so: its limits hold.
 
 Where it is known at which place the object is, both pads close around it, so that none of them
-pushes it away before the other one is there: as far as the place is certain. They gather around it
-while the person's fingers are still open, because a closing lasts some 0.2 s, and is over before
-slow joints have moved both pads there.
+pushes it away before the other one is there: as far as the place is certain. Those of thumb and
+first finger gather around it while the person's fingers are still open, because a closing lasts
+some 0.2 s, and is over before slow joints have moved both pads there.
 """
 
 from __future__ import annotations
@@ -256,11 +256,13 @@ class HandGrip:
         else:
             pinching = step.named("pinching")[finger]
         self._is_apart |= bool(pinching <= _PINCHING)
-        gathering = self._gathering(gaps[finger])
         if pinching <= 0.0:
             self._closing = _Closing()
-            if gathering == 0.0:
-                return
+            # Any tip may be the nearest in an open hand. People take things with the first finger.
+            finger = 0
+        gathering = self._gathering(gaps[finger])
+        if pinching <= 0.0 and gathering == 0.0:
+            return
         pads = self._pairs[finger]
         # Where the hand is, by its measured joints; then where it is commanded.
         placed = self._placed

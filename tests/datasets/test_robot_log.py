@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from handmap_qp.apps.datasets.robot_log import (
 )
 from handmap_qp.cli import main
 from handmap_qp.errors import RecordingError
+from handmap_qp.trackers import read_recording
+from handmap_qp.trackers.formats.mcap import _joint_states
 
 h5py = pytest.importorskip("h5py")
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -31,6 +34,8 @@ Q = np.column_stack([np.sin(TIME), np.cos(TIME), 0.01 * TIME])
 TOLD = Q + 0.05
 # Linear in time, so that interpolation is exact.
 EFFORT = np.column_stack([0.1 * TIME, -0.2 * TIME, 5.0 - TIME])
+
+LANDMARKS = read_recording(Path("demo"), "left").landmarks[0]
 
 
 def log(**changes: Any) -> RobotLog:
@@ -165,19 +170,42 @@ def test_each_episode_of_a_log_is_one_of_the_set(tmp_path: Path) -> None:
     assert steps.max() < 1.5 / RATE
 
 
-def write_bag(path: Path, effort: bool = True, commands: bool = True) -> Path:
-    """Write a bag as `ros2 bag record` does beside `handmap ros2`."""
+def test_whole_numbers_are_positions_too(tmp_path: Path) -> None:
+    found = read_robot_log(archive(tmp_path / "a.npz", q=np.zeros((COUNT, 3), int)))
+    assert not found.q.any()
+    assert not found.known_efforts.any()
+
+
+def write_bag(
+    path: Path,
+    effort: bool = True,
+    commands: bool = True,
+    landmarks: bool = False,
+) -> Path:
+    """Write a bag as `ros2 bag record` does beside `handmap ros2`; return its file."""
+    write_bag_folder(path.parent / "bag", effort, commands, landmarks)
+    (file,) = (path.parent / "bag").glob("*.mcap")
+    return file.rename(path)
+
+
+def write_bag_folder(
+    folder: Path, effort: bool = True, commands: bool = True, landmarks: bool = False
+) -> None:
+    """Write the folder of such a bag."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     kind = "sensor_msgs/msg/JointState"
     types = store.types
     with rosbags.Writer(
-        path.parent / "bag", version=9, storage_plugin=rosbags.StoragePlugin.MCAP
+        folder, version=9, storage_plugin=rosbags.StoragePlugin.MCAP
     ) as writer:
         topics = ["/lab/joint_states", "/lab/joint_commands"][: 1 + commands]
         states, *told = (
             writer.add_connection(topic, kind, typestore=store) for topic in topics
+        )
+        hand = writer.add_connection(
+            "/left_hand/landmarks", "geometry_msgs/msg/PoseArray", typestore=store
         )
         for i, time in enumerate(TIME):
             stamp = round(1e9 * (time + 1.0))
@@ -198,8 +226,68 @@ def write_bag(path: Path, effort: bool = True, commands: bool = True) -> Path:
             if i >= 10 and i % 2 == 0:
                 for connection in told:
                     put(connection, NAMES, TOLD[i], [], [])
-    (file,) = (path.parent / "bag").glob("*.mcap")
-    return file.rename(path)
+            if landmarks:
+                put_hand(store, writer, hand, header)
+
+
+def put_hand(store: Any, writer: Any, connection: Any, header: Any) -> None:
+    """Write the landmarks of the demo's first sample."""
+    kind = "geometry_msgs/msg/PoseArray"
+    types = store.types
+    upright = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    points = [types["geometry_msgs/msg/Point"](*point) for point in LANDMARKS.tolist()]
+    poses = [types["geometry_msgs/msg/Pose"](point, upright) for point in points]
+    message = types[kind](header, poses)
+    stamp = header.stamp.sec * 10**9 + header.stamp.nanosec
+    writer.write(connection, stamp, store.serialize_cdr(message, kind))
+
+
+def test_readings_that_repeat_and_efforts_of_other_joints_are_left_out() -> None:
+    """Drivers may send a reading twice, and some send efforts of the motors alone."""
+
+    def message(time: float, position: float, effort: list[float]) -> SimpleNamespace:
+        stamp = SimpleNamespace(sec=0, nanosec=round(1e9 * time))
+        return SimpleNamespace(
+            header=SimpleNamespace(stamp=stamp),
+            name=["a", "b"],
+            position=np.full(2, position),
+            effort=np.array(effort),
+        )
+
+    messages = [
+        message(0.1, 1.0, [0.5, 0.6]),
+        message(0.1, 2.0, [0.7, 0.8]),
+        message(0.05, 3.0, []),
+        message(0.2, 4.0, [0.9]),
+    ]
+    found = _joint_states(Path("take"), "/lab/joint_states", messages)
+    np.testing.assert_allclose(found.time, [0.1, 0.2])
+    np.testing.assert_array_equal(found.position, [[1.0, 1.0], [4.0, 4.0]])
+    np.testing.assert_array_equal(found.effort, [[0.5, 0.6], [np.nan, np.nan]])
+
+
+def test_the_folder_of_a_bag_is_a_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """`ros2 bag record` writes a folder."""
+    folder = tmp_path / "take"
+    write_bag_folder(folder)
+    assert is_robot_log(folder)
+    assert read_robot_log(folder).name == "take"
+    out = tmp_path / "set"
+    assert main(["convert", str(folder), str(out)]) == 0
+    assert "nothing was lost" in capsys.readouterr().out
+    assert features_of(out)["observation.effort"]["names"] == [*NAMES]
+
+
+def test_a_bag_with_landmarks_is_a_recording_beside_commands(tmp_path: Path) -> None:
+    """Who records all topics of a session has both, and landmarks are what was converted before."""
+    file = write_bag(tmp_path / "take.mcap", landmarks=True)
+    assert not is_robot_log(file)
+    out = tmp_path / "hand.npz"
+    assert main(["convert", str(file), str(out)]) == 0
+    with np.load(out) as found:
+        assert found["landmarks"].shape == (COUNT, 21, 3)
 
 
 def test_a_bag_with_states_and_commands_is_a_log(tmp_path: Path) -> None:
@@ -235,6 +323,7 @@ def test_a_bag_without_commands_is_no_log(tmp_path: Path) -> None:
         ({"joint_names": np.array(3)}, "a.npz"),
         ({"task": np.array(["a", "b"])}, "a.npz"),
         ({"episode": -np.arange(COUNT)}, "episode: expected numbers that do not fall"),
+        ({"joint_names": np.array(["a", "b", "a"])}, "joint_names: .* got a twice"),
     ],
 )
 def test_what_cannot_be_used_is_said(
@@ -252,6 +341,11 @@ def test_what_cannot_be_used_is_said(
         (["LOG", "demo", "out"], "logs of a robot alone"),
         (["LOG", "OTHER", "out"], "logs of one robot"),
         (["LOG", "out", "--fps", "0"], "--fps: expected frames a second"),
+        (["LOG", "out", "--fps", "1e9"], "--fps: expected frames a second"),
+        (["LOG", "out", "--side", "left"], "--side: expected not for logs"),
+        (["LOG", "out", "--mano", "model"], "--mano: expected not for logs"),
+        (["INSTANTS", "out"], "IN: expected an episode of two instants"),
+        (["INSTANTS", "out.hdf5"], "IN: expected an episode of two instants"),
     ],
 )
 def test_convert_refuses_what_is_no_set_of_one_robot(
@@ -260,6 +354,7 @@ def test_convert_refuses_what_is_no_set_of_one_robot(
     files = {
         "LOG": archive(tmp_path / "a.npz"),
         "OTHER": archive(tmp_path / "b.npz", joint_names=np.array(["a", "b", "c"])),
+        "INSTANTS": archive(tmp_path / "c.npz", episode=np.arange(COUNT)),
     }
     given = [str(files.get(word, word)) for word in words]
     given = [str(tmp_path / word) if word.startswith("out") else word for word in given]

@@ -287,6 +287,7 @@ def test_motors_of_a_command_that_is_killed_stop_themselves(chain: Chain) -> Non
         (["--effort", "nan", "--no-deadman"], "--effort: expected a share, 0 to 1"),
         (["--down", "0", "0", "0"], "--down: expected a direction"),
         (["--down", "0", "0", "1"], "--down: expected --tuning too"),
+        (["--task", "lift a cup"], "--task: expected --log too"),
         (["--log", "take.csv"], "--log: expected a file that ends in .npz"),
         ([], "--no-deadman: expected a terminal whose space bar"),
         (["--from", "HERE", "other"], "SESSION: "),

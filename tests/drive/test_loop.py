@@ -443,3 +443,24 @@ def test_a_log_without_a_motion_is_not_written(
     Recorder(NAMES).save(tmp_path / "take.npz", "leap")
     assert "take.npz is not written" in capsys.readouterr().err
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_log_keeps_what_a_driver_writes_over(tmp_path: Path) -> None:
+    """A driver may answer with the same array again and again."""
+    recorder = Recorder(NAMES)
+    q, effort = np.zeros(2), np.zeros(2)
+    for turn in range(3):
+        q[:] = effort[:] = turn
+        recorder.add(0.01 * turn, q, q, effort)
+    recorder.save(tmp_path / "take.npz", "leap")
+    log = read_robot_log(tmp_path / "take.npz")
+    for column in (log.q, log.action, log.effort):
+        np.testing.assert_array_equal(column, np.outer(range(3), np.ones(2)))
+
+
+def test_a_log_that_cannot_be_written_names_the_option(tmp_path: Path) -> None:
+    recorder = Recorder(NAMES)
+    for turn in range(2):
+        recorder.add(0.01 * turn, np.zeros(2), np.zeros(2), np.zeros(2))
+    with pytest.raises(InvalidInputError, match="--log"):
+        recorder.save(tmp_path / "gone" / "take.npz", "leap")

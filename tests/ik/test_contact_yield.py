@@ -8,7 +8,15 @@ import numpy as np
 from scipy.optimize import nnls
 
 from handmap_qp import HandMapper, Teleoperation, load_hand, read_recording
-from handmap_qp.hands import ContactYield, Hand, Side, load_robot
+from handmap_qp.hands import (
+    ContactYield,
+    Hand,
+    Side,
+    find_fingers,
+    load_robot,
+    pair_ends,
+)
+from handmap_qp.hands.contact_yield import common_yield
 from handmap_qp.mapping import RobotMapper
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import Array
@@ -72,7 +80,9 @@ def test_several_pairs_press_by_no_more_where_each_has_its_share() -> None:
         count = int(random.integers(2, 5))
         G = random.normal(scale=0.05, size=(count, 12))
         overlaps = overlaps_of(G)
-        if overlaps.min() <= 0.0:
+        # Never less than none: links are not kept farther apart than without it.
+        assert overlaps.min() >= 0.0
+        if overlaps.min() == 0.0:
             continue
         counted += 1
         assert forces_of(G, overlaps).max() <= FORCE * (1.0 + 1e-9)
@@ -160,3 +170,84 @@ def test_links_of_one_hand_of_a_robot_may_press_but_not_on_the_other_hand() -> N
     assert {"left"} in sides
     assert {"right"} in sides
     assert {"left", "right"} not in sides
+
+
+def test_a_robot_takes_of_its_hands_the_force_of_the_one_that_presses() -> None:
+    """Pairs of one hand are those of the other hand too, which does not let them press."""
+    inf = np.inf
+    none = np.zeros(2)
+    left = ContactYield(
+        np.array([FORCE, 0.0]),
+        np.array([0.004, 0.0]),
+        np.array([0.5, 0.0]),
+        np.array([0.7, inf]),
+    )
+    right = ContactYield(none, none, np.array([0.0, 0.25]), np.array([inf, 0.9]))
+    # The second hand has its pairs in another order.
+    both = common_yield([(left, np.array([0, 1])), (right, np.array([1, 0]))])
+    assert both
+    np.testing.assert_array_equal(both.forces, [FORCE, 0.0])
+    np.testing.assert_array_equal(both.depths, [0.004, 0.0])
+    np.testing.assert_array_equal(both.compliances, [0.5, 0.25])
+    np.testing.assert_array_equal(both.torques, [0.7, 0.9])
+    turned = common_yield([(left, np.array([1, 0])), (None, np.array([0, 1]))])
+    assert turned
+    np.testing.assert_array_equal(turned.forces, [0.0, FORCE])
+    assert common_yield([(None, np.array([0, 1]))] * 2) is None
+
+
+def hand_yield(name: str) -> ContactYield:
+    """Return how the pairs of a hand yield by the default stiffness."""
+    found = mapper_of(FORCE, name).point_ik.gate.collisions
+    assert found
+    assert found.yielding
+    return found.yielding
+
+
+def test_only_thumb_fingers_and_palm_press() -> None:
+    limit = mapper_of(FORCE, "allegro_right").point_ik.gate.collisions
+    assert limit
+    assert limit.yielding
+    hand = load_hand("allegro_right")
+    chains = find_fingers(hand)
+    owner = {joint: name for name, chain in chains.items() for joint in chain.joints}
+    shapes = limit.bounds.geometry.geometryObjects
+    kinds = set()
+    for (i, j), force in zip(
+        pair_ends(limit.bounds.geometry), limit.yielding.forces, strict=True
+    ):
+        links = [owner.get(shapes[k].parentJoint, "palm") for k in (i, j)]
+        may = "thumb" in links or "palm" in links
+        assert (force > 0.0) == may, links
+        kinds.add((may, "palm" in links))
+    assert {(True, True), (True, False), (False, False)} <= kinds
+
+
+def test_springs_are_those_of_turning_and_of_sliding_joints() -> None:
+    options = Teleoperation()
+    turning, sliding = hand_yield("allegro_right"), hand_yield("panda_gripper")
+    assert {*turning.compliances.round(12)} == {0.0, round(1 / options.stiffness, 12)}
+    assert {*sliding.compliances.round(12)} == {
+        0.0,
+        round(1 / options.sliding_stiffness, 12),
+    }
+
+
+def test_links_overlap_by_less_than_half_of_the_thinner_one() -> None:
+    """Beyond its middle, the direction in which shapes part turns round."""
+    limit = mapper_of(100.0, "allegro_right").point_ik.gate.collisions
+    assert limit
+    assert limit.yielding
+    shapes = limit.bounds.geometry.geometryObjects
+    for (i, j), depth, force in zip(
+        pair_ends(limit.bounds.geometry),
+        limit.yielding.depths,
+        limit.yielding.forces,
+        strict=True,
+    ):
+        halves = []
+        for shape in (shapes[i], shapes[j]):
+            shape.geometry.computeLocalAABB()
+            box = shape.geometry.aabb_local
+            halves.append(0.5 * (box.max_ - box.min_).min())
+        assert 0.5 * min(halves) * (force > 0.0) <= depth < min(halves)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -125,3 +129,27 @@ def test_rows_that_go_with_the_wrist_are_derivatives(name: str) -> None:
         wanted = jacobian[:, column].reshape(-1, 3) @ turn
         np.testing.assert_allclose(slope, wanted, atol=1e-7)
     assert np.abs(local).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("error", "is_off"),
+    [
+        ((0.0, 0.0), False),
+        ((0.0, 0.5), True),
+        ((0.5, 0.0), True),
+        ((np.nan, 0.0), True),
+        ((0.0, np.nan), True),
+    ],
+)
+def test_an_arm_is_off_by_its_place_or_its_turn(
+    error: tuple[float, float], is_off: bool
+) -> None:
+    mapper = HandMapper(HUMAN, load_hand("ur5_allegro"), "teleoperation")
+    step = mapper.map_step(HUMAN.rest, np.eye(4))
+    at_bound = np.zeros(len(step.command.q), dtype=bool)
+    summary = SimpleNamespace(wrist_error=error, at_bound=at_bound)
+    command = step.command
+    stages: Any = SimpleNamespace(
+        status="limited", summary=summary, ik=step.ik, command=command
+    )
+    assert bool(msgspec.structs.replace(step, stages=stages).arm_held_by) == is_off

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -34,9 +35,17 @@ if sys.argv[1] == "list":
 _, _, method, hand = sys.argv
 if method == "dexi-broken":
     sys.exit("it is broken")
+if method == "dexi-chatty":
+    print("a word\\n" * 50_000, file=sys.stderr)
 count = 0
 print('"ready"', flush=True)
+if method == "dexi-quitter":
+    sys.stdin.close()
+    sys.exit("it has left")
 for line in sys.stdin:
+    if method.startswith("dexi-says-"):
+        print(method.removeprefix("dexi-says-"), flush=True)
+        continue
     value = json.loads(line)
     count = 0 if value == "reset" else count + 1
     answer = [] if value == "reset" else [100.0 * count] * 16
@@ -120,6 +129,38 @@ def test_a_program_that_fails_says_why(
 ) -> None:
     with pytest.raises(OutsideError, match=reason):
         act(robot)
+
+
+@pytest.mark.parametrize(
+    "answer", ["word", "3", '{"q": 1}', '["a"]', "[NaN]", "[1e999]"]
+)
+def test_an_answer_that_is_no_list_of_numbers_is_a_failure(
+    answer: str, program: Path, robot: Hand
+) -> None:
+    mapping = OutsideMapping(f"dexi-says-{answer}", robot)
+    with pytest.raises(OutsideError, match="bad answer"):
+        one(mapping)
+    with pytest.raises(OutsideError, match="bad answer"):
+        mapping.reset()
+
+
+def test_a_program_may_complain_as_much_as_it_likes(program: Path, robot: Hand) -> None:
+    """Warnings that nobody reads do not fill its pipe: it would wait for ever."""
+    mapping = OutsideMapping("dexi-chatty", robot)
+    assert mapping.map(hand(), DT) == dict.fromkeys(robot.joint_names, 100.0)
+
+
+def test_a_program_that_has_left_is_let_go(program: Path, robot: Hand) -> None:
+    mapping = OutsideMapping("dexi-quitter", robot)
+    process = mapping._process
+    process.wait()
+    with pytest.raises(OutsideError, match="it has left"):
+        one(mapping)
+    # A broken pipe in its end would be an unraisable error, which fails tests.
+    del mapping
+    gc.collect()
+    assert process.stdin is not None
+    assert process.stdin.closed
 
 
 def one(mapping: OutsideMapping) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from handmap_score.tasks import judge_table
+from handmap_score.tasks import benches, judge_table
 from handmap_score.tasks.attempt import attempt
 from handmap_score.tasks.benches import Blocks, Cell, run_cells
 from handmap_score.tasks.catalogue import CATALOGUE
@@ -27,8 +27,10 @@ from handmap_score.tasks.task import Record, Scene
 from handmap_score.tasks.turning import TURNED, CapTask
 from handmap_score.tasks.two_hands import TwoHands
 
-from handmap_qp.hands import load_hand
-from handmap_qp.se3 import inverse_pose
+from handmap_qp.apps.simulation.losses import Touch
+from handmap_qp.errors import HandError
+from handmap_qp.hands import Hand, load_hand
+from handmap_qp.se3 import inverse_pose, transform_points
 
 # Whole attempts in MuJoCo: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -281,8 +283,119 @@ def test_a_bar_counts_when_the_giving_hand_has_left() -> None:
         HandOverTask(load_hand("robotiq_2f85"))
 
 
-def test_a_hand_without_a_left_one_is_named_with_its_reason() -> None:
-    """The other cells of a run go on."""
-    cells = [Cell("hand-over", "robotiq_2f85", "person", STRAIGHT)]
+class Pressing:
+    """Contacts of a hand whose fingers press as hard as a test says [N]."""
+
+    def __init__(self, **by_finger: float) -> None:
+        self._by_finger = by_finger
+
+    def by_link(self, data: object) -> dict[str, float]:
+        return dict(self._by_finger)
+
+    def by_finger(self, forces: dict[str, float]) -> dict[str, float]:
+        return dict(forces)
+
+
+@pytest.fixture(scope="module")
+def giving() -> HandOverTask:
+    return HandOverTask(load_hand("allegro_right"))
+
+
+@pytest.mark.parametrize(
+    ("forces", "is_taken"),
+    [
+        ({}, False),
+        ({"thumb": 1.0}, False),
+        ({"thumb": 1.0, "palm": 9.0}, False),
+        ({"index": 1.0, "middle": 1.0}, False),
+        ({"thumb": 1.0, "index": 0.6}, True),
+    ],
+)
+def test_a_bar_is_taken_by_thumb_and_finger(
+    giving: HandOverTask, forces: dict[str, float], is_taken: bool
+) -> None:
+    giving.reset(0)
+    giving._bench.others[OTHER] = Pressing(**forces)  # ty: ignore[invalid-assignment]
+    pose = giving._simulator.object_pose
+    giving._signals(pose, np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]]))
+    assert giving._is_taken == is_taken
+
+
+@pytest.mark.parametrize(
+    ("height", "away", "is_taken", "is_reached"),
+    [
+        (0.055, 0.07, True, True),
+        (0.045, 0.07, True, False),
+        (0.055, 0.05, True, False),
+        (0.055, 0.07, False, False),
+    ],
+)
+def test_a_bar_is_handed_over_in_the_air_away_from_the_hand_that_gave_it(
+    giving: HandOverTask, height: float, away: float, is_taken: bool, is_reached: bool
+) -> None:
+    giving.reset(0)
+    pose = giving._simulator.object_pose
+    palm = giving._simulator.wrist @ giving.robot.wrist_to_palm
+    here = transform_points(inverse_pose(palm), pose[:3, 3])
+    giving._given_at = here + np.array([away, 0.0, 0.0])
+    giving._is_taken = is_taken
+    touch = Touch(0.0, 0.0, 0.0, beside=0.0, moved=0.0, height=height)
+    assert giving._is_reached(touch, pose) == is_reached
+
+
+def handed(away: float = 0.08, height: float = 0.06, slides: float = 0.0) -> Record:
+    """Return made states: a bar is lifted, then the right hand leaves by a distance [m].
+
+    Args:
+        away: How far the right hand leaves.
+        height: Height at which the bar stays.
+        slides: How far the bar slides in the left hand, in the second after that.
+    """
+    count, fingers = 100, 3
+    still = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+    lifted = np.clip(np.arange(count) / 20.0, 0.0, 1.0) * height
+    bar, right, left = still.copy(), still.copy(), still.copy()
+    for body in (bar, right, left):
+        body[:, 2] = lifted
+    right[40:, 0] = away
+    bar[40:, 1] = np.linspace(0.0, slides, 60)
+    joints = np.zeros((count, fingers))
+    states = np.hstack([right, joints, bar, left, joints])
+    return Record(
+        0, np.arange(count) / 60.0, states, np.zeros((1, 3)), np.zeros((0, 3))
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_success"),
+    [
+        ({}, True),
+        ({"away": 0.05}, False),
+        ({"height": 0.045}, False),
+        ({"slides": 0.03}, True),
+        ({"slides": 0.08}, False),
+    ],
+)
+def test_the_second_judge_counts_what_stays_in_the_left_hand(
+    changes: dict[str, float], is_success: bool
+) -> None:
+    assert judge_table.recount_hand_over(handed(**changes)) == is_success
+
+
+@pytest.mark.parametrize("name", ["robotiq_2f85", "shadow_right"])
+def test_a_hand_without_a_left_one_is_named_with_its_reason(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other cells of a run go on; there may be no left hand, or it is not installed."""
+
+    def only_right(name: str) -> Hand:
+        if name.endswith("left"):
+            raise HandError(f"{name} is not installed: pip install it")
+        return load_hand(name)
+
+    monkeypatch.setattr("handmap_score.tasks.handing.load_hand", only_right)
+    benches._task.cache_clear()
+    cells = [Cell("hand-over", name, "person", STRAIGHT)]
     (result,) = run_cells(cells, Blocks((0,), 1), 1, lambda *_: None)
-    assert "robotiq_2f85" in result.problem
+    assert name in result.problem
+    assert "left" in result.problem

@@ -506,9 +506,29 @@ def test_a_judge_is_unsound_where_nothing_or_everything_wins(
     assert unmet([sound[0], result_of("open", [True, *none_win[1:]])]) == {
         "an open hand succeeds in none"
     }
-    assert unmet(gift) == set()
+    assert unmet([*gift, result_of("open", none_win)]) == set()
     unseen = [sound[0], result_of("straight", none_win, recounted=0)]
     assert unmet([sound[0]._replace(blocks=unseen[1].blocks), unseen[1]])
+
+
+def test_what_was_not_tried_shows_nothing(
+    toy: Entry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No success of no attempts is no proof, and nor is an agreement about none."""
+    monkeypatch.setitem(CATALOGUE, "toy", toy)
+
+    def failed(method: str) -> CellResult:
+        cell = Cell("toy", "human", "pusher", method)
+        return CellResult(cell, [Outcome((), problem="it cannot be used")])
+
+    nothing = [failed("unmapped"), failed("straight")]
+    assert unmet(nothing) == {
+        "straight fingers succeed in none",
+        "unmapped succeeds in at least 95 %",
+        "a second judge recounts at least 5 % of the outcomes alike",
+    }
+    alone = [result_of("unmapped", [True] * 20), failed("straight")]
+    assert unmet(alone) == {"straight fingers succeed in none"}
 
 
 def test_an_outcome_that_the_second_judge_sees_otherwise_shows(

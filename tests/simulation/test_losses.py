@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from handmap_qp.apps.simulation.physics import Physics, choose_gravity
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
 from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import urdf_directory
 from handmap_qp.hands.torques import torque_limits
 from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.objects import Sphere
@@ -89,7 +91,7 @@ def gripper() -> PinchScene:
     wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
     hand = load_hand("panda_gripper")
     commands = RobotMotion(hand, time, q, wrist, np.zeros(61))
-    physics = Physics(joint_stiffness=2000.0)
+    physics = Physics()
     return PinchScene(commands, PinchWindow(0, 10, 60), physics)
 
 
@@ -326,3 +328,13 @@ def test_a_mapping_that_cannot_start_is_a_row_beside_others(
     names = iter([name for name in methods for _ in range(count)])
     assert cli.main(words) == 2
     assert "robot: in the hand" in capsys.readouterr().err
+
+
+def test_folders_of_a_user_do_not_tell_the_maker(tmp_path: Path) -> None:
+    folder = tmp_path / "leap_of_faith"
+    shutil.copytree(urdf_directory() / "three_finger", folder)
+    file = folder / "hand.yaml"
+    own = load_hand("three_finger")
+    urdf = f"urdf: {folder / own.spec.urdf}"
+    file.write_text(file.read_text().replace(f"urdf: {own.spec.urdf}", urdf))
+    assert torque_limits(load_hand(file)).source == torque_limits(own).source

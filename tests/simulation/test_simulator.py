@@ -20,6 +20,7 @@ from handmap_qp import InvalidInputError, InvalidOptionsError, load_hand
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.torques import torque_limits
 from handmap_qp.mapping.objects import Box, Cylinder, MeshShape, Sphere
 from handmap_qp.se3 import affine
 
@@ -450,6 +451,7 @@ def test_links_without_mass_have_that_of_their_shapes() -> None:
     [
         {"friction": -0.1},
         {"joint_stiffness": 0.0},
+        {"sliding_stiffness": 0.0},
         {"time_step": float("nan")},
         {"gravity": (0.0, 0.0, float("inf"))},
         {"contact_time": 1e-3},
@@ -507,3 +509,14 @@ def test_a_further_hand_follows_its_own_commands_and_leaves_the_first_alone() ->
     assert np.allclose(simulator.wrist_of("/other/"), away, atol=1e-3)
     q = [simulator.data.joint(f"/other/{n}").qpos[0] for n in left.joint_names]
     assert np.allclose(q, end[left.q_indices], atol=1e-3)
+
+
+def test_each_of_two_hands_has_the_torques_of_its_own_motors() -> None:
+    first, further = load_hand("allegro_right"), load_hand("ability_right")
+    simulator = Simulator(first, CUBE, Physics(), others={"/other/": further})
+    for hand, prefix in ((first, ""), (further, "/other/")):
+        found = [
+            simulator.model.actuator(prefix + name).forcerange[1]
+            for name in hand.joint_names
+        ]
+        np.testing.assert_array_equal(found, torque_limits(hand).values)

@@ -18,17 +18,16 @@ from simulation_cases import CUBE
 from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch, read_pick
+from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import (
-    Pads,
     PinchOutcome,
     PinchScene,
     PinchTrial,
-    describe_trial,
     random_trials,
-    success_rate,
 )
+from handmap_qp.apps.simulation.pinch_rows import describe_trial, success_rate
 from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
@@ -58,7 +57,7 @@ def pinching() -> PinchScene:
     wrist[:, :3, :3] = np.diag([1.0, -1.0, -1.0])
     wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
     commands = RobotMotion(hand, time, q, wrist, np.zeros(61))
-    return PinchScene(commands, WINDOW, Physics(joint_stiffness=2000.0))
+    return PinchScene(commands, WINDOW, Physics())
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +76,7 @@ def test_the_object_stands_where_the_robots_own_pads_meet(pinching: PinchScene) 
     """The pads lag behind their commands, so these have gone further by then."""
     met = pinching.meeting(0.03)
     assert pinching.pads.pair.gap(met.places) == pytest.approx(0.03, abs=1e-4)
-    soft = pinching.physics.replaced(joint_stiffness=200.0)
+    soft = pinching.physics.replaced(sliding_stiffness=200.0)
     later = PinchScene(pinching.commands, WINDOW, soft).meeting(0.03)
     assert later.time > met.time + 0.01
     # Wider objects are met earlier.

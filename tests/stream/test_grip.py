@@ -13,7 +13,8 @@ import pytest
 from grip_cases import HUMAN, Blocked, gap_of, grip_follower, run, samples
 from picks import made_pick
 
-from handmap_qp import Hand, HandMapper, load_hand
+from handmap_qp import Hand, HandMapper, load_hand, read_recording
+from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
@@ -379,6 +380,58 @@ def test_pads_gather_around_a_place_before_the_person_pinches(allegro: Hand) -> 
     assert near.hand_grip._closing.time == 0.0
 
 
+def gathered_in_a_pick(name: str) -> tuple[Hand, np.ndarray, np.ndarray]:
+    """Return the commands before the pinch of a recorded pick, with a place and without.
+
+    The object is 14 mm beside where the pads of thumb and index finger meet.
+    """
+    hand = load_hand(name)
+    recording = read_recording("pinch", "right")
+    columns = sample_columns(recording)
+    human = prepare_take(recording).human
+    pads = grip_follower(hand).hand_grip._pairs[0]
+    placed = hand.configuration()
+    centre = None
+    found = []
+    for _ in range(2):
+        grip = GripFollower(Follower(HandMapper(human, hand, "teleoperation")))
+        q = hand.rest
+        steps = []
+        for k in range(len(recording)):
+            steps.append(grip.map_sample(columns.sample(k), q, centre, 0.003))
+            q = steps[-1].command.q
+        # The pick is in the first second; then the hand opens again.
+        opened = [step.named("pinching").max() <= 0.0 for step in steps[3:33]]
+        found.append(np.array([step.command.q for step in steps[3:33]])[opened])
+        gaps = [step.named("gaps")[0] for step in steps[3:]]
+        placed.place(steps[3 + int(np.argmin(gaps))].ik.q)
+        centre = pads.state(placed).middle + np.array([0.008, 0.008, -0.008])
+    plain, gathered = found
+    return hand, gathered, plain
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "leap_right"])
+def test_pads_gather_without_a_tremble_around_a_place_that_is_out_of_reach(
+    name: str,
+) -> None:
+    """Fingers alone do not reach a place before the wrist is there."""
+    _, gathered, plain = gathered_in_a_pick(name)
+    assert len(gathered) > 20
+    bends = [np.abs(np.diff(q[-20:], 2, axis=0)).mean() for q in (gathered, plain)]
+    assert bends[0] < 2.0 * bends[1]
+
+
+def test_thumb_and_index_finger_gather_whichever_finger_is_nearest() -> None:
+    """In an open hand it may be any: in this recording, the ring finger's tip is."""
+    hand, gathered, plain = gathered_in_a_pick("allegro_right")
+    used = robot_fingers(hand).used
+    away = np.abs(gathered - plain).max(axis=0)
+    moved = {name: away[finger.columns].max() for name, finger in used.items()}
+    assert moved["index"] > 0.3
+    # The others make room at most.
+    assert moved["ring"] < 0.3 * moved["index"]
+
+
 def test_a_wide_open_hand_stays_the_persons(allegro: Hand) -> None:
     grip = grip_follower(allegro).hand_grip
     assert grip._gathering(0.05) == 0.0
@@ -514,3 +567,29 @@ def test_a_place_that_is_none_is_refused(allegro: Hand, centre: Any) -> None:
     grip = grip_follower(allegro)
     with pytest.raises(InvalidInputError, match="object_centre"):
         grip.map_sample(next(samples()), allegro.rest, centre)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"object_deviation": "5 mm"},
+        {"object_deviation": None},
+        {"object_deviation": 1e200},
+        {"object_centre": [1e200, 0.0, 0.0]},
+        {"measured_q": np.full(16, 1e200)},
+    ],
+)
+def test_numbers_that_cannot_be_are_an_error_before_the_robot_moves(
+    allegro: Hand, given: dict[str, Any]
+) -> None:
+    grip = grip_follower(allegro)
+    first, second, *_ = samples()
+    centre = np.zeros(3)
+    grip.map_sample(first, allegro.rest, centre)
+    before = grip.follower.mapper.motion
+    arguments: dict[str, Any] = {"measured_q": allegro.rest, "object_centre": centre}
+    arguments |= given
+    (name,) = given
+    with pytest.raises(InvalidInputError, match=name):
+        grip.map_sample(second, **arguments)
+    assert grip.follower.mapper.motion is before

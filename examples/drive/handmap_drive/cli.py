@@ -155,6 +155,7 @@ class Drive:
         is_limit = self.temperature > 0.0
         expect(is_limit, "--temperature", "more than 0", value=self.temperature)
         log = check_output("--log", self.log, (".npz",)) if self.log else None
+        expect(log or not self.task, "--task", "--log too")
         with connected("--from", self.source, self.keys, refused="SESSION") as client:
             client.watch(self.session)
         key = held_key() if self.deadman else nullcontext(lambda: True)
@@ -175,7 +176,7 @@ class Drive:
                 with stopping(driver) as over:
                     loop.run(client, is_held, over)
             finally:
-                if recorder and log:
-                    recorder.save(log, self.driver, self.task)
                 rows = loop.summary()
                 print_result(rows, {self.driver: rows}, as_json=self.json)
+                if recorder and log:
+                    recorder.save(log, self.driver, self.task)

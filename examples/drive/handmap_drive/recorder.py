@@ -37,7 +37,9 @@ class Recorder:
             action: Where they are told to be [rad], shape (n,).
             effort: Their torques [N m], shape (n,); NaN where they are not known.
         """
-        self._rows.append((now, self._episode, q, action, effort))
+        # A driver may write its next answers into the same arrays.
+        arrays = q.copy(), action.copy(), effort.copy()
+        self._rows.append((now, self._episode, *arrays))
 
     def save(self, file: Path, robot: str, task: str = "") -> None:
         """Write a log of the robot, or warn if there is nothing to write.
@@ -65,4 +67,4 @@ class Recorder:
             task=task,
             robot=robot,
         )
-        save_robot_log(file, log)
+        save_robot_log(file, log, "--log")

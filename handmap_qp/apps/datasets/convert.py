@@ -1,7 +1,6 @@
 """The command `handmap convert`."""
 
 import json
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +17,9 @@ from handmap_qp.trackers import FORMATS, format_to_write, list_sources
 from handmap_qp.trackers.formats.base import RecordingFormat
 from handmap_qp.trackers.formats.mano import ENVIRONMENT
 from .robot_log import is_robot_log, read_robot_log, write_robot_logs
+
+_FASTEST = 10_000.0
+"""Most frames a second of a data set of robots' logs: a mistyped rate must not fill the memory."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class Convert:
     Of these, lerobot, robomimic, egodex and mcap need `handmap-qp[files]`.
 
     Logs of a robot (`handmap drive --log`, or a bag with joint_states and joint_commands) become
-    data sets of lerobot or robomimic: measured joints, commands, and efforts in N m where known.
+    data sets of lerobot or robomimic: measured joints, commands, and efforts in N m where known. A
+    bag with landmarks of a hand is a recording all the same.
 
     Examples:
         handmap convert take.npz take.csv
@@ -128,9 +131,13 @@ class Convert:
         for file in inputs:
             alike = "logs of a robot alone, or none"
             expect(is_robot_log(file), "IN", alike, value=str(file))
+        of_hands = "not for logs of a robot: it is for recordings of hands"
+        expect(self.side is None, "--side", of_hands, got=f"{self.side}")
+        expect(self.mano is None, "--mano", of_hands, got=f"{self.mano}")
         if self.fps is not None:
-            rate = 0.0 < self.fps < math.inf
-            expect(rate, "--fps", "frames a second, more than 0", value=self.fps)
+            is_rate = 0.0 < self.fps <= _FASTEST
+            wanted = f"frames a second, more than 0 and at most {_FASTEST:g}"
+            expect(is_rate, "--fps", wanted, value=self.fps)
         if form.suffixes:
             check_output("OUT", out, form.suffixes)
         logs = [read_robot_log(file) for file in inputs]

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import RecordingError, expect
 from handmap_qp.hands import Names
 from handmap_qp.se3 import Array, Arrays, as_floats, frozen
@@ -20,7 +21,8 @@ from handmap_qp.trackers import read_archive, reading
 from handmap_qp.trackers.formats.archive import member_names, save_npz
 from handmap_qp.trackers.formats.mcap import (
     JointStates,
-    joint_state_topics,
+    bag_topics,
+    is_bag_folder,
     read_joint_states,
 )
 from .training_sets import Columns, Episode, write_lerobot, write_robomimic
@@ -49,7 +51,7 @@ class RobotLog:
 
     Raises:
         InvalidInputError: If an array has another shape or type than expected, time does not
-            increase, or an angle is not finite.
+            increase, an angle is not finite, or two joints have one name.
     """
 
     name: str
@@ -68,7 +70,7 @@ class RobotLog:
         count, joints = len(time), len(self.joint_names)
         expect(count > 1, "time", "two instants or more", value=count)
         expect((np.diff(time) > 0.0).all(), "time", "strictly increasing instants")
-        expect(joints > 0, "joint_names", "one joint or more", value=joints)
+        check_names("joint_names", self.joint_names, "joints of different names")
         shape = (count, joints)
         columns = {
             "time": time,
@@ -89,6 +91,11 @@ class RobotLog:
         return len(self.time)
 
     @property
+    def has_episode(self) -> bool:
+        """Whether an episode has two instants or more, so that `episodes` yields one."""
+        return bool((np.diff(self.episode) == 0.0).any())
+
+    @property
     def known_efforts(self) -> Array:
         """Whether the effort of each joint is known at all instants, shape (n,)."""
         return np.all(np.isfinite(self.effort), axis=0)
@@ -106,7 +113,7 @@ class RobotLog:
             count = int((time[-1] - time[0]) * fps + 1e-6) + 1
             if len(own) < 2:
                 continue
-            instants = np.minimum(time[0] + np.arange(count) / fps, time[-1])
+            instants = time[0] + np.arange(count) / fps
             state, action, effort = (
                 _resampled(instants, time, column[own])
                 for column in (self.q, self.action, self.effort[:, known])
@@ -122,19 +129,31 @@ class RobotLog:
 
 
 def _resampled(instants: Array, time: Array, columns: Array) -> Array:
-    """Interpolate columns (T, n), or none, at instants (N,); shape (N, n)."""
+    """Interpolate columns (T, n), or none, at instants (N,); shape (N, n).
+
+    An instant that is later than all, by rounding, has the last row.
+    """
     rows = [np.interp(instants, time, column) for column in columns.T]
     return np.reshape(rows, (len(rows), len(instants))).T
 
 
 def is_robot_log(path: Path) -> bool:
-    """Return whether a file is a log of a robot; one that cannot be read is not."""
+    """Return whether a file, or the folder of a bag, is a log of a robot.
+
+    What cannot be read is none, and neither is a bag with landmarks: it is a recording of a hand.
+    """
     with suppress(RecordingError):
         if path.suffix == ".npz" and path.is_file():
             return member_names(path) >= _OWN
-        if path.suffix == ".mcap" and path.is_file():
-            return any(name.endswith(_COMMANDS) for name in joint_state_topics(path))
+        if _is_bag(path):
+            topics = bag_topics(path)
+            is_told = any(name.endswith(_COMMANDS) for name in topics.joint_states)
+            return is_told and not topics.landmarks
     return False
+
+
+def _is_bag(path: Path) -> bool:
+    return is_bag_folder(path) or (path.suffix == ".mcap" and path.is_file())
 
 
 def read_robot_log(path: Path) -> RobotLog:
@@ -142,15 +161,16 @@ def read_robot_log(path: Path) -> RobotLog:
 
     An `.npz` has the arrays of `RobotLog`, of which `effort` and `episode` may be missing. In place
     of `effort`, `current` [A], shape (T, n), and `torque_constant`, the torque of each joint for
-    one ampere [N m/A], shape (n,), NaN where it is not known, give the same. A bag has
-    `.../joint_states`, whose efforts are those of ROS, in N m, and `.../joint_commands`.
+    one ampere [N m/A], shape (n,), NaN where it is not known, give the same. A bag, a file of MCAP
+    or a folder, has `.../joint_states`, whose efforts are those of ROS, in N m, and
+    `.../joint_commands`.
 
     Raises:
         RecordingError: If it cannot be read, lacks something, or is not as `RobotLog` wants it.
         MissingExtraError: If the package of the format is not installed.
     """
     with reading(path, "is not a log of a robot"):
-        return _of_bag(path) if path.suffix == ".mcap" else _of_archive(path)
+        return _of_bag(path) if _is_bag(path) else _of_archive(path)
 
 
 def _of_archive(path: Path) -> RobotLog:
@@ -158,12 +178,6 @@ def _of_archive(path: Path) -> RobotLog:
     for name in sorted(_OWN - arrays.keys()):
         raise RecordingError("is missing", file=path, array=name)
     time = arrays["time"]
-    effort = arrays.get("effort")
-    if effort is None and "current" in arrays:
-        if "torque_constant" not in arrays:
-            problem = "is missing: it turns currents into torques"
-            raise RecordingError(problem, file=path, array="torque_constant")
-        effort = arrays["current"] * arrays["torque_constant"]
     words = {
         name: str(arrays[name].item()) for name in ("task", "robot") if name in arrays
     }
@@ -173,10 +187,25 @@ def _of_archive(path: Path) -> RobotLog:
         joint_names=tuple(map(str, arrays["joint_names"].tolist())),
         q=arrays["q"],
         action=arrays["action"],
-        effort=np.full_like(arrays["q"], np.nan) if effort is None else effort,
+        effort=_effort_of(path, arrays),
         episode=arrays.get("episode", np.zeros(len(time))),
         **words,
     )
+
+
+def _effort_of(path: Path, arrays: Arrays) -> Array:
+    """Return the efforts of an archive [N m or N], shape (T, n); NaN where it has none."""
+    if "effort" in arrays:
+        return arrays["effort"]
+    shape = arrays["q"].shape
+    if "current" not in arrays:
+        return np.full(shape, np.nan)
+    if "torque_constant" not in arrays:
+        problem = "is missing: it turns currents into torques"
+        raise RecordingError(problem, file=path, array="torque_constant")
+    current = as_floats(arrays["current"], "current", shape=shape)
+    name = "torque_constant"
+    return current * as_floats(arrays[name], name, shape=shape[1:])
 
 
 def _of_bag(path: Path) -> RobotLog:
@@ -211,8 +240,13 @@ def _topic(path: Path, topics: dict[str, JointStates], end: str) -> JointStates:
     return found[0]
 
 
-def save_robot_log(path: Path, log: RobotLog) -> None:
+def save_robot_log(path: Path, log: RobotLog, argument: str = "path") -> None:
     """Write a log of a robot as an `.npz` file; an earlier file stays if writing fails.
+
+    Args:
+        path: The file; its folder must exist.
+        log: The log.
+        argument: Argument or option that names the file, for errors.
 
     Raises:
         InvalidInputError: If it cannot be written.
@@ -227,7 +261,7 @@ def save_robot_log(path: Path, log: RobotLog) -> None:
         "effort": log.effort,
         "episode": log.episode,
     }
-    save_npz(path, arrays)
+    save_npz(path, arrays, argument)
 
 
 def write_robot_logs(
@@ -251,7 +285,8 @@ def write_robot_logs(
         Names of the joints whose efforts are left out.
 
     Raises:
-        InvalidInputError: If the logs are of different joints, or it cannot be written.
+        InvalidInputError: If the logs are of different joints or have no episode, or it cannot be
+            written.
         MissingExtraError: If the package of the format is not installed.
     """
     expect(logs, "IN", "one log or more", got="none")
@@ -263,6 +298,8 @@ def write_robot_logs(
             f"logs of one robot, with the joints {', '.join(first.joint_names)}",
             got=f"{', '.join(log.joint_names)} in {log.name}",
         )
+    is_any = any(log.has_episode for log in logs)
+    expect(is_any, "IN", "an episode of two instants or more", got="none")
     if fps is None:
         fps = max(1, round(1.0 / np.median(np.diff(first.time))))
     known = np.all([log.known_efforts for log in logs], axis=0)

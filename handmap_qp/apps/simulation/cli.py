@@ -36,14 +36,8 @@ from .gripping import GripScene
 from .pad_motion import PersonPads, meeting_row
 from .physics import Physics, choose_gravity
 from .pictures import film, picture, write_page
-from .pinch import (
-    Objects,
-    PinchOutcome,
-    PinchScene,
-    PinchTrial,
-    describe_trial,
-    random_trials,
-)
+from .pinch import Objects, PinchOutcome, PinchScene, PinchTrial, random_trials
+from .pinch_rows import describe_trial
 from .tried import Tried, fates, loss_rows, single_row, tried_row, try_all
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -96,6 +90,7 @@ class Simulate:
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
         stiffness: Stiffness of the fingers' actuators [N m/rad].
+        sliding_stiffness: The same of joints that slide, such as those of jaws [N/m].
         torque: Largest torque of the fingers' actuators [N m], beside the URDF's; the maker's if
             omitted. 1000 leaves the URDF's alone.
         up: World axis against gravity; the recording's if omitted, or that of a robot with both
@@ -122,7 +117,8 @@ class Simulate:
     object: Annotated[str, arg(metavar="OBJECT")] = "box:0.03"
     mass: Annotated[float, arg(metavar="KG")] = 0.05
     friction: float = 0.8
-    stiffness: float = 3.0
+    stiffness: float = Physics().joint_stiffness
+    sliding_stiffness: float = Physics().sliding_stiffness
     torque: Annotated[float | None, hinted("FLOAT", "(default: the maker's)")] = None
     up: Annotated[
         Up | None, hinted("{x,y,z,-x,-y,-z}", "(default: the recording's)")
@@ -230,6 +226,7 @@ class Simulate:
         physics = Physics(
             friction=self.friction,
             joint_stiffness=self.stiffness,
+            sliding_stiffness=self.sliding_stiffness,
             torque=self.torque,
             gravity=gravity,
         )

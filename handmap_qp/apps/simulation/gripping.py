@@ -46,8 +46,10 @@ class GripScene(PinchScene):
         human = take.human.with_points("landmarks")
         follower = Follower(HandMapper(human, hand), smoothing=None)
         self._samples = sample_columns(take.recording)
-        stiffness = physics.joint_stiffness
-        self._options = GripOptions(stiffness=stiffness, sliding_stiffness=stiffness)
+        self._options = GripOptions(
+            stiffness=physics.joint_stiffness,
+            sliding_stiffness=physics.sliding_stiffness,
+        )
         self._sees = sees
         self.deviation = deviation
         self.place_error: Vector = (0.0, 0.0, 0.0)

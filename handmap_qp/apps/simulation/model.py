@@ -13,7 +13,13 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands import Hand, Values, read_collision_shapes, torque_limits
+from handmap_qp.hands import (
+    Hand,
+    Values,
+    are_prismatic,
+    read_collision_shapes,
+    torque_limits,
+)
 from handmap_qp.mapping import Cylinder, Shape, geometry_of
 from handmap_qp.se3 import Arrays, mirror_sign, quat_wxyz_from_rotation
 from .physics import Physics
@@ -128,7 +134,10 @@ def hand_spec(hand: Hand, physics: Physics) -> Any:
         )
     _couple_followers(spec, hand)
     # A spring with critical damping for each joint of the hand, and of its arm.
-    stiffness = np.where(hand.moves_wrist, _ARM_STIFFNESS, physics.joint_stiffness)
+    fingers = np.where(
+        are_prismatic(hand), physics.sliding_stiffness, physics.joint_stiffness
+    )
+    stiffness = np.where(hand.moves_wrist, _ARM_STIFFNESS, fingers)
     for name, own in zip(hand.joint_names, stiffness.tolist(), strict=True):
         spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT

@@ -28,7 +28,8 @@ class Physics(Options, frozen=True):
         friction: Coulomb coefficient between hand and object.
         torsion: Coefficient of friction against spinning about the contact normal [m]: the radius
             of a soft pad's patch times `friction`. 0 for hard fingers, as in Sec. IV.
-        joint_stiffness: Stiffness of the fingers' actuators [N m/rad, N/m].
+        joint_stiffness: Stiffness of the fingers' actuators [N m/rad].
+        sliding_stiffness: The same of joints that slide, such as those of jaws [N/m].
         torque: Largest torque of the fingers' actuators [N m, N], beside the effort limits of the
             URDF; the maker's if omitted, as of `torque_limits`.
         armature: Inertia of each motor at its joint [kg m^2].
@@ -42,6 +43,7 @@ class Physics(Options, frozen=True):
     friction: NotNegative = 0.8
     torsion: NotNegative = 0.005
     joint_stiffness: Positive = 3.0
+    sliding_stiffness: Positive = 2000.0
     torque: Positive | None = None
     armature: NotNegative = 5e-4
     density: Positive = 1000.0

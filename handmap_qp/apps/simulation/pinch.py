@@ -8,26 +8,23 @@ many objects and places.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import binomtest
 
 from handmap_qp.apps.offline.trajectory import RobotMotion
-from handmap_qp.apps.tables import Row
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import THUMB, Hand, PadPair, Vector
+from handmap_qp.hands import Vector
 from handmap_qp.mapping import (
     KINDS,
     Box,
     Shape,
     Sphere,
     parse_object,
-    robot_fingers,
     surface,
 )
 from handmap_qp.se3 import (
@@ -37,12 +34,11 @@ from handmap_qp.se3 import (
     inverse_pose,
     lengths,
     rotation_from_rpy,
-    transform_points,
-    unit,
 )
 from .commands import PinchWindow
-from .losses import PRESSED, Loss, Touch, loss_in_try
-from .pad_motion import INDEX, Meeting, PadMotion
+from .losses import Loss, Touch, loss_in_try
+from .pad_motion import Meeting, PadMotion
+from .pads import Pads
 from .physics import Physics, turn_up
 from .simulator import Episode, Instant, Simulator
 
@@ -70,78 +66,6 @@ _YAW = math.radians(20.0)
 _SIZES = (0.02, 0.045)
 _MASSES = (0.02, 0.2)
 _FRICTIONS = (0.5, 1.0)
-
-
-class Pads:
-    """The pads of a hand's thumb and index finger.
-
-    Args:
-        hand: The hand.
-        prefix: What the names of its bodies begin with in the simulation.
-
-    Attributes:
-        pair: The pads.
-        bodies: Names of the bodies that carry them.
-
-    Raises:
-        InvalidInputError: If the hand has no index finger, or no thumb.
-    """
-
-    def __init__(self, hand: Hand, prefix: str = "") -> None:
-        fingers = robot_fingers(hand)
-        chains = fingers.chains
-        expect(
-            {THUMB, INDEX} <= chains.keys(),
-            "robot",
-            f"a hand with {THUMB} and {INDEX}",
-            got=f"{hand.name} with {', '.join(chains)}",
-        )
-        self.pair = PadPair(fingers.pads[THUMB], fingers.pads[INDEX])
-        bodies = ["world", *(prefix + name for name in hand.model.names[1:])]
-        self.bodies = [bodies[pad.joint] for pad in self.pair]
-        self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
-
-    def places(self, simulator: Simulator) -> Array:
-        """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
-        pads = zip(self.bodies, self.pair, strict=True)
-        return np.array(
-            [
-                transform_points(simulator.body_pose(body), pad.offset)
-                for body, pad in pads
-            ]
-        )
-
-    def is_pinched(self, simulator: Simulator) -> bool:
-        """Return whether the thumb and another link press on the object."""
-        return min(self._forces(simulator)) > PRESSED
-
-    def touch(self, simulator: Simulator, time: float, start: Array) -> Touch:
-        """Return how the hand touches the object now.
-
-        Args:
-            simulator: The simulation.
-            time: The instant [s].
-            start: Where the object's middle was at first [m], shape (3,).
-        """
-        thumb, others = self._forces(simulator)
-        places = self.places(simulator)
-        line = unit(places[1] - places[0])
-        middle = simulator.object_pose[:3, 3]
-        off = middle - places[0]
-        return Touch(
-            time=time,
-            thumb=thumb,
-            others=others,
-            beside=math.dist(off, (off @ line) * line),
-            moved=math.dist(middle, start),
-            height=float((middle - start) @ unit(simulator.physics.up)),
-        )
-
-    def _forces(self, simulator: Simulator) -> tuple[float, float]:
-        """Return the normal forces of the thumb, and of all other links [N]."""
-        forces = simulator.pressing()
-        thumb = sum(forces.get(name, 0.0) for name in self._of_thumb)
-        return thumb, sum(forces.values()) - thumb
 
 
 class PinchTrial(NamedTuple):
@@ -420,86 +344,3 @@ def random_trials(
             )
         trials.append(trial)
     return trials
-
-
-def success_rate(held: int, count: int) -> tuple[float, float, float]:
-    """Return a success rate with its 95 % interval (Wilson).
-
-    Args:
-        held: Number of successes.
-        count: Number of trials.
-
-    Returns:
-        Rate, lower and upper end.
-    """
-    found = binomtest(held, count)
-    interval = found.proportion_ci(method="wilson")
-    return found.statistic, interval.low, interval.high
-
-
-def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
-    """Summarise the trials of one mapping in a row of a table."""
-    rows = [outcome_row(name, outcome) for outcome in outcomes]
-    held = [row for row in rows if row["held"] == "yes"]
-    shares = [o.held_time / max(o.pinch_time, 1e-9) for o in outcomes]
-    medians = {
-        key: round(np.median([row[key] for row in held]), 2) if held else "-"
-        for key in ("slip mm", "force N", "torque N m")
-    }
-    return {
-        "mapping": name,
-        "trials": len(rows),
-        "held %": "-",
-        "95 % interval": "-",
-        "time held %": "-",
-        **medians,
-    } | _shares(len(held), shares)
-
-
-def _shares(held: int, shares: Sequence[float]) -> Row:
-    """Return columns of what was held of the objects that could be tried; none of no objects."""
-    if not shares:
-        return {}
-    rate, low, high = success_rate(held, len(shares))
-    return {
-        "held %": round(100.0 * rate, 1),
-        "95 % interval": f"{100.0 * low:.0f}-{100.0 * high:.0f}",
-        "time held %": round(100.0 * np.mean(shares), 1),
-    }
-
-
-def describe_trial(trial: PinchTrial) -> Row:
-    """Describe an object and its place by plain values, in metres, kilograms and radians."""
-    return trial._asdict() | {
-        "shape": type(trial.shape).__name__.lower(),
-        "width": float(surface(trial.shape).extents[0]),
-        "offset": list(trial.offset),
-    }
-
-
-OUTCOME_COLUMNS = (
-    "held",
-    "held s",
-    "of s",
-    "slip mm",
-    "rotation deg",
-    "force N",
-    "torque N m",
-    "why not",
-)
-"""Columns of `outcome_row`, without the mapping's name."""
-
-
-def outcome_row(name: str, outcome: PinchOutcome) -> Row:
-    """Describe one trial in a row of a table."""
-    values = (
-        "yes" if outcome.is_held else "no",
-        round(outcome.held_time, 2),
-        round(outcome.pinch_time, 2),
-        round(1e3 * outcome.slip, 1),
-        round(math.degrees(outcome.rotation)),
-        round(outcome.force, 1),
-        round(outcome.torque, 2),
-        outcome.loss or "",
-    )
-    return {"mapping": name} | dict(zip(OUTCOME_COLUMNS, values, strict=True))

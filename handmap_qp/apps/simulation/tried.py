@@ -6,15 +6,8 @@ from typing import NamedTuple
 
 from handmap_qp.apps.tables import Row, progress
 from handmap_qp.errors import InvalidInputError, reason_of
-from .pinch import (
-    OUTCOME_COLUMNS,
-    PinchOutcome,
-    PinchScene,
-    PinchTrial,
-    outcome_row,
-    success_rate,
-    trial_row,
-)
+from .pinch import PinchOutcome, PinchScene, PinchTrial
+from .pinch_rows import OUTCOME_COLUMNS, outcome_row, success_rate, trial_row
 
 REFUSED = "refused: no clear start"
 """Why an object was not tried, in the words of tables."""

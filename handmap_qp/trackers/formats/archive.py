@@ -298,17 +298,18 @@ def read_archive(
         return arrays
 
 
-def save_npz(path: Path, arrays: Arrays) -> None:
+def save_npz(path: Path, arrays: Arrays, argument: str = "path") -> None:
     """Write arrays to an `.npz` file atomically: an earlier file stays if writing fails.
 
     Args:
         path: The file; its folder must exist.
         arrays: Arrays by name.
+        argument: Argument or option that names the file, for errors.
 
     Raises:
         InvalidInputError: If the file cannot be written.
     """
-    with replaced_file(path, "path") as file:
+    with replaced_file(path, argument) as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 

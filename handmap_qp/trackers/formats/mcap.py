@@ -77,7 +77,7 @@ class McapFormat(RecordingFormat):
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a file, or the folder of a bag."""
-        return path.is_file() or (path / "metadata.yaml").is_file()
+        return path.is_file() or is_bag_folder(path)
 
     def entries(self, path: Path) -> Sequence[Entry]:
         """List the hands that have landmarks or joint states."""
@@ -172,10 +172,33 @@ class JointStates(NamedTuple):
     effort: Array
 
 
-def joint_state_topics(path: Path) -> Names:
-    """Return the names of the topics of joint states of a bag; errors as `read_joint_states`."""
+class BagTopics(NamedTuple):
+    """Names of topics of a bag.
+
+    Attributes:
+        landmarks: Those of landmarks of a hand that have messages.
+        joint_states: Those of joint states, of a hand or a robot.
+    """
+
+    landmarks: Names
+    joint_states: Names
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Return whether a path is a folder that `ros2 bag record` has written."""
+    return (path / "metadata.yaml").is_file()
+
+
+def bag_topics(path: Path) -> BagTopics:
+    """Return the names of topics of a bag; errors as `read_joint_states`."""
     with _opened(path) as bag:
-        return _state_topics(bag)
+        landmarks = tuple(
+            topic
+            for topic, info in bag.topics.items()
+            if info.msgtype == _POSES and info.msgcount
+            if any(side in topic.lower() for side in SIDES)
+        )
+        return BagTopics(landmarks, _state_topics(bag))
 
 
 def _state_topics(bag: Any) -> Names:

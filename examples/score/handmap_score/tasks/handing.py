@@ -11,15 +11,16 @@ from types import MappingProxyType
 import numpy as np
 
 from handmap_qp.apps.simulation.losses import PRESSED, Touch
-from handmap_qp.apps.simulation.pinch import Pads
+from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.errors import HandError
 from handmap_qp.hands import THUMB, Hand, Names, load_hand, sided_name
 from handmap_qp.mapping import Box
 from handmap_qp.se3 import Array, affine, inverse_pose, transform_points
 from .household import Household
+from .mapping import straight_joints
 from .operator import OTHER, HumanHand, Joints
 from .person import home, own_hand
-from .table import TableTask, pad_surfaces, straight_joints
+from .table import TableTask, pad_surfaces
 from .task import Scene, Signals
 from .touch import PALM, cause_of_no_grip
 
@@ -41,13 +42,14 @@ class NoOtherHandError(HandError):
 
     Attributes:
         name: Name of the hand.
+        why: Why the other one cannot be loaded; empty if there is none.
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__(
-            f"{name}: a task of two hands needs a right hand whose left one is installed"
-        )
+    def __init__(self, name: str, why: str = "") -> None:
+        needed = "a task of two hands needs a right hand whose left one is installed"
+        super().__init__(": ".join(filter(None, (name, needed, why))))
         self.name = name
+        self.why = why
 
 
 def mirrored_pose(pose: Array) -> Array:
@@ -64,7 +66,7 @@ def other_hand(robot: Hand) -> Hand:
     """Return the left hand that belongs to a right one, by its name.
 
     Raises:
-        NoOtherHandError: If there is none.
+        NoOtherHandError: If there is none, or it cannot be loaded.
     """
     if robot.name == own_hand().name:
         return own_hand("left")
@@ -72,7 +74,10 @@ def other_hand(robot: Hand) -> Hand:
     left = sided_name(family, "left")
     if family in (robot.name, left):
         raise NoOtherHandError(robot.name)
-    return load_hand(left)
+    try:
+        return load_hand(left)
+    except HandError as error:
+        raise NoOtherHandError(robot.name, str(error)) from error
 
 
 class HandOverTask(TableTask):

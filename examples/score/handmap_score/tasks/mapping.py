@@ -71,8 +71,7 @@ class Straight:
     """All joints of the fingers at 0, or at the limit next to it."""
 
     def __init__(self, robot: Hand) -> None:
-        straight = np.clip(np.zeros(len(robot.joint_names)), *robot.limits)
-        self._command = dict(zip(robot.joint_names, straight.tolist(), strict=True))
+        self._command = straight_joints(robot)
 
     def reset(self) -> None:
         """Do nothing: there is no state."""
@@ -80,6 +79,12 @@ class Straight:
     def map(self, hand: HumanHand, dt: float) -> Joints:
         """Return the same posture for any hand."""
         return self._command
+
+
+def straight_joints(robot: Hand) -> dict[str, float]:
+    """Return all joints of a hand at 0, or at the limit next to it, by name [rad or m]."""
+    straight = np.clip(np.zeros(len(robot.joint_names)), *robot.limits)
+    return dict(zip(robot.joint_names, straight.tolist(), strict=True))
 
 
 class Open:

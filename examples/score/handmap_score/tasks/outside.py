@@ -10,7 +10,12 @@ import json
 import subprocess
 import sys
 import weakref
+from collections import deque
+from contextlib import suppress
+from threading import Thread
+from typing import IO
 
+import msgspec
 import numpy as np
 
 from handmap_qp.apps.offline.comparison import (
@@ -28,6 +33,8 @@ LIMITS = "+limits"
 """Ending of the name of a peer whose joints are to be clipped."""
 _KNOWN_HAND = "allegro_right"
 _RESET = "reset"
+_PATIENCE = 5.0
+"""Time in which a program must end when its input is closed [s]."""
 
 
 def base_of(name: str) -> str:
@@ -84,16 +91,21 @@ class OutsideMapping:
             stderr=subprocess.PIPE,
             text=True,
         )
-        weakref.finalize(self, _end, self._process)
+        # Its last words. A program whose warnings nobody reads would wait for ever.
+        self._said = deque[str](maxlen=1)
+        pipe = self._process.stderr
+        self._listener = Thread(target=_listen, args=(pipe, self._said), daemon=True)
+        self._listener.start()
+        weakref.finalize(self, _end, self._process, self._listener)
         self._read()
 
     def reset(self) -> None:
         """Begin an attempt: the peer forgets all samples.
 
         Raises:
-            OutsideError: If the program ended.
+            OutsideError: If the program ended, or answers with something else than an empty list.
         """
-        self._ask(_RESET)
+        self._ask(_RESET, 0)
 
     def map(self, hand: HumanHand, dt: float) -> Joints:
         """Return the peer's joints, as it gives them.
@@ -101,38 +113,56 @@ class OutsideMapping:
         Raises:
             OutsideError: If the program ended, or gives other numbers than one for each joint.
         """
-        q = self._ask(hand.landmarks.tolist())
-        if len(q) != len(self._names) or not np.isfinite(q).all():
-            raise OutsideError(f"{self._method}: bad answer: {q}")
+        q = self._ask(hand.landmarks.tolist(), len(self._names))
         return dict(zip(self._names, q, strict=True))
 
-    def _ask(self, value: str | list[list[float]]) -> list[float]:
+    def _ask(self, value: str | list[list[float]], count: int) -> list[float]:
+        """Return so many numbers that the program answers."""
         pipe = self._process.stdin
         assert pipe is not None
-        try:
+        # What it said before it ended is the reason.
+        with suppress(BrokenPipeError):
             pipe.write(json.dumps(value) + "\n")
             pipe.flush()
-        except BrokenPipeError:
-            # What it said before it ended is the reason.
-            pass
-        return self._read()
+        line = self._read()
+        with suppress(msgspec.DecodeError):
+            numbers = msgspec.json.decode(line, type=list[float])
+            if len(numbers) == count and np.isfinite(numbers).all():
+                return numbers
+        raise OutsideError(f"{self._method}: bad answer: {line.strip():.80}")
 
-    def _read(self) -> list[float]:
-        out, errors = self._process.stdout, self._process.stderr
+    def _read(self) -> str:
+        """Return the next line that the program prints."""
+        out = self._process.stdout
         assert out is not None
-        assert errors is not None
         if line := out.readline():
-            return json.loads(line)
-        lines = errors.read().strip().splitlines() or ["it ended"]
-        raise OutsideError(f"{self._method}: {lines[-1]}")
+            return line
+        self._listener.join(_PATIENCE)
+        raise OutsideError(f"{self._method}: {[*self._said, 'it ended'][0]}")
 
 
-def _end(process: subprocess.Popen[str]) -> None:
-    """Close the pipes of a program, which then ends."""
-    for pipe in (process.stdin, process.stdout, process.stderr):
+def _listen(errors: IO[str], said: deque[str]) -> None:
+    """Keep the last line that is not empty."""
+    for line in errors:
+        if words := line.strip():
+            said.append(words)
+
+
+def _end(process: subprocess.Popen[str], listener: Thread) -> None:
+    """Close the input of a program, which then ends, or is ended."""
+    assert process.stdin is not None
+    # What could not be sent to a program that has ended is lost.
+    with suppress(BrokenPipeError):
+        process.stdin.close()
+    try:
+        process.wait(_PATIENCE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    listener.join(_PATIENCE)
+    for pipe in (process.stdout, process.stderr):
         if pipe is not None:
             pipe.close()
-    process.wait()
 
 
 class WithinLimits:

@@ -23,8 +23,8 @@ import numpy as np
 
 from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.apps.simulation.model import OBJECT
+from handmap_qp.apps.simulation.pads import Pads
 from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Hand, Names, PadPair
@@ -39,6 +39,7 @@ from handmap_qp.se3 import (
     unit,
 )
 from .household import Household
+from .mapping import straight_joints
 from .operator import OTHER, HumanHand, Joints
 from .person import home
 from .task import Scene, Signals
@@ -327,12 +328,6 @@ def pad_surfaces(pads: Array, pair: PadPair) -> Array:
     """
     line = unit(pads[1] - pads[0])
     return pads + np.outer((pair.thumb.radius, -pair.finger.radius), line)
-
-
-def straight_joints(robot: Hand) -> dict[str, float]:
-    """Return all joints of a hand at 0, or at the limit next to it, by name [rad or m]."""
-    straight = np.clip(np.zeros(len(robot.joint_names)), *robot.limits)
-    return dict(zip(robot.joint_names, straight.tolist(), strict=True))
 
 
 def add_view(spec: mujoco.MjSpec) -> None:

@@ -1,0 +1,85 @@
+"""The pads of thumb and index finger in a simulation, and how they touch the object: `Pads`."""
+
+import math
+
+import numpy as np
+
+from handmap_qp.errors import expect
+from handmap_qp.hands import THUMB, Hand, PadPair
+from handmap_qp.mapping import robot_fingers
+from handmap_qp.se3 import Array, transform_points, unit
+from .losses import PRESSED, Touch
+from .pad_motion import INDEX
+from .simulator import Simulator
+
+
+class Pads:
+    """The pads of a hand's thumb and index finger.
+
+    Args:
+        hand: The hand.
+        prefix: What the names of its bodies begin with in the simulation.
+
+    Attributes:
+        pair: The pads.
+        bodies: Names of the bodies that carry them.
+
+    Raises:
+        InvalidInputError: If the hand has no index finger, or no thumb.
+    """
+
+    def __init__(self, hand: Hand, prefix: str = "") -> None:
+        fingers = robot_fingers(hand)
+        chains = fingers.chains
+        expect(
+            {THUMB, INDEX} <= chains.keys(),
+            "robot",
+            f"a hand with {THUMB} and {INDEX}",
+            got=f"{hand.name} with {', '.join(chains)}",
+        )
+        self.pair = PadPair(fingers.pads[THUMB], fingers.pads[INDEX])
+        bodies = ["world", *(prefix + name for name in hand.model.names[1:])]
+        self.bodies = [bodies[pad.joint] for pad in self.pair]
+        self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
+
+    def places(self, simulator: Simulator) -> Array:
+        """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
+        pads = zip(self.bodies, self.pair, strict=True)
+        return np.array(
+            [
+                transform_points(simulator.body_pose(body), pad.offset)
+                for body, pad in pads
+            ]
+        )
+
+    def is_pinched(self, simulator: Simulator) -> bool:
+        """Return whether the thumb and another link press on the object."""
+        return min(self._forces(simulator)) > PRESSED
+
+    def touch(self, simulator: Simulator, time: float, start: Array) -> Touch:
+        """Return how the hand touches the object now.
+
+        Args:
+            simulator: The simulation.
+            time: The instant [s].
+            start: Where the object's middle was at first [m], shape (3,).
+        """
+        thumb, others = self._forces(simulator)
+        places = self.places(simulator)
+        line = unit(places[1] - places[0])
+        middle = simulator.object_pose[:3, 3]
+        off = middle - places[0]
+        return Touch(
+            time=time,
+            thumb=thumb,
+            others=others,
+            beside=math.dist(off, (off @ line) * line),
+            moved=math.dist(middle, start),
+            height=float((middle - start) @ unit(simulator.physics.up)),
+        )
+
+    def _forces(self, simulator: Simulator) -> tuple[float, float]:
+        """Return the normal forces of the thumb, and of all other links [N]."""
+        forces = simulator.pressing()
+        thumb = sum(forces.get(name, 0.0) for name in self._of_thumb)
+        return thumb, sum(forces.values()) - thumb
