@@ -611,3 +611,57 @@ def test_fingers_point_as_the_persons_away_from_a_pinch(name: str) -> None:
     closing = pinched[0].diagnostics["pinching"][0]
     moved = np.abs(pinched[2].targets - pinched[0].targets)[1].max()
     assert moved <= (1.0 - closing) * 0.05
+
+
+@pytest.mark.parametrize("formulation", ["compiled", "direct"])
+def test_picking_keeps_a_pinch_closed_while_the_persons_gap_drifts(
+    formulation: str,
+) -> None:
+    """Both touch at the gap of contact; 10 mm more open the hand that shows gestures alone."""
+    robot = load_hand("leap_right")
+    ik = IK.replaced(formulation=formulation)
+    apart = {}
+    for picking in (0.0, 1.0):
+        choices = Teleoperation(picking=picking, contact_gap=0.013)
+        mapper = HandMapper(HUMAN, robot, choices, ik=ik)
+        closed = settled(mapper, pinched("index", 0.013)).command.q
+        drifted = settled(mapper, pinched("index", 0.023)).command.q
+        gaps = GapMeter(robot).pinches(np.array([closed, drifted]))["index"]
+        assert gaps[0] < 0.002
+        apart[picking] = gaps[1]
+    assert apart[1.0] < 0.002
+    assert apart[0.0] > 0.004
+
+
+def test_picking_opens_the_hand_farther() -> None:
+    robot = load_hand("leap_right")
+    opened = {}
+    for picking in (0.0, 0.5, 1.0):
+        mapper = HandMapper(HUMAN, robot, Teleoperation(picking=picking), ik=IK)
+        q = settled(mapper, pinched("index", 0.080)).command.q
+        opened[picking] = GapMeter(robot).pinches(q[None])["index"][0]
+    assert opened[0.0] + 0.002 < opened[0.5]
+    assert opened[0.5] + 0.002 < opened[1.0]
+
+
+def test_picking_changes_rows_in_proportion_and_of_jaws_no_ratio() -> None:
+    """Aims are between those of both ends, and an object is as large between jaws as before."""
+    ends = [
+        BoundTeleoperation(Teleoperation(picking=share), HUMAN, ALLEGRO)
+        for share in (0.0, 1.0)
+    ]
+    half = BoundTeleoperation(Teleoperation(picking=0.5), HUMAN, ALLEGRO)
+    slopes = np.array([method.aim_slopes for method in ends])
+    np.testing.assert_allclose(half.aim_slopes, slopes.mean(axis=0), rtol=1e-12)
+    assert half.pinch_from == pytest.approx(np.mean([m.pinch_from for m in ends]))
+    gripper = load_hand("panda_gripper")
+    jaws = BoundTeleoperation(Teleoperation(picking=1.0), HUMAN, gripper)
+    np.testing.assert_array_equal(jaws.aim_slopes[len(jaws.pair.fingers) :], 1.0)
+
+
+def test_a_hand_like_the_persons_does_the_same_whatever_picking_is() -> None:
+    """Corrections end where places agree."""
+    for share in (0.0, 1.0):
+        mapper = HandMapper(HUMAN, HUMAN, Teleoperation(picking=share), ik=IK)
+        q = pinched("index", 0.04)
+        assert np.abs(settled(mapper, q).command.q - q).max() < np.deg2rad(1.0)

@@ -12,7 +12,7 @@ from handmap_score.tasks.mapping import Mapping, Straight, Unmapped, make_mappin
 from handmap_score.tasks.operator import HumanHand
 from handmap_score.tasks.person import Person
 from handmap_score.tasks.picking import TRAY, PickTask, pick_cause
-from handmap_score.tasks.task import Scene
+from handmap_score.tasks.task import Record, Scene
 
 from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.errors import InvalidInputError
@@ -216,3 +216,21 @@ FREE = (0.5, 0.0, 0.0, 0.0, 0.0)
 def test_causes_name_what_happened(course: list[Touch], cause: str) -> None:
     """Each class of failures is told apart by forces and places."""
     assert pick_cause(course) == cause
+
+
+@pytest.mark.parametrize(
+    ("opened_at", "is_let_go"), [(60, True), (79, True), (80, False)]
+)
+def test_the_second_judge_wants_fingers_that_open_by_the_end(
+    opened_at: int, is_let_go: bool
+) -> None:
+    """A grip ends before fingers have opened by .1 rad, and the attempt soon after."""
+    qpos = np.zeros((80, 15))
+    # Lifted by 0.1 m, carried to the tray, and put down there from step 60 on.
+    qpos[1:60, -5] = 0.1
+    qpos[40:, -7] = 0.2
+    qpos[opened_at:, 7] = 0.15
+    record = Record(0, np.arange(80) / 60.0, qpos, np.zeros((1, 3)), np.zeros((1, 3)))
+    assert recount_pick(record) == is_let_go
+    qpos[1:60, -5] = 0.0
+    assert not recount_pick(record)

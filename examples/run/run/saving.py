@@ -48,8 +48,8 @@ _ATTRIBUTES = {
         wrist_to_palm
     """,
     "BoundTeleoperation": """
-        alignment choices pair estimator pinch_from pinched distances aim_slopes aim_offsets
-        least_aims largest_aims extension_weights pinch_weight base_margins pinch_pairs
+        alignment choices pair estimator pinch_from pinch_over pinched distances aim_slopes
+        aim_offsets least_aims largest_aims extension_weights pinch_weight base_margins pinch_pairs
         pinch_of_pair pinch_margins contact_slope wrist_to_palm
     """,
     "HandPair": """

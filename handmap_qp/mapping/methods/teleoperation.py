@@ -53,11 +53,19 @@ from handmap_qp.se3 import (
     transform_points,
 )
 
-# Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
-_PINCH_FROM = 0.070
-_PINCH_OVER = 0.050
+# Constants of pinch rows, at `picking` 0 and 1: thumb-finger gaps [m] at which a row begins, and
+# over which its weight rises to full.
+_PINCH_FROM = 0.070, 0.200
+_PINCH_OVER = 0.050, 0.150
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
-_SQUEEZE = 0.003
+_SQUEEZE = 0.003, 0.007
+# A pinch stays closed up to a gap this much above that of contact: people's gaps drift while they
+# hold something [m].
+_SLACK = 0.0, 0.012
+# How much farther the robot opens than the person, so that objects fit between its thicker pads.
+_OPENING = 1.0, 1.4
+# Share of the weight of the thumb's extension: it says less where objects count.
+_THUMB_EXTENSION = 1.0, 0.5
 _CONTACT_SLOPE = 0.25
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
@@ -225,7 +233,6 @@ class BoundTeleoperation(PalmMethod):
     # Margin between thumb and finger: where it begins, and most [m].
     contact_from = 0.018
     contact_most = 0.005
-    pinch_over = _PINCH_OVER
 
     def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
         self.choices = choices
@@ -240,7 +247,8 @@ class BoundTeleoperation(PalmMethod):
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge
         )
-        self.pinch_from = math.inf if pair.has_jaws else _PINCH_FROM
+        self.pinch_from = math.inf if pair.has_jaws else choices.picked(_PINCH_FROM)
+        self.pinch_over = choices.picked(_PINCH_OVER)
         # The thumb comes first.
         self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
         self.pads = pair.measured.pinching
@@ -278,16 +286,19 @@ class BoundTeleoperation(PalmMethod):
         at_rest = lengths(human[pair.tips] - human[pair.knuckles])
         extension = pair.robot_distances - pair.reach_ratios * at_rest
         # The robot's pads press on each other here.
-        touching = touching_distances(self.pads) - _SQUEEZE
+        touching = touching_distances(self.pads) - choices.picked(_SQUEEZE)
         # Between jaws, an object is as large as between the human's fingers.
-        ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
+        opening = choices.picked(_OPENING) * pair.reach_ratios.mean()
+        ratio = 1.0 if pair.has_jaws else opening
+        closed = choices.contact_gap + choices.picked(_SLACK)
         count = len(touching)
         self.aim_slopes = np.append(pair.reach_ratios, np.full(count, ratio))
-        self.aim_offsets = np.append(extension, touching - ratio * choices.contact_gap)
+        self.aim_offsets = np.append(extension, touching - ratio * closed)
         self.least_aims = np.append(np.zeros(len(pair.fingers)), touching)
         self.largest_aims = np.append(pair.robot_reach, np.full(count, np.inf))
-        weights = choices.thumb_extension_weight, choices.extension_weight
-        by_finger = np.where(np.array(pair.fingers) == THUMB, *weights)
+        thumb = choices.thumb_extension_weight * choices.picked(_THUMB_EXTENSION)
+        is_thumb = np.array(pair.fingers) == THUMB
+        by_finger = np.where(is_thumb, thumb, choices.extension_weight)
         # Corrections end where places agree: a hand like the person's needs none.
         self.extension_weights = (1.0 - pair.palms.likeness) * by_finger
         self.pinch_weight = (1.0 - pair.palms.likeness) * choices.pinch_weight
@@ -346,6 +357,9 @@ class Teleoperation(AlignedOptions, frozen=True):
             person's, from the knuckle; not where they pinch.
         thumb_direction: The same of a thumb that reaches the places where the person's is.
         pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
+        picking: What counts more where a hand that is unlike the person's cannot have both: gestures
+            (0), or objects between thumb and finger (1). Towards 1, pinch rows act from wider gaps
+            on, the hand opens farther, and a pinch stays closed while the person's gap drifts.
         contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
             1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
         ridge: Pull of T towards a rotation.
@@ -367,6 +381,7 @@ class Teleoperation(AlignedOptions, frozen=True):
     finger_direction: Share = 0.75
     thumb_direction: Share = 1.0
     pinch_weight: _Weight = 5.0
+    picking: Share = 0.0
     contact_gap: Annotated[float, number(high=0.04)] = CONTACT_GAP
     ridge: Annotated[float, number(high=1e3, above=True)] = 0.1
     scale: _Weight = 1.0
@@ -374,6 +389,11 @@ class Teleoperation(AlignedOptions, frozen=True):
     squeeze: Annotated[float, number(high=100.0)] = 0.0
     stiffness: Annotated[float, number(high=1e6, above=True)] = 3.0
     sliding_stiffness: Annotated[float, number(high=1e9, above=True)] = 2000.0
+
+    def picked(self, ends: tuple[float, float]) -> float:
+        """Return the value of a constant that is given for gestures and for objects."""
+        gestures, objects = ends
+        return gestures + self.picking * (objects - gestures)
 
     def fitted_to(self, human: Hand) -> Self:
         """Return these options with the contact gap of a person's hand."""
@@ -394,5 +414,11 @@ PRESETS = {
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
         rank=0,
         suits=fingers_correspond,
-    )
+    ),
+    "picking": Preset(
+        Teleoperation(picking=1.0),
+        Teleoperation.weights,
+        "objects between thumb and finger: the robot opens wider, and holds while a gap drifts",
+        "needs what `teleoperation` needs; gestures show less than with it",
+    ),
 }

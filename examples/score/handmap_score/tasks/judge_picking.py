@@ -20,7 +20,11 @@ _OPENS = 0.1  # rad, the largest change of a joint since the object was highest
 
 
 def recount_pick(record: Record) -> bool:
-    """Return whether the object was lifted, then lay in the tray, let go, for a quarter second."""
+    """Return whether the object was lifted, lay in the tray for a quarter second, and was let go.
+
+    A grip ends before the fingers have opened by much, so they need to have opened by the end of
+    that time alone.
+    """
     places = record.qpos[:, -_FREE : -_FREE + 3] - record.qpos[0, -_FREE : -_FREE + 3]
     fingers = record.qpos[:, _FREE:-_FREE]
     highest = int(np.argmax(places[:, 2]))
@@ -29,11 +33,10 @@ def recount_pick(record: Record) -> bool:
     from_tray = np.hypot(places[:, 0] - _TRAY_AT[0], places[:, 1] - _TRAY_AT[1])
     lies = (from_tray < _TRAY_RADIUS) & (places[:, 2] < _FLAT)
     change = np.abs(fingers - fingers[highest]).max(axis=1)
-    is_done = lies & (change > _OPENS)
-    is_done[: highest + 1] = False
+    lies[: highest + 1] = False
     run = 0
-    for flag in is_done.tolist():
-        run = run + 1 if flag else 0
-        if run == _STEPS:
+    for has_lain, opened in zip(lies.tolist(), change.tolist(), strict=True):
+        run = run + 1 if has_lain else 0
+        if run >= _STEPS and opened > _OPENS:
             return True
     return False
