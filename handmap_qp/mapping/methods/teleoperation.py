@@ -357,9 +357,10 @@ class Teleoperation(AlignedOptions, frozen=True):
             person's, from the knuckle; not where they pinch.
         thumb_direction: The same of a thumb that reaches the places where the person's is.
         pinch_weight: Weight of a pinch row, per 10 mm of distance between pads; 0 for none.
-        picking: What counts more where a hand that is unlike the person's cannot have both: gestures
-            (0), or objects between thumb and finger (1). Towards 1, pinch rows act from wider gaps
-            on, the hand opens farther, and a pinch stays closed while the person's gap drifts.
+        picking: What counts more where a hand that is unlike the person's cannot have both:
+            gestures (0), or objects between thumb and finger (1). Towards 1, pinch rows act from
+            wider gaps on, the hand opens farther, and a pinch stays closed while the person's gap
+            drifts.
         contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
             1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
         ridge: Pull of T towards a rotation.
