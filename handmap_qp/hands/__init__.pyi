@@ -94,6 +94,8 @@ from .spec import read_document as read_document
 from .spec import read_hand_spec as read_hand_spec
 from .spec import read_yaml as read_yaml
 from .spec import typed as typed
+from .stiffness import SLIDING_STIFFNESS as SLIDING_STIFFNESS
+from .stiffness import STIFFNESS as STIFFNESS
 from .torques import DATA_SHEETS as DATA_SHEETS
 from .torques import TorqueLimits as TorqueLimits
 from .torques import are_prismatic as are_prismatic

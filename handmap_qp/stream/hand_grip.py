@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands import THUMB, Hand, PadPair
+from handmap_qp.hands import SLIDING_STIFFNESS, STIFFNESS, THUMB, Hand, PadPair
 from handmap_qp.ik import AttachedPoints, JointPositions, Task
 from handmap_qp.mapping import HandMapper, MapStep, robot_fingers
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
@@ -75,12 +75,12 @@ class GripOptions(Options, frozen=True):
         sliding_stiffness: Stiffness of the position control of jaws that slide [N/m].
     """
 
-    stiffness: Positive = 3.0
+    stiffness: Positive = STIFFNESS
     force: Positive = 5.0
     gentle: bool = False
     behind: Positive = 0.01
     opens_by: Positive = 0.008
-    sliding_stiffness: Positive = 2000.0
+    sliding_stiffness: Positive = SLIDING_STIFFNESS
 
 
 class _Closing(NamedTuple):

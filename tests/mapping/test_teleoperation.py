@@ -665,3 +665,11 @@ def test_a_hand_like_the_persons_does_the_same_whatever_picking_is() -> None:
         mapper = HandMapper(HUMAN, HUMAN, Teleoperation(picking=share), ik=IK)
         q = pinched("index", 0.04)
         assert np.abs(settled(mapper, q).command.q - q).max() < np.deg2rad(1.0)
+
+
+def test_links_that_nothing_keeps_apart_cannot_be_squeezed() -> None:
+    with pytest.raises(InvalidOptionsError, match="avoids_contact") as raised:
+        Teleoperation(squeeze=2.0, avoids_contact=False)
+    assert raised.value.option == "squeeze"
+    assert raised.value.value == 2.0
+    assert Teleoperation(avoids_contact=False).squeeze == 0.0

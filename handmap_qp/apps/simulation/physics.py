@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands import Vector
+from handmap_qp.hands import SLIDING_STIFFNESS, STIFFNESS, Vector
 from handmap_qp.human import axis_direction
 from handmap_qp.options import NotNegative, Options, Positive
 from handmap_qp.se3 import Array, lengths, unit
@@ -42,8 +42,8 @@ class Physics(Options, frozen=True):
     mass: Positive = 0.1
     friction: NotNegative = 0.8
     torsion: NotNegative = 0.005
-    joint_stiffness: Positive = 3.0
-    sliding_stiffness: Positive = 2000.0
+    joint_stiffness: Positive = STIFFNESS
+    sliding_stiffness: Positive = SLIDING_STIFFNESS
     torque: Positive | None = None
     armature: NotNegative = 5e-4
     density: Positive = 1000.0

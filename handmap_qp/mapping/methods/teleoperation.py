@@ -14,10 +14,13 @@ from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
+from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import (
     CONTACT_GAP,
     FINGERS,
     LINK_MARGIN,
+    SLIDING_STIFFNESS,
+    STIFFNESS,
     THUMB,
     Hand,
     ShapePairs,
@@ -388,8 +391,21 @@ class Teleoperation(AlignedOptions, frozen=True):
     scale: _Weight = 1.0
     avoids_contact: bool = True
     squeeze: Annotated[float, number(high=100.0)] = 0.0
-    stiffness: Annotated[float, number(high=1e6, above=True)] = 3.0
-    sliding_stiffness: Annotated[float, number(high=1e9, above=True)] = 2000.0
+    stiffness: Annotated[float, number(high=1e6, above=True)] = STIFFNESS
+    sliding_stiffness: Annotated[float, number(high=1e9, above=True)] = (
+        SLIDING_STIFFNESS
+    )
+
+    def check(self) -> None:
+        """Reject a squeeze of links that nothing keeps apart; see `Options.check`."""
+        super().check()
+        if self.squeeze > 0.0 and not self.avoids_contact:
+            raise InvalidOptionsError(
+                "it says how far links that are kept apart may yield",
+                option="squeeze",
+                value=self.squeeze,
+                advice="leave avoids_contact on, or squeeze at 0",
+            )
 
     def picked(self, ends: tuple[float, float]) -> float:
         """Return the value of a constant that is given for gestures and for objects."""
