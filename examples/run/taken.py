@@ -55,6 +55,7 @@ CONSTANTS = {
     "hands/human": ("FINGERS", "THUMB", "CONTACT_GAP"),
     "hands/shape_pairs": ("LINK_MARGIN",),
     "hands/spec": ("OTHER_SIDE", "UPRIGHT"),
+    "hands/stiffness": ("SLIDING_STIFFNESS", "STIFFNESS"),
 }
 # These run beside `handmap_qp`, whose objects they write down.
 BESIDE = ("command.py", "saving.py")
