@@ -61,7 +61,7 @@ from handmap_qp.se3 import (
 _PINCH_FROM = 0.070, 0.200
 _PINCH_OVER = 0.050, 0.150
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
-_SQUEEZE = 0.003, 0.007
+_PADS_OVERLAP = 0.003, 0.007
 # A pinch stays closed up to a gap this much above that of contact: people's gaps drift while they
 # hold something [m].
 _SLACK = 0.0, 0.012
@@ -289,7 +289,7 @@ class BoundTeleoperation(PalmMethod):
         at_rest = lengths(human[pair.tips] - human[pair.knuckles])
         extension = pair.robot_distances - pair.reach_ratios * at_rest
         # The robot's pads press on each other here.
-        touching = touching_distances(self.pads) - choices.picked(_SQUEEZE)
+        touching = touching_distances(self.pads) - choices.picked(_PADS_OVERLAP)
         # Between jaws, an object is as large as between the human's fingers.
         opening = choices.picked(_OPENING) * pair.reach_ratios.mean()
         ratio = 1.0 if pair.has_jaws else opening
