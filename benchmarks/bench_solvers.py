@@ -40,7 +40,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.ik import core as core_module
-from handmap_qp.ik.limits import Rows
+from handmap_qp.ik.collision import Rows
 from handmap_qp.ik.qp import PointIk, direct_cost, solve_by_daqp
 from handmap_qp.ik.solvers import make_solver
 from handmap_qp.ik.tasks import Goal

@@ -34,8 +34,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.spec import Mount
 from handmap_qp.ik import core as core_module
-from handmap_qp.ik.compiled import core_tree
-from handmap_qp.ik.limits import SHORTEST_DT, Motion
+from handmap_qp.ik.gate import IkGate
+from handmap_qp.ik.motion import SHORTEST_DT, Motion
 from handmap_qp.ik.qp import PointIk, Status
 from handmap_qp.se3 import nearest_rotation
 
@@ -209,18 +209,6 @@ class IkRun:
     ) -> tuple[np.ndarray, list[str]]:
         """Return configurations, shape (T, nq), and statuses of many samples."""
         ik, core = self._iks[self.ik.options.max_acceleration]
-        if core is None:
-            found = [
-                ik.solve(
-                    points[i],
-                    None if wrists is None else wrists[i],
-                    dt[i],
-                    margins=margins,
-                    speed=speed[i],
-                )
-                for i in range(len(dt))
-            ]
-            return np.array([each.q for each in found]), [each.status for each in found]
         before = ik.gate.motion
         core.set_motion(*before)
         postures = ik.postures(1.0, None)
@@ -239,10 +227,8 @@ class IkRun:
         return q, [_STATUSES[int(status)] for status in statuses[:, 0]]
 
     def _compile(self, ik: PointIk) -> Any:
-        # The core of its own that `PointIk` has takes one sample a call.
-        if ik.core is None:
-            return None
-        return COMPILED.Ik(core_tree(self._hand), self._hand, ik.options, ik.gate)
+        # Another one than that of `PointIk`, which goes on without the guesses of this one.
+        return IkGate(ik.hand, ik.gate.motion, ik.options, ik.gate.collisions).core
 
     def _interrupt(self) -> None:
         rng = self._rng

@@ -24,7 +24,9 @@ import pinocchio as pin
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.limits import Gate, Motion, Rows, When
+from handmap_qp.ik.collision import Rows
+from handmap_qp.ik.gate import IkGate
+from handmap_qp.ik.motion import Motion, When
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk, point_rows, wrist_rows
 from handmap_qp.ik.tasks import Goal
@@ -86,6 +88,7 @@ class PseudoinverseIk(PointIk):
         self._damping = damping
         if limits == "none":
             self.gate = _NoLimits(hand, self.gate.motion)
+            self.core = self.gate.core
         regularisation = np.full(self.configuration.nv, options.damping**2)
         regularisation[hand.joint_columns] += options.rest_weight**2
         self._scale = 1.0 / np.sqrt(regularisation)
@@ -140,7 +143,7 @@ class PseudoinverseIk(PointIk):
             return None
 
 
-class _NoLimits(Gate):
+class _NoLimits(IkGate):
     """Admits every displacement."""
 
     def bounds(self, when: When, share: float = 1.0) -> np.ndarray:
@@ -148,14 +151,7 @@ class _NoLimits(Gate):
         free = np.full(len(self.motion.displacement), np.inf)
         return np.array([-free, free])
 
-    def admit(
-        self,
-        wanted: np.ndarray,
-        first: np.ndarray,
-        when: When,
-        around: object = None,
-        tries: int = 0,
-    ) -> np.ndarray:
+    def admit(self, wanted: np.ndarray, first: np.ndarray, when: When) -> np.ndarray:
         """Move the robot by a displacement, whatever it is."""
         placed = self.hand.configuration()
         placed.displace(self.motion.q, wanted)

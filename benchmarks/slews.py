@@ -75,7 +75,7 @@ class Slews:
             if is_braking := rng.random() < 0.1:
                 guard.brake(dt)
             else:
-                is_there = guard.advance(goal, None, dt, share)
+                is_there = guard.move_to(goal, None, dt, share)
             self.times.append(time.thread_time() - started)
             checker.take(guard.motion.q, checker.time + dt, most)
             is_moving = np.abs(guard.q - before).max() > _STANDING

@@ -24,7 +24,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.robot import load_robot, robot_files
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import human_name
-from handmap_qp.ik.limits import Motion
+from handmap_qp.ik.motion import Motion
 from handmap_qp.mapping.hand_pair import points_in_palm
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper

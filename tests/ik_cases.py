@@ -25,7 +25,10 @@ from handmap_qp.hands.spec import (
     read_hand_spec,
 )
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.ik.limits import SHORTEST_DT
+from handmap_qp.ik.core import core
+from handmap_qp.ik.gate import Gate
+from handmap_qp.ik.motion import SHORTEST_DT, Motion
+from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk, direct_cost
 from handmap_qp.ik.tasks import Goal, Task
 
@@ -260,3 +263,35 @@ def two_joint_hand(
         collision=collision,
     )
     return Hand(spec, urdf_text=urdf)
+
+
+def box_of(
+    hand: Hand,
+    q: np.ndarray,
+    dt: float,
+    velocity: np.ndarray | None = None,
+    options: IkOptions = IkOptions(),
+) -> np.ndarray:
+    """Return the bounds of a displacement, shape (2, nv), behind a last velocity."""
+    size = len(hand.active_columns)
+    last = np.zeros(size) if velocity is None else velocity
+    motion = Motion(q, last, 1.0, np.zeros(size))
+    return Gate(hand, motion, options).bounds(dt)
+
+
+Rows = tuple[np.ndarray, np.ndarray]
+"""G, shape (r, n), and h, shape (r,), of `G x <= h`."""
+
+
+def loosened(
+    rows: Rows,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    stopping: float = 0.0,
+    so_far: np.ndarray | None = None,
+) -> Rows:
+    """Return rows that do not contradict each other or a box, as the core loosens them."""
+    G, h = rows
+    before = np.zeros(len(lower)) if so_far is None else so_far
+    return G, core.loosened(np.ascontiguousarray(G), h, lower, upper, stopping, before)

@@ -27,7 +27,7 @@ TAKEN = """
 errors se3 options
 hands/configuration hands/pad
 human/recording human/sample
-ik/core ik/limits ik/options ik/qp ik/tasks ik/collision
+ik/core ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
 mapping/alignment mapping/decomposition mapping/estimation mapping/exclusive mapping/mapper
 mapping/method mapping/palm mapping/robot_mapper
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation

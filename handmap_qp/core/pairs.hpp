@@ -273,8 +273,9 @@ class Pairs {
     return static_cast<int>(place(std::min_element(met_.begin(), met_.end(), is_nearer)->pair));
   }
 
-  // The pair of a row, as it came; -1 of none.
-  int pair_of(int row) const { return row < 0 ? -1 : row_pairs_[row]; }
+  // How many rows there were last, and the pair of one, as it came.
+  size_t row_count() const { return row_pairs_.size(); }
+  int pair_of(int row) const { return row_pairs_[row]; }
 
   // Add the rows of what met, kept apart by their margins or by `kCleared`; see limits.Gate.joined.
   void add_met(const Placed& at, bool by_margins, Rows& rows) {

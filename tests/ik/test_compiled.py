@@ -32,8 +32,8 @@ from handmap_qp import (
 )
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik import core as core_module
-from handmap_qp.ik.compiled import core_tree
-from handmap_qp.ik.limits import Motion
+from handmap_qp.ik.gate import IkGate
+from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.mapping.presets import get_preset
 
@@ -67,8 +67,8 @@ def test_a_sample_of_both_paths_from_one_state_has_one_command(
         slow = HandMapper(HUMANS[robot.side], robot, chosen.method, ik=reference)
     except ValueError as error:
         pytest.skip(str(error))
-    assert fast.point_ik.core is not None
-    assert slow.point_ik.core is None
+    assert fast.point_ik.is_compiled
+    assert not slow.point_ik.is_compiled
     taken = read_recording("demo", robot.side)
     worst = 0.0
     # Every step starts from one state, so few of them have all there is: from the open hand to a
@@ -100,8 +100,8 @@ def test_hands_whose_links_press_have_one_command_on_both_paths(name: str) -> No
     slow = HandMapper(
         HUMANS["right"], robot, method, ik=options.replaced(formulation="direct")
     )
-    assert fast.point_ik.core is not None
-    assert slow.point_ik.core is None
+    assert fast.point_ik.is_compiled
+    assert not slow.point_ik.is_compiled
     limit = slow.point_ik.gate.collisions
     assert limit
     worst = 0.0
@@ -189,8 +189,7 @@ def test_many_samples_in_one_call_are_those_one_by_one(has_wrist: bool) -> None:
     dt = 10.0 ** rng.uniform(-3, -1, count)
     speed = rng.uniform(0.1, 1.0, count)
     margins = rng.uniform(0.0, 0.004, len(shapes.fingers))
-    many = core.Ik(core_tree(hand), hand, ik.options, ik.gate)
-    many.set_motion(*ik.gate.motion)
+    many = IkGate(hand, ik.gate.motion, ik.options, ik.gate.collisions).core
     numbers = many.solve_many(
         points, wrists if has_wrist else None, dt, speed, margins, ik.postures(1, None)
     ).reshape(count, -1)
@@ -255,10 +254,10 @@ class Wrong:
 def test_wrong_rows_of_a_task_are_an_error_and_move_nothing() -> None:
     hand = load_hand("three_finger")
     ik = PointIk(hand, IkOptions())
-    before = ik.gate.motion
+    before = ik.gate.stamp
     with pytest.raises(ValueError, match="sizes"):
         ik.solve(ik.configuration.points.copy(), None, 0.01, tasks=[Wrong()])
-    assert ik.gate.motion is before
+    assert ik.gate.stamp == before
 
 
 def test_the_solver_is_never_worse_than_daqp() -> None:
@@ -394,8 +393,8 @@ def test_distances_are_those_of_coal(first: str, second: str) -> None:
 @pytest.mark.parametrize("choice", [{"formulation": "direct"}, {"solver": "proxqp"}])
 def test_options_choose_the_python_path(choice: dict[str, Any]) -> None:
     hand = load_hand("three_finger")
-    assert PointIk(hand, IkOptions()).core is not None
-    assert PointIk(hand, IkOptions(**choice)).core is None
+    assert PointIk(hand, IkOptions()).is_compiled
+    assert not PointIk(hand, IkOptions(**choice)).is_compiled
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import pytest
 
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.ik import core as core_module
-from handmap_qp.ik.limits import Motion
+from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.presets import get_preset
 

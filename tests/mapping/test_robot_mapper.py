@@ -19,7 +19,7 @@ from handmap_qp.hands.robot import joined, load_robot, load_whole
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.ik import core as core_module
-from handmap_qp.ik.limits import Motion
+from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances, PointOffset
 from handmap_qp.mapping.presets import get_preset

@@ -475,7 +475,7 @@ class Session:
         status = self._state.mode
         if self._state is SessionState.RETURNING:
             share = self.request.return_speed
-            self._commanded.advance(
+            self._commanded.move_to(
                 self.robot.rest, None, self._when, share, stops=True
             )
             # The mapper starts again from there, even if the client has clutched meanwhile.
@@ -761,10 +761,10 @@ class Session:
         """Move the robot to the mapper's posture within its limits; return flags."""
         mapper = self._hands.mapper
         if mapper.ik.has_velocity_limits and not self._is_slewing:
-            self._commanded.follow(mapper.point_ik.gate, step.command)
+            self._commanded.follow_command(mapper.point_ik.gate, step.command)
             return []
         target = step.command
-        is_there = self._commanded.advance(target.q, target.wrist, self._when)
+        is_there = self._commanded.move_to(target.q, target.wrist, self._when)
         self._is_slewing = not is_there
         return ["slewing"] * self._is_slewing
 
