@@ -130,17 +130,18 @@ class PseudoinverseIk(PointIk):
         along = inverse * (U.T @ b + s * (Vt @ homogeneous))
         return self._scale * (homogeneous - Vt.T @ along)
 
-    def _solution(
+    def _step(
         self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
-    ) -> np.ndarray | None:
+    ) -> tuple[np.ndarray | None, np.ndarray]:
         if goal.tasks:
             raise InvalidOptionsError(
                 option="tasks", problem="eq. (8) has no further tasks"
             )
+        still = np.zeros(len(lower))
         try:
-            return self.step(goal)
+            return self.step(goal), still
         except np.linalg.LinAlgError:
-            return None
+            return None, still
 
 
 class _NoLimits(IkGate):

@@ -59,6 +59,87 @@ NumpyArray admit(Gate& gate, const Array& wanted, const Array& first, const nb::
   return array_of(gate.motion.displacement);
 }
 
+// One QP whose rows are those of a gate, and which is posed and solved elsewhere.
+class PosedRows {
+ public:
+  // For the next command of a gate that keeps shapes apart, with bounds of the displacement.
+  PosedRows(Gate& gate, const nb::object& when, const Array& lower, const Array& upper,
+            const std::optional<Array>& margins)
+      : gate_(gate), interval_(gate.motion.next(when_from(when))), lower_(vector_of(lower)),
+        upper_(vector_of(upper)) {
+    for (const Array* each : {&lower, &upper}) expect_size(*each, gate.tree.size, "bounds");
+    expect(gate.pairs != nullptr, "a gate that keeps no shapes apart");
+    if (margins) {
+      expect_size(*margins, gate.pairs->size(), "margins");
+      margins_ = vector_of(*margins);
+    }
+    gate.rows(interval_, margins_, lower_, upper_, Vector(gate.tree.size, 0.0), rows_, h_);
+  }
+
+  // G and h behind a part of the displacement, which never contradict the rest of its bounds.
+  nb::tuple behind(const Array& so_far) {
+    expect_size(so_far, gate_.tree.size, "so_far");
+    const Vector before = vector_of(so_far);
+    Vector least = lower_, most = upper_;
+    for (size_t i = 0; i < before.size(); ++i) {
+      least[i] -= before[i];
+      most[i] -= before[i];
+    }
+    return loosened(least, most, before);
+  }
+
+  // The same from the start, with what the end of a displacement meets; none if it meets nothing.
+  std::optional<nb::tuple> at_end(const Array& displacement) {
+    expect_size(displacement, gate_.tree.size, "displacement");
+    if (!gate_.add_rows_at_end(vector_of(displacement), rows_)) return {};
+    return loosened(lower_, upper_, Vector(gate_.tree.size, 0.0));
+  }
+
+  // As of `Gate.admit`; `around` takes G and h with what meets on the line of the wanted displacement, and
+  // returns another one.
+  NumpyArray admit(const Array& wanted, const Array& first, const nb::callable& around) {
+    expect_size(wanted, gate_.tree.size, "wanted");
+    expect_size(first, gate_.tree.size, "first");
+    Vector other;
+    const auto find = [&]() -> const Vector& {
+      gate_.pairs->add_met(start(), false, rows_);
+      other = vector_of(nb::cast<Array>(around(loosened(lower_, upper_, Vector(lower_.size(), 0.0)))));
+      expect(other.size() == lower_.size(), "wrong size of another displacement");
+      return other;
+    };
+    gate_.admit(vector_of(wanted), vector_of(first), interval_, find, kTries);
+    return array_of(gate_.motion.displacement);
+  }
+
+  // The pair whose row a step is pressed against most; -1 for none. See `Gate::pressed_pair`.
+  int pressed_pair(const Array& slope, const Array& step) const {
+    expect_size(slope, gate_.tree.size, "slope");
+    expect_size(step, gate_.tree.size, "step");
+    return gate_.pressed_pair(rows_, h_, vector_of(slope), vector_of(step));
+  }
+
+ private:
+  Gate& gate_;
+  const Interval interval_;
+  const Vector lower_, upper_;
+  Vector margins_;
+  Rows rows_;
+  Vector h_;
+
+  const Placed& start() {
+    start_.emplace(gate_.tree);
+    start_->place(gate_.motion.q.data());
+    return *start_;
+  }
+  nb::tuple loosened(const Vector& lower, const Vector& upper, const Vector& so_far) {
+    const double stopping = gate_.limits.stopping(gate_.motion, interval_.dt);
+    Feasible().loosen(rows_, lower, upper, stopping, so_far, h_);
+    const size_t count = static_cast<size_t>(rows_.count), size = lower.size();
+    return nb::make_tuple(array_of({count, size}, rows_.G.data()), array_of(h_));
+  }
+  std::optional<Placed> start_;
+};
+
 NumpyArray brake(Gate& gate, const nb::object& when) {
   gate.brake(when_from(when));
   return array_of(gate.motion.displacement);
@@ -67,32 +148,6 @@ NumpyArray brake(Gate& gate, const nb::object& when) {
 bool advance(Gate& gate, const Array& goal, const nb::object& when, double share, bool stops) {
   expect_size(goal, gate.tree.nq, "goal");
   return gate.advance(vector_of(goal), when_from(when), share, stops);
-}
-
-// Rows G x <= h of the next displacement, behind a part of it; none without pairs of shapes. They never
-// contradict its bounds.
-std::optional<nb::tuple> rows(Gate& gate, const nb::object& when, const Array& lower,
-                              const Array& upper, const Array& so_far,
-                              const std::optional<Array>& margins) {
-  for (const Array* each : {&lower, &upper, &so_far}) expect_size(*each, gate.tree.size, "bounds");
-  if (!gate.pairs) return {};
-  if (margins) expect_size(*margins, gate.pairs->size(), "margins");
-  Rows found;
-  Vector h;
-  gate.rows(gate.motion.next(when_from(when)), margins ? vector_of(*margins) : Vector(),
-            vector_of(lower), vector_of(upper), vector_of(so_far), found, h);
-  const size_t count = static_cast<size_t>(found.count), size = static_cast<size_t>(gate.tree.size);
-  return nb::make_tuple(array_of({count, size}, found.G.data()), array_of(h));
-}
-
-// The pair whose row a step is pressed against most; -1 for none. See `Gate::pressed_pair`.
-int pressed_pair(Gate& gate, const Array& G, const Array& h, const Array& slope, const Array& step) {
-  expect_size(G, h.size() * gate.tree.size, "G");
-  expect_size(slope, gate.tree.size, "slope");
-  expect_size(step, gate.tree.size, "step");
-  expect(gate.pairs && h.size() <= gate.pairs->row_count(), "rows of another posture");
-  const Rows rows{static_cast<int>(h.size()), vector_of(G), vector_of(h)};
-  return gate.pressed_pair(rows, rows.h, vector_of(slope), vector_of(step));
 }
 
 // What rows G x <= h are loosened to where they contradict each other or a box.
@@ -123,12 +178,18 @@ void bind_gate(nb::module_& m) {
       .def("follow", exclusively(&follow_gate), "leader"_a)
       .def("interval", exclusively(&interval), "when"_a)
       .def("bounds", exclusively(&bounds), "when"_a, "share"_a = 1.0)
-      .def("rows", exclusively(&rows), "when"_a, "lower"_a, "upper"_a, "so_far"_a,
-           "margins"_a.none() = nb::none())
-      .def("pressed_pair", exclusively(&pressed_pair), "G"_a, "h"_a, "slope"_a, "step"_a)
       .def("advance", exclusively(&advance), "goal"_a, "when"_a, "share"_a = 1.0, "stops"_a = false)
       .def("admit", exclusively(&admit), "wanted"_a, "first"_a, "when"_a)
       .def("brake", exclusively(&brake), "when"_a);
+  nb::class_<PosedRows>(m, "PosedRows")
+      .def(nb::init<Gate&, const nb::object&, const Array&, const Array&,
+                    const std::optional<Array>&>(),
+           nb::keep_alive<1, 2>(), "gate"_a, "when"_a, "lower"_a, "upper"_a,
+           "margins"_a.none() = nb::none())
+      .def("behind", &PosedRows::behind, "so_far"_a)
+      .def("at_end", &PosedRows::at_end, "displacement"_a)
+      .def("admit", &PosedRows::admit, "wanted"_a, "first"_a, "around"_a)
+      .def("pressed_pair", &PosedRows::pressed_pair, "slope"_a, "step"_a);
 }
 
 }  // namespace handmap

@@ -175,12 +175,25 @@ class Gate : public Exclusive {
   }
 
   // Rows G x <= h of the next displacement of a robot that keeps shapes apart, behind a part of it. `h` is
-  // what the rows are loosened to where they contradict its bounds. None of the margins are the hand's own.
+  // what the rows are loosened to where they contradict its bounds. Without margins, pairs keep the
+  // hand's own.
   void rows(const Interval& interval, const Vector& margins, const Vector& lower, const Vector& upper,
             const Vector& so_far, Rows& rows, Vector& h) {
-    at.place(motion.q.data());
-    pairs->rows(at, interval.dt, margins, motion.displacement, rows);
+    start.place(motion.q.data());
+    pairs->rows(start, interval.dt, margins, motion.displacement, rows);
     feasible_.loosen(rows, lower, upper, limits.stopping(motion, interval.dt), so_far, h);
+  }
+
+  // Add rows of the points that the end of a displacement brings nearer, and within their margin. A row
+  // knows one pair of points, and a link that lies flat on another one touches it next wherever it turns
+  // to. Return whether there are any.
+  bool add_rows_at_end(const Vector& displacement, Rows& rows) {
+    path_.resize(tree.nv);
+    tree.expand(displacement.data(), path_.data());
+    at.displace(motion.q.data(), displacement.data());
+    if (!pairs->meets_at(start, path_.data(), at)) return false;
+    pairs->add_met(start, true, rows);
+    return true;
   }
 
   // The pair whose row the cost presses a step against most, if it is much; -1 for none. The rows are the

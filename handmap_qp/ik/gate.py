@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from handmap_qp.hands import Hand, Names
 from handmap_qp.se3 import Array
-from .collision import CollisionLimit, Rows
+from .collision import CollisionLimit
 from .compiled import core_tree
 from .core import core
 from .limits import BoxLimits
@@ -83,16 +81,6 @@ class Gate:
         """Index of the pair of shapes that held the last displacement back; -1 if none did."""
         return self.core.held_by
 
-    def pressed_pair(self, rows: Rows, slope: Array, step: Array) -> int:
-        """Return the index of the pair whose row a step is pressed against most; -1 for none.
-
-        Args:
-            rows: What `rows` returned last.
-            slope: Derivative of the cost at the step, 0 at bounds of the box, shape (nv,).
-            step: Solution of a QP with these rows, shape (nv,).
-        """
-        return self.core.pressed_pair(*rows, slope, step)
-
     def follow(self, leader: Gate) -> None:
         """Take over the motion of another gate of the same robot."""
         self.core.follow(leader.core)
@@ -122,26 +110,19 @@ class Gate:
         return self.core.bounds(when, share)
 
     def rows(
-        self,
-        when: When,
-        lower: Array,
-        upper: Array,
-        so_far: Array | None = None,
-        margins: Array | None = None,
-    ) -> Rows | None:
-        """Return the rows of the pairs of shapes for the next displacement; None without pairs.
-
-        Where rows contradict the bounds, they are loosened.
+        self, when: When, lower: Array, upper: Array, margins: Array | None = None
+    ) -> Any:
+        """Return the rows of a QP that is posed elsewhere; None if no shapes are kept apart.
 
         Args:
             when: When the next command is.
-            lower: Lower bounds of the rest of the displacement, shape (nv,).
+            lower: Lower bounds of its displacement, shape (nv,).
             upper: Upper bounds, likewise.
-            so_far: The displacement up to here, shape (nv,); none if omitted.
             margins: Distance that each pair keeps [m], shape (k,); the hand's own if omitted.
         """
-        before = np.zeros(self.limits.size) if so_far is None else so_far
-        return self.core.rows(when, lower, upper, before, margins)
+        if self.collisions is None:
+            return None
+        return core.PosedRows(self.core, when, lower, upper, margins)
 
     def admit(self, wanted: Array, first: Array, when: When) -> Array:
         """Move the robot by a displacement, or by another one that is admitted.

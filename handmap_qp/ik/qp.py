@@ -43,6 +43,8 @@ _AT_REST = 1e-3
 # Count a displacement as at its bound within this tolerance, relative to min(bound width, 1 rad or
 # 1 m): the sum of iterations meets a bound up to rounding, clarabel and piqp up to 1e-7.
 _AT_BOUND = 1e-7
+# How often the step is solved again with the points that come too near where it ends.
+_LOOKS = 3
 # A coordinate is free if its step is farther from its bounds [rad or m].
 _FREE = 1e-7
 # Leave out pairs of shapes that are farther apart than this beyond their margin [m].
@@ -359,27 +361,47 @@ class PointIk:
         start = gate.motion.q
         dt = goal.dt
         lower, upper = gate.bounds(dt, goal.speed)
+        rows = gate.rows(dt, lower, upper, goal.margins)
         total = first = step = np.zeros(len(lower))
         iterations = 0
         last_step = math.inf
+
+        def go_on(so_far: Array, limits: Rows | None) -> tuple[Array, Array | None]:
+            """Solve one QP; return the displacement with its step, and the step, if any."""
+            nonlocal iterations
+            iterations += 1
+            # Leave later iterations the rest of the bounds, which hold for the whole sample.
+            step, slope = self._step(goal, lower - so_far, upper - so_far, limits)
+            is_pressed = rows and step is not None
+            self._pressed = rows.pressed_pair(slope, step) if is_pressed else -1
+            # Clip exactly: solvers hold the box up to their tolerance. On failure, bring joints
+            # outside their limits back all the same: the box excludes zero there.
+            return np.clip(0.0 if step is None else so_far + step, lower, upper), step
+
+        def around(limits: Rows) -> Array:
+            """Solve from the start again, with rows of the points that met."""
+            configuration.place(start)
+            return go_on(np.zeros(len(lower)), limits)[0]
+
         while (
             last_step > self.options.step_tolerance
             and iterations < self.options.max_iterations
         ):
-            # Leave later iterations the rest of the bounds, which hold for the whole sample.
-            rest = lower - total, upper - total
-            rows = gate.rows(dt, *rest, total, goal.margins)
-            step = self._step(goal, *rest, rows)
-            # Clip exactly: solvers hold the box up to their tolerance. On failure, bring joints
-            # outside their limits back all the same: the box excludes zero there.
-            total = np.clip(0.0 if step is None else total + step, lower, upper)
+            total, step = go_on(total, rows and rows.behind(total))
             last_step = 0.0 if step is None else math.sqrt(step.dot(step))
-            first = total if iterations == 0 else first
-            iterations += 1
+            first = total if iterations == 1 else first
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
-        total = gate.admit(total, first, dt)
+        for _ in range(_LOOKS if rows else 0):
+            met = rows.at_end(total)
+            if met is None:
+                break
+            total = first = around(met)
+        if rows:
+            total = rows.admit(total, first, around)
+        else:
+            total = gate.admit(total, first, dt)
         status = "failed" if step is None else "solved"
         targets, off = goal.points.copy(), 0.0
         placed = self.configuration
@@ -426,9 +448,12 @@ class PointIk:
 
     def _step(
         self, goal: Goal, lower: Array, upper: Array, rows: Rows | None
-    ) -> Array | None:
-        """Pose the QP of one iteration and solve it; None if the solver fails."""
-        self._pressed = -1
+    ) -> tuple[Array | None, Array]:
+        """Pose the QP of one iteration and solve it.
+
+        Returns:
+            The step, None if the solver fails; and the slope of the cost there, 0 at bounds.
+        """
         problem = self.hand, self.options, self._configuration, goal
         if self.options.formulation == "mink":
             posed = ik.mink_problem.build_problem(*problem)
@@ -438,12 +463,9 @@ class PointIk:
         step = self._solver(H, c, lower, upper, rows)
         # Catch NaN too, which solvers return where extreme weights or targets overflow.
         if step is None or not math.isfinite(step.dot(step)):
-            return None
-        if rows:
-            is_free = np.minimum(step - lower, upper - step) > _FREE
-            slope = is_free * (H.dot(step) + c)
-            self._pressed = self.gate.pressed_pair(rows, slope, step)
-        return step
+            return None, c
+        is_free = np.minimum(step - lower, upper - step) > _FREE
+        return step, is_free * (H.dot(step) + c)
 
     @property
     def _held_by(self) -> int:

@@ -203,6 +203,16 @@ def test_plain_steps_ignore_limits_and_clipped_ones_hold_them() -> None:
     assert broken > 20
 
 
+def test_a_plain_sample_is_one_step_of_eq_8() -> None:
+    hand, options = load_hand("allegro_right"), IkOptions(max_iterations=1)
+    for case in random_cases(hand, 5, seed=6, is_inside=True):
+        ik = PseudoinverseIk(hand, options)
+        ik.place(case.q)
+        expected = ik.step(goal_of(hand, case))
+        result = ik.solve(case.point_targets, case.wrist_target, case.dt)
+        np.testing.assert_allclose(result.displacement, expected, atol=1e-12)
+
+
 @pytest.mark.parametrize("damping", [0.0, 1.0])
 def test_clipping_costs_more_than_the_qp(damping: float) -> None:
     # The QP's answer is the best inside the box; a clipped step is inside too.
