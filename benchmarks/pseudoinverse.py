@@ -139,9 +139,10 @@ class PseudoinverseIk(PointIk):
             )
         still = np.zeros(len(lower))
         try:
-            return self.step(goal), still
+            step = self.step(goal)
         except np.linalg.LinAlgError:
             return None, still
+        return step if np.isfinite(step).all() else None, still
 
 
 class _NoLimits(IkGate):
@@ -152,7 +153,14 @@ class _NoLimits(IkGate):
         free = np.full(len(self.motion.displacement), np.inf)
         return np.array([-free, free])
 
-    def admit(self, wanted: np.ndarray, first: np.ndarray, when: When) -> np.ndarray:
+    def admit(
+        self,
+        wanted: np.ndarray,
+        first: np.ndarray,
+        when: When,
+        rows: object = None,
+        around: object = None,
+    ) -> np.ndarray:
         """Move the robot by a displacement, whatever it is."""
         placed = self.hand.configuration()
         placed.displace(self.motion.q, wanted)

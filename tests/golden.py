@@ -215,17 +215,17 @@ def read(file: str) -> Cases:
 def write(file: str) -> None:
     """Compute the cases of a file, twice each, and write them."""
     make = MAKERS[file]
-    arrays = {}
+    arrays: dict[str, np.ndarray] = {}
     for name in case_names(file):
         case = make(name, 0.0)
         other = make(name, _SHIFT)
         rounding = np.abs(other.numbers - case.numbers).max(initial=0.0)
         arrays[f"{name}|numbers"] = _packed(case.numbers)
         arrays[f"{name}|codes"] = case.codes
-        arrays[f"{name}|rounding"] = np.float64(rounding)
+        arrays[f"{name}|rounding"] = np.array(rounding)
         print(f"{file} {name}: {len(case.numbers)} samples, rounding {rounding:.1e}")
     FOLDER.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(FOLDER / f"{file}.npz", **arrays)
+    np.savez_compressed(FOLDER / f"{file}.npz", allow_pickle=False, **arrays)
 
 
 def _packed(numbers: np.ndarray) -> np.ndarray:
@@ -239,7 +239,8 @@ def _packed(numbers: np.ndarray) -> np.ndarray:
 def _unpacked(packed: np.ndarray) -> np.ndarray:
     """Return the numbers of `_packed`."""
     changes = np.ascontiguousarray(np.moveaxis(packed, 0, -1)).view(np.int64)[..., 0]
-    return np.cumsum(np.cumsum(changes, axis=0), axis=0) * _RESOLUTION
+    whole: np.ndarray = changes.cumsum(axis=0).cumsum(axis=0)
+    return _RESOLUTION * whole
 
 
 @cache

@@ -79,6 +79,7 @@ class PosedRows {
   // G and h behind a part of the displacement, which never contradict the rest of its bounds.
   nb::tuple behind(const Array& so_far) {
     expect_size(so_far, gate_.tree.size, "so_far");
+    const Work posing(gate_);
     const Vector before = vector_of(so_far);
     Vector least = lower_, most = upper_;
     for (size_t i = 0; i < before.size(); ++i) {
@@ -91,6 +92,7 @@ class PosedRows {
   // The same from the start, with what the end of a displacement meets; none if it meets nothing.
   std::optional<nb::tuple> at_end(const Array& displacement) {
     expect_size(displacement, gate_.tree.size, "displacement");
+    const Work posing(gate_);
     if (!gate_.add_rows_at_end(vector_of(displacement), rows_)) return {};
     return loosened(lower_, upper_, Vector(gate_.tree.size, 0.0));
   }
@@ -100,6 +102,7 @@ class PosedRows {
   NumpyArray admit(const Array& wanted, const Array& first, const nb::callable& around) {
     expect_size(wanted, gate_.tree.size, "wanted");
     expect_size(first, gate_.tree.size, "first");
+    const Work moving(gate_);
     Vector other;
     const auto find = [&]() -> const Vector& {
       gate_.pairs->add_met(start(), false, rows_);

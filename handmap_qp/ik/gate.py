@@ -6,11 +6,12 @@ it. What it admits, and why a stop is always possible behind that, is in `core/g
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from handmap_qp.hands import Hand, Names
 from handmap_qp.se3 import Array
-from .collision import CollisionLimit
+from .collision import CollisionLimit, Rows
 from .compiled import core_tree
 from .core import core
 from .limits import BoxLimits
@@ -124,17 +125,29 @@ class Gate:
             return None
         return core.PosedRows(self.core, when, lower, upper, margins)
 
-    def admit(self, wanted: Array, first: Array, when: When) -> Array:
+    def admit(
+        self,
+        wanted: Array,
+        first: Array,
+        when: When,
+        rows: Any = None,
+        around: Callable[[Rows], Array] | None = None,
+    ) -> Array:
         """Move the robot by a displacement, or by another one that is admitted.
 
         Args:
             wanted: Displacement in the active coordinates, shape (nv,).
             first: Another one that is shortened if the wanted one is not admitted, likewise.
             when: When the command is.
+            rows: What `rows` returned for this command; goes with `around`.
+            around: Finds another one in place of both, of rows G and h which keep apart what meets
+                on the line of the wanted one.
 
         Returns:
             The displacement taken: `wanted` itself if it is admitted.
         """
+        if rows and around:
+            return rows.admit(wanted, first, around)
         return self.core.admit(wanted, first, when)
 
     def brake(self, when: When) -> Array:

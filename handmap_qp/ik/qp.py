@@ -398,10 +398,7 @@ class PointIk:
             if met is None:
                 break
             total = first = around(met)
-        if rows:
-            total = rows.admit(total, first, around)
-        else:
-            total = gate.admit(total, first, dt)
+        total = gate.admit(total, first, dt, rows, around)
         status = "failed" if step is None else "solved"
         targets, off = goal.points.copy(), 0.0
         placed = self.configuration

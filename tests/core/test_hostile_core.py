@@ -150,6 +150,8 @@ def calls_of(core: Any) -> dict[str, Call]:
     goal = Goal(points, wrist[None], ik.postures(dt, None), (), dt, None, 1.0)
     geometry = bounds.geometry.geometryObjects
     solver, in_core = ik.core, mapper.core
+    still = np.zeros(gate.limits.size)
+    posed = core.PosedRows(solver, dt, still - 0.1, still + 0.1, None)
     many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
     solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
     check: Any = guard._input
@@ -185,10 +187,30 @@ def calls_of(core: Any) -> dict[str, Call]:
         ),
         "PairBounds": (core.PairBounds, (bounds,)),
         "PointDistances": (core.PointDistances, (teleoperation.method.distances,)),
-        "Ik": (core.Ik, (tree, ik.hand, ik.options, gate)),
-        "Ik.set_motion": (
+        "Gate": (core.Gate, (tree, ik.hand, gate.limits, gate.collisions)),
+        "Gate.set_motion": (
             solver.set_motion,
             (motion.q, motion.displacement, dt, motion.stop_times),
+        ),
+        "Gate.follow": (solver.follow, (solver,)),
+        "Gate.interval": (solver.interval, (dt,)),
+        "Gate.bounds": (solver.bounds, (dt, 1.0)),
+        "Gate.admit": (solver.admit, (still, still, dt)),
+        "Gate.brake": (solver.brake, (dt,)),
+        "Gate.advance": (solver.advance, (motion.q, dt, 1.0, False)),
+        "PosedRows": (core.PosedRows, (solver, dt, still, still, None)),
+        "PosedRows.behind": (posed.behind, (still,)),
+        "PosedRows.at_end": (posed.at_end, (still,)),
+        "PosedRows.admit": (posed.admit, (still, still, lambda rows: still)),
+        "PosedRows.pressed_pair": (posed.pressed_pair, (still, still)),
+        "loosened": (
+            core.loosened,
+            (np.ones((2, 3)), np.ones(2), -np.ones(3), np.ones(3), 0.0, np.zeros(3)),
+        ),
+        "braking_displacement": (core.braking_displacement, (0.1, 1e-3)),
+        "Ik": (
+            core.Ik,
+            (tree, ik.hand, ik.options, gate.limits, gate.collisions, gate.links),
         ),
         "Ik.hold": (solver.hold, (dt,)),
         "Ik.solve": (solver.solve, (goal,)),

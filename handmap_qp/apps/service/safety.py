@@ -309,8 +309,8 @@ class CommandedRobot(Gate):
             gate: The gate.
             command: The posture that the gate admitted last.
         """
-        self.follow(gate)
-        self._known = self.stamp, command.q, command.wrist
+        self.core.follow(gate.core)
+        self._known = self.core.stamp, command.q, command.wrist
 
     def obey(self, ik: PointIk) -> None:
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
@@ -330,10 +330,10 @@ class CommandedRobot(Gate):
     @property
     def posture(self) -> tuple[Array, Array | None]:
         """Joint angles and wrist last commanded, as of `q` and `wrist`."""
-        if self._known is None or self._known[0] != self.stamp:
+        if self._known is None or self._known[0] != self.core.stamp:
             vector = self.motion.q
             q = frozen(vector[self.hand.q_indices])
-            self._known = self.stamp, q, self._wrist_at(vector)
+            self._known = self.core.stamp, q, self._wrist_at(vector)
         _, q, wrist = self._known
         return q, wrist if self.is_placed else None
 

@@ -42,7 +42,7 @@ class _SavedGate(IkGate):
     """The gate of a saved hand, which has its own kinematics."""
 
     def _make_core(self, options: IkOptions) -> Any:
-        hand = self.hand
+        hand: Any = self.hand
         return core.Ik(
             hand.tree, hand, options, self.limits, self.collisions, self.links
         )
