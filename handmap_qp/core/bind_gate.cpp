@@ -30,7 +30,7 @@ void set_motion(Gate& gate, const Array& q, const Array& displacement, double dt
   expect_size(displacement, gate.tree.size, "displacement");
   expect_size(stop_times, gate.tree.size, "stop_times");
   gate.set_motion({vector_of(q), vector_of(displacement), dt, vector_of(stop_times), time,
-                   new_stamp()});
+                   new_stamp(), gate.motion.commands});
 }
 
 // Take over the motion of another gate of the same robot.
@@ -174,6 +174,7 @@ void bind_gate(nb::module_& m) {
       .def("__init__", &make_gate, "tree"_a, "hand"_a, "limits"_a, "collisions"_a.none())
       .def_ro("held_by", &Gate::held_by)
       .def_prop_ro("stamp", [](const Gate& gate) { return gate.motion.stamp; })
+      .def_prop_ro("commands", [](const Gate& gate) { return gate.motion.commands; })
       .def_prop_ro("time", [](const Gate& gate) { return gate.motion.time; })
       .def_prop_ro("motion", exclusively(&motion_of))
       .def("set_motion", exclusively(&set_motion), "q"_a, "displacement"_a, "dt"_a, "stop_times"_a,

@@ -102,7 +102,7 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
     }
   }
   goal.further = rows_of(ik, others);
-  expect(!ik.detour_rules || !goal.postures.empty(), "detours need a posture at rest");
+  expect(!ik.takes_detours || !goal.postures.empty(), "detours need a posture at rest");
   Step step;
   seek(ik, goal, when_from(given.object("dt")),
        margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),

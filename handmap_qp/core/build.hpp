@@ -267,26 +267,6 @@ inline void set_fingers(Gate& gate, const Fields& hand) {
     expect(own.size() == gate.tree.joint_columns.size(), "wrong size of finger_joints");
 }
 
-inline void set_detour_rules(Ik& ik, const Fields& options) {
-  if (!options.get<bool>("takes_detours")) return;
-  const Fields rules = module_of("ik.collision");
-  const auto number = [&](const char* name) { return rules.get<double>(name); };
-  ik.detour_rules = {number("AWAY"),
-                     number("ON_ITS_WAY"),
-                     number("_SAMPLE"),
-                     number("_AGAIN"),
-                     number("_LATER"),
-                     number("_OF_POINT"),
-                     number("_OF_ALL"),
-                     number("_PULL"),
-                     number("_REACHED"),
-                     number("_MOVED"),
-                     number("_GROWN"),
-                     number("_FORGOTTEN"),
-                     rules.get<int>("_SAMPLES"),
-                     rules.get<int>("_LONGEST")};
-}
-
 inline void set_limits(Gate& gate, const Fields& from) {
   BoxLimits& limits = gate.limits;
   limits.size = gate.tree.size;
@@ -392,7 +372,7 @@ inline void set_gate(Gate& gate, const Fields& hand, const Fields& limits,
   set_limits(gate, limits);
   if (!collisions.is_none()) gate.pairs = make_pairs(gate.tree, Fields(collisions));
   gate.motion = {Vector(gate.tree.nq, 0.0), Vector(gate.tree.size, 0.0), 1.0,
-                 Vector(gate.tree.size, 0.0), 0.0, new_stamp()};
+                 Vector(gate.tree.size, 0.0), 0.0, new_stamp(), 0};
 }
 
 // What moves a hand of Python.
@@ -420,7 +400,7 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
   expect(!ik.tree.parts.empty() && ik.tree.parts.back().end == ik.tree.points.size(),
          "wrong number of points");
   set_weights(ik, Fields(hand), Fields(options));
-  set_detour_rules(ik, Fields(options));
+  ik.takes_detours = Fields(options).get<bool>("takes_detours");
   ik.stop_detours();
   set_gate(ik, Fields(hand), Fields(limits), collisions);
 }

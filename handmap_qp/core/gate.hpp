@@ -373,6 +373,7 @@ class Gate : public Exclusive {
     motion.time = interval.time;
     motion.stop_times = times;
     motion.stamp = new_stamp();
+    ++motion.commands;
   }
 
   Box box_;

@@ -76,19 +76,13 @@ struct Goal {
   }
 };
 
-// The constants of collision.py, by their names there.
-struct DetourRules {
-  double away, on_its_way, sample, again, later, of_point, of_all, pull, reached, moved, grown,
-      forgotten;
-  int samples, longest;
-};
-
-// Of one hand; see collision.Detour.
+// What the fingers of a hand are about to do in place of going to their targets; see detours.hpp.
 struct Detour {
-  Vector via;
-  std::vector<Vec3> points;
-  Vector known;
-  double left = 0.0, wait = 0.0;
+  Vector via = {};                // posture that they pass; none in most samples
+  std::vector<Vec3> points = {};  // targets for which it was found
+  Vector known = {};              // errors of the hand's points where none was found [cost]
+  double left = 0.0;              // time left to reach it [s]
+  double wait = 0.0;              // time until it may look ahead again [s]
 };
 
 enum class Status { converged, limited, unreachable, unsettled, failed, released };
@@ -109,7 +103,7 @@ class Ik : public Gate {
  public:
   Weights weights;
   Settings settings;
-  std::optional<DetourRules> detour_rules;
+  bool takes_detours = false;
   std::vector<Detour> detours;  // of each hand
 
   explicit Ik(Tree given) : Gate(std::move(given)) {}

@@ -91,6 +91,7 @@ struct Motion {
   Vector stop_times;    // in which each coordinate can stop on the line that was admitted [s]
   double time = 0.0;    // instant of the last command, on the robot's clock [s]
   std::uint64_t stamp = 0;  // no two commands of a process have the same
+  std::int64_t commands = 0;  // how many the robot has had
 
   // The time of the next command; `kShortestDt` if it is not later than the last.
   Interval next(const When& when) const {

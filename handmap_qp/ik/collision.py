@@ -13,7 +13,7 @@ becomes
 with J_a and J_b the Jacobians of the nearest points. Both lie on one line along n, so the wrench
 (n, p x n) of either does for both. The first order is an approximation: a shape that turns by an
 angle x at a radius r may come r x^2 / 2 closer than the row says. The margin is for that, and
-`handmap_qp.ik.limits.Gate` checks the whole displacement afterwards.
+the gate (`handmap_qp.ik.gate`) checks the whole displacement afterwards.
 
 Rows are linearised where a sample starts, and hold for its whole displacement: a later iteration of
 the QP has what the ones before it left. Where there is a horizon, a pair gets a row if another step
@@ -53,12 +53,6 @@ Pairs may yield (`handmap_qp.hands.contact_yield`): commanded links overlap by a
 with a given force. Then all of the above counts from that overlap on, as of the posture where the
 sample starts. A pair that overlaps by more, because the joints have moved since, must not come
 nearer, and its row parts it.
-
-Rows may hold a finger behind others, or a folded one, far from its target though another posture is
-near: a QP finds the nearest minimum. Where a point is away from its target, and not on its way,
-the hand looks ahead by the same QPs (`Detours`): where would it end if it went by its rest posture?
-If that is clearly nearer, the joints are pulled to what was found there, straight or by rest,
-whichever was seen to arrive. Every step passes the gate. Each hand of a robot looks by itself.
 """
 
 from __future__ import annotations
@@ -101,31 +95,6 @@ _GAIN = 0.85
 _NEAR, _APPROACH = 0.001, 0.5
 # They approach by no more than this part of their travel in the last sample.
 _EXPECTED = 0.25
-AWAY = 3.0
-"""A point whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip."""
-ON_ITS_WAY = 0.7
-"""A point is on its way where a joint moves it by more than this share of its speed limit."""
-# To look ahead: time of a sample [s], and their number, at most.
-_SAMPLE = 0.05
-_SAMPLES = 12
-# Time until the hand looks ahead again: after a detour, and where none is known [s].
-_AGAIN = 0.1
-_LATER = 0.2
-# Shares of the error that is left of a point that was away, and of the sum of all squares, if a
-# detour is worth it.
-_OF_POINT = 0.75
-_OF_ALL = 0.85
-# Weight of the pull to a posture, which outweighs all targets; distance of its joints at which it
-# is reached [rad or m], and the longest time for it, in samples.
-_PULL = 20.0
-_REACHED = 0.15
-_LONGEST = 6
-# Targets that move farther than this end a detour [m].
-_MOVED = 0.05
-# Where none is known, errors have to grow by this share before the hand looks again, or this time
-# has to pass [s].
-_GROWN = 1.3
-_FORGOTTEN = 2.0
 
 
 class NearPairs(NamedTuple):

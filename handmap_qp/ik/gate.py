@@ -73,6 +73,11 @@ class Gate:
         return self.core.time
 
     @property
+    def commands(self) -> int:
+        """How many commands of the robot have passed."""
+        return self.core.commands
+
+    @property
     def stamp(self) -> int:
         """A number that no other command of this process has, of any robot."""
         return self.core.stamp

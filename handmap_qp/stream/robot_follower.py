@@ -181,7 +181,7 @@ class RobotFollower:
             if isinstance(sample, HumanSample)
         }
         if dt is None and stamps:
-            clock, when = clock.advance(stamps, mapper.motion.time, arrival)
+            clock, when = clock.advance(stamps, mapper.point_ik.gate.time, arrival)
 
         def follow(side: Side) -> MapStep:
             own = None if dt is None else mapper.time_since_sample(side, dt)
@@ -198,7 +198,7 @@ class RobotFollower:
                 self.hands[side].forget(step)
             raise
         self._clock = clock
-        now = mapper.motion.time
+        now = mapper.point_ik.gate.time
         self._seen |= dict.fromkeys(samples, now)
         for side, time in self._seen.items():
             if now - time > _SILENCE:

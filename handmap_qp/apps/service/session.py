@@ -605,7 +605,7 @@ class Session:
         if self._following:
             self._following.restart()
         # The robot's clock goes on.
-        time = self._hands.mapper.motion.time
+        time = self._hands.mapper.point_ik.gate.time
         self._commanded = CommandedRobot(self.robot, q, wrist, time)
         nq = self.robot.model.nq
         if motion is not None and len(motion.q) == nq and wrist is not None:
@@ -655,7 +655,7 @@ class Session:
         self._dt = dt
         self._when = dt
         if self._clock.waited > dt:
-            self._when = Instant(self._commanded.motion.time + self._clock.waited, dt)
+            self._when = Instant(self._commanded.time + self._clock.waited, dt)
 
     def _map(self, humans: Humans, sample: Step, now: float) -> MapStep:
         """Map a sample within the time granted."""
