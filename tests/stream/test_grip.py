@@ -20,6 +20,7 @@ from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.se3 import transform_points
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
@@ -100,6 +101,26 @@ def test_a_hand_that_is_not_pinching_grips_nothing(allegro: Hand) -> None:
             assert step.named("pinching").max() > 0.5
     assert grip.hand_grip.terms
     assert grip.follower.mapper.tasks == ()
+
+
+@pytest.mark.parametrize("picking", [0.5, 1.0])
+def test_what_counts_more_does_not_decide_when_a_person_grips(
+    allegro: Hand, picking: float
+) -> None:
+    """Pinch rows of an open hand have weight then; that is no pinch of the person."""
+    spans = []
+    for choices in (Teleoperation(), Teleoperation(picking=picking)):
+        mapper = HandMapper(HUMAN, allegro, choices, ik=Teleoperation.weights)
+        grip = GripFollower(Follower(mapper, smoothing=None))
+        steps = [step for step, _ in run(grip, opens=True)]
+        held = [step.command.effort is not None for step in steps]
+        spans.append(np.flatnonzero(np.diff(held)))
+        # Met while the person closes, and let go with the person's opening.
+        assert len(spans[-1]) == 2
+    begins, ends = np.transpose(spans)
+    assert np.ptp(begins) <= 6
+    assert np.ptp(ends) <= 6
+    assert steps[0].named("pinching").max() > 0.0
 
 
 @pytest.mark.parametrize("every", [2, 4])
