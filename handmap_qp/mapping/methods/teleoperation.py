@@ -69,6 +69,9 @@ _SLACK = 0.0, 0.012
 _OPENING = 1.0, 1.4
 # Share of the weight of the thumb's extension: it says less where objects count.
 _THUMB_EXTENSION = 1.0, 0.5
+# The person's gap from which on the margin between thumb and finger widens [m]: beyond the slack,
+# or it would open pinches that stay closed.
+_CONTACT_FROM = 0.018, 0.030
 _CONTACT_SLOPE = 0.25
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
@@ -233,8 +236,7 @@ class BoundTeleoperation(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
     map_type = TeleoperationMap
-    # Margin between thumb and finger: where it begins, and most [m].
-    contact_from = 0.018
+    # Most by which the margin between thumb and finger widens [m].
     contact_most = 0.005
 
     def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
@@ -247,6 +249,7 @@ class BoundTeleoperation(PalmMethod):
         # Margin between thumb and finger per human gap beyond where it begins. Places keep the gaps
         # of a hand like the person's by themselves.
         self.contact_slope = (1.0 - pair.palms.likeness) * _CONTACT_SLOPE
+        self.contact_from = choices.picked(_CONTACT_FROM)
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge
         )
