@@ -293,7 +293,7 @@ class BoundTeleoperation(PalmMethod):
         extension = pair.robot_distances - pair.reach_ratios * at_rest
         # The robot's pads press on each other here.
         touching = touching_distances(self.pads) - choices.picked(_PADS_OVERLAP)
-        # Between jaws, an object is as large as between the human's fingers.
+        # Jaws move as far as the human's fingers, because an object is as large for both.
         opening = choices.picked(_OPENING) * pair.reach_ratios.mean()
         ratio = 1.0 if pair.has_jaws else opening
         closed = choices.contact_gap + choices.picked(_SLACK)
@@ -404,10 +404,10 @@ class Teleoperation(AlignedOptions, frozen=True):
         super().check()
         if self.squeeze > 0.0 and not self.avoids_contact:
             raise InvalidOptionsError(
-                "it says how far links that are kept apart may yield",
                 option="squeeze",
+                expected="0 where avoids_contact is off",
                 value=self.squeeze,
-                advice="leave avoids_contact on, or squeeze at 0",
+                advice="only links that are kept apart yield to it",
             )
 
     def picked(self, ends: tuple[float, float]) -> float:
