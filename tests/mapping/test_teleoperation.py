@@ -659,6 +659,32 @@ def test_picking_changes_rows_in_proportion_and_of_jaws_no_ratio() -> None:
     np.testing.assert_array_equal(jaws.aim_slopes[len(jaws.pair.fingers) :], 1.0)
 
 
+def test_each_constant_of_picking_is_that_of_its_end() -> None:
+    gestures, objects = (
+        BoundTeleoperation(Teleoperation(picking=share), HUMAN, ALLEGRO)
+        for share in (0.0, 1.0)
+    )
+    # Gaps at which rows of pinches begin, have half of their weight, and all of it.
+    for method, gaps in (
+        (gestures, (0.07, 0.045, 0.02)),
+        (objects, (0.2, 0.125, 0.05)),
+    ):
+        shares = method.pinching(np.array(gaps))
+        np.testing.assert_allclose(shares, (0.0, 0.5, 1.0), atol=1e-12)
+    # The thumb's extension counts half; others as before.
+    halves = [0.5 if name == THUMB else 1.0 for name in gestures.pair.fingers]
+    weights = gestures.extension_weights
+    np.testing.assert_allclose(objects.extension_weights, halves * weights)
+    # Pads of a closed pinch overlap by 4 mm more, and are closed from a gap of 12 mm more on.
+    rows = slice(len(halves), None)
+    deeper = gestures.least_aims - objects.least_aims
+    np.testing.assert_allclose(deeper[rows], 0.004, atol=1e-12)
+    lengths = np.full(len(weights) + len(gestures.pinched), 0.013 + 0.012)
+    closed = objects.aims(lengths)[rows]
+    np.testing.assert_allclose(closed, objects.least_aims[rows], atol=1e-12)
+    assert (objects.aims(lengths + 0.002)[rows] > closed + 0.002).all()
+
+
 def test_a_hand_like_the_persons_does_the_same_whatever_picking_is() -> None:
     """Corrections end where places agree."""
     for share in (0.0, 1.0):
