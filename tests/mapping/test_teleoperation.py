@@ -657,6 +657,8 @@ def test_picking_changes_rows_in_proportion_and_of_jaws_no_ratio() -> None:
     gripper = load_hand("panda_gripper")
     jaws = BoundTeleoperation(Teleoperation(picking=1.0), HUMAN, gripper)
     np.testing.assert_array_equal(jaws.aim_slopes[len(jaws.pair.fingers) :], 1.0)
+    # They follow a gap of any size.
+    assert jaws.pinching(np.array([0.5])) == 1.0
 
 
 def test_each_constant_of_picking_is_that_of_its_end() -> None:

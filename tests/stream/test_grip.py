@@ -540,6 +540,34 @@ def test_pads_beside_a_place_wait_until_they_are_around_it(allegro: Hand) -> Non
     assert gaps[-1] < 0.005
 
 
+def test_pads_gather_the_more_the_nearer_the_persons_fingers_are(
+    allegro: Hand,
+) -> None:
+    """From 130 mm on, and fully from 100 mm on: weights do not jump."""
+    grip = grip_follower(allegro).hand_grip
+    centre = meeting(allegro)
+    grip.see(centre, 0.0)
+    assert grip.place is not None
+    shares = []
+    for gap in (0.13, 0.1225, 0.115, 0.1, 0.05):
+        share = grip._gathering(gap)
+        (term,) = grip._around(grip._pairs[0], grip.place, centre, 0.0, share)
+        shares.append(term.share)
+    np.testing.assert_allclose(shares, [0.0, 0.25, 0.5, 1.0, 1.0], atol=1e-12)
+
+
+def test_patience_begins_anew_with_each_pinch(allegro: Hand) -> None:
+    """A person who opens the fingers and closes them again has not gone on closing."""
+    grip = grip_follower(allegro, behind=1.0)
+    centre = meeting(allegro)
+    times = []
+    for sample in samples(opens=True):
+        grip.map_sample(sample, allegro.rest, centre, 0.0)
+        times.append(grip.hand_grip._closing.time)
+    assert max(times) > 0.4
+    assert times[-1] == 0.0
+
+
 def test_a_place_far_away_changes_nothing(allegro: Hand) -> None:
     steps, _ = closings(allegro, np.array([0.15, 0.0, 0.0]))
     for step, (plain, _) in zip(
