@@ -22,6 +22,7 @@ from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.se3 import transform_points
+from handmap_qp.stream.closing_pads import ClosingPads
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.hand_grip import GripOptions, _Grip
@@ -552,6 +553,7 @@ def test_pads_gather_the_more_the_nearer_the_persons_fingers_are(
     for gap in (0.13, 0.1225, 0.115, 0.1, 0.05):
         share = grip._gathering(gap)
         (term,) = grip._around(grip._pairs[0], grip.place, centre, 0.0, share)
+        assert isinstance(term, ClosingPads)
         shares.append(term.share)
     np.testing.assert_allclose(shares, [0.0, 0.25, 0.5, 1.0, 1.0], atol=1e-12)
 
