@@ -617,7 +617,10 @@ def test_fingers_point_as_the_persons_away_from_a_pinch(name: str) -> None:
 def test_picking_keeps_a_pinch_closed_while_the_persons_gap_drifts(
     formulation: str,
 ) -> None:
-    """Both touch at the gap of contact; 11 mm more open the hand that shows gestures alone."""
+    """Both touch at the gap of contact; 12 mm more open the hand that shows gestures alone.
+
+    Of the other, the margin between thumb and finger parts the pads by less than 3 mm.
+    """
     robot = load_hand("leap_right")
     ik = IK.replaced(formulation=formulation)
     apart = {}
@@ -625,12 +628,12 @@ def test_picking_keeps_a_pinch_closed_while_the_persons_gap_drifts(
         choices = Teleoperation(picking=picking, contact_gap=0.013)
         mapper = HandMapper(HUMAN, robot, choices, ik=ik)
         closed = settled(mapper, pinched("index", 0.013)).command.q
-        drifted = settled(mapper, pinched("index", 0.024)).command.q
+        drifted = settled(mapper, pinched("index", 0.025)).command.q
         gaps = GapMeter(robot).pinches(np.array([closed, drifted]))["index"]
         assert gaps[0] < 0.001
         apart[picking] = gaps[1]
-    assert apart[1.0] < 0.001
-    assert apart[0.0] > 0.004
+    assert apart[1.0] < 0.003
+    assert apart[0.0] > 0.006
 
 
 def test_picking_opens_the_hand_farther() -> None:

@@ -50,7 +50,7 @@ _ATTRIBUTES = {
     "BoundTeleoperation": """
         alignment choices pair estimator pinch_from pinch_over pinched distances aim_slopes
         aim_offsets least_aims largest_aims extension_weights pinch_weight base_margins pinch_pairs
-        pinch_of_pair pinch_margins contact_from contact_slope wrist_to_palm
+        pinch_of_pair pinch_margins contact_slope wrist_to_palm
     """,
     "HandPair": """
         fingers partners finger_of tips knuckles finger_ratio matched human_rest robot_rest

@@ -62,16 +62,13 @@ _PINCH_FROM = 0.070, 0.200
 _PINCH_OVER = 0.050, 0.150
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
 _PADS_OVERLAP = 0.003, 0.007
-# A pinch stays closed up to a gap this much above that of contact: people's gaps drift while they
-# hold something [m].
+# Pads are to touch up to a gap this much above that of contact, because people's gaps drift while
+# they hold something [m]. The margin between thumb and finger still parts them, by less than 3 mm.
 _SLACK = 0.0, 0.012
 # How much farther the robot opens than the person, so that objects fit between its thicker pads.
 _OPENING = 1.0, 1.4
 # Share of the weight of the thumb's extension: it says less where objects count.
 _THUMB_EXTENSION = 1.0, 0.5
-# The person's gap from which on the margin between thumb and finger widens [m]: beyond the slack,
-# or it would open pinches that stay closed.
-_CONTACT_FROM = 0.018, 0.030
 _CONTACT_SLOPE = 0.25
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
@@ -236,7 +233,8 @@ class BoundTeleoperation(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
     map_type = TeleoperationMap
-    # Most by which the margin between thumb and finger widens [m].
+    # Margin between thumb and finger: where it begins, and most [m].
+    contact_from = 0.018
     contact_most = 0.005
 
     def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
@@ -249,7 +247,6 @@ class BoundTeleoperation(PalmMethod):
         # Margin between thumb and finger per human gap beyond where it begins. Places keep the gaps
         # of a hand like the person's by themselves.
         self.contact_slope = (1.0 - pair.palms.likeness) * _CONTACT_SLOPE
-        self.contact_from = choices.picked(_CONTACT_FROM)
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge
         )
