@@ -593,3 +593,42 @@ def test_numbers_that_cannot_be_are_an_error_before_the_robot_moves(
     with pytest.raises(InvalidInputError, match=name):
         grip.map_sample(second, **arguments)
     assert grip.follower.mapper.motion is before
+
+
+def gentle_pads(hand: Hand, *, gentle: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Close joints that lag by 70 ms around a place beside where the pads would meet.
+
+    Returns:
+        The commanded gaps [m], shape (T,), and distances of the commanded middle from the place,
+        shape (T,).
+    """
+    centre = meeting(hand) + np.array([0.008, -0.004, 0.004])
+    grip = grip_follower(hand, force=0.8, gentle=gentle)
+    q = hand.rest.copy()
+    found = []
+    for sample in samples():
+        command = grip.map_sample(sample, q, centre, 0.0).command
+        q = q + (command.q - q) * (1.0 / 60.0 / 0.07)
+        off = pads_middle(hand, command.q, command.wrist) - centre
+        found.append((gap_of(hand, command.q), np.linalg.norm(off)))
+    gaps, missed = np.array(found).T
+    return gaps, missed
+
+
+def test_gentle_pads_close_as_the_persons_until_they_are_near_an_object(
+    allegro: Hand,
+) -> None:
+    """Slow from the open hand on, they are late: the person lifts soon after the closing."""
+    rough, gentle = (gentle_pads(allegro, gentle=gentle)[0] for gentle in (False, True))
+    near = int(np.argmax(rough < 0.06))
+    assert near > 0
+    assert gentle[near] < 0.065
+    # From there on they are slow.
+    assert gentle[near + 10] > rough[near + 10] + 0.03
+
+
+def test_gentle_pads_come_to_an_exact_place(allegro: Hand) -> None:
+    """A gentle press does not pull an object back between pads that are beside its middle."""
+    rough, gentle = (gentle_pads(allegro, gentle=gentle)[1] for gentle in (False, True))
+    gathered = slice(20, 45)
+    assert gentle[gathered].mean() < 0.5 * rough[gathered].mean()
