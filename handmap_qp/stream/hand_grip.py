@@ -291,10 +291,7 @@ class HandGrip:
         before = self._closing
         if finger != before.finger:
             before = _Closing(finger, np.inf, commanded, before.time)
-        # Not at once: joints that are late would let it jump.
-        pressing = max(gap - depth, before.least - depth * dt / _LATE)
-        # Slowly from the width of objects on: the person lifts soon after the closing.
-        pressing = min(pressing, _WIDE)
+        pressing = _gentle_gap(before, gap, depth, dt)
         behind = self.options.behind
         if self.options.gentle:
             behind = min(behind, _BEHIND * depth)
@@ -395,6 +392,22 @@ class HandGrip:
         share = min(grip.time / _RAISED, 1.0)
         force = grip.force + share * (self.options.force - grip.force)
         return (1.0 - grip.opening) * force * grip.levers
+
+
+def _gentle_gap(before: _Closing, gap: float, depth: float, dt: float) -> float:
+    """Return the least gap to which pads close gently [m].
+
+    It is slow from the width of objects on, and not before: the person lifts soon after closing.
+
+    Args:
+        before: The closing before the sample.
+        gap: The measured gap [m].
+        depth: How much farther it is commanded where pads press with the force [m].
+        dt: Time that the command took [s].
+    """
+    # Not at once: joints that are late would let it jump.
+    least = max(gap - depth, before.least - depth * dt / _LATE)
+    return min(least, _WIDE)
 
 
 def _funnel(place: ObjectPlace, middle: Array, time: float) -> float:
