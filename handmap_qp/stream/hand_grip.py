@@ -44,17 +44,11 @@ _LATE = 0.07
 _BEHIND = 0.5
 # Pads so near an object close around it, and do so least at twice the distance [m].
 _NEAR = 0.05
-# Other terms of the QP leave the commanded middle of pads beside the place. A gentle press does not
-# pull an object back between them, so the place is shifted until their middle is there: in about
-# this time [s], and no farther than this [m].
-_CENTRING = 0.1
-_SHIFT = 0.015
-# Objects that fingers grip are no wider than this [m]: so far, pads close as the person's.
-_WIDE = 0.06
 # Pads beside an object would push it away. Their gap is at least so many times the distance of
-# their middle from it, but no more than `_WIDE`, and less and less for this time [s]. Distances
+# their middle from it, but no more than this [m], and less and less for this time [s]. Distances
 # count beyond so many standard deviations of the place.
 _FUNNEL = 4.0
+_WIDE = 0.06
 _PATIENCE = 0.4
 _CERTAIN = 2.0
 # Pads whose gap stays within this for so long have met something [m, s]. An object that they push
@@ -75,8 +69,7 @@ class GripOptions(Options, frozen=True):
         stiffness: Stiffness of the fingers' position control [N m/rad].
         force: Force with which thumb and finger press [N].
         gentle: Whether pads close no farther, near an object whose place is known, than presses
-            with the force. That makes them slow, too, from a gap of 60 mm on: for what breaks, and
-            is no wider.
+            with the force. That makes them slow, too: for what breaks.
         behind: How far the measured gap of the pads stays behind the commanded one where they have
             met something [m]; at most half of what presses with the force if they close gently.
         opens_by: How much farther apart than in the grip a person's fingers let go [m].
@@ -190,8 +183,6 @@ class HandGrip:
         self._closing = _Closing()
         self.is_seen = False
         self.place: ObjectPlace | None = None
-        # How far the place is shifted for the pads [m].
-        self._shift = np.zeros(3)
         # Whether the person's fingers have been apart since: only then they grip.
         self._is_apart = False
         self._reference = self._mapper.reference
@@ -272,7 +263,6 @@ class HandGrip:
             finger = 0
         gathering = self._gathering(gaps[finger])
         if pinching <= 0.0 and gathering == 0.0:
-            self._shift = np.zeros(3)
             return
         pads = self._pairs[finger]
         # Where the hand is, by its measured joints; then where it is commanded.
@@ -292,17 +282,16 @@ class HandGrip:
         before = self._closing
         if finger != before.finger:
             before = _Closing(finger, np.inf, commanded, before.time)
-        pressing = _gentle_gap(before, gap, depth, dt)
+        # Not at once: joints that are late would let it jump.
+        pressing = max(gap - depth, before.least - depth * dt / _LATE)
         behind = self.options.behind
         if self.options.gentle:
             behind = min(behind, _BEHIND * depth)
         if self.is_seen and self.place is not None:
-            least = _funnel(self.place, middle, before.time)
-            if self.options.gentle:
-                least = max(least, pressing)
-                self._shift = self._shifted(self.place, aimed, dt)
-            else:
-                self._shift = np.zeros(3)
+            least = max(
+                pressing if self.options.gentle else -np.inf,
+                _funnel(self.place, middle, before.time),
+            )
             self.terms = self._around(pads, self.place, aimed, least, gathering)
         is_met = (
             pinching > _PINCHING
@@ -332,25 +321,6 @@ class HandGrip:
         share = (_GATHER_FROM - gap) / (_GATHER_FROM - _GATHERED)
         return float(np.clip(share, 0.0, 1.0))
 
-    def _shifted(self, place: ObjectPlace, aimed: Array, dt: float) -> Array:
-        """Return how far the place is shifted, so that the commanded middle of pads comes to it.
-
-        An exact place is reached. Uncertain ones are shifted by little, so that the closing stays
-        the person's: shares count twice, as in the cost.
-
-        Args:
-            place: The place.
-            aimed: The commanded middle between the pads [m], shape (3,).
-            dt: Time that the command took [s].
-
-        Returns:
-            The shift [m], shape (3,).
-        """
-        counts = place.shares @ place.shares
-        wanted = counts @ (self._shift + place.centre - aimed)
-        shift = self._shift + min(dt / _CENTRING, 1.0) * (wanted - self._shift)
-        return shift * (_SHIFT / max(float(lengths(shift)), _SHIFT))
-
     def _around(
         self,
         pads: FingerPads,
@@ -374,8 +344,7 @@ class HandGrip:
             return ()
         columns = self._hand.joint_columns[pads.columns]
         own = np.isin(np.arange(self._placed.nv), columns)
-        centre = place.centre + self._shift
-        term = ClosingPads(pads, own, centre, place.shares, least, near * share)
+        term = ClosingPads(pads, own, place.centre, place.shares, least, near * share)
         return (term,)
 
     def _held(self, grip: _Grip, gaps: Array, dt: float) -> _Grip:
@@ -393,22 +362,6 @@ class HandGrip:
         share = min(grip.time / _RAISED, 1.0)
         force = grip.force + share * (self.options.force - grip.force)
         return (1.0 - grip.opening) * force * grip.levers
-
-
-def _gentle_gap(before: _Closing, gap: float, depth: float, dt: float) -> float:
-    """Return the least gap to which pads close gently [m].
-
-    It is slow from the width of objects on, and not before: the person lifts soon after closing.
-
-    Args:
-        before: The closing before the sample.
-        gap: The measured gap [m].
-        depth: How much farther it is commanded where pads press with the force [m].
-        dt: Time that the command took [s].
-    """
-    # Not at once: joints that are late would let it jump.
-    least = max(gap - depth, before.least - depth * dt / _LATE)
-    return min(least, _WIDE)
 
 
 def _funnel(place: ObjectPlace, middle: Array, time: float) -> float:
