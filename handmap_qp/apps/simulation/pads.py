@@ -1,6 +1,8 @@
 """The pads of thumb and index finger in a simulation, and how they touch the object: `Pads`."""
 
 import math
+from collections.abc import Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -23,6 +25,7 @@ class Pads:
     Attributes:
         pair: The pads.
         bodies: Names of the bodies that carry them.
+        others: Names of the bodies of each other finger, by the finger's name.
 
     Raises:
         InvalidInputError: If the hand has no index finger, or no thumb.
@@ -41,6 +44,11 @@ class Pads:
         bodies = ["world", *(prefix + name for name in hand.model.names[1:])]
         self.bodies = [bodies[pad.joint] for pad in self.pair]
         self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
+        self.others = {
+            name: [bodies[joint] for joint in finger.joints]
+            for name, finger in chains.items()
+            if name not in (THUMB, INDEX)
+        }
 
     def places(self, simulator: Simulator) -> Array:
         """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
@@ -83,3 +91,34 @@ class Pads:
         forces = simulator.pressing()
         thumb = sum(forces.get(name, 0.0) for name in self._of_thumb)
         return thumb, sum(forces.values()) - thumb
+
+
+class FingersInTheWay:
+    """Fingers that are where an object is put: they touch it once they have left its place.
+
+    Args:
+        simulator: The simulation, with the object at its place.
+        fingers: Names of the bodies of each finger that may be there, by the finger's name.
+
+    Attributes:
+        names: The fingers that were there at first.
+    """
+
+    def __init__(
+        self, simulator: Simulator, fingers: Mapping[str, Sequence[str]]
+    ) -> None:
+        self._simulator = simulator
+        self._passing = fingers
+        self.update()
+        self.names = tuple(self._passing)
+
+    def update(self) -> None:
+        """Let the fingers that have left the object's place touch it from now on."""
+        if not self._passing:
+            return
+        self._passing = {
+            name: bodies
+            for name, bodies in self._passing.items()
+            if self._simulator.clearance(bodies) <= 0.0
+        }
+        self._simulator.set_passing({*chain.from_iterable(self._passing.values())})
