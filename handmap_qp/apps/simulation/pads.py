@@ -5,11 +5,12 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Hand, PadPair
 from handmap_qp.mapping import robot_fingers
-from handmap_qp.se3 import Array, transform_points, unit
+from handmap_qp.se3 import Array, lengths, transform_points, unit
 from .losses import PRESSED, Touch
 from .pad_motion import INDEX
 from .simulator import Simulator
@@ -122,3 +123,22 @@ class FingersInTheWay:
             if self._simulator.clearance(bodies) <= 0.0
         }
         self._simulator.set_passing({*chain.from_iterable(self._passing.values())})
+
+
+def largest_slide(away: Array, lines: Array) -> float:
+    """Return how far an object moves against two pads at most [m].
+
+    The fingers may carry object and pads together: both vectors are in axes that turn with the line
+    between the pads, by the smallest rotation.
+
+    Args:
+        away: From the middle between the pads to the object, in wrist axes [m], shape (T, 3).
+        lines: From the thumb's pad to the finger's, in wrist axes [m], shape (T, 3).
+    """
+    directions = unit(lines)
+    across = np.cross(directions[0], directions)
+    sines = lengths(across)
+    angles = np.arctan2(sines, directions @ directions[0])
+    turns = across * (angles / np.where(sines > 0.0, sines, 1.0))[:, None]
+    carried = Rotation.from_rotvec(turns).inv().apply(away)
+    return float(lengths(carried - carried[0]).max())

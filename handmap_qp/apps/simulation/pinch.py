@@ -41,7 +41,7 @@ from handmap_qp.se3 import (
 from .commands import PinchWindow
 from .losses import Loss, Touch, loss_in_try
 from .pad_motion import Meeting, PadMotion
-from .pads import FingersInTheWay, Pads
+from .pads import FingersInTheWay, Pads, largest_slide
 from .physics import Physics, turn_up
 from .simulator import Episode, Instant, Simulator
 
@@ -96,7 +96,9 @@ class PinchOutcome(NamedTuple):
         is_held: Whether the object stayed between the pads until the human opened the hand.
         held_time: Time from the stand's letting go to the loss, or to the opening [s].
         pinch_time: Time from the stand's letting go to the opening [s].
-        slip: Largest displacement of the object from its place between the pads [m], while held.
+        slip: Largest displacement of the object against the wrist while held [m]. Fingers that go
+            on moving carry it along.
+        slide: The same against the pads of thumb and index finger [m].
         rotation: Rotation of the object against the wrist, at the end or the loss [rad].
         force: Mean normal force while held [N].
         torque: Largest torque of a finger's actuator while held [N m].
@@ -111,6 +113,7 @@ class PinchOutcome(NamedTuple):
     held_time: float
     pinch_time: float
     slip: float
+    slide: float
     rotation: float
     force: float
     torque: float
@@ -190,15 +193,15 @@ class PinchScene:
         instants = []
         course = []
         away = []
+        lines = []
         # Index at which the stand lets go, and the time until which there was no grip.
         freed, loose = -1, self.commands.time[start]
         for i, time in enumerate(self._play(simulator, start)):
             in_the_way.update()
             instants.append(simulator.instant())
-            off = simulator.object_pose[:3, 3] - pads.pair.middle(
-                pads.places(simulator)
-            )
-            away.append(lengths(off))
+            places = pads.places(simulator)
+            away.append(simulator.object_pose[:3, 3] - pads.pair.middle(places))
+            lines.append(places[1] - places[0])
             touch = pads.touch(simulator, float(time), place)
             course.append(touch)
             if not touch.is_pinched:
@@ -207,7 +210,8 @@ class PinchScene:
                 simulator.set_stand(holds=False)
                 freed = i
         episode = Episode.of(simulator, instants)
-        outcome = _outcome(episode, tuple(course), np.array(away), freed, width)
+        between = np.array(away), np.array(lines)
+        outcome = _outcome(episode, tuple(course), between, freed, width)
         return outcome._replace(in_the_way=in_the_way.names)
 
     def meeting(self, width: float) -> Meeting:
@@ -299,15 +303,22 @@ class PinchScene:
 def _outcome(
     episode: Episode,
     course: tuple[Touch, ...],
-    away: Array,
+    between: tuple[Array, Array],
     freed: int,
     width: float,
 ) -> PinchOutcome:
-    """Judge what happens from an index on, by distances from the pads' middle, shape (T,).
+    """Judge what happens from an index on; -1 if the stand never let go.
 
-    The index is -1 if the stand never let go.
+    Args:
+        episode: What was simulated.
+        course: How the hand touched the object.
+        between: Vectors from the pads' middle to the object, and from the thumb's pad to the
+            finger's, in world axes [m], shape (T, 3) each.
+        freed: The index.
+        width: Width of the object [m].
     """
-    is_away = away > _LOST + width / 2.0
+    distances = lengths(between[0])
+    is_away = distances > _LOST + width / 2.0
     if freed < 0:
         # Pads that never gripped had no object to lose.
         is_away[-1] = True
@@ -316,6 +327,11 @@ def _outcome(
     kept = Instant(*(column[: 1 + lost[0]] if len(lost) else column for column in free))
     poses = inverse_pose(kept.wrist) @ kept.object_pose
     turns = poses[:, :3, :3]
+    # Rows times a rotation turn back by it, into the wrist's axes.
+    axes = kept.wrist[:, :3, :3]
+    away_kept, lines = (
+        (vectors[freed:][: len(axes), None] @ axes)[:, 0] for vectors in between
+    )
     turn = Rotation.from_matrix(turns[-1] @ turns[0].T).magnitude()
     is_held = bool(
         not len(lost) and free.links_touching[-1] >= 2 and np.ptp(free.time) >= _GRIPPED
@@ -325,11 +341,12 @@ def _outcome(
         held_time=np.ptp(kept.time),
         pinch_time=np.ptp(free.time),
         slip=lengths(poses[:, :3, 3] - poses[0, :3, 3]).max(),
+        slide=largest_slide(away_kept, lines),
         rotation=turn,
         force=kept.normal_force.mean(),
         torque=np.abs(kept.torque[:, ~episode.hand.moves_wrist]).max(),
         episode=episode,
-        loss=None if is_held else _loss(course, away, freed, width),
+        loss=None if is_held else _loss(course, distances, freed, width),
         course=course,
     )
 
