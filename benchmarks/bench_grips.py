@@ -52,6 +52,7 @@ from handmap_qp.apps.simulation.pinch_rows import success_rate
 from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import Vector
+from handmap_qp.mapping import PRESETS
 
 PEERS = Path(__file__).resolve().parent / "peers"
 OWN = ("teleoperation", "fingertip-vectors")
@@ -113,7 +114,7 @@ def medians(found: Sequence[dict[str, Any]], keys: Sequence[str]) -> dict[str, s
 def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Summarise trials in a row of a table."""
     cells, _, held = held_cells(name, found)
-    return cells | medians(held, ("slip mm", "force N", "torque N m"))
+    return cells | medians(held, ("slip mm", "slide mm", "force N", "torque N m"))
 
 
 def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
@@ -209,6 +210,7 @@ def tried(scene: PinchScene, trial: PinchTrial, error: Vector) -> dict[str, Any]
     return {
         "held": outcome.is_held,
         "slip mm": 1e3 * outcome.slip,
+        "slide mm": 1e3 * outcome.slide,
         "force N": float(outcome.force),
         "torque N m": float(outcome.torque),
         "held s": float(outcome.held_time),
@@ -235,7 +237,8 @@ def scenes(
     plain = tuple(name for name in methods if name not in GRIPS)
     if not plain:
         return
-    for method in chosen_methods(plain, PEERS if {*plain} - {*OWN} else None, robot):
+    are_ours = {name.partition("+")[0] for name in plain} <= PRESETS.keys()
+    for method in chosen_methods(plain, None if are_ours else PEERS, robot):
         try:
             commands = method.map_take(take, hand)
         except HandmapError as error:
