@@ -119,19 +119,14 @@ def on_detours(mapper: HandMapper | RobotMapper) -> list[bool]:
     return [via is not None for via, *_ in mapper.point_ik.__reduce__()[1][-1]]
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_each_hand_takes_the_detours_that_it_takes_alone(
-    pair: Hand, formulation: str
-) -> None:
-    # The second posture of these takes each hand on a detour, one before the other; the core has
-    # time for more.
-    count = 50 if formulation == "direct" else 200
-    mapper, alone = together_and_alone(pair, formulation)
+def test_each_hand_takes_the_detours_that_it_takes_alone(pair: Hand) -> None:
+    # The second posture of these takes each hand on a detour, one before the other.
+    mapper, alone = together_and_alone(pair, "compiled")
     _, wrists = motion(0, apart=1.0)
     randoms = {"left": np.random.default_rng(5), "right": np.random.default_rng(28)}
     taken = np.zeros(2, dtype=int)
     q: dict[Side, np.ndarray] = {}
-    for i in range(count):
+    for i in range(200):
         if i % 25 == 0:
             q = {
                 side: randoms[side].uniform(human.lower_limits, human.upper_limits)
