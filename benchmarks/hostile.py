@@ -33,8 +33,8 @@ from handmap_qp import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.spec import Mount
-from handmap_qp.ik import core as core_module
 from handmap_qp.ik.compiled import core_tree
+from handmap_qp.ik.core import core as compiled
 from handmap_qp.ik.limits import SHORTEST_DT, Motion
 from handmap_qp.ik.qp import PointIk, Status
 from handmap_qp.se3 import nearest_rotation
@@ -63,7 +63,6 @@ IKS: tuple[IkOptions, ...] = (
 
 LIMITS = (None, 1.0, 10.0, 100.0)
 """Acceleration limits that a mapper changes between [rad/s^2]."""
-COMPILED: Any = core_module.core
 MARGINS = (-0.001, 0.006)
 """Least and largest margin of a pair of shapes [m]."""
 _BATCH, _STRETCH, _TRIES = 200, 20, 30
@@ -242,7 +241,7 @@ class IkRun:
         # The core of its own that `PointIk` has takes one sample a call.
         if ik.core is None:
             return None
-        return COMPILED.Ik(core_tree(self._hand), self._hand, ik.options, ik.gate)
+        return compiled.Ik(core_tree(self._hand), self._hand, ik.options, ik.gate)
 
     def _interrupt(self) -> None:
         rng = self._rng

@@ -33,10 +33,6 @@ class HandmapWarning(UserWarning):
     """Base of the warnings of this package that have a category of their own."""
 
 
-class MissingCoreWarning(HandmapWarning):
-    """The compiled core cannot be used, so that Python maps, some hundred times slower."""
-
-
 @dataclass(eq=False, repr=False)
 class _ProblemError(HandmapError, ValueError):
     """An error whose evidence are its fields."""
@@ -185,6 +181,20 @@ class MapperBusyError(HandmapError, RuntimeError):
         self, message: str = "this mapper is at work in another thread"
     ) -> None:
         super().__init__(message)
+
+
+class MissingCoreError(HandmapError, ImportError):
+    """The compiled core of this package is missing, damaged, or older than its sources.
+
+    Attributes:
+        problem: What is wrong with it.
+        command: The command that mends it.
+    """
+
+    def __init__(self, problem: str, *, command: str) -> None:
+        super().__init__(f"the compiled core {problem}: {command}")
+        self.problem = problem
+        self.command = command
 
 
 class MissingExtraError(HandmapError, ImportError):

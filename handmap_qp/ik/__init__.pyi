@@ -5,7 +5,6 @@ from . import solvers as solvers
 from .collision import pair_bounds as pair_bounds
 from .compiled import core_tree as core_tree
 from .core import Compiled as Compiled
-from .core import in_core as in_core
 from .limits import BEHIND as BEHIND
 from .limits import LONGEST_STEP as LONGEST_STEP
 from .limits import SHORTEST_DT as SHORTEST_DT

@@ -4,13 +4,11 @@ The core (`handmap_qp/core`, C++) does what `handmap_qp.ik.qp`, `limits` and `co
 rounding: they are its readable reference. It has kinematics, distances and a QP solver of its own.
 """
 
-import warnings
 from functools import lru_cache
 from typing import Any, get_args
 
-from handmap_qp.errors import MissingCoreWarning
 from handmap_qp.hands import Hand
-from .core import core, problem
+from .core import core
 from .limits import Gate
 from .options import IkOptions
 from .qp import Status
@@ -19,31 +17,14 @@ STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""
 
 
-def _warn_of_missing_core() -> None:
-    """Warn that Python maps although nobody asked for that, once in a program."""
-    # Few need it.
-    import multiprocessing
-
-    # Workers have the installation of the process that started them, which has warned. They import
-    # its main module before they know their parent, but have a name of their own.
-    if multiprocessing.current_process().name == "MainProcess":
-        slow = "Python maps, some hundred times slower"
-        message = f"{slow}: {problem}, or set HANDMAP_PURE=1"
-        warnings.warn(message, MissingCoreWarning, stacklevel=2)
-
-
-if problem:
-    _warn_of_missing_core()
-
-
 @lru_cache(maxsize=16)
 def core_tree(hand: Hand) -> Any | None:
-    """Return the core's kinematics of a hand; None without a core, or if it lacks a joint."""
+    """Return the core's kinematics of a hand; None if it lacks a joint."""
     if hand.unscaled:
         standard = core_tree(hand.unscaled)
         return standard and standard.moved(hand.moves)
     try:
-        return core and core.Tree(hand)
+        return core.Tree(hand)
     except ValueError:
         return None
 
@@ -51,7 +32,7 @@ def core_tree(hand: Hand) -> Any | None:
 def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> Any | None:
     """Return the core of a hand, which moves it and the gate with it.
 
-    It is None where it is not built, not asked for, or not able.
+    It is None where it is not asked for, or not able.
 
     Args:
         hand: The hand.
@@ -60,7 +41,7 @@ def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> Any | None:
     """
     is_asked = options.formulation == "compiled" and options.solver == "daqp"
     tree = core_tree(hand)
-    if not (core and tree and is_asked):
+    if not (tree and is_asked):
         return None
     try:
         return core.Ik(tree, hand, options, gate)

@@ -28,7 +28,6 @@ from handmap_qp.apps.datasets.episodes import run_job
 from handmap_qp.apps.datasets.sources import JobOptions
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import sample_columns
-from handmap_qp.ik import core as core_module
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers import check_recording, hints, recording_facts
@@ -38,9 +37,6 @@ from handmap_qp.trackers.formats import (
     write_recordings,
 )
 from handmap_qp.trackers.formats.hdf5 import EgoDexFormat
-
-if core_module.core is None:
-    pytest.skip(core_module.description, allow_module_level=True)
 
 ALLEGRO = load_hand("allegro_right")
 FRAMES = 265

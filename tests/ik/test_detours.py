@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from handmap_qp import HandMapper, load_hand
-from handmap_qp.ik import core as core_module
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.presets import get_preset
@@ -19,7 +18,7 @@ from handmap_qp.mapping.presets import get_preset
 DT = 1.0 / 60.0
 PRESET = get_preset("teleoperation").ik
 PALM = np.eye(4)
-FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+FORMULATIONS = ("compiled", "direct")
 each_formulation = pytest.mark.parametrize("formulation", FORMULATIONS)
 
 
@@ -101,10 +100,6 @@ def caught() -> tuple[Motion, np.ndarray]:
     pytest.fail("no start is caught")
 
 
-@pytest.mark.skipif(
-    core_module.core is None,
-    reason="Python takes a minute for it; both paths take the same detours",
-)
 def test_a_hand_ends_as_near_as_from_rest_whatever_its_start() -> None:
     mapper, plain = mapper_of(), mapper_of(takes_detours=False)
     rest = mapper.motion

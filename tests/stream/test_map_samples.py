@@ -15,7 +15,6 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.ik.core import core
 from handmap_qp.stream.follower import Rejoin, Smoother
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.step_table import StepTable
@@ -100,7 +99,6 @@ class ReferenceSmoother(Smoother):
     """Runs in Python."""
 
 
-@pytest.mark.skipif(core is None, reason="without the core, both are in Python")
 @pytest.mark.parametrize("noise", [0.0, 2e-3, 5e-3])
 @pytest.mark.parametrize("lost", [0.0, 0.2])
 @pytest.mark.parametrize("copies", [1, 3])
