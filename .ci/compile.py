@@ -54,7 +54,9 @@ class Compile(ScikitBuildHook):
         ):
             defined = [f"HANDMAP_SOURCES={_fingerprint(package)}"]
             if needs_zig():
-                print("No C++ compiler was found: that of the package ziglang compiles.")
+                print(
+                    "No C++ compiler was found: that of the package ziglang compiles."
+                )
                 defined += use_zig(Path(programs))
             os.environ["SKBUILD_CMAKE_DEFINE"] = ";".join(defined)
             try:

@@ -84,7 +84,7 @@ def test_a_sample_that_is_forgotten_leaves_no_trace() -> None:
 
 
 @pytest.mark.parametrize(
-    "fault", ["flip@0.7+0.4", "late@0.7+0.4", "dropout@0.7+0.3", "clock@0.7:5"]
+    "fault", ["flip@0.7+0.4", "noise@0.7+0.4:0.02", "dropout@0.7+0.3", "clock@0.7:5"]
 )
 def test_a_recording_is_judged_at_once_as_sample_by_sample(fault: str) -> None:
     recording = faulty(fault)
