@@ -1,4 +1,4 @@
-"""Every error that `handmap_qp` raises on purpose, and the categories of its warnings.
+"""Every error that `handmap_qp` raises on purpose.
 
 An error carries its evidence as attributes, so that a program can act on it, and composes its text
 from them: `argument: expected X, got Y: advice`. Nothing has to parse that text. A call that raises
@@ -27,10 +27,6 @@ class HandmapError(Exception):
     def __reduce__(self) -> tuple[Any, ...]:
         # Exceptions are unpickled by calling their class with `args`, which cannot give keywords.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # ty: ignore[missing-attribute]
-
-
-class HandmapWarning(UserWarning):
-    """Base of the warnings of this package that have a category of their own."""
 
 
 @dataclass(eq=False, repr=False)
