@@ -23,7 +23,11 @@ from run_cases import SOURCES, module_of
         ("CONSTANTS", lambda old: old | {"se3": ("HOME",)}, "se3.py has no HOME"),
         ("TAKEN", lambda old: f"{old} ik/gone", "ik/gone.py any more"),
         ("TAKEN", lambda old: old.replace("stream/guard ", ""), "guard.* BEHIND"),
-        ("TAKEN", lambda old: old.replace("human/recording", ""), "human.* Recording"),
+        (
+            "TAKEN",
+            lambda old: old.replace("human/recording", ""),
+            "human.* upright_axes",
+        ),
         ("DATA", lambda old: (*old, "human/gone.json"), "human/gone.json any more"),
     ],
 )
