@@ -22,6 +22,7 @@ from pinocchio import exp3
 
 from handmap_qp import load_hand, read_recording
 from handmap_qp.hands.human import HumanLengths
+from handmap_qp.human.findings import Finding
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.stream.guard import StreamGuard
@@ -49,7 +50,7 @@ class Stream(NamedTuple):
 
 
 Run = tuple[int, str, bool, bool, str]
-"""Number of samples in a row, and what was said of each: rule, held, return, and the finding."""
+"""Number of samples in a row, and what was said of each: rule, held, return, and `text_of`."""
 
 
 class Record(NamedTuple):
@@ -59,8 +60,7 @@ class Record(NamedTuple):
         runs: What was said of all samples, one after the other.
         granted: Sum of the times that the samples account for [s].
         consistency: Sum of `Verdict.consistency` of those that have landmarks [m].
-        checked: What `InputCheck` says of every tenth sample by itself, where that changes: the
-            sample, then the words.
+        checked: What `InputCheck` says by itself, where that changes: the sample, then `text_of`.
     """
 
     runs: list[Run]
@@ -93,12 +93,23 @@ def record(stream: Stream) -> Record:
     )
 
 
+def text_of(finding: Finding | None) -> str:
+    """Return a finding's mistake with its number or name; sentences may be worded anew."""
+    if finding is None:
+        return ""
+    return f"{finding.mistake} {finding.number:.6g} {finding.which} {finding.order}"
+
+
 def _runs(verdicts: Iterable[Verdict]) -> list[Run]:
     """Join equal verdicts that follow each other."""
     runs: list[Run] = []
     for verdict in verdicts:
-        words = "" if verdict.finding is None else str(verdict.finding)
-        said = verdict.rule, verdict.is_held, verdict.is_return, words
+        said = (
+            verdict.rule,
+            verdict.is_held,
+            verdict.is_return,
+            text_of(verdict.finding),
+        )
         if runs and runs[-1][1:] == said:
             runs[-1] = (runs[-1][0] + 1, *said)
         else:
@@ -114,11 +125,10 @@ def _checked(samples: Sequence[HumanSample]) -> list[tuple[int, str]]:
         if not sample.valid:
             continue
         finding = check.update(sample.time, sample.landmarks, sample.wrist)
-        words = "" if finding is None else str(finding)
-        if words != found[-1][1]:
-            found.append((i, words))
+        if text_of(finding) != found[-1][1]:
+            found.append((i, text_of(finding)))
     last = check.finish()
-    return [*found, (len(samples), "" if last is None else str(last))]
+    return [*found, (len(samples), text_of(last))]
 
 
 @cache

@@ -134,14 +134,18 @@ _NEGATE = "negate one axis of the data if its coordinates are left-handed"
 
 
 def _of_another(side: Side, what: str) -> str:
-    return f"the landmarks are said to be of a {side} hand, and are those of {what}"
+    return f"the landmarks are taken for a {side} hand's, and are those of {what}"
+
+
+def _say_side(side: Side) -> str:
+    return f"say that the hand is the {side} one (--side {side}; side= in Python)"
 
 
 def _say_other_side(finding: Finding) -> Words:
     other = OTHER_SIDE[finding.side]
     return (
         _of_another(finding.side, f"a {other} hand, or of a mirrored world"),
-        f"say that the hand is the {other} one, or {_NEGATE}",
+        f"{_say_side(other)}, or {_NEGATE}",
     )
 
 
@@ -149,7 +153,7 @@ def _say_other_hand(finding: Finding) -> Words:
     other = OTHER_SIDE[finding.side]
     return (
         _of_another(finding.side, f"a {other} hand, and so is the wrist's pose"),
-        f"say that the hand is the {other} one",
+        _say_side(other),
     )
 
 
