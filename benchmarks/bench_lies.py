@@ -32,10 +32,10 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample, Verdict, human_name
+from handmap_qp.ik.core import core
 from handmap_qp.stream.guard import StreamGuard
-from handmap_qp.trackers import plausibility
 from handmap_qp.trackers.file_evidence import hints, recording_facts
-from handmap_qp.trackers.hand_geometry import log_sizes, own_distances, palmar_evidence
+from handmap_qp.trackers.hand_geometry import log_size, palmar_evidence
 from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import InputCheck, examine_recording
 
@@ -193,10 +193,10 @@ def measure_left_out(people: dict[str, Sequence[lies.Take]]) -> list[dict[str, A
     set at that distance from the extreme of all others, in batches of 16 samples.
     """
     limits = {
-        "bends back": -plausibility._BACKWARDS,
-        "other side": plausibility._SURE_SIDE,
+        "bends back": -core.BACKWARDS,
+        "other side": core.SURE_SIDE,
     }
-    limits["size"] = np.log(plausibility._RESIZED)
+    limits["size"] = np.log(core.RESIZED)
     found: dict[str, dict[str, np.ndarray]] = {}
     for name, takes in people.items():
         sides = [
@@ -233,8 +233,8 @@ def batches(take: lies.Take) -> list[np.ndarray]:
 
 def batch_sizes(take: lies.Take) -> np.ndarray:
     """Return how far sizes of batches are from that of the first ones, as logarithms."""
-    sizes = [float(log_sizes(own_distances(landmarks))) for landmarks in batches(take)]
-    return np.abs(np.array(sizes) - np.median(sizes[: plausibility._FIRST_SIZES]))
+    sizes = [log_size(landmarks) for landmarks in batches(take)]
+    return np.abs(np.array(sizes) - np.median(sizes[: core.FIRST_SIZES]))
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:

@@ -39,8 +39,8 @@ from handmap_qp import HandMapper, IkOptions, hand_names, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.human.recording import HumanMotion
-from handmap_qp.ik import core as core_module
 from handmap_qp.ik.collision import Rows
+from handmap_qp.ik.core import core
 from handmap_qp.ik.qp import PointIk, direct_cost, solve_by_daqp
 from handmap_qp.ik.solvers import make_solver
 from handmap_qp.ik.tasks import Goal
@@ -48,7 +48,6 @@ from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import affine
 
 QpSolver = Callable[..., np.ndarray | None]
-COMPILED: Any = core_module.core
 _COMPARED = ("daqp", "proxqp", "osqp")
 _VERDICTS = ("equal", "core better", "core worse", "core failed", "other failed")
 _EQUAL = 1e-9
@@ -386,7 +385,7 @@ def solve_by_core(
     rows: Rows | None = None,
 ) -> np.ndarray | None:
     """Solve by the compiled core; see `solve_by_daqp`."""
-    is_found, x, _ = COMPILED.solve_qp(H, c, lower, upper, *(rows or (None, None)))
+    is_found, x, _ = core.solve_qp(H, c, lower, upper, *(rows or (None, None)))
     return x if is_found else None
 
 
@@ -394,7 +393,7 @@ def solvers() -> dict[str, QpSolver]:
     """Return each installed solver by its name."""
     import qpsolvers
 
-    own: dict[str, QpSolver] = {} if COMPILED is None else {"core": solve_by_core}
+    own: dict[str, QpSolver] = {"core": solve_by_core}
     return own | {
         name: solve_by_daqp if name == "daqp" else make_solver(name)
         for name in sorted({"daqp", *qpsolvers.available_solvers})
@@ -477,7 +476,7 @@ def main(words: Sequence[str] | None = None) -> None:
             title = f"Times on {len(problems)} {name} problems"
             common.print_table(title, results[name], to_stderr=to_stderr)
         drawn = dict(results)
-        if COMPILED is not None:
+        if core is not None:
             for name, problems in sets.items():
                 rows = prove(problems)
                 results[f"proof: {name}"] = rows

@@ -33,7 +33,6 @@ from handmap_qp import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.spec import Mount
-from handmap_qp.ik import core as core_module
 from handmap_qp.ik.gate import IkGate
 from handmap_qp.ik.motion import SHORTEST_DT, Motion
 from handmap_qp.ik.qp import PointIk, Status
@@ -63,7 +62,6 @@ IKS: tuple[IkOptions, ...] = (
 
 LIMITS = (None, 1.0, 10.0, 100.0)
 """Acceleration limits that a mapper changes between [rad/s^2]."""
-COMPILED: Any = core_module.core
 MARGINS = (-0.001, 0.006)
 """Least and largest margin of a pair of shapes [m]."""
 _BATCH, _STRETCH, _TRIES = 200, 20, 30

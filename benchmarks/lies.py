@@ -18,7 +18,7 @@ from handmap_qp.human.sample import human_name
 from handmap_qp.se3 import affine
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.tables import load_layout
-from handmap_qp.trackers.plausibility import _known_orders
+from handmap_qp.trackers.plausibility import known_orders
 from handmap_qp.trackers.wrist_axes import CONVENTIONS, palm_axes
 
 _RATE = 60.0
@@ -95,7 +95,7 @@ def all_lies() -> list[Lie]:
         Lie("inverse wrist pose", "wrist", _inverse),
         *(
             Lie(f"order of {name.split()[-1]}", "order", _ordered(order))
-            for name, order in zip(*_known_orders(), strict=True)
+            for name, order in known_orders()[0].items()
             if name.startswith("that of the layout ")
         ),
         Lie("thumb last", "order", _ordered(_finger_order(1, 2, 3, 4, 0))),

@@ -31,10 +31,10 @@ def load_core(library: Path) -> None:
     module = importlib.util.module_from_spec(spec)
     sys.modules[NAME] = module
     spec.loader.exec_module(module)
-    from handmap_qp.ik.core import core, description
+    from handmap_qp.ik.core import core
 
     if core is not module:
-        raise RuntimeError(f"the package does not take {library}: {description}")
+        raise RuntimeError(f"the package does not take {library}")
 
 
 load_core(Path(os.environ["HANDMAP_CORE"]))

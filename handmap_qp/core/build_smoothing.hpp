@@ -1,4 +1,4 @@
-// The smoothing of Python: its numbers, and its state.
+// The smoothing for Python, and its state.
 #pragma once
 
 #include "build_guard.hpp"
@@ -47,21 +47,8 @@ class PythonSmoother : public Exclusive {
  public:
   Smoother smoother;
 
-  explicit PythonSmoother(const nb::object& owner) {
-    const Fields from(owner), module = module_of("stream.follower");
-    SmoothRules& rules = smoother.rules;
-    rules.is_on = !from.object("options").is_none();
-    if (!rules.is_on) return;
-    read_numbers(from, {{"options.acceleration", &rules.acceleration},
-                        {"options.speed_gain", &rules.speed_gain}});
-    read_numbers(module, {{"_LONGEST_GAP", &rules.longest_gap}, {"_HAND", &rules.hand},
-                          {"_MEMORY", &rules.memory}, {"_FARTHEST", &rules.farthest},
-                          {"_LEAST_NOISE", &rules.least_noise},
-                          {"_MOST_NOISE", &rules.most_noise},
-                          {"_LEAST_INDEX", &rules.least_index}});
-    rules.noise = read_noise_rules();
-    const nb::object saved = from.object("_saved");
-    if (!saved.is_none()) put_back(saved);
+  PythonSmoother(std::optional<double> acceleration, double speed_gain) {
+    if (acceleration) smoother.options = {*acceleration, speed_gain};
   }
 
   nb::tuple save() const {
@@ -78,8 +65,7 @@ class PythonSmoother : public Exclusive {
   void restart() { smoother.restart(); }
   void forget() { smoother.forget(); }
 
- private:
-  void put_back(const nb::object& saved) {
+  void restore(const nb::object& saved) {
     SmoothState& state = smoother.state;
     const size_t n = nb::cast<size_t>(item(saved, 0));
     const bool has_wrist = nb::cast<bool>(item(saved, 1));

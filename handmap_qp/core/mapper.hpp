@@ -273,10 +273,10 @@ class SampleReader {
     if (verdict.is_held || verdict.is_return) return said;
     // Python relates the stream's clock to the robot's.
     const double time = given ? 0.0 : nb::cast<double>(origin) + verdict.time;
-    if (!given && last - time > guard.guard.rules.behind) return said;
+    if (!given && last - time > kBehind) return said;
     const Clock::time_point started = Clock::now();
     try {
-      const double speed = verdict.rule == kUnproven ? unproven_speed() : 1.0;
+      const double speed = verdict.rule == kUnproven ? kUnprovenSpeed : 1.0;
       const double granted = given ? given->own_time() : std::max(verdict.dt, kShortestDt);
       HumanPose pose = reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr);
       const When when = given ? *given : When::at(time, granted);
@@ -296,11 +296,6 @@ class SampleReader {
   virtual nb::object moved(HumanPose&& pose, const When& when, double speed) = 0;
   // Instant of the robot's last command, on its clock [s].
   virtual double last_time() = 0;
-  static double unproven_speed() {
-    static const double speed =
-        module_of("human.sample").get<double>("UNPROVEN_SPEED");
-    return speed;
-  }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -341,7 +336,7 @@ class SampleMapper : public SampleReader {
       throw std::invalid_argument("wrong sizes of samples or rows");
     check_map(ik_, map_, {std::vector<Vec3>(reader.used.size()), true, {}});
     const Work moving(ik_), judging(guard), smoothing(smoother);
-    Run run{ik_, map_, reader, guard.guard, smoother.smoother, unproven_speed(), origin};
+    Run run{ik_, map_, reader, guard.guard, smoother.smoother, origin};
     size_t next = first;
     std::exception_ptr failure;
     {

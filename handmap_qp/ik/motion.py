@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.se3 import Array
+from .core import core
 
 SHORTEST_DT = 1e-6
 """Least time that a sample accounts for [s].
@@ -19,13 +20,13 @@ SHORTEST_DT = 1e-6
 In less, rounding of positions would be a speed.
 """
 
-LONGEST_STEP = 3.0
+LONGEST_STEP: float = core.LONGEST_STEP
 """Longest time that one command may take, in usual periods of its samples.
 
 After a longer one the robot has stood still, and must not make up for it in one command.
 """
 
-BEHIND = 1.0
+BEHIND: float = core.BEHIND
 """An instant that is earlier than the robot's last command by more is of another clock [s]."""
 
 

@@ -104,7 +104,7 @@ class CommandClock(NamedTuple):
             # These stamps outrun arrival. Hands may share a clock, so all of them lag behind.
             excess = max(time - now - granted, 0.0)
             time -= excess
-            rate = rate._replace(stamp=time)
+            rate = rate.at(time)
             offsets = {side: offset - excess for side, offset in offsets.items()}
         if time - now > _AHEAD and not is_known:
             # A pause, or another clock: only a robot that stands still is slow enough for both.

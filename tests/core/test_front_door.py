@@ -21,7 +21,7 @@ import pytest
 from paths.fresh import wheel
 
 # Half a gigabyte of packages is installed.
-pytestmark = [pytest.mark.slow, pytest.mark.same_on_both]
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -6,10 +6,7 @@ import golden
 import numpy as np
 import pytest
 
-from handmap_qp.ik.core import core
 from handmap_qp.mapping.presets import PRESETS
-
-pytestmark = pytest.mark.skipif(core is None, reason="the files are of the core")
 
 GOLDEN = {file: golden.read(file) for file in golden.MAKERS}
 HANDS = list(dict.fromkeys(name.split("/")[0] for name in GOLDEN["hands"]))

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
-import shutil
-import subprocess
-import sys
-from collections.abc import Callable
 from functools import lru_cache
 from itertools import combinations_with_replacement
-from pathlib import Path
 from typing import Any
 
 import coal
@@ -31,15 +25,11 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik import core as core_module
+from handmap_qp.ik.core import core
 from handmap_qp.ik.gate import IkGate
 from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.mapping.presets import get_preset
-
-core: Any = core_module.core
-if core is None:
-    pytest.skip(core_module.description, allow_module_level=True)
 
 HUMANS = {
     "right": load_hand("human", points="landmarks"),
@@ -395,92 +385,3 @@ def test_options_choose_the_python_path(choice: dict[str, Any]) -> None:
     hand = load_hand("three_finger")
     assert PointIk(hand, IkOptions()).is_compiled
     assert not PointIk(hand, IkOptions(**choice)).is_compiled
-
-
-@pytest.fixture
-def own_package(tmp_path: Path) -> Path:
-    """Copy the package with its core, which a test may break."""
-    package = Path(core_module.__file__).parents[1]
-    copied = tmp_path / "handmap_qp"
-    shutil.copytree(package, copied, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(package.parent / "urdf", tmp_path / "urdf")
-    if not list(copied.glob("_core.*")):
-        pytest.skip("the core lies elsewhere")
-    return copied
-
-
-SAYS = """
-import multiprocessing
-import subprocess
-import sys
-
-import handmap_qp.ik.qp
-import handmap_qp.mapping.mapper
-from handmap_qp.ik.core import description
-
-if __name__ == "__main__":
-    print(description)
-    worker = multiprocessing.get_context("spawn").Process(target=print)
-    worker.start()
-    worker.join()
-"""
-
-
-def said_by(package: Path, **variables: str) -> tuple[str, list[str]]:
-    """Return which path a program says that it takes, and the warnings of its first use."""
-    script = package.parent / "program.py"
-    script.write_text(SAYS, encoding="utf-8")
-    # An empty value is that of a shell that has none.
-    names = ("HANDMAP_PURE", "PYTHONWARNINGS")
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env={**os.environ, **dict.fromkeys(names, ""), **variables},
-        cwd=package.parent,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    warned = [line for line in done.stderr.splitlines() if "Warning: " in line]
-    return done.stdout.strip(), warned
-
-
-def make_older(package: Path) -> None:
-    with (package / "core" / "qp.hpp").open("a", encoding="utf-8") as file:
-        file.write("// another line\n")
-
-
-def remove(package: Path) -> None:
-    for file in package.glob("_core.*"):
-        file.unlink()
-
-
-def damage(package: Path) -> None:
-    for file in package.glob("_core.*"):
-        file.write_bytes(b"no library")
-
-
-@pytest.mark.parametrize(
-    ("harm", "problem"),
-    [
-        (make_older, "the core is older than its sources"),
-        (remove, "no compiled core (No module named"),
-        (damage, "no compiled core ("),
-    ],
-)
-def test_a_core_that_cannot_be_used_is_told_once(
-    own_package: Path, harm: Callable[[Path], None], problem: str
-) -> None:
-    assert said_by(own_package) == ("compiled core", [])
-    harm(own_package)
-    which, warned = said_by(own_package)
-    assert which.startswith(f"Python path: {problem}")
-    # Workers do not repeat what the program has told.
-    assert len(warned) == 1, warned
-    (line,) = warned
-    assert "MissingCoreWarning: Python maps, some hundred times slower" in line
-    assert problem in line
-    assert "install handmap_qp again with a C++ compiler" in line
-    # Whoever asks for the Python path knows it.
-    which, warned = said_by(own_package, HANDMAP_PURE="1")
-    assert which == "Python path: HANDMAP_PURE is set"
-    assert warned == []

@@ -13,13 +13,11 @@ import shared_hands
 from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
 from handmap_qp.errors import MissingPackageError
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.ik import core as core_module
 
 # Python takes a minute a hand for it.
 HANDS = ("allegro_right", "shadow_right", "leap_right")
 
 
-@pytest.mark.skipif(core_module.core is None, reason=core_module.description)
 @pytest.mark.parametrize("name", HANDS)
 def test_no_finger_stays_caught_from_one_gesture_to_the_next(name: str) -> None:
     if name in shared_hands.NAMES and shared_hands.shared_hands_folder() is None:

@@ -18,7 +18,6 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.robot import joined, load_robot, load_whole
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import HumanSample, Verdict, human_name
-from handmap_qp.ik import core as core_module
 from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances, PointOffset
@@ -30,7 +29,7 @@ from handmap_qp.stream.robot_follower import RobotFollower
 SIDES: tuple[Side, ...] = ("left", "right")
 HUMANS = {side: load_hand(human_name(side), points="landmarks") for side in SIDES}
 DT = 1.0 / 60.0
-FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+FORMULATIONS = ("compiled", "direct")
 PRESET = get_preset("teleoperation")
 
 Samples = tuple[dict[Side, np.ndarray], dict[Side, np.ndarray]]

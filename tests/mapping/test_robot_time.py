@@ -27,7 +27,6 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.ik import core as core_module
 from handmap_qp.ik.gate import Gate
 from handmap_qp.ik.motion import SHORTEST_DT, Instant, Motion
 from handmap_qp.ik.options import IkOptions
@@ -40,7 +39,7 @@ from handmap_qp.stream.robot_follower import RobotFollower, paired
 MOST = 30.0
 """Limit of acceleration [rad/s^2]."""
 PRESET = get_preset("teleoperation")
-FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+FORMULATIONS = ("compiled", "direct")
 PAUSE = without(in_turns((60.0, 60.0), 1.2), "right", 0.6, 0.8)
 STREAMS = {
     "in turns": in_turns((60.0, 60.0), 1.0),

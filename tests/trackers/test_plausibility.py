@@ -23,7 +23,7 @@ from handmap_qp import (
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.stream.guard import StreamGuard
-from handmap_qp.trackers.hand_geometry import misfit, own_distances, palmar_evidence
+from handmap_qp.trackers.hand_geometry import misfit, palmar_evidence
 from handmap_qp.trackers.plausibility import (
     Finding,
     InputCheck,
@@ -120,7 +120,7 @@ def test_the_measures_do_not_depend_on_place_size_and_rate(
     moved = 3.0 * take.landmarks[:, :, [1, 2, 0]] + (5.0, -2.0, 1.0)
     one, other = palmar_evidence(take.landmarks), palmar_evidence(moved)
     np.testing.assert_allclose(np.array(one), np.array(other), atol=1e-9)
-    pair = [misfit(own_distances(points[:16])) for points in (take.landmarks, moved)]
+    pair = [misfit(points[:16]) for points in (take.landmarks, moved)]
     assert pair[0] == pytest.approx(pair[1], abs=1e-9)
     # A mirror changes the sign of the evidence and nothing else.
     mirrored = palmar_evidence(take.landmarks * (-1.0, 1.0, 1.0))
