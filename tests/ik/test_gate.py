@@ -35,7 +35,7 @@ def samples(count: int) -> list[HumanSample]:
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_every_sample_of_a_mapper_is_one_command(formulation: str) -> None:
-    options = IkOptions(formulation=formulation)
+    options = IkOptions().replaced(formulation=formulation)
     mapper = HandMapper(HUMAN, load_hand("three_finger"), "object", ik=options)
     gate = mapper.point_ik.gate
     for k, sample in enumerate(samples(5)):
