@@ -104,8 +104,7 @@ double smallest_gap_of(const Array& time, const Array& landmarks, double median_
 
 // Of landmarks (T, 21, 3) or of one sample.
 std::vector<Landmarks> hands_of(const Array& landmarks) {
-  if (landmarks.size() == 0 || landmarks.size() % (3 * kLandmarks))
-    throw std::invalid_argument("wrong size of landmarks");
+  expect(landmarks.size() % (3 * kLandmarks) == 0, "wrong size of landmarks");
   std::vector<Landmarks> hands;
   for (size_t at = 0; at < landmarks.size(); at += 3 * kLandmarks)
     hands.push_back(landmarks_of(landmarks.data() + at));
@@ -115,6 +114,7 @@ std::vector<Landmarks> hands_of(const Array& landmarks) {
 Distances own_distances(const Array& landmarks) {
   static const LandmarkOrders ours({{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20}});
   const std::vector<Landmarks> hands = hands_of(landmarks);
+  expect(!hands.empty(), "no samples");
   Distances found;
   found.measure(ours.pairs.data(), 0, kPairs, hands.data(), static_cast<int>(hands.size()));
   return found;

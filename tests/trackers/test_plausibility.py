@@ -30,6 +30,7 @@ from handmap_qp.trackers.plausibility import (
     check_recording,
     examine_recording,
 )
+from handmap_qp.trackers.wrist_axes import palm_axes
 
 
 @pytest.fixture(scope="module")
@@ -573,3 +574,11 @@ def test_a_wrist_that_stops_turning_is_slowed_down_at_once_and_held(
     assert rules[170] == ""
     assert rules.index("unproven", 180) <= far + 64
     assert rules.index("wrist", 180) <= far + 96
+
+
+def test_measures_of_no_samples_are_none() -> None:
+    none = np.zeros((0, 21, 3))
+    assert palm_axes(none, 1.0).shape == (0, 3, 3)
+    assert palmar_evidence(none).total.shape == (0,)
+    with pytest.raises(ValueError, match="no samples"):
+        misfit(none)
