@@ -128,7 +128,7 @@ sanitize: $(INSTALLED) ## Run the tests of the core, built with the sanitizers o
 clean: ## Remove all that make made: .venv, pictures of the demo, caches, built files
 	rm -f handmap_qp/_core.*
 	rm -rf $(VENV) .peers build demo dist *.egg-info .hypothesis .import_linter_cache .pytest_cache .ruff_cache
-	find handmap_qp tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find handmap_qp packages tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Leaves in $python the first interpreter that will do, or says what was found instead.
 define FIND_PYTHON
@@ -151,7 +151,7 @@ endef
 
 # What is installed: packages of this tree, groups of pyproject.toml, and packages without what they need.
 $(SMALL): PACKAGES := '.[plot,view]'
-$(INSTALLED): PACKAGES := '.[all]' $(addprefix ./examples/,drive score sources)
+$(INSTALLED): PACKAGES := '.[all]' $(addprefix ./packages/,drive score sources)
 $(INSTALLED): GROUPS := --group dev
 $(INSTALLED): BARE := $(MODELS)
 # Dependencies come first, and those that have no wheel are built with isolation, by what they ask

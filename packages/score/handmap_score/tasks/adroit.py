@@ -70,7 +70,7 @@ class MissingTasksError(HandmapError, ImportError):
 
     def __init__(self) -> None:
         super().__init__(
-            "gymnasium-robotics is not installed: pip install 'examples/score[tasks]' "
+            "gymnasium-robotics is not installed: pip install 'packages/score[tasks]' "
             "in a checkout"
         )
 

@@ -21,7 +21,7 @@ setup(
     extras_require={
         "dds": [
             "cyclonedds>=11,<12",
-            "handmap-qp[service]>=0.2",
+            "handmap-qp[service]>=0.2,<0.3",
             "rosbags>=0.11.6,<0.12",
         ]
     },

@@ -60,7 +60,7 @@ class Ros2:
         try:
             dds = import_module(".dds", __package__)
         except ModuleNotFoundError as missing:
-            advice = "pip install 'examples/ros2/handmap_ros2[dds]' in a checkout"
+            advice = "pip install 'packages/ros2[dds]' in a checkout"
             raise HandmapError(
                 f"{missing.name} is not installed: {advice}"
             ) from missing
