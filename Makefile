@@ -84,7 +84,7 @@ docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open build/site/index.html"
 
-wheel: $(INSTALLED) ## Build both wheels and the sdist in dist, with a bill of materials and all licences
+wheel: $(INSTALLED) ## Build the wheels of all packages and the sdist in dist, with a bill of materials and all licences
 	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/wheel --no-isolation
 	@echo "pip install \"$$(ls $(CURDIR)/dist/handmap_qp-*.whl)[plot,view]\""
 
