@@ -97,7 +97,7 @@ lowest: ## Run all tests with the lowest versions that pyproject.toml allows; ne
 
 paths: $(INSTALLED) ## Go the ways of new users in fresh environments (tests/paths), with times and sizes
 	@for name in leap_quest hours_of_landmarks svh_ur5_ros2 neighbours small_wheel; do \
-	    PYTHONPATH=tests:benchmarks $(BIN)/python -m paths.$$name || exit 1; \
+	    PYTHONPATH=tests:tests/support:benchmarks $(BIN)/python -m paths.$$name || exit 1; \
 	done
 
 bench: $(INSTALLED) ## Run every benchmark, one after the other

@@ -5,7 +5,7 @@ from pathlib import Path
 from handmap_qp.client import Command
 from handmap_qp.client.messages import Pose
 
-PACKAGE = Path(__file__).parents[1] / "packages" / "ros2"
+PACKAGE = Path(__file__).parents[2] / "packages" / "ros2"
 WRIST = Pose((0.1, 0.2, 0.3), (0.5, -0.5, 0.5, 0.5))
 COMMAND = Command(
     seq=3,

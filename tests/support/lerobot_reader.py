@@ -1,6 +1,6 @@
 """Open a data set with LeRobot itself, and print what it sees as a line of JSON.
 
-    python tests/lerobot_reader.py FOLDER
+    python tests/support/lerobot_reader.py FOLDER
 
 It runs in an environment that has `lerobot`, which need not have this package.
 """

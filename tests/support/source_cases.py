@@ -26,8 +26,8 @@ from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.trackers.formats import read_recording
 
-SENDER = Path(__file__).parent / "sources" / "sender.py"
-PACKAGE = Path(__file__).parents[1] / "packages" / "sources"
+SENDER = Path(__file__).parents[1] / "sources" / "sender.py"
+PACKAGE = Path(__file__).parents[2] / "packages" / "sources"
 GROUP = "handmap_qp.commands"
 # Its commands are found where the package is installed; here its folder is only on the path.
 ADDED = {

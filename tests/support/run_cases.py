@@ -35,7 +35,7 @@ from handmap_qp.se3 import (
 from handmap_qp.stream import GripFollower, RobotFollower
 from handmap_qp.trackers import LAYOUTS, read_hands, read_recording
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SOURCES = ROOT / "examples" / "run"
 ALONE = ROOT / "tests" / "run" / "alone.py"
 _BUILT = ROOT / "build" / "run"
