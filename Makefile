@@ -47,7 +47,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test pure fast lint docs wheel lowest paths bench peers lock clean
+.PHONY: help demo test pure fast lint docs wheel lowest paths bench judges peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -97,13 +97,21 @@ lowest: ## Run all tests with the lowest versions that pyproject.toml allows; ne
 
 paths: $(INSTALLED) ## Go the ways of new users in fresh environments (tests/paths), with times and sizes
 	@for name in leap_quest hours_of_landmarks svh_ur5_ros2 neighbours small_wheel; do \
-	    PYTHONPATH=tests:tests/support:benchmarks $(BIN)/python -m paths.$$name || exit 1; \
+	    PYTHONPATH=tests:tests/support $(BIN)/python -m paths.$$name || exit 1; \
 	done
 
 bench: $(INSTALLED) ## Run every benchmark, one after the other
-	@for script in benchmarks/bench_*.py; do \
+	@for script in benchmarks/*/bench_*.py; do \
 	    echo "== $$script"; \
-	    $(BIN)/python "$$script" $(ARGS) || exit 1; \
+	    $(BIN)/python benchmarks "$$script" $(ARGS) || exit 1; \
+	done
+
+# All of them take hours. Each has options of its own: `python tests/judges NAME --help`.
+JUDGES := exactness exact_streams exact_robots self_collision slews reengagement file_fuzz batch_kills service_faults service_soak
+judges: $(INSTALLED) ## Run the judges for hours, or some: JUDGES='exact_streams' ARGS='--steps 3000000 --seed 7'
+	@for name in $(JUDGES); do \
+	    echo "== $$name"; \
+	    $(BIN)/python tests/judges $$name $(ARGS) || exit 1; \
 	done
 
 peers: ## Install the peers to compare with, each into an environment of its own in .peers
