@@ -136,6 +136,18 @@ _GROUPS = {
 }
 """First words of commands of two words, and what these commands are for."""
 
+_FOLDERS = {
+    "drive": "packages/drive",
+    "hands save": "examples/run",
+    "ros2": "packages/ros2[dds]",
+    "score": "packages/score",
+    "track avp": "packages/sources",
+    "track datagrams": "packages/sources",
+    "tune": "packages/drive",
+    "videos": "packages/videos",
+}
+"""What pip installs, in a checkout, for commands that come with packages of their own."""
+
 _OPTIONS = {"--help", "--version", "--completion"}
 """Options without a command."""
 _SYSTEM_PACKAGES = {"libgomp": "libgomp1", "libGL.": "libgl1", "libEGL": "libegl1"}
@@ -306,6 +318,11 @@ def _answer_without_command(words: Sequence[str]) -> NoReturn:
 
 def _refuse(prefix: str, word: str) -> NoReturn:
     """Say that no command or option of a group goes on by a word, and what may be meant."""
+    if folder := _FOLDERS.get(prefix + word):
+        raise InvalidInputError(
+            f"{prefix + word} comes with a package of its own: in a checkout, "
+            f"pip install '{folder}'"
+        )
     kind = "option" if word.startswith("-") else "command"
     members = [
         name.removeprefix(prefix) for name in all_commands() if name.startswith(prefix)

@@ -51,6 +51,7 @@ from handmap_qp.apps.simulation.pinch_rows import success_rate
 from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands import Vector
+from handmap_qp.mapping import PRESETS
 
 PEERS = common.ROOT / "benchmarks" / "peers"
 OWN = ("teleoperation", "fingertip-vectors")
@@ -234,7 +235,8 @@ def scenes(
     plain = tuple(name for name in methods if name not in GRIPS)
     if not plain:
         return
-    for method in chosen_methods(plain, PEERS if {*plain} - {*OWN} else None, robot):
+    are_ours = {name.partition("+")[0] for name in plain} <= PRESETS.keys()
+    for method in chosen_methods(plain, None if are_ours else PEERS, robot):
         try:
             commands = method.map_take(take, hand)
         except HandmapError as error:

@@ -265,9 +265,9 @@ class MappingArguments:
 
     Attributes:
         preset: What the mapping is for. `teleoperation`: gestures and pinches, finger by finger.
-            `object`: in-hand motion, without partners. `paper`: eqs. (5)-(8) as published. If
-            omitted, teleoperation where fingers correspond, else object; another one where an
-            option is given that this one does not have.
+            `picking`: objects between thumb and finger. `object`: in-hand motion, without partners.
+            `paper`: eqs. (5)-(8) as published. If omitted, teleoperation where fingers correspond,
+            else object; another one where an option is given that this one does not have.
         human_points: Set of reference points on the human hand; see `handmap hands show human`.
         robot_points: Set of reference points on the robot hand; see `handmap hands show HAND`.
             Teleoperation takes fingertips and middle joints by itself.

@@ -36,7 +36,7 @@ _STILL = ("held", "released")
 class GripFollower:
     """Lets a follower hold what thumb and finger grip, by the measured joints of the robot.
 
-    It is for one hand, of fingers or jaws, and the preset `teleoperation`. Without an object, it
+    It is for one hand, of fingers or jaws, and the method `Teleoperation`. Without an object, it
     follows as before.
 
     Args:

@@ -22,7 +22,7 @@ from handmap_qp.ik import AttachedPoints, JointPositions, Task
 from handmap_qp.mapping import HandMapper, MapStep, robot_fingers
 from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
 from handmap_qp.options import Options, Positive
-from handmap_qp.se3 import Array, lengths, smoothstep, unit
+from handmap_qp.se3 import Array, lengths, unit
 from .closing_pads import ClosingPads, FingerPads
 from .object_place import ObjectPlace
 
@@ -30,14 +30,13 @@ from .object_place import ObjectPlace
 # slides [1/m]: both are as strict where a pad is 50 mm from its joint.
 _HELD = 3000.0
 _HELD_SLIDING = 6e4
-# Share of a pinch from which on a person grips.
-_PINCHING = 0.5
+# A person pinches where thumb and finger are nearer than the first gap, and has an open hand from
+# the second one on [m]. Shares of a method's pinch rows do not tell: rows may act on wider gaps,
+# those of jaws on any.
+_PINCHED, _OPENED = 0.045, 0.07
 # As the gap of the person's fingers falls from the first to the second of these [m], pads gather
 # around a known place: both are wider than any object that they could grip.
 _GATHER_FROM, _GATHERED = 0.13, 0.1
-# Between jaws, whose gap follows at any width, the share of a pinch rises from 0 to 1 as the
-# person's fingers come from the first gap to the second one [m].
-_JAWS_FROM, _JAWS_TO = 0.07, 0.02
 # Pads that close feel how far they may go. They go no faster than that depth in this time, by which
 # joints are late [s], and have met something where this share is behind.
 _LATE = 0.07
@@ -143,7 +142,6 @@ class HandGrip:
         self._mapper = mapper
         self._hand = hand = mapper.robot
         fingers = robot_fingers(hand)
-        self._has_jaws = fingers.has_jaws
         pads = [fingers.pads[name] for name in fingers.names]
         used = [fingers.used[name] for name in fingers.names]
         self._pairs = [
@@ -250,18 +248,15 @@ class HandGrip:
     def _close(self, step: MapStep, q: Array, gaps: Array, dt: float) -> None:
         """Close pads, around a place if it is known, until they have met something."""
         finger = int(gaps.argmin())
-        if self._has_jaws:
-            away = _JAWS_FROM - gaps[finger]
-            pinching = float(smoothstep(away / (_JAWS_FROM - _JAWS_TO)))
-        else:
-            pinching = step.named("pinching")[finger]
-        self._is_apart |= bool(pinching <= _PINCHING)
-        if pinching <= 0.0:
+        is_pinching = bool(gaps[finger] < _PINCHED)
+        is_opened = bool(gaps[finger] >= _OPENED)
+        self._is_apart |= not is_pinching
+        if is_opened:
             self._closing = _Closing()
             # Any tip may be the nearest in an open hand. People take things with the first finger.
             finger = 0
         gathering = self._gathering(gaps[finger])
-        if pinching <= 0.0 and gathering == 0.0:
+        if is_opened and gathering == 0.0:
             return
         pads = self._pairs[finger]
         # Where the hand is, by its measured joints; then where it is commanded.
@@ -293,13 +288,13 @@ class HandGrip:
             )
             self.terms = self._around(pads, self.place, aimed, least, gathering)
         is_met = (
-            pinching > _PINCHING
+            is_pinching
             and self._is_apart
             and abs(gap - before.gap) < _STILL * dt
             and gap - commanded > behind
         )
         met = is_met * (before.met + dt)
-        time = before.time + dt * (pinching > _PINCHING)
+        time = before.time + dt * is_pinching
         self._closing = _Closing(finger, gap, pressing, time, met)
         if met < _TOUCHED:
             return

@@ -258,7 +258,7 @@ class InputCheck(Compiled):
     def _other_side(self, landmarks: Array, wrists: Array | None) -> Finding:
         """Tell the other hand from a mirrored world, which only the wrist's orientation can."""
         other = OTHER_SIDE[self.side]
-        say = f"say that the hand is the {other} one"
+        say = f"say that the hand is the {other} one (--side {other}; side= in Python)"
         negate = "negate one axis of the data if its coordinates are left-handed"
         if wrists is None:
             what = f"a {other} hand, or of a mirrored world"
@@ -269,7 +269,9 @@ class InputCheck(Compiled):
         else:
             what = f"a mirrored {self.side} hand; the wrist's pose is not"
             advice = negate
-        problem = f"the landmarks are said to be of a {self.side} hand, and are those of {what}"
+        problem = (
+            f"the landmarks are taken for a {self.side} hand's, and are those of {what}"
+        )
         return Finding("side", problem, advice)
 
 

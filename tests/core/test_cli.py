@@ -5,6 +5,7 @@ import importlib.metadata
 import io
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from limit_judge import judge, landmarks_at
 from handmap_qp import cli, load_hand
 from handmap_qp.apps import doctor, tables
 from handmap_qp.hands.robot import load_robot
+
+ROOT = Path(__file__).parents[2]
 
 KEYS = {
     "samples",
@@ -446,6 +449,32 @@ def test_a_mistyped_word_is_answered_with_the_nearest_one(
     assert hint in printed.err
     assert printed.err.count("\n") == 1
     assert not printed.out
+
+
+def commands_of_packages() -> dict[str, str]:
+    """Return the folder of each command that a package of the tree has, by its entry points."""
+    found = {}
+    run = ROOT / "examples" / "run" / "pyproject.toml"
+    for file in (*(ROOT / "packages").glob("*/pyproject.toml"), run):
+        project = tomllib.loads(file.read_text(encoding="utf-8")).get("project", {})
+        points = project.get("entry-points", {}).get("handmap_qp.commands", {})
+        found |= dict.fromkeys(points, file.parent.relative_to(ROOT).as_posix())
+    # The build tool of ROS 2 reads setup.py.
+    return found | {"ros2": "packages/ros2[dds]"}
+
+
+@pytest.mark.parametrize(("name", "folder"), commands_of_packages().items())
+def test_a_command_of_another_package_says_what_installs_it(
+    name: str,
+    folder: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(cli, "entry_points", lambda *, group: [])
+    cli.all_commands.cache_clear()
+    assert cli.main([*name.split(), "--help"]) == 2
+    cli.all_commands.cache_clear()
+    assert f"pip install '{folder}'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

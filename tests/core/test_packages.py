@@ -72,6 +72,16 @@ def test_other_files_have_the_version_of_the_library() -> None:
         assert f"{expected}\n" in (ROOT / name).read_text("utf-8"), name
 
 
+def test_all_folders_of_packages_that_are_named_exist() -> None:
+    files = [*PAGES, *(ROOT / "handmap_qp").rglob("*.py")]
+    files += [file for package in PACKAGES for file in package.rglob("*.py")]
+    text = "\n".join(file.read_text("utf-8") for file in files)
+    named = {*re.findall(r"(?<![\w./])((?:packages|examples)/[a-z]\w*)", text)}
+    assert len(named) > len(PACKAGES)
+    for folder in named:
+        assert (ROOT / folder).is_dir(), folder
+
+
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
 def test_the_page_of_installing_names_each_package(package: Path) -> None:
     page = (ROOT / "docs" / "install.md").read_text("utf-8")

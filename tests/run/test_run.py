@@ -63,6 +63,7 @@ CASES = [
     ("three_finger", "paper"),
     ("panda_gripper", "teleoperation"),
     ("dex3_right", "teleoperation"),
+    ("dex3_right", "picking"),
 ]
 
 

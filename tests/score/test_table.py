@@ -191,6 +191,37 @@ def test_the_cap_rubs_and_stays_where_it_is_turned() -> None:
     assert abs(wrapped) < 0.02
 
 
+@pytest.mark.parametrize(
+    ("turned_by", "cap_at", "cause"),
+    [
+        (100.0, 0.0, "the pads slipped about it"),
+        (100.0, 60.0, "the pads slipped about it"),
+        (60.0, 50.0, "turned, not far enough"),
+        (60.0, 0.0, "gripped, not turned"),
+    ],
+)
+def test_pads_that_turn_without_the_cap_have_slipped(
+    turned_by: float, cap_at: float, cause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only turns while thumb and finger press count, so that opening and reaching do not."""
+    task = CapTask(own_hand())
+    pose = task.reset(0).poses["object"]
+    contacts = task._bench.contacts
+    links = {finger: link for link, finger in contacts._finger_of.items()}
+    pressed = {links["thumb"]: 5.0, links["index"]: 5.0}
+
+    def turn(by: float, forces: dict[str, float]) -> None:
+        monkeypatch.setattr(contacts, "by_link", lambda data: forces)
+        for angle in np.radians(np.linspace(0.0, by, 20)):
+            axis = np.array([np.cos(angle), np.sin(angle), 0.0])
+            task._signals(pose, 0.02 * np.array([-axis, axis]))
+
+    turn(turned_by, pressed)
+    turn(-170.0, {})
+    task.data.joint("/mover").qpos[:] = np.radians(cap_at)
+    assert task.cause([]) == cause
+
+
 def test_balls_count_where_they_lie() -> None:
     """Balls begin in the cup; six of seven in the bowl are enough, five are not."""
     task = PourTask(own_hand())

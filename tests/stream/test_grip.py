@@ -20,7 +20,9 @@ from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.se3 import transform_points
+from handmap_qp.stream.closing_pads import ClosingPads
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.grip import GripFollower
 from handmap_qp.stream.hand_grip import GripOptions, _Grip
@@ -100,6 +102,26 @@ def test_a_hand_that_is_not_pinching_grips_nothing(allegro: Hand) -> None:
             assert step.named("pinching").max() > 0.5
     assert grip.hand_grip.terms
     assert grip.follower.mapper.tasks == ()
+
+
+@pytest.mark.parametrize("picking", [0.5, 1.0])
+def test_what_counts_more_does_not_decide_when_a_person_grips(
+    allegro: Hand, picking: float
+) -> None:
+    """Pinch rows of an open hand have weight then; that is no pinch of the person."""
+    spans = []
+    for choices in (Teleoperation(), Teleoperation(picking=picking)):
+        mapper = HandMapper(HUMAN, allegro, choices, ik=Teleoperation.weights)
+        grip = GripFollower(Follower(mapper, smoothing=None))
+        steps = [step for step, _ in run(grip, opens=True)]
+        held = [step.command.effort is not None for step in steps]
+        spans.append(np.flatnonzero(np.diff(held)))
+        # Met while the person closes, and let go with the person's opening.
+        assert len(spans[-1]) == 2
+    begins, ends = np.transpose(spans)
+    assert np.ptp(begins) <= 6
+    assert np.ptp(ends) <= 6
+    assert steps[0].named("pinching").max() > 0.0
 
 
 @pytest.mark.parametrize("every", [2, 4])
@@ -517,6 +539,35 @@ def test_pads_beside_a_place_wait_until_they_are_around_it(allegro: Hand) -> Non
     assert waits.sum() > 5
     assert (np.array(gaps)[waits] > (share * least)[waits] - 0.006).all()
     assert gaps[-1] < 0.005
+
+
+def test_pads_gather_the_more_the_nearer_the_persons_fingers_are(
+    allegro: Hand,
+) -> None:
+    """From 130 mm on, and fully from 100 mm on: weights do not jump."""
+    grip = grip_follower(allegro).hand_grip
+    centre = meeting(allegro)
+    grip.see(centre, 0.0)
+    assert grip.place is not None
+    shares = []
+    for gap in (0.13, 0.1225, 0.115, 0.1, 0.05):
+        share = grip._gathering(gap)
+        (term,) = grip._around(grip._pairs[0], grip.place, centre, 0.0, share)
+        assert isinstance(term, ClosingPads)
+        shares.append(term.share)
+    np.testing.assert_allclose(shares, [0.0, 0.25, 0.5, 1.0, 1.0], atol=1e-12)
+
+
+def test_patience_begins_anew_with_each_pinch(allegro: Hand) -> None:
+    """A person who opens the fingers and closes them again has not gone on closing."""
+    grip = grip_follower(allegro, behind=1.0)
+    centre = meeting(allegro)
+    times = []
+    for sample in samples(opens=True):
+        grip.map_sample(sample, allegro.rest, centre, 0.0)
+        times.append(grip.hand_grip._closing.time)
+    assert max(times) > 0.4
+    assert times[-1] == 0.0
 
 
 def test_a_place_far_away_changes_nothing(allegro: Hand) -> None:

@@ -271,7 +271,7 @@ def test_samples_with_nan_are_not_valid(tmp_path: Path) -> None:
     [
         (1e3 * LANDMARKS, "right", "millimetres"),
         ((1e3 * LANDMARKS).round(), "right", "millimetres"),
-        (LANDMARKS, "left", "right hand"),
+        (LANDMARKS, "left", "the right one (--side right; side= in Python)"),
     ],
     ids=["millimetres", "whole millimetres", "other hand"],
 )

@@ -62,8 +62,8 @@ _PINCH_FROM = 0.070, 0.200
 _PINCH_OVER = 0.050, 0.150
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
 _PADS_OVERLAP = 0.003, 0.007
-# A pinch stays closed up to a gap this much above that of contact: people's gaps drift while they
-# hold something [m].
+# Pads are to touch up to a gap this much above that of contact, because people's gaps drift while
+# they hold something [m]. The margin between thumb and finger still parts them, by less than 3 mm.
 _SLACK = 0.0, 0.012
 # How much farther the robot opens than the person, so that objects fit between its thicker pads.
 _OPENING = 1.0, 1.4
@@ -290,7 +290,7 @@ class BoundTeleoperation(PalmMethod):
         extension = pair.robot_distances - pair.reach_ratios * at_rest
         # The robot's pads press on each other here.
         touching = touching_distances(self.pads) - choices.picked(_PADS_OVERLAP)
-        # Between jaws, an object is as large as between the human's fingers.
+        # Jaws move as far as the human's fingers, because an object is as large for both.
         opening = choices.picked(_OPENING) * pair.reach_ratios.mean()
         ratio = 1.0 if pair.has_jaws else opening
         closed = choices.contact_gap + choices.picked(_SLACK)
@@ -401,10 +401,10 @@ class Teleoperation(AlignedOptions, frozen=True):
         super().check()
         if self.squeeze > 0.0 and not self.avoids_contact:
             raise InvalidOptionsError(
-                "it says how far links that are kept apart may yield",
                 option="squeeze",
+                expected="0 where avoids_contact is off",
                 value=self.squeeze,
-                advice="leave avoids_contact on, or squeeze at 0",
+                advice="only links that are kept apart yield to it",
             )
 
     def picked(self, ends: tuple[float, float]) -> float:

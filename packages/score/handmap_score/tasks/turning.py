@@ -22,7 +22,7 @@ from .fixtures import SHOWN, add_mover, forward, moved
 from .household import Household
 from .person import LARGEST_STEP, Look, PalmMotion, Person, Phase
 from .table import FIXTURE, TableTask
-from .task import Signals
+from .task import Scene, Signals
 from .touch import cause_of_no_grip
 
 CAP = "cap"
@@ -52,9 +52,30 @@ class CapTask(TableTask):
         """Return why the cap is where it is."""
         if not any(one.is_pinched for one in self.course):
             return cause_of_no_grip(self.course)
+        if self._pads_turned >= TURNED:
+            return "the pads slipped about it"
         if moved(self.data) > _BEGUN:
             return "turned, not far enough"
         return "gripped, not turned"
+
+    def reset(self, seed: int) -> Scene:
+        """Begin an attempt; see `TableTask.reset`."""
+        self._pads_turned = 0.0
+        self._direction: float | None = None
+        return super().reset(seed)
+
+    def _signals(self, pose: Array, pads: Array) -> Signals:
+        """Add up by how much the line of the pads turns while they press on the cap."""
+        signals = super()._signals(pose, pads)
+        line = pads[1] - pads[0]
+        direction = math.atan2(line[1], line[0])
+        if not self.course[-1].is_pinched:
+            self._direction = None
+            return signals
+        if self._direction is not None:
+            self._pads_turned += math.remainder(direction - self._direction, math.tau)
+        self._direction = direction
+        return signals
 
     def _furnish(self, spec: mujoco.MjSpec) -> None:
         """Add the thread that the cap turns on, and the bottle as it is seen."""
