@@ -1,7 +1,7 @@
 """Whether one session holds an egg without breaking it, and then a bottle of 300 g.
 
     python benchmarks bench_effort --seed 21 --json effort.json --picture effort.png
-    python benchmarks bench_effort --robots allegro_right --picks 4 --trials 1
+    python benchmarks bench_effort --robots allegro_right --picks 4 --trials 1 --objects egg
 
 A robot follows every pick of `picks.py` by `GripFollower` with the object's place known. The
 wanted force is told as a session does it (`configure`): 2.5 N for the egg, which is gripped gently,
@@ -195,6 +195,9 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", nargs="+", default=list(common.ROBOTS))
     parser.add_argument("--trials", type=int, default=3, help="for each recording")
     parser.add_argument("--picks", type=int, default=None, help="only the first ones")
+    parser.add_argument(
+        "--objects", nargs="+", choices=list(OBJECTS), default=list(OBJECTS)
+    )
     parser.add_argument("--force", type=float, default=None, help="for both [N]")
     parser.add_argument("--rough", action="store_true", help="grip nothing gently")
     parser.add_argument("--seed", type=int, default=0)
@@ -223,6 +226,9 @@ def main(words: Sequence[str] | None = None) -> None:
                         where["recording"] = recording.name
                         force = arguments.force or told
                         gain = random.uniform(*GAINS)
+                        # Drawn all the same, so that the others stay as they are.
+                        if what not in arguments.objects:
+                            continue
                         gentle = force < BREAKS and not arguments.rough
                         became = tried(scene, what, trial, force, gain, gentle=gentle)
                         found.append(where | became)

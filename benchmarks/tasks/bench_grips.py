@@ -113,7 +113,7 @@ def medians(found: Sequence[dict[str, Any]], keys: Sequence[str]) -> dict[str, s
 def row(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Summarise trials in a row of a table."""
     cells, _, held = held_cells(name, found)
-    return cells | medians(held, ("slip mm", "force N", "torque N m"))
+    return cells | medians(held, ("slip mm", "slide mm", "force N", "torque N m"))
 
 
 def tables(found: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
@@ -209,6 +209,7 @@ def tried(scene: PinchScene, trial: PinchTrial, error: Vector) -> dict[str, Any]
     return {
         "held": outcome.is_held,
         "slip mm": 1e3 * outcome.slip,
+        "slide mm": 1e3 * outcome.slide,
         "force N": float(outcome.force),
         "torque N m": float(outcome.torque),
         "held s": float(outcome.held_time),

@@ -50,8 +50,9 @@ _FUNNEL = 4.0
 _WIDE = 0.06
 _PATIENCE = 0.4
 _CERTAIN = 2.0
-# Pads that move no faster than this for so long have met something [m/s, s].
-_STILL = 0.03
+# Pads whose gap stays within this for so long have met something [m, s]. An object that they push
+# along on the way lets the gap tremble from sample to sample.
+_STILL = 0.003
 _TOUCHED = 0.1
 # Time over which a force is raised, and a grip is let go [s].
 _RAISED = 0.1
@@ -86,7 +87,7 @@ class _Closing(NamedTuple):
     """Pads that close, and may meet something."""
 
     finger: int = -1  # number of the finger, in the order of the pinches
-    gap: float = 0.0  # measured gap of the pads [m]
+    gap: float = 0.0  # measured gap of the pads from which on they are still [m]
     least: float = 0.0  # least gap that presses with no more than the force [m]
     time: float = 0.0  # for how long the person has pinched [s]
     met: float = 0.0  # time since they have met something [s]
@@ -290,12 +291,12 @@ class HandGrip:
         is_met = (
             is_pinching
             and self._is_apart
-            and abs(gap - before.gap) < _STILL * dt
+            and abs(gap - before.gap) < _STILL
             and gap - commanded > behind
         )
-        met = is_met * (before.met + dt)
+        still, met = (before.gap, before.met + dt) if is_met else (gap, 0.0)
         time = before.time + dt * is_pinching
-        self._closing = _Closing(finger, gap, pressing, time, met)
+        self._closing = _Closing(finger, still, pressing, time, met)
         if met < _TOUCHED:
             return
         pressed = levers @ (self._stiffness * (step.command.q - q))

@@ -37,8 +37,8 @@ def test_both_pads_press_with_the_force_that_is_told(name: str) -> None:
     forces = outcome.episode.at.normal_force[-10:]
     assert np.ptp(forces) < 1.0
     assert forces.mean() == pytest.approx(10.0, rel=0.2)
-    # It stays between the pads, which are 12 mm and more in radius.
-    assert outcome.slip < 0.01
+    # It stays where it was gripped: the touch is found before the pads have dragged it far.
+    assert outcome.slip < 0.005
 
 
 def test_a_place_that_is_wrong_by_what_it_says_loses_nothing() -> None:

@@ -14,11 +14,23 @@ from picks import kept, made_pick
 from handmap_qp import InvalidInputError, cli, load_hand
 from handmap_qp.apps.offline.comparison import Take, prepare_take
 from handmap_qp.apps.offline.trajectory import RobotMotion
-from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch
+from handmap_qp.apps.simulation.commands import (
+    PinchWindow,
+    chosen_methods,
+    find_pinch,
+    map_take,
+    read_pick,
+)
 from handmap_qp.apps.simulation.losses import Loss, Touch, loss_in_try, tries
 from handmap_qp.apps.simulation.pad_motion import PersonPads
 from handmap_qp.apps.simulation.physics import Physics, choose_gravity
-from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
+from handmap_qp.apps.simulation.pinch import (
+    CUBE,
+    PinchOutcome,
+    PinchScene,
+    PinchTrial,
+)
+from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import urdf_directory
@@ -270,15 +282,62 @@ def test_the_command_says_what_it_assumed_and_why_objects_were_lost(
     assert 0.0 < pads["off mm"] < 100.0
 
 
-def test_demo_is_a_recording_to_simulate(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["simulate", "demo", "--robot", "leap_right", "--json"]) == 0
+@pytest.mark.parametrize("robot", ["three_finger", "leap_right", "allegro_right"])
+def test_demo_is_held(robot: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first simulation of a new user, by the default hand and others."""
+    assert cli.main(["simulate", "demo", "--robot", robot, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     # Its world has z up: with another one, the object leaves its stand.
     assert "+z" in told["assumed"]["up"]
-    assert told["rows"][0]["held"] == "yes"
-    assert cli.main(["simulate", "demo", "--json"]) == 0
-    held = {row["held"] for row in json.loads(capsys.readouterr().out)["rows"]}
-    assert held <= {"yes", "no"}
+    assert [row["held"] for row in told["rows"]] == ["yes", "yes"]
+    passed = told["assumed"].get("finger in the way", "")
+    assert passed.startswith("middle") == (robot != "leap_right")
+
+
+def test_a_finger_in_the_way_touches_the_object_once_it_has_left() -> None:
+    """The person of `demo` points, then pinches: a curled finger is where the object comes."""
+    hand = load_hand("three_finger")
+    take, window = read_pick(hand, [Path("demo")])
+    (commands,) = map_take(chosen_methods((), None, hand.name), take, hand)
+    scene = PinchScene(commands, window, Physics(gravity=(0.0, 0.0, -9.81)))
+    outcome = scene.run(PinchTrial())
+    assert outcome.in_the_way == ("middle",)
+    # It passes while it is in the object, without a force, and is nowhere in it afterwards.
+    simulator = Simulator(hand, CUBE, scene.physics)
+    middle = scene.pads.others["middle"]
+    at = outcome.episode.at
+    gaps = []
+    for q, wrist, pose in zip(at.q, at.wrist, at.object_pose, strict=True):
+        simulator.reset(hand.configuration_vector(q, wrist), pose)
+        gaps.append(simulator.clearance(middle))
+    left = int(np.argmax(np.array(gaps) > 0.0))
+    assert gaps[0] < 0.0 < gaps[left]
+    assert at.normal_force[:left].max() == 0.0
+    assert min(gaps[left:]) > -1e-3
+
+
+def test_links_that_pass_do_not_touch(gripper: PinchScene) -> None:
+    simulator = Simulator(gripper.commands.robot, CUBE, gripper.physics)
+    pose = np.eye(4)
+    simulator.reset(gripper.commands.at(gripper.window.end), pose)
+    pose[:3, 3] = gripper.pads.pair.middle(gripper.pads.places(simulator))
+    for passing, touches in (((), True), (simulator.links, False), ((), True)):
+        simulator.reset(gripper.commands.at(gripper.window.end), pose)
+        simulator.set_passing(passing)
+        simulator.follow(simulator.target, gripper.physics.time_step)
+        assert bool(simulator.pressing()) == touches
+
+
+def test_palms_and_fingers_that_stay_in_the_way_are_refused() -> None:
+    """Only fingers that leave the object's place before the pads meet it may be there."""
+    hand = load_hand("three_finger")
+    take, window = read_pick(hand, [Path("demo")])
+    (commands,) = map_take(chosen_methods((), None, hand.name), take, hand)
+    scene = PinchScene(
+        commands, window, Physics(gravity=(0.0, 0.0, -9.81)), None, 0.005
+    )
+    with pytest.raises(InvalidInputError, match="the nearest link at -"):
+        scene.run(PinchTrial(Sphere(0.08)))
 
 
 @pytest.mark.parametrize("robot", ["g1", "ur5_allegro"])

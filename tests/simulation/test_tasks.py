@@ -18,7 +18,7 @@ from simulation_cases import CUBE
 from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.apps.simulation.commands import PinchWindow, find_pinch, read_pick
-from handmap_qp.apps.simulation.pads import Pads
+from handmap_qp.apps.simulation.pads import Pads, largest_slide
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import (
@@ -131,6 +131,27 @@ def test_the_stand_lets_go_at_last_where_no_grip_comes(pinching: PinchScene) -> 
     short = PinchScene(pinching.commands, PinchWindow(0, 10, 40), pinching.physics)
     outcome = short.run(below)
     assert (outcome.is_held, outcome.held_time, outcome.slip) == (False, 0.0, 0.0)
+
+
+def test_an_object_that_goes_with_its_pads_does_not_slide_on_them() -> None:
+    """Pads that turn by a right angle, and a wrist that does not: 3 mm along, then 4 mm across."""
+    away = np.array([[0.0, 0.003, 0.0], [-0.003, 0.0, 0.0], [-0.003, 0.0, 0.004]])
+    lines = 0.04 * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    assert largest_slide(away[:2], lines[:2]) == pytest.approx(0.0, abs=1e-12)
+    assert largest_slide(away, lines) == pytest.approx(0.004)
+    # Pads at one place, and the first instant alone, have no turn.
+    assert largest_slide(away[:1], lines[:1]) == 0.0
+    assert largest_slide(away[:2], 0.0 * lines[:2]) == pytest.approx(0.003 * 2**0.5)
+
+
+def test_jaws_that_only_close_slide_as_far_as_their_object_slips(
+    pinching: PinchScene, lifted: PinchOutcome
+) -> None:
+    """Jaws neither turn nor move against their wrist: both displacements are one."""
+    assert lifted.slide == pytest.approx(lifted.slip, abs=1e-3)
+    lost = pinching.run(PinchTrial(friction=0.01, mass=0.2))
+    assert lost.slide > 0.01
+    assert lost.slide == pytest.approx(lost.slip, abs=5e-3)
 
 
 def test_what_was_carried_for_no_time_was_not_held(pinching: PinchScene) -> None:

@@ -38,7 +38,15 @@ from .physics import Physics, choose_gravity
 from .pictures import film, picture, write_page
 from .pinch import Objects, PinchOutcome, PinchScene, PinchTrial, random_trials
 from .pinch_rows import describe_trial
-from .tried import Tried, fates, loss_rows, single_row, tried_row, try_all
+from .tried import (
+    Tried,
+    fates,
+    in_the_way_cell,
+    loss_rows,
+    single_row,
+    tried_row,
+    try_all,
+)
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 _FILES = {
@@ -57,10 +65,11 @@ class Simulate:
     """Simulate a mapped hand that holds an object, with contacts, friction and gravity.
 
     The recording shows a pick: an open hand pinches with thumb and index finger. An object stands
-    where the robot's pads meet, and must stay between them until the human opens the hand. Each
-    object that is not held has its cause. With --trials, random objects and places are tried, and
-    the tables show how many were held by every mapping, and why the others were not. A fist is no
-    pick: thumb and index finger must face each other.
+    where the robot's pads meet, and must stay between them until the human opens the hand. It is
+    there while the hand is still open; other fingers that are then in its place, as after pointing,
+    touch it once they have left. Each object that is not held has its cause. With --trials, random
+    objects and places are tried, and the tables show how many were held by every mapping, and why
+    the others were not. A fist is no pick: thumb and index finger must face each other.
 
     A robot with both hands follows both; the hand that pinches longest holds the object.
 
@@ -159,9 +168,9 @@ class Simulate:
             found["losses"] = {name: one.losses for name, one in tried.items()}
             tables["Why objects were not held"] = loss_rows(tried)
         else:
-            self._write(
-                {n: one.outcomes[0] for n, one in tried.items() if one.outcomes}
-            )
+            outcomes = {n: one.outcomes[0] for n, one in tried.items() if one.outcomes}
+            assumed |= in_the_way_cell(outcomes)
+            self._write(outcomes)
         if person:
             width = float(surface(shape).extents[0])
             found["pads"] = [

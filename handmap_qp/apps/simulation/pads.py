@@ -1,13 +1,16 @@
 """The pads of thumb and index finger in a simulation, and how they touch the object: `Pads`."""
 
 import math
+from collections.abc import Mapping, Sequence
+from itertools import chain
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import THUMB, Hand, PadPair
 from handmap_qp.mapping import robot_fingers
-from handmap_qp.se3 import Array, transform_points, unit
+from handmap_qp.se3 import Array, lengths, transform_points, unit
 from .losses import PRESSED, Touch
 from .pad_motion import INDEX
 from .simulator import Simulator
@@ -23,6 +26,7 @@ class Pads:
     Attributes:
         pair: The pads.
         bodies: Names of the bodies that carry them.
+        others: Names of the bodies of each other finger, by the finger's name.
 
     Raises:
         InvalidInputError: If the hand has no index finger, or no thumb.
@@ -41,6 +45,11 @@ class Pads:
         bodies = ["world", *(prefix + name for name in hand.model.names[1:])]
         self.bodies = [bodies[pad.joint] for pad in self.pair]
         self._of_thumb = [bodies[joint] for joint in chains[THUMB].joints]
+        self.others = {
+            name: [bodies[joint] for joint in finger.joints]
+            for name, finger in chains.items()
+            if name not in (THUMB, INDEX)
+        }
 
     def places(self, simulator: Simulator) -> Array:
         """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
@@ -83,3 +92,53 @@ class Pads:
         forces = simulator.pressing()
         thumb = sum(forces.get(name, 0.0) for name in self._of_thumb)
         return thumb, sum(forces.values()) - thumb
+
+
+class FingersInTheWay:
+    """Fingers that are where an object is put: they touch it once they have left its place.
+
+    Args:
+        simulator: The simulation, with the object at its place.
+        fingers: Names of the bodies of each finger that may be there, by the finger's name.
+
+    Attributes:
+        names: The fingers that were there at first.
+    """
+
+    def __init__(
+        self, simulator: Simulator, fingers: Mapping[str, Sequence[str]]
+    ) -> None:
+        self._simulator = simulator
+        self._passing = fingers
+        self.update()
+        self.names = tuple(self._passing)
+
+    def update(self) -> None:
+        """Let the fingers that have left the object's place touch it from now on."""
+        if not self._passing:
+            return
+        self._passing = {
+            name: bodies
+            for name, bodies in self._passing.items()
+            if self._simulator.clearance(bodies) <= 0.0
+        }
+        self._simulator.set_passing({*chain.from_iterable(self._passing.values())})
+
+
+def largest_slide(away: Array, lines: Array) -> float:
+    """Return how far an object moves against two pads at most [m].
+
+    The fingers may carry object and pads together: both vectors are in axes that turn with the line
+    between the pads, by the smallest rotation.
+
+    Args:
+        away: From the middle between the pads to the object, in wrist axes [m], shape (T, 3).
+        lines: From the thumb's pad to the finger's, in wrist axes [m], shape (T, 3).
+    """
+    directions = unit(lines)
+    across = np.cross(directions[0], directions)
+    sines = lengths(across)
+    angles = np.arctan2(sines, directions @ directions[0])
+    turns = across * (angles / np.where(sines > 0.0, sines, 1.0))[:, None]
+    carried = Rotation.from_rotvec(turns).inv().apply(away)
+    return float(lengths(carried - carried[0]).max())

@@ -1,16 +1,19 @@
 """Pinch and carry: a recorded pinch closes on an object, which must then stay (`PinchScene`).
 
 The object stands on a stand where the robot's pads come together when nothing is between them, or
-where the person's do, and the hand starts open, clear of it. The stand lets go when the thumb and
+where the person's do. The hand starts open, and thumb, index finger and palm clear of it. Another
+finger that is in its place, as after pointing, touches it once it has left: in life, nobody puts an
+object where a finger is. The stand lets go when the thumb and
 another finger have pressed on it for a while, or when the pads should have met it long ago. From
 then until the human opens his hand, the object must stay between the pads. `random_trials` draws
 many objects and places.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -18,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.offline.trajectory import RobotMotion
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands import Vector
+from handmap_qp.hands import Names, Vector
 from handmap_qp.mapping import (
     KINDS,
     Box,
@@ -38,7 +41,7 @@ from handmap_qp.se3 import (
 from .commands import PinchWindow
 from .losses import Loss, Touch, loss_in_try
 from .pad_motion import Meeting, PadMotion
-from .pads import Pads
+from .pads import FingersInTheWay, Pads, largest_slide
 from .physics import Physics, turn_up
 from .simulator import Episode, Instant, Simulator
 
@@ -93,25 +96,31 @@ class PinchOutcome(NamedTuple):
         is_held: Whether the object stayed between the pads until the human opened the hand.
         held_time: Time from the stand's letting go to the loss, or to the opening [s].
         pinch_time: Time from the stand's letting go to the opening [s].
-        slip: Largest displacement of the object from its place between the pads [m], while held.
+        slip: Largest displacement of the object against the wrist while held [m]. Fingers that go
+            on moving carry it along.
+        slide: The same against the pads of thumb and index finger [m].
         rotation: Rotation of the object against the wrist, at the end or the loss [rad].
         force: Mean normal force while held [N].
         torque: Largest torque of a finger's actuator while held [N m].
         episode: The simulation.
         loss: Why it was not held; None if it was.
         course: How the hand touched it, at each instant of the episode.
+        in_the_way: Fingers that were in its place at first, and passed through it until they had
+            left.
     """
 
     is_held: bool
     held_time: float
     pinch_time: float
     slip: float
+    slide: float
     rotation: float
     force: float
     torque: float
     episode: Episode
     loss: Loss | None
     course: tuple[Touch, ...]
+    in_the_way: Names = ()
 
     @property
     def columns(self) -> Arrays:
@@ -163,8 +172,8 @@ class PinchScene:
             What became of the object.
 
         Raises:
-            InvalidInputError: If the open hand overlaps the object, or its pads are not
-                `least_clear` from it, wherever the trial may start.
+            InvalidInputError: If the open hand overlaps the object, but for fingers that leave, or
+                its pads are not `least_clear` from it, wherever the trial may start.
         """
         pads = self.pads
         width = surface(trial.shape).extents[0]
@@ -177,18 +186,22 @@ class PinchScene:
         axes = turn_up(self.physics.up, spot.places[1] - spot.places[0]).T @ turn
         physics = self.physics.replaced(mass=trial.mass, friction=trial.friction)
         simulator = Simulator(self.commands.robot, trial.shape, physics)
-        start = self._put_clear(simulator, affine(axes, place))
+        pose = affine(axes, place)
+        leaving = self._leaving(simulator, pose, met)
+        start = self._put_clear(simulator, pose, leaving)
+        in_the_way = FingersInTheWay(simulator, leaving)
         instants = []
         course = []
         away = []
+        lines = []
         # Index at which the stand lets go, and the time until which there was no grip.
         freed, loose = -1, self.commands.time[start]
         for i, time in enumerate(self._play(simulator, start)):
+            in_the_way.update()
             instants.append(simulator.instant())
-            off = simulator.object_pose[:3, 3] - pads.pair.middle(
-                pads.places(simulator)
-            )
-            away.append(lengths(off))
+            places = pads.places(simulator)
+            away.append(simulator.object_pose[:3, 3] - pads.pair.middle(places))
+            lines.append(places[1] - places[0])
             touch = pads.touch(simulator, float(time), place)
             course.append(touch)
             if not touch.is_pinched:
@@ -197,7 +210,9 @@ class PinchScene:
                 simulator.set_stand(holds=False)
                 freed = i
         episode = Episode.of(simulator, instants)
-        return _outcome(episode, tuple(course), np.array(away), freed, width)
+        between = np.array(away), np.array(lines)
+        outcome = _outcome(episode, tuple(course), between, freed, width)
+        return outcome._replace(in_the_way=in_the_way.names)
 
     def meeting(self, width: float) -> Meeting:
         """Return the first instant at which the pads are as near as an object is wide.
@@ -226,20 +241,43 @@ class PinchScene:
         times, places = map(np.array, zip(*instants, strict=True))
         return PadMotion(times, places, self.pads.pair)
 
-    def _put_clear(self, simulator: Simulator, pose: Array) -> int:
+    def _leaving(
+        self, simulator: Simulator, pose: Array, met: Meeting
+    ) -> dict[str, list[str]]:
+        """Return the fingers beside the pads' that are clear of the object when the pads meet it.
+
+        Before that, as after pointing, they may be in its place.
+
+        Returns:
+            Names of the bodies of each finger, by the finger's name.
+        """
+        sample = int(np.searchsorted(self.commands.time, met.time))
+        simulator.reset(self.commands.at(min(sample, self.window.end)), pose)
+        fingers = self.pads.others.items()
+        return {
+            name: bodies for name, bodies in fingers if simulator.clearance(bodies) > 0
+        }
+
+    def _put_clear(
+        self, simulator: Simulator, pose: Array, leaving: Mapping[str, Sequence[str]]
+    ) -> int:
         """Put the object on its stand, and the hand where it is last clear; return that sample.
 
-        Where the hand is never clear by 15 mm, put it where it is clearest.
+        Where the hand is never clear by 15 mm, put it where it is clearest since its pads were last
+        in the object's place. Fingers that leave that place in time do not count.
         """
+        free = {*chain.from_iterable(leaving.values())}
+        links = [name for name in simulator.links if name not in free]
         pads = others = 0.0
         clearest = (self.least_clear, -1)
         for start in range(self.window.start, self.window.opened - 1, -1):
             simulator.reset(self.commands.at(start), pose)
             pads = simulator.clearance(self.pads.bodies)
-            others = simulator.clearance()
+            others = simulator.clearance(links)
             if others > 0.0:
                 clearest = max(clearest, (min(pads, _CLEAR), start))
-            if clearest >= (_CLEAR, 0):
+            # Earlier, pads that were clear would have to pass through the object.
+            if clearest >= (_CLEAR, 0) or (pads <= 0.0 and clearest[1] >= 0):
                 break
         start = clearest[1]
         if start >= 0:
@@ -265,15 +303,22 @@ class PinchScene:
 def _outcome(
     episode: Episode,
     course: tuple[Touch, ...],
-    away: Array,
+    between: tuple[Array, Array],
     freed: int,
     width: float,
 ) -> PinchOutcome:
-    """Judge what happens from an index on, by distances from the pads' middle, shape (T,).
+    """Judge what happens from an index on; -1 if the stand never let go.
 
-    The index is -1 if the stand never let go.
+    Args:
+        episode: What was simulated.
+        course: How the hand touched the object.
+        between: Vectors from the pads' middle to the object, and from the thumb's pad to the
+            finger's, in world axes [m], shape (T, 3) each.
+        freed: The index.
+        width: Width of the object [m].
     """
-    is_away = away > _LOST + width / 2.0
+    distances = lengths(between[0])
+    is_away = distances > _LOST + width / 2.0
     if freed < 0:
         # Pads that never gripped had no object to lose.
         is_away[-1] = True
@@ -282,6 +327,11 @@ def _outcome(
     kept = Instant(*(column[: 1 + lost[0]] if len(lost) else column for column in free))
     poses = inverse_pose(kept.wrist) @ kept.object_pose
     turns = poses[:, :3, :3]
+    # Rows times a rotation turn back by it, into the wrist's axes.
+    axes = kept.wrist[:, :3, :3]
+    away_kept, lines = (
+        (vectors[freed:][: len(axes), None] @ axes)[:, 0] for vectors in between
+    )
     turn = Rotation.from_matrix(turns[-1] @ turns[0].T).magnitude()
     is_held = bool(
         not len(lost) and free.links_touching[-1] >= 2 and np.ptp(free.time) >= _GRIPPED
@@ -291,11 +341,12 @@ def _outcome(
         held_time=np.ptp(kept.time),
         pinch_time=np.ptp(free.time),
         slip=lengths(poses[:, :3, 3] - poses[0, :3, 3]).max(),
+        slide=largest_slide(away_kept, lines),
         rotation=turn,
         force=kept.normal_force.mean(),
         torque=np.abs(kept.torque[:, ~episode.hand.moves_wrist]).max(),
         episode=episode,
-        loss=None if is_held else _loss(course, away, freed, width),
+        loss=None if is_held else _loss(course, distances, freed, width),
         course=course,
     )
 

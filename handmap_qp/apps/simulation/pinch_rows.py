@@ -33,7 +33,7 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> Row:
     shares = [o.held_time / max(o.pinch_time, 1e-9) for o in outcomes]
     medians = {
         key: round(np.median([row[key] for row in held]), 2) if held else "-"
-        for key in ("slip mm", "force N", "torque N m")
+        for key in ("slip mm", "slide mm", "force N", "torque N m")
     }
     return {
         "mapping": name,
@@ -71,6 +71,7 @@ OUTCOME_COLUMNS = (
     "held s",
     "of s",
     "slip mm",
+    "slide mm",
     "rotation deg",
     "force N",
     "torque N m",
@@ -86,6 +87,7 @@ def outcome_row(name: str, outcome: PinchOutcome) -> Row:
         round(outcome.held_time, 2),
         round(outcome.pinch_time, 2),
         round(1e3 * outcome.slip, 1),
+        round(1e3 * outcome.slide, 1),
         round(math.degrees(outcome.rotation)),
         round(outcome.force, 1),
         round(outcome.torque, 2),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -131,6 +131,9 @@ class Simulator:
         self._due = 0.0
         # No shape has the number -1.
         self._table = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, TABLE)
+        self._collides = np.array(
+            [self.model.geom_contype, self.model.geom_conaffinity]
+        )
         # The actuators are in the order of the joints' names; those of further hands follow.
         own = self.model.actuator_trnid[: len(hand.joint_names), 0]
         self._places = self.model.jnt_qposadr[own]
@@ -158,6 +161,13 @@ class Simulator:
     def object_pose(self) -> Array:
         """Pose of the object in the world, shape (4, 4)."""
         return self.body_pose(OBJECT)
+
+    @property
+    def links(self) -> list[str]:
+        """Joints that carry links with shapes, named as of `body_pose`."""
+        model = self.model
+        names = {model.body(body).name for body in model.geom_bodyid}
+        return sorted(names - {OBJECT, TABLE})
 
     def body_pose(self, name: str) -> Array:
         """Return the pose of a body in the world, shape (4, 4).
@@ -223,6 +233,17 @@ class Simulator:
         friction = self.physics.friction * weight if holds else 0.0
         self.model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
 
+    def set_passing(self, bodies: Collection[str]) -> None:
+        """Let some links pass through the object; all others touch it.
+
+        Args:
+            bodies: Joints whose links pass, named as of `body_pose`; a later call replaces them.
+        """
+        model = self.model
+        names = (model.body(body).name for body in model.geom_bodyid)
+        touches = np.array([name not in bodies for name in names])
+        model.geom_contype[:], model.geom_conaffinity[:] = self._collides * touches
+
     def follow(
         self,
         goal: Array,
@@ -281,9 +302,12 @@ class Simulator:
         held = model.geom(OBJECT).id
         shapes = {*range(model.ngeom)} - {held, self._table}
         return min(
-            mujoco.mj_geomDistance(model, self.data, shape, held, _FAR, None)
-            for shape in shapes
-            if not bodies or model.body(model.geom_bodyid[shape]).name in bodies
+            (
+                mujoco.mj_geomDistance(model, self.data, shape, held, _FAR, None)
+                for shape in shapes
+                if not bodies or model.body(model.geom_bodyid[shape]).name in bodies
+            ),
+            default=_FAR,
         )
 
     def lead(self, command: Array) -> None:

@@ -64,6 +64,23 @@ def single_row(name: str, tried: Tried) -> Row:
     )
 
 
+def in_the_way_cell(outcomes: Mapping[str, PinchOutcome]) -> Row:
+    """Describe which fingers passed through a single object; no cell if none did.
+
+    Args:
+        outcomes: What became of it, by the mappings' names.
+    """
+    fingers = [
+        f"{', '.join(outcome.in_the_way)} ({name})"
+        for name, outcome in outcomes.items()
+        if outcome.in_the_way
+    ]
+    if not fingers:
+        return {}
+    says = "where the object stands at first; touches it after leaving that place"
+    return {"finger in the way": f"{'; '.join(fingers)}: {says}"}
+
+
 def tried_row(name: str, tried: Tried) -> Row:
     """Summarise the trials of one mapping in a row of a table."""
     drawn = len(tried.outcomes) + len(tried.refusals)
