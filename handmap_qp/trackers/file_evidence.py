@@ -7,7 +7,7 @@ look and never one to refuse: people may move slowly on purpose.
 
 **Time.** People's fingers move at 1 to 3 Hz: half of the power of their speed lies below that
 frequency. Instants that run k times as slowly divide it by k. A factor of 10 is outside of what
-people do, and a factor of 2 is inside: see `benchmarks/bench_lies.py`.
+people do, and a factor of 2 is inside: see `benchmarks/fidelity/bench_lies.py`.
 
 **Wrist.** A tracker that measures a wrist never repeats it exactly while the palm moves.
 

@@ -354,7 +354,8 @@ def test_every_hand_of_the_library_is_taken() -> None:
 
 
 if __name__ == "__main__":
-    sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
+    tests = Path(__file__).parents[1]
+    sys.path[:0] = [str(tests / "support"), str(tests.parent)]
     import os
 
     if "HANDMAP_CORE" in os.environ:

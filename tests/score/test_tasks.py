@@ -687,7 +687,7 @@ needs_adroit = [
     pytest.mark.slow,
     pytest.mark.skipif(
         find_spec("gymnasium_robotics") is None,
-        reason="needs gymnasium-robotics: pip install 'examples/score[tasks]'",
+        reason="needs gymnasium-robotics: pip install 'packages/score[tasks]'",
     ),
     pytest.mark.skipif(
         not (experts.weights_folder() / "door.npz").is_file(),
