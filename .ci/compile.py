@@ -1,8 +1,8 @@
 """hatchling's hook that compiles the core (`handmap_qp/core`) by scikit-build-core.
 
 An editable install puts the library into the checkout, a wheel has it inside. Where the machine has
-no C++ compiler, that of the package `ziglang` compiles. A line for each compiled file, and one that
-says what happened, are printed; pip shows them with -v only.
+no C++ compiler, that of the package `ziglang` compiles. A line for each compiled file is printed,
+which pip shows with -v only; what it does and what came of it is told on the terminal, too.
 
 The core is compiled in `build/core` of the source, so that the next build compiles only what
 changed, or in a temporary folder if the source cannot be written.
@@ -25,6 +25,7 @@ from typing import Any
 from compilers import ADVICE, check_compiler, needs_zig, use_zig
 from scikit_build_core.errors import FailedLiveProcessError
 from scikit_build_core.hatch.plugin import ScikitBuildHook
+from terminal import tell
 
 
 class Compile(ScikitBuildHook):
@@ -46,6 +47,7 @@ class Compile(ScikitBuildHook):
             for stale in package.glob("_core.*"):
                 stale.unlink()
         check_compiler()
+        tell("handmap_qp: compiling the core, which takes a minute or two")
         before = dict(build_data)
         started = time.perf_counter()
         with (
@@ -54,16 +56,14 @@ class Compile(ScikitBuildHook):
         ):
             defined = [f"HANDMAP_SOURCES={_fingerprint(package)}"]
             if needs_zig():
-                print(
-                    "No C++ compiler was found: that of the package ziglang compiles."
-                )
+                tell("No C++ compiler was found: that of the package ziglang compiles.")
                 defined += use_zig(Path(programs))
             os.environ["SKBUILD_CMAKE_DEFINE"] = ";".join(defined)
             try:
                 super().initialize("standard", build_data)
             except (FailedLiveProcessError, SystemExit) as error:
                 sys.exit(f"handmap_qp: compiling the core failed ({error}); {ADVICE}.")
-        print(f"Compiled the core in {time.perf_counter() - started:.0f} s.")
+        tell(f"Compiled the core in {time.perf_counter() - started:.0f} s.")
         if version == "editable":
             for source in list(build_data["force_include"]):
                 for library in Path(source).rglob("_core*.so"):

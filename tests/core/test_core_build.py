@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import shutil
 import subprocess
 import sys
 import sysconfig
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from email import message_from_string
 from pathlib import Path
 
@@ -287,3 +289,30 @@ def test_a_read_only_source_gives_a_wheel_with_the_core(
     names = zipfile.ZipFile(wheel).namelist()
     assert any(name.startswith("handmap_qp/_core.") for name in names)
     assert sorted(read_only_source.rglob("*")) == before
+
+
+def told(is_kept: bool, **environment: str) -> str:
+    """Return what a build's line puts on a terminal, where pip keeps the output or shows it."""
+    script = "import terminal; terminal.tell('compiling')"
+    child, end = pty.fork()
+    if child == 0:
+        output = os.open(os.devnull, os.O_WRONLY) if is_kept else 1
+        os.dup2(output, 1)
+        os.environ.pop("MAKELEVEL", None)
+        os.environ.update(environment)
+        os.chdir(ROOT / ".ci")
+        os.execv(sys.executable, [sys.executable, "-c", script])
+    shown = b""
+    with suppress(OSError):  # how Linux says that the terminal has been closed
+        while part := os.read(end, 1024):
+            shown += part
+    os.close(end)
+    os.waitpid(child, 0)
+    return shown.decode().strip()
+
+
+def test_who_waits_for_a_build_is_told_what_it_does() -> None:
+    assert told(is_kept=True) == "compiling"
+    assert told(is_kept=False) == "compiling"
+    # make shows the lines of a build itself.
+    assert told(is_kept=True, MAKELEVEL="1") == ""
