@@ -46,6 +46,7 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
 // knuckle where the palm is fitted.
 nb::tuple measure_shape(const Array& landmarks, const Array& palm, double largest_roll) {
   expect_size(palm, 15, "palm");
+  expect(largest_roll >= 0.0, "largest_roll is negative");
   if (landmarks.size() == 0 || landmarks.size() % (3 * kLandmarks))
     throw std::invalid_argument("wrong size of landmarks");
   const PersonShape shape =
@@ -99,6 +100,8 @@ double smallest_gap_of(const Array& time, const Array& landmarks, double median_
                        double percentile) {
   expect_size(landmarks, 3 * kLandmarks * time.size(), "landmarks");
   if (time.size() == 0) throw std::invalid_argument("no samples");
+  expect(median_time > 0.0, "median_time is not positive");
+  expect(percentile >= 0.0 && percentile <= 100.0, "percentile is not one");
   return smallest_gap(time.data(), points_of(landmarks), median_time, percentile);
 }
 

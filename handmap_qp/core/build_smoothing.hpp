@@ -66,9 +66,12 @@ class PythonSmoother : public Exclusive {
   void forget() { smoother.forget(); }
 
   void restore(const nb::object& saved) {
-    SmoothState& state = smoother.state;
+    SmoothState state;
     const size_t n = nb::cast<size_t>(item(saved, 0));
     const bool has_wrist = nb::cast<bool>(item(saved, 1));
+    const Array numbers = nb::cast<Array>(item(saved, 2));
+    // Nothing is made of a number of points that the numbers cannot be of.
+    expect(n <= numbers.size(), "a state of another core");
     for (Place* place : {&state.seen, &state.stages[0], &state.stages[1], &state.stages[2]}) {
       place->points.resize(n);
       place->has_wrist = has_wrist;
@@ -76,14 +79,13 @@ class PythonSmoother : public Exclusive {
     state.moving.resize(n > 0 ? n - 1 : 0);
     state.speeds.resize(n > 0 ? n + 1 : 0);
     state.recent.resize(state.speeds.size());
-    const Array numbers = nb::cast<Array>(item(saved, 2));
     size_t i = 0;
     each_number(state, [&](double& number) {
       if (i < numbers.size()) number = numbers.data()[i];
       ++i;
     });
-    if (i != numbers.size()) throw std::invalid_argument("a state of another core");
-    smoother.former = state;
+    expect(i == numbers.size(), "a state of another core");
+    smoother.state = smoother.former = state;
   }
 };
 
