@@ -61,9 +61,9 @@ _GRIP = re.compile(r"(?P<preset>.+)\+grip(?P<place>\+place(?P<millimetres>\d*))?
 class GripName(NamedTuple):
     """What the name of a mapping with a grip says.
 
-    Names are `PRESET+grip`, where only the robot's measured joints are known; `PRESET+grip+place`,
-    where the object's place is known exactly; and `PRESET+grip+place5`, where the known place has an
-    error with a standard deviation of 5 mm along each axis, or of any other number of millimetres.
+    `PRESET+grip` knows the robot's measured joints alone. `PRESET+grip+place` knows the object's
+    place too, exactly. `PRESET+grip+place5` knows it with an error, whose standard deviation along
+    each axis is 5 mm, or any other number of millimetres.
 
     Attributes:
         preset: Name of the preset.

@@ -34,6 +34,8 @@ class Gripping:
 
     Attributes:
         place_error: Error of the object's place in the world, in this attempt [m], shape (3,).
+        object_centre: The object's place that the mapper gets, in the mapper's world [m], shape
+            (3,); None before the second sample, or if no place is known.
         effort: Torques of the grip in the last command [N m or N], shape (n,); None without a grip.
 
     Raises:
@@ -50,12 +52,12 @@ class Gripping:
     def reset(self) -> None:
         """Make a new mapper, which grips nothing."""
         mapper = HandMapper(self._human, self._robot, self._name.preset)
-        # Unsmoothed, as the preset without a grip.
+        # Unsmoothed, as the preset without a grip. Motors have the default stiffness of a grip.
         self._follower = GripFollower(Follower(mapper, smoothing=None))
         self._time = 0.0
         self._wrist: Array | None = None
         self._q: Array | None = None
-        self._centre: Array | None = None
+        self.object_centre: Array | None = None
         self.effort: Array | None = None
 
     def draw_errors(self, seed: int) -> None:
@@ -76,15 +78,15 @@ class Gripping:
         self._q = np.array([scene.joints[name] for name in names])
         if self._name.sees and self._wrist is not None:
             place = scene.points["faces"].mean(axis=0) + self.place_error
-            # The mapper's world is not the task's, where the operator moves the wrist.
+            # In the task the operator moves the wrist, so the mapper's wrist is elsewhere.
             to_mapper = self._wrist @ inverse_pose(scene.poses["wrist"])
-            self._centre = transform_points(to_mapper, place)
+            self.object_centre = transform_points(to_mapper, place)
 
     def map(self, hand: HumanHand, dt: float) -> Joints:
         """Map the landmarks, and hold what the robot has met."""
         sample = HumanSample(self._time, self._human.side, hand.landmarks)
         step = self._follower.map_sample(
-            sample, self._q, self._centre, self._name.deviation or 0.0, dt=dt
+            sample, self._q, self.object_centre, self._name.deviation or 0.0, dt=dt
         )
         self._time += dt
         self._wrist = step.ik.wrists[0]

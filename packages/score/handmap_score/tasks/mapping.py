@@ -286,9 +286,11 @@ def check_mapping(name: str) -> None:
     if is_peer(name):
         check_peer(name)
         return
-    grip = GripName.parse(name)
     able = gripping_presets()
-    if grip and grip.preset in able:
+    grip = GripName.parse(name)
+    if grip and grip.preset in PRESETS:
+        wanted = f"a preset that can grip ({', '.join(able)})"
+        expect(grip.preset in able, "--methods", wanted, got=name)
         return
     known = {UNMAPPED, STRAIGHT, OPEN, *PRESETS}
     known |= {f"{preset}+grip" for preset in able}
