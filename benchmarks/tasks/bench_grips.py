@@ -219,6 +219,12 @@ def tried(scene: PinchScene, trial: PinchTrial, error: Vector) -> dict[str, Any]
     }
 
 
+def grip_of(name: str) -> GripName | None:
+    """Return what a name says of a grip with the default preset, the one of `GripScene`."""
+    grip = GripName.parse(name)
+    return grip if grip and grip.preset == OWN[0] else None
+
+
 def scenes(
     robot: str, recording: Recording, methods: Sequence[str], problems: list[str]
 ) -> Iterator[tuple[str, PinchScene]]:
@@ -228,10 +234,10 @@ def scenes(
     take = prepare_take(recording, hand.side)
     physics = Physics(gravity=_GRAVITY)
     for name in methods:
-        if grip := GripName.parse(name):
+        if grip := grip_of(name):
             deviation = grip.deviation or 0.0
             yield name, GripScene(take, hand, window, physics, grip.sees, deviation)
-    plain = tuple(name for name in methods if GripName.parse(name) is None)
+    plain = tuple(name for name in methods if grip_of(name) is None)
     if not plain:
         return
     are_ours = {name.partition("+")[0] for name in plain} <= PRESETS.keys()
