@@ -41,6 +41,7 @@ from picks import HOUSEHOLD, picks
 from handmap_qp import Recording, load_hand
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.simulation.commands import (
+    GripName,
     chosen_methods,
     find_pinch,
 )
@@ -55,13 +56,13 @@ from handmap_qp.mapping import PRESETS
 
 PEERS = common.ROOT / "benchmarks" / "peers"
 OWN = ("teleoperation", "fingertip-vectors")
-GRIPS: dict[str, float | None] = {
-    "teleoperation+grip": None,
-    "teleoperation+grip+place": 0.0,
-    "teleoperation+grip+place5": 0.005,
-    "teleoperation+grip+place10": 0.010,
-}
-"""Standard deviation of the object's place along each axis [m]; None if it is not known."""
+GRIPS = (
+    "teleoperation+grip",
+    "teleoperation+grip+place",
+    "teleoperation+grip+place5",
+    "teleoperation+grip+place10",
+)
+"""Mappings with a grip that run by default; `GripName` says what they know of the place."""
 OTHERS = ("dex-dexpilot", "dexi-dexpilot", "dex-vector", "dexi-vector", "dex-position")
 # Errors of places are drawn apart from the objects, so that these stay as they were.
 _PLACES = 1
@@ -218,6 +219,12 @@ def tried(scene: PinchScene, trial: PinchTrial, error: Vector) -> dict[str, Any]
     }
 
 
+def grip_of(name: str) -> GripName | None:
+    """Return what a name says of a grip with the default preset, the one of `GripScene`."""
+    grip = GripName.parse(name)
+    return grip if grip and grip.preset == OWN[0] else None
+
+
 def scenes(
     robot: str, recording: Recording, methods: Sequence[str], problems: list[str]
 ) -> Iterator[tuple[str, PinchScene]]:
@@ -226,14 +233,11 @@ def scenes(
     hand = load_hand(robot)
     take = prepare_take(recording, hand.side)
     physics = Physics(gravity=_GRAVITY)
-    for grip, deviation in GRIPS.items():
-        if grip in methods:
-            sees = deviation is not None
-            yield (
-                grip,
-                GripScene(take, hand, window, physics, sees, deviation or 0.0),
-            )
-    plain = tuple(name for name in methods if name not in GRIPS)
+    for name in methods:
+        if grip := grip_of(name):
+            deviation = grip.deviation or 0.0
+            yield name, GripScene(take, hand, window, physics, grip.sees, deviation)
+    plain = tuple(name for name in methods if grip_of(name) is None)
     if not plain:
         return
     are_ours = {name.partition("+")[0] for name in plain} <= PRESETS.keys()

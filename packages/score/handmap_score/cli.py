@@ -74,8 +74,11 @@ class Score:
 
     --tasks lets operators do tasks in closed loop in place of gestures, and writes tasks.html and
     tasks.json. Methods are presets, peers such as dexi-dexpilot (+limits clips them by the robot's
-    limits), FILE.py:NAME or a trajectory FILE.npz; the controls always run. Each of --seeds begins
-    a block: a calibration of the person, and --attempts scenes.
+    limits), FILE.py:NAME or a trajectory FILE.npz; the controls always run. PRESET+grip holds what
+    thumb and finger meet, by the robot's measured joints; with PRESET+grip+place the mapping knows
+    the object's place too, and with PRESET+grip+place5 with an error of 5 mm (standard deviation
+    along each axis). Each of --seeds begins a block: a calibration of the person, and --attempts
+    scenes.
 
     Examples:
         handmap score
@@ -83,6 +86,7 @@ class Score:
         handmap score --hands my_hand.yaml --methods teleoperation finger-vectors --seeds 7 8
         handmap score --tasks door relocate --methods teleoperation
         handmap score --tasks pick --hands leap_right --objects can pen --resume
+        handmap score --tasks pick --methods teleoperation teleoperation+grip+place5
 
     Attributes:
         out: Folder to write to; created if it does not exist.

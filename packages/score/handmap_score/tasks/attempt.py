@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .mapping import Mapping
+from .mapping import Mapping, SensingMapping
 from .operator import Operator
 from .task import Record, Task
 
@@ -55,6 +55,9 @@ def attempt(task: Task, operator: Operator, mapping: Mapping, seed: int) -> Atte
     scene = task.reset(seed)
     operator.reset(seed)
     mapping.reset()
+    sensing = mapping if isinstance(mapping, SensingMapping) else None
+    if sensing:
+        sensing.draw_errors(seed)
     body_pos = task.model.body_pos.copy()
     site_pos = task.model.site_pos.copy()
     times = [scene.time]
@@ -64,6 +67,8 @@ def attempt(task: Task, operator: Operator, mapping: Mapping, seed: int) -> Atte
     idle = 0
     for _ in range(round(task.time_limit / task.time_step)):
         hand = operator.see(scene)
+        if sensing:
+            sensing.sense(scene)
         scene = task.step(hand, mapping.map(hand, task.time_step))
         times.append(scene.time)
         positions.append(task.data.qpos.copy())

@@ -197,4 +197,5 @@ class HandOverTask(TableTask):
                 f"{OTHER}faces": np.array([middle - half, middle + half]),
             },
             scene.signals,
+            scene.joints,
         )

@@ -5,6 +5,9 @@
     open                the operator's own joints in the open hand, for an operator on its own hand:
                         the same control where straight fingers are so near that they enclose things
     NAME                a preset, such as `teleoperation` or `finger-vectors`
+    NAME+grip           such a preset with thumb and finger holding what they meet, by the robot's
+                        measured joints; `+grip+place` and `+grip+place5` know the object's place
+                        too, exactly or with an error of 5 mm an axis (`gripping.py`)
     dexi-dexpilot       a peer as published, by its name in `handmap compare`; with `+limits` at the
                         end, clipped by the robot's limits of position and speed
     FILE.py:NAME        of a user: a method (it has `bind`), or a callable that takes the person's
@@ -24,14 +27,18 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from handmap_qp.apps.offline.comparison import is_peer
+from handmap_qp.apps.simulation.commands import GripName
 from handmap_qp.errors import HandmapError, InvalidInputError, did_you_mean, expect
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import Recording, mirrored, scaled_human
 from handmap_qp.mapping import PRESETS, HandMapper
 from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.se3 import Array
+from handmap_qp.stream import gripping_presets
+from .gripping import Gripping
 from .operator import OTHER, HumanHand, Joints, Operator
 from .outside import check_peer, outside_mapping
+from .task import Scene
 
 UNMAPPED = "unmapped"
 STRAIGHT = "straight"
@@ -52,6 +59,27 @@ class Mapping(Protocol):
         Args:
             hand: The operator's hand.
             dt: Time since the sample before [s].
+        """
+        ...
+
+
+@runtime_checkable
+class SensingMapping(Mapping, Protocol):
+    """A mapping that measures the robot and the object too."""
+
+    def draw_errors(self, seed: int) -> None:
+        """Draw the errors of what is measured in this attempt; called after `reset`.
+
+        Args:
+            seed: Seed of the attempt.
+        """
+        ...
+
+    def sense(self, scene: Scene) -> None:
+        """Take what is measured before the next call of `map`.
+
+        Args:
+            scene: The robot and the object now.
         """
         ...
 
@@ -258,7 +286,14 @@ def check_mapping(name: str) -> None:
     if is_peer(name):
         check_peer(name)
         return
+    able = gripping_presets()
+    grip = GripName.parse(name)
+    if grip and grip.preset in PRESETS:
+        wanted = f"a preset that can grip ({', '.join(able)})"
+        expect(grip.preset in able, "--methods", wanted, got=name)
+        return
     known = {UNMAPPED, STRAIGHT, OPEN, *PRESETS}
+    known |= {f"{preset}+grip" for preset in able}
     if name not in known:
         raise InvalidInputError(
             f"no mapping {name!r}",
@@ -294,6 +329,8 @@ def make_mapping(
     mapping = _of_one_hand(name, recording, robot)
     if other is None:
         return mapping
+    is_plain = GripName.parse(name) is None
+    expect(is_plain, "--methods", "mappings without a grip for two hands", got=name)
     return BothHands(mapping, _of_one_hand(name, lambda: mirrored(recording()), other))
 
 
@@ -318,6 +355,8 @@ def _of_one_hand(name: str, calibrate: Callable[[], Recording], robot: Hand) -> 
     human = scaled_human(calibrate())
     if ".py:" in name:
         return _of_user(name, human, robot)
+    if grip := GripName.parse(name):
+        return Gripping(human, robot, grip)
     return Mapped(human, robot, name)
 
 

@@ -290,6 +290,9 @@ class TableTask(ABC):
                 "bottom": self._bottom(pose)[None],
             },
             signals=signals,
+            joints=dict(
+                zip(self._robot.joint_names, simulator.q.tolist(), strict=True)
+            ),
         )
 
     def _signals(self, pose: Array, pads: Array) -> Signals:

@@ -1,7 +1,7 @@
 """The seam of tasks: a scene in MuJoCo, moved by an operator's wrist and a robot's joints."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import mujoco
@@ -41,6 +41,8 @@ class Scene:
             real one) always; others, such as `target`, as the task says.
         points: Points by name in the task's world [m], (n, 3) each; such as `pads`.
         signals: What the task measures. Not for operators.
+        joints: Positions of the robot's joints as encoders measure them, by name [rad or m]; empty
+            where a task does not measure them. Not for operators.
     """
 
     time: float
@@ -48,6 +50,7 @@ class Scene:
     poses: Mapping[str, Array]
     points: Mapping[str, Array]
     signals: Signals
+    joints: Joints = field(default_factory=dict)
 
 
 class Record(NamedTuple):
