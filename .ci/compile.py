@@ -1,9 +1,8 @@
 """hatchling's hook that compiles the core (`handmap_qp/core`) by scikit-build-core.
 
-An editable install puts the library into the checkout, a wheel has it inside. Without a C++
-compiler, or with HANDMAP_PURE=1, or where compiling fails, the package is installed all the same,
-and runs on its Python path. A line for each compiled file, and one that says what happened, are
-printed; pip shows them with -v only.
+An editable install puts the library into the checkout, a wheel has it inside. Where the machine has
+no C++ compiler, that of the package `ziglang` compiles. A line for each compiled file is printed,
+which pip shows with -v only; what it does and what came of it is told on the terminal, too.
 
 The core is compiled in `build/core` of the source, so that the next build compiles only what
 changed, or in a temporary folder if the source cannot be written.
@@ -15,6 +14,7 @@ import fcntl
 import importlib.util
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -22,17 +22,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from compilers import ADVICE, check_compiler, needs_zig, use_zig
 from scikit_build_core.errors import FailedLiveProcessError
 from scikit_build_core.hatch.plugin import ScikitBuildHook
-
-_ADVICE = (
-    "install a C++17 compiler and Python's headers (on Debian and Ubuntu: the packages g++ and "
-    "python3-dev), then install again"
-)
+from terminal import tell
 
 
 class Compile(ScikitBuildHook):
-    """Compile the core if that is possible."""
+    """Compile the core."""
 
     @property
     def config(self) -> dict[str, Any]:
@@ -49,23 +46,24 @@ class Compile(ScikitBuildHook):
         if version == "editable":
             for stale in package.glob("_core.*"):
                 stale.unlink()
-        if problem := _problem():
-            print(f"handmap_qp runs on its Python path: {problem}.")
-            return
-        os.environ["SKBUILD_CMAKE_DEFINE"] = f"HANDMAP_SOURCES={_fingerprint(package)}"
+        check_compiler()
+        tell("handmap_qp: compiling the core, which takes a minute or two")
         before = dict(build_data)
         started = time.perf_counter()
-        try:
-            with _alone(Path(self.root, "build")):
+        with (
+            _alone(Path(self.root, "build")),
+            tempfile.TemporaryDirectory() as programs,
+        ):
+            defined = [f"HANDMAP_SOURCES={_fingerprint(package)}"]
+            if needs_zig():
+                tell("No C++ compiler was found: that of the package ziglang compiles.")
+                defined += use_zig(Path(programs))
+            os.environ["SKBUILD_CMAKE_DEFINE"] = ";".join(defined)
+            try:
                 super().initialize("standard", build_data)
-        except (FailedLiveProcessError, SystemExit) as error:
-            build_data.clear()
-            build_data.update(before)
-            print(
-                f"handmap_qp runs on its Python path: compiling failed ({error}); {_ADVICE}."
-            )
-            return
-        print(f"Compiled the core in {time.perf_counter() - started:.0f} s.")
+            except (FailedLiveProcessError, SystemExit) as error:
+                sys.exit(f"handmap_qp: compiling the core failed ({error}); {ADVICE}.")
+        tell(f"Compiled the core in {time.perf_counter() - started:.0f} s.")
         if version == "editable":
             for source in list(build_data["force_include"]):
                 for library in Path(source).rglob("_core*.so"):
@@ -101,17 +99,6 @@ def _alone(folder: Path) -> Iterator[None]:
     with (folder / "core.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
-
-
-def _problem() -> str:
-    """Return why the core cannot be compiled; empty if it can."""
-    if os.environ.get("HANDMAP_PURE", "") not in ("", "0"):
-        return "HANDMAP_PURE was set when it was installed"
-    compiler = os.environ.get("CXX", "")
-    names = [compiler.split()[0]] if compiler else ["c++", "g++", "clang++"]
-    if not any(map(shutil.which, names)):
-        return f"no C++ compiler was found; {_ADVICE}"
-    return ""
 
 
 def _fingerprint(package: Path) -> str:

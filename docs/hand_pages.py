@@ -3,7 +3,7 @@
     python docs/hand_pages.py [NAME ...]
 
 Pages of hands whose models are not installed stay as they are. The figures on a page are the hand's
-row in the table of docs/hands.md, which `benchmarks/bench_hands.py` writes.
+row in the table of docs/hands.md, which `benchmarks/fidelity/bench_hands.py` writes.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from io import BytesIO
 from pathlib import Path
 
 DOCS = Path(__file__).parent
-sys.path.insert(0, str(DOCS.parent / "tests"))
+sys.path.insert(0, str(DOCS.parent / "tests" / "support"))
 
 from browser import Browser, find_chromium  # noqa: E402
 from PIL import Image  # noqa: E402

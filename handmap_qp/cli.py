@@ -137,14 +137,14 @@ _GROUPS = {
 """First words of commands of two words, and what these commands are for."""
 
 _FOLDERS = {
-    "drive": "examples/drive",
+    "drive": "packages/drive",
     "hands save": "examples/run",
-    "ros2": "examples/ros2/handmap_ros2[dds]",
-    "score": "examples/score",
-    "track avp": "examples/sources",
-    "track datagrams": "examples/sources",
-    "tune": "examples/drive",
-    "videos": "examples/videos",
+    "ros2": "packages/ros2[dds]",
+    "score": "packages/score",
+    "track avp": "packages/sources",
+    "track datagrams": "packages/sources",
+    "tune": "packages/drive",
+    "videos": "packages/videos",
 }
 """What pip installs, in a checkout, for commands that come with packages of their own."""
 

@@ -1,4 +1,4 @@
-"""Every error that `handmap_qp` raises on purpose, and the categories of its warnings.
+"""Every error that `handmap_qp` raises on purpose.
 
 An error carries its evidence as attributes, so that a program can act on it, and composes its text
 from them: `argument: expected X, got Y: advice`. Nothing has to parse that text. A call that raises
@@ -27,14 +27,6 @@ class HandmapError(Exception):
     def __reduce__(self) -> tuple[Any, ...]:
         # Exceptions are unpickled by calling their class with `args`, which cannot give keywords.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # ty: ignore[missing-attribute]
-
-
-class HandmapWarning(UserWarning):
-    """Base of the warnings of this package that have a category of their own."""
-
-
-class MissingCoreWarning(HandmapWarning):
-    """The compiled core cannot be used, so that Python maps, some hundred times slower."""
 
 
 @dataclass(eq=False, repr=False)
@@ -185,6 +177,20 @@ class MapperBusyError(HandmapError, RuntimeError):
         self, message: str = "this mapper is at work in another thread"
     ) -> None:
         super().__init__(message)
+
+
+class MissingCoreError(HandmapError, ImportError):
+    """The compiled core of this package is missing, damaged, or older than its sources.
+
+    Attributes:
+        problem: What is wrong with it.
+        command: The command that mends it.
+    """
+
+    def __init__(self, problem: str, *, command: str) -> None:
+        super().__init__(f"the compiled core {problem}: {command}")
+        self.problem = problem
+        self.command = command
 
 
 class MissingExtraError(HandmapError, ImportError):

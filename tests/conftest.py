@@ -33,51 +33,6 @@ settings.register_profile("fast", settings.get_profile("ci"), max_examples=6)
 settings.load_profile("ci")
 
 TESTS = Path(__file__).resolve().parent
-IS_PURE = os.environ.get("HANDMAP_PURE", "") not in ("", "0")
-
-# Folders of what is the same with and without the compiled core: commands, files, pages, pictures,
-# protocols, processes, and hands, which it is made of; each with the files of those tests that do
-# depend on it. The Python path runs these alone, and of the other folders all that is not marked
-# `same_on_both`.
-SAME_ON_BOTH = {
-    "core": {"test_cli.py", "test_demo.py", "test_motion_quality.py"},
-    "datasets": {"test_core.py"},
-    "drawing": set(),
-    "drive": set(),
-    "grasp": set(),
-    "hamer": set(),
-    "hands": {"test_collision_shapes.py", "test_compose.py", "test_every_hand.py"},
-    "human": {"test_landmarks.py", "test_person.py"},
-    "live": {"test_faulty_replay.py", "test_service.py"},
-    "offline": {
-        "test_faults.py",
-        "test_fidelity.py",
-        "test_look_ahead.py",
-        "test_metrics.py",
-        "test_summary.py",
-    },
-    "onboarding": set(),
-    "paper": {"test_paper.py"},
-    "run": set(),
-    "score": set(),
-    "service": {
-        "test_landmarks.py",
-        "test_layouts.py",
-        "test_options.py",
-        "test_presets.py",
-        "test_robots.py",
-        "test_safety.py",
-        "test_session.py",
-        "test_silence.py",
-        "test_states.py",
-        "test_stop.py",
-    },
-    "simulation": set(),
-    "sources": set(),
-    "trackers": {"test_plausibility.py"},
-    "videos": set(),
-    "viewer": set(),
-}
 
 
 # All that collection makes stays: looking for garbage in it took a third of its time.
@@ -91,33 +46,6 @@ def pytest_configure(config: pytest.Config) -> None:
         and config.option.hypothesis_profile is None
     ):
         settings.load_profile("fast")
-
-
-def pytest_report_header() -> str | None:
-    """Say what is left out on the Python path, and why."""
-    if not IS_PURE:
-        return None
-    return (
-        "HANDMAP_PURE: left out is what is the same with and without the compiled core "
-        "(SAME_ON_BOTH in tests/conftest.py)"
-    )
-
-
-def pytest_collection_modifyitems(
-    config: pytest.Config, items: list[pytest.Item]
-) -> None:
-    """Leave out on the Python path what `make test` has shown, and what does not depend on it."""
-    if not IS_PURE:
-        return
-    again = []
-    for item in items:
-        folder, *_, file = item.path.relative_to(TESTS).parts
-        is_same = file not in SAME_ON_BOTH.get(folder, {file})
-        if is_same or item.get_closest_marker("same_on_both"):
-            again.append(item)
-    config.hook.pytest_deselected(items=again)
-    left_out = set(again)
-    items[:] = [item for item in items if item not in left_out]
 
 
 def pytest_collection_finish() -> None:

@@ -3,8 +3,8 @@
     timed.py --peer dexi-rs --method vector --robot allegro_hand_right --data .peers/data IN.npz
 
 Runs in the environment of the peer. Requests and answers are lines of JSON, as of
-`benchmarks/mapping_worker.py`. The time is that of the peer's own `retarget`; `frame_ns` is that of
-the hand's frame in numpy, which the peers' examples compute before it.
+`benchmarks/speed/mapping_worker.py`. The time is that of the peer's own `retarget`; `frame_ns` is
+that of the hand's frame in numpy, which the peers' examples compute before it.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 A robot's computer runs what `handmap_qp` runs, so there is no second text of it: files are taken as
 they are, but for the name of the package and for what numpy 1.26, or an environment without
-Pinocchio and scipy, does not have. Files in `run` take the place of those that need more.
+Pinocchio, does not have. Files in `run` take the place of those that need more.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ OWN = Path(__file__).with_name("run")
 TAKEN = """
 errors se3 options
 hands/configuration hands/pad
-human/recording human/sample
-ik/core ik/limits ik/options ik/qp ik/tasks ik/collision
+human/findings human/recording human/sample
+ik/core ik/gate ik/limits ik/motion ik/options ik/qp ik/tasks ik/collision
 mapping/alignment mapping/decomposition mapping/estimation mapping/exclusive mapping/mapper
 mapping/method mapping/palm mapping/robot_mapper
 mapping/methods/__init__ mapping/methods/homogeneous mapping/methods/teleoperation
@@ -36,14 +36,13 @@ stream/object_place stream/robot_follower stream/step_table
 trackers/hand_geometry trackers/plausibility trackers/wrist_axes
 client/__init__ client/messages
 """
-DATA = ("human/rules.json", "trackers/proportions.json")
+DATA = ("human/rules.json",)
 
 # What is written otherwise: the name, then what is missing here.
 CHANGES = (
     ("handmap_qp", NAME),
     ("import pinocchio as pin", f"from {NAME} import rotations as pin"),
     ("import daqp\n", ""),
-    ("scipy.spatial.transform", f"{NAME}.quaternions"),
     # numpy 2 has these.
     (".mT", ".swapaxes(-1, -2)"),
     ("np.vecdot(", 'np.einsum("...i,...i", '),

@@ -1,6 +1,7 @@
 """The command `handmap doctor`: the state of an installation, for users and bug reports."""
 
 import ctypes.util
+import importlib
 import os
 import platform
 import re
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from handmap_qp.ik.core import description
+from handmap_qp.errors import MissingCoreError
 from .tables import print_result
 
 _PACKAGE = "handmap-qp"
@@ -48,14 +49,14 @@ class Doctor:
 def versions() -> dict[str, str]:
     """Return the versions of this package, Python, the system and the core dependencies.
 
-    And which path runs: the compiled core, or Python, and why.
+    And whether the compiled core is there, or what is wrong with it.
     """
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
     return {
         _PACKAGE: __version__,
         "python": sys.version.split()[0],
         "system": system,
-        "core": description,
+        "core": _core_state(),
         **{name: _version(name) for name in _CORE.split()},
     }
 
@@ -100,6 +101,14 @@ def libraries() -> dict[str, str]:
         for name in ("gomp", *_GL)
     }
     return state | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "not set")}
+
+
+def _core_state() -> str:
+    try:
+        importlib.import_module("handmap_qp.ik.core")
+    except MissingCoreError as error:
+        return str(error)
+    return "compiled core"
 
 
 def _version(name: str) -> str:

@@ -8,6 +8,7 @@ namespace nb = nanobind;
 namespace handmap {
 
 void bind_hands(nb::module_& m);
+void bind_gate(nb::module_& m);
 void bind_ik(nb::module_& m);
 void bind_samples(nb::module_& m);
 void bind_robot(nb::module_& m);

@@ -102,33 +102,25 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
     }
   }
   goal.further = rows_of(ik, others);
-  expect(!ik.detour_rules || !goal.postures.empty(), "detours need a posture at rest");
-  take_motion(ik);
-  PythonStep step;
+  expect(!ik.takes_detours || !goal.postures.empty(), "detours need a posture at rest");
+  Step step;
   seek(ik, goal, when_from(given.object("dt")),
        margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
        step.result);
   finish(ik, step);
-  nb::object made = nb::cast(std::move(step));
-  leave_motion(ik, made);
-  return result_of(nb::cast<const PythonStep&>(made), ik.hand, nb::getattr(ik.gate, "links"));
+  return result_of(step, ik.hand, ik.links);
 }
 
 // Take the stop that was admitted last, for one sample.
 nb::object hold_still(PythonIk& ik, const nb::object& when) {
-  take_motion(ik);
-  PythonStep step;
+  Step step;
   hold(ik, when_from(when), step);
-  nb::object made = nb::cast(std::move(step));
-  leave_motion(ik, made);
-  return result_of(nb::cast<const PythonStep&>(made), ik.hand, nb::getattr(ik.gate, "links"));
+  return result_of(step, ik.hand, ik.links);
 }
 
-// The detour of each hand, as a `Detour` of Python has it; none where something else has moved the
-// robot since.
+// The detour of each hand, to go on with.
 nb::list detours_of(PythonIk& ik) {
   nb::list found;
-  if (was_set(ik)) return found;
   for (size_t i = 0; i < ik.detours.size(); ++i) {
     const Detour& detour = ik.detours[i];
     const nb::object via = detour.via.empty() ? nb::none() : nb::cast(array_of(detour.via));
@@ -142,9 +134,8 @@ nb::list detours_of(PythonIk& ik) {
   return found;
 }
 
-// Continue the gate's motion on detours, as the hands do that these are copies of.
+// Continue the motion on detours, as the hands do that these are copies of.
 void go_on(PythonIk& ik, const nb::object& given) {
-  take_motion(ik);
   std::vector<Detour> detours(ik.detours.size());
   for (size_t i = 0; i < detours.size(); ++i) {
     const nb::object detour = item(given, i), via = item(detour, 0);
@@ -162,7 +153,6 @@ void go_on(PythonIk& ik, const nb::object& given) {
         known.size() == count ? vector_of(known) : Vector(), nb::cast<double>(item(detour, 3)),
         nb::cast<double>(item(detour, 4))};
   }
-  ik.moved = nb::getattr(ik.gate, "read_motion");
   ik.detours = std::move(detours);
 }
 
@@ -202,15 +192,9 @@ NumpyArray solve_many(PythonIk& ik, const Array& points,
 
 void bind_ik(nb::module_& m) {
   nb::class_<DistanceTask>(m, "PointDistances").def("__init__", &make_distances);
-  nb::class_<PythonIk>(m, "Ik")
-      .def("__init__", &make_ik)
-      .def("set_motion",
-           [](PythonIk& ik, const Array& q, const Array& displacement, double dt,
-              const Array& stop_times, double time) {
-             const Work work(ik);
-             set_motion(ik, q, displacement, dt, stop_times, time);
-           },
-           "q"_a, "displacement"_a, "dt"_a, "stop_times"_a, "time"_a = 0.0)
+  nb::class_<PythonIk, Gate>(m, "Ik")
+      .def("__init__", &make_ik, "tree"_a, "hand"_a, "options"_a, "limits"_a,
+           "collisions"_a.none(), "links"_a)
       .def_ro("costs", &PythonIk::costs)
       .def_prop_ro("detours", exclusively(&detours_of))
       .def("go_on", exclusively(&go_on), "detours"_a)
@@ -218,8 +202,6 @@ void bind_ik(nb::module_& m) {
       .def("solve", exclusively(&solve), "goal"_a)
       .def("solve_many", exclusively(&solve_many), "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
-  nb::class_<PythonStep>(m, "Step")
-      .def("__call__", &motion_of);
 }
 
 }  // namespace handmap

@@ -41,19 +41,16 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
-// See measure.measure_shape, whose constants and arguments these are.
-nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
-  const Fields constants = module_of("human.measure");
-  const PersonMeter meter{constants.get<double>("_BENT"), constants.get<size_t>("_FEWEST_BENT"),
-                          constants.get<double>("LARGEST_ROLL"),
-                          constants.get<double>("_STEADY"),
-                          constants.get<double>("_LEAST_WEIGHT"),
-                          constants.get<int>("_ROUNDS"),
-                          constants.get<size_t>("_FEW")};
+// Of landmarks of a right hand (T, 21, 3), the palm's landmarks of the standard hand (5, 3), and the
+// largest roll of a finger [rad]: first joints (5, 3), rolls (5,), and the weight of the little finger's
+// knuckle where the palm is fitted.
+nb::tuple measure_shape(const Array& landmarks, const Array& palm, double largest_roll) {
   expect_size(palm, 15, "palm");
+  expect(largest_roll >= 0.0, "largest_roll is negative");
   if (landmarks.size() == 0 || landmarks.size() % (3 * kLandmarks))
     throw std::invalid_argument("wrong size of landmarks");
-  const PersonShape shape = meter.measure(points_of(landmarks), points_of(palm));
+  const PersonShape shape =
+      PersonMeter{largest_roll}.measure(points_of(landmarks), points_of(palm));
   return nb::make_tuple(array_of({5, 3}, &shape.bases[0].x), array_of({5}, shape.rolls.data()),
                         shape.little_weight);
 }
@@ -63,7 +60,7 @@ size_t rows_of(const Flags& flags) {
   return flags.shape(0);
 }
 
-// See measures.measure_episode.
+// Measures of a `Recording` and of the `Trajectory` of a robot that followed it, by name.
 nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
   const Fields recording(recorded), trajectory(moved);
   const Array time = recording.get<Array>("time");
@@ -99,12 +96,56 @@ nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
   return found;
 }
 
-double smallest_gap_of(const Array& time, const Array& landmarks) {
-  const Fields constants = module_of("human.contact_gap");
+double smallest_gap_of(const Array& time, const Array& landmarks, double median_time,
+                       double percentile) {
   expect_size(landmarks, 3 * kLandmarks * time.size(), "landmarks");
   if (time.size() == 0) throw std::invalid_argument("no samples");
-  return smallest_gap(time.data(), points_of(landmarks), constants.get<double>("_MEDIAN_TIME"),
-                      constants.get<double>("_PERCENTILE"));
+  expect(median_time > 0.0, "median_time is not positive");
+  expect(percentile >= 0.0 && percentile <= 100.0, "percentile is not one");
+  return smallest_gap(time.data(), points_of(landmarks), median_time, percentile);
+}
+
+// Of landmarks (T, 21, 3) or of one sample.
+std::vector<Landmarks> hands_of(const Array& landmarks) {
+  expect(landmarks.size() % (3 * kLandmarks) == 0, "wrong size of landmarks");
+  std::vector<Landmarks> hands;
+  for (size_t at = 0; at < landmarks.size(); at += 3 * kLandmarks)
+    hands.push_back(landmarks_of(landmarks.data() + at));
+  return hands;
+}
+
+Distances own_distances(const Array& landmarks) {
+  static const LandmarkOrders ours({{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20}});
+  const std::vector<Landmarks> hands = hands_of(landmarks);
+  expect(!hands.empty(), "no samples");
+  Distances found;
+  found.measure(ours.pairs.data(), 0, kPairs, hands.data(), static_cast<int>(hands.size()));
+  return found;
+}
+
+// A row for each sample: total, and fingers.
+nb::object palmar_evidence_of(const Array& landmarks) {
+  Vector rows;
+  for (const Landmarks& hand : hands_of(landmarks)) {
+    const PalmarEvidence evidence = palmar_evidence(hand);
+    rows.insert(rows.end(), {evidence.total, evidence.fingers});
+  }
+  return array_of({rows.size() / 2, 2}, rows.data());
+}
+
+nb::object palm_axes_of(const Array& landmarks, double sign) {
+  Vector rows;
+  for (const Landmarks& hand : hands_of(landmarks)) {
+    const Mat3 axes = palm_axes(hand, sign);
+    rows.insert(rows.end(), axes.m, axes.m + 9);
+  }
+  return array_of({rows.size() / 9, 3, 3}, rows.data());
+}
+
+nb::object conventions() {
+  Vector rows;
+  for (const Mat3& axes : wrist_conventions()) rows.insert(rows.end(), axes.m, axes.m + 9);
+  return array_of({kConventions, 3, 3}, rows.data());
 }
 
 Mat3 matrix_of(const Array& a) {
@@ -117,7 +158,7 @@ Mat3 matrix_of(const Array& a) {
 }  // namespace
 
 void bind_measures(nb::module_& m) {
-  m.def("measure_shape", &measure_shape);
+  m.def("measure_shape", &measure_shape, "landmarks"_a, "palm"_a, "largest_roll"_a);
   m.def("log3", [](const Array& rotation) {
     const Vec3 turn = log3(matrix_of(rotation));
     return array_of({3}, &turn.x);
@@ -130,7 +171,15 @@ void bind_measures(nb::module_& m) {
     const Quat q = quat_of(matrix_of(rotation));
     return array_of(Vector{q.x, q.y, q.z, q.w});
   });
-  m.def("smallest_gap", &smallest_gap_of);
+  m.def("smallest_gap", &smallest_gap_of, "time"_a, "landmarks"_a, "median_time"_a,
+        "percentile"_a);
+  m.def("log_size", [](const Array& landmarks) { return own_distances(landmarks).log_size(); },
+        "landmarks"_a);
+  m.def("misfit", [](const Array& landmarks) { return misfit(own_distances(landmarks), true); },
+        "landmarks"_a);
+  m.def("palmar_evidence", &palmar_evidence_of, "landmarks"_a);
+  m.def("palm_axes", &palm_axes_of, "landmarks"_a, "sign"_a);
+  m.attr("WRIST_CONVENTIONS") = conventions();
   m.def("measure_episode", &measure_episode);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());

@@ -37,7 +37,7 @@ void bind_samples(nb::module_& m) {
   nb::class_<JointReader>(m, "JointReader")
       .def("__init__", &make_joint_reader)
       .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
-  nb::class_<Stages, PythonStep>(m, "Stages")
+  nb::class_<Stages>(m, "Stages")
       .def("__reduce__", &reduced)
       .def_ro("pose", &Stages::pose)
       .def_prop_ro("status", &Stages::status)

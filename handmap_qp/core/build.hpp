@@ -258,38 +258,18 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
                  options.get<bool>("points_follow_wrist")};
 }
 
-inline void set_fingers(Ik& ik, const Fields& hand) {
+inline void set_fingers(Gate& gate, const Fields& hand) {
   for (const Indices& own :
        nb::cast<std::vector<Indices>>(nb::getattr(hand.object("finger_joints"), "tolist")()))
-    ik.fingers.emplace_back(own.begin(), own.end());
-  expect(ik.fingers.size() >= ik.tree.parts.size(), "fingers of too few hands");
-  for (const Vector& own : ik.fingers)
-    expect(own.size() == ik.tree.joint_columns.size(), "wrong size of finger_joints");
+    gate.fingers.emplace_back(own.begin(), own.end());
+  expect(gate.fingers.size() >= gate.tree.parts.size(), "fingers of too few hands");
+  for (const Vector& own : gate.fingers)
+    expect(own.size() == gate.tree.joint_columns.size(), "wrong size of finger_joints");
 }
 
-inline void set_detour_rules(Ik& ik, const Fields& options) {
-  if (!options.get<bool>("takes_detours")) return;
-  const Fields rules = module_of("ik.collision");
-  const auto number = [&](const char* name) { return rules.get<double>(name); };
-  ik.detour_rules = {number("AWAY"),
-                     number("ON_ITS_WAY"),
-                     number("_SAMPLE"),
-                     number("_AGAIN"),
-                     number("_LATER"),
-                     number("_OF_POINT"),
-                     number("_OF_ALL"),
-                     number("_PULL"),
-                     number("_REACHED"),
-                     number("_MOVED"),
-                     number("_GROWN"),
-                     number("_FORGOTTEN"),
-                     rules.get<int>("_SAMPLES"),
-                     rules.get<int>("_LONGEST")};
-}
-
-inline void set_limits(Ik& ik, const Fields& from) {
-  BoxLimits& limits = ik.limits;
-  limits.size = ik.tree.size;
+inline void set_limits(Gate& gate, const Fields& from) {
+  BoxLimits& limits = gate.limits;
+  limits.size = gate.tree.size;
   limits.lowest = from.numbers("lowest");
   limits.highest = from.numbers("highest");
   limits.lower = from.numbers("lower");
@@ -299,7 +279,7 @@ inline void set_limits(Ik& ik, const Fields& from) {
   for (const int is_together : from.indices("together"))
     limits.together.push_back(static_cast<char>(is_together));
   limits.acceleration = from.get<double>("acceleration");
-  const size_t size = static_cast<size_t>(ik.tree.size), nq = static_cast<size_t>(ik.tree.nq);
+  const size_t size = static_cast<size_t>(gate.tree.size), nq = static_cast<size_t>(gate.tree.nq);
   expect(limits.lowest.size() == nq && limits.highest.size() == nq && limits.lower.size() == size &&
              limits.upper.size() == size && limits.speeds.size() == size &&
              limits.coordinates.size() == size && limits.together.size() == size,
@@ -385,20 +365,30 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
   return pairs;
 }
 
-// What moves a hand of Python, and its gate with it.
-struct PythonIk : Ik, Exclusive {
-  nb::object hand, gate;
-  nb::object placed = {};  // a `Configuration`, where tasks of Python are linearised
-  nb::object moved = {};   // what the gate reads the motion from, unless it was set since
+// Set what a gate of a hand admits: by its `BoxLimits`, and by its `CollisionLimit` or None.
+inline void set_gate(Gate& gate, const Fields& hand, const Fields& limits,
+                     const nb::object& collisions) {
+  set_fingers(gate, hand);
+  set_limits(gate, limits);
+  if (!collisions.is_none()) gate.pairs = make_pairs(gate.tree, Fields(collisions));
+  gate.motion = {Vector(gate.tree.nq, 0.0), Vector(gate.tree.size, 0.0), 1.0,
+                 Vector(gate.tree.size, 0.0), 0.0, new_stamp(), 0};
+}
 
-  PythonIk(const Tree& tree, nb::object own_hand, nb::object own_gate)
-      : Ik(tree), hand(std::move(own_hand)), gate(std::move(own_gate)) {}
+// What moves a hand of Python.
+struct PythonIk : Ik {
+  nb::object hand, links;  // of each pair of shapes that are kept apart; at -1, there are none
+  nb::object placed = {};  // a `Configuration`, where tasks of Python are linearised
+
+  PythonIk(const Tree& tree, nb::object own_hand, nb::object own_links)
+      : Ik(tree), hand(std::move(own_hand)), links(std::move(own_links)) {}
 };
 
-// Of a hand and its tree, `IkOptions` and a `Gate`.
+// Of a hand and its tree, `IkOptions`, `BoxLimits`, and a `CollisionLimit` or None with its links.
 inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
-                    const nb::object& options, const nb::object& gate) {
-  PythonIk& ik = *new (self) PythonIk(tree, hand, gate);
+                    const nb::object& options, const nb::object& limits,
+                    const nb::object& collisions, const nb::object& links) {
+  PythonIk& ik = *new (self) PythonIk(tree, hand, links);
   ik.tree.points = reference_points(Fields(hand));
   expect_joints(tree, ik.tree.points);
   ik.tree.parts.clear();
@@ -410,12 +400,9 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
   expect(!ik.tree.parts.empty() && ik.tree.parts.back().end == ik.tree.points.size(),
          "wrong number of points");
   set_weights(ik, Fields(hand), Fields(options));
-  set_fingers(ik, Fields(hand));
-  set_detour_rules(ik, Fields(options));
+  ik.takes_detours = Fields(options).get<bool>("takes_detours");
   ik.stop_detours();
-  set_limits(ik, Fields(nb::getattr(gate, "limits")));
-  const nb::object collisions = nb::getattr(gate, "collisions");
-  if (!collisions.is_none()) ik.pairs = make_pairs(ik.tree, Fields(collisions));
+  set_gate(ik, Fields(hand), Fields(limits), collisions);
 }
 
 inline Estimator make_estimator(const Fields& from) {

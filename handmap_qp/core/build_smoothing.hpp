@@ -1,4 +1,4 @@
-// The smoothing of Python: its numbers, and its state.
+// The smoothing for Python, and its state.
 #pragma once
 
 #include "build_guard.hpp"
@@ -47,21 +47,8 @@ class PythonSmoother : public Exclusive {
  public:
   Smoother smoother;
 
-  explicit PythonSmoother(const nb::object& owner) {
-    const Fields from(owner), module = module_of("stream.follower");
-    SmoothRules& rules = smoother.rules;
-    rules.is_on = !from.object("options").is_none();
-    if (!rules.is_on) return;
-    read_numbers(from, {{"options.acceleration", &rules.acceleration},
-                        {"options.speed_gain", &rules.speed_gain}});
-    read_numbers(module, {{"_LONGEST_GAP", &rules.longest_gap}, {"_HAND", &rules.hand},
-                          {"_MEMORY", &rules.memory}, {"_FARTHEST", &rules.farthest},
-                          {"_LEAST_NOISE", &rules.least_noise},
-                          {"_MOST_NOISE", &rules.most_noise},
-                          {"_LEAST_INDEX", &rules.least_index}});
-    rules.noise = read_noise_rules();
-    const nb::object saved = from.object("_saved");
-    if (!saved.is_none()) put_back(saved);
+  PythonSmoother(std::optional<double> acceleration, double speed_gain) {
+    if (acceleration) smoother.options = {*acceleration, speed_gain};
   }
 
   nb::tuple save() const {
@@ -78,11 +65,13 @@ class PythonSmoother : public Exclusive {
   void restart() { smoother.restart(); }
   void forget() { smoother.forget(); }
 
- private:
-  void put_back(const nb::object& saved) {
-    SmoothState& state = smoother.state;
+  void restore(const nb::object& saved) {
+    SmoothState state;
     const size_t n = nb::cast<size_t>(item(saved, 0));
     const bool has_wrist = nb::cast<bool>(item(saved, 1));
+    const Array numbers = nb::cast<Array>(item(saved, 2));
+    // Nothing is made of a number of points that the numbers cannot be of.
+    expect(n <= numbers.size(), "a state of another core");
     for (Place* place : {&state.seen, &state.stages[0], &state.stages[1], &state.stages[2]}) {
       place->points.resize(n);
       place->has_wrist = has_wrist;
@@ -90,14 +79,13 @@ class PythonSmoother : public Exclusive {
     state.moving.resize(n > 0 ? n - 1 : 0);
     state.speeds.resize(n > 0 ? n + 1 : 0);
     state.recent.resize(state.speeds.size());
-    const Array numbers = nb::cast<Array>(item(saved, 2));
     size_t i = 0;
     each_number(state, [&](double& number) {
       if (i < numbers.size()) number = numbers.data()[i];
       ++i;
     });
-    if (i != numbers.size()) throw std::invalid_argument("a state of another core");
-    smoother.former = state;
+    expect(i == numbers.size(), "a state of another core");
+    smoother.state = smoother.former = state;
   }
 };
 

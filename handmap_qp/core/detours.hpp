@@ -1,9 +1,37 @@
-// A way round, from a posture that holds fingers: see handmap_qp/ik/collision.py, whose names these are.
+// A way round, from a posture that holds fingers.
+//
+// Rows may hold a finger behind others, or a folded one, far from its target though another posture is
+// near: a QP finds the nearest minimum. Where a point is away from its target, and not on its way, the
+// hand looks ahead by the same QPs: where would it end if it went by its rest posture? If that is clearly
+// nearer, the joints are pulled to what was found there, straight or by rest, whichever was seen to
+// arrive. Every step passes the gate. Each hand of a robot looks by itself.
 #pragma once
 
 #include "ik.hpp"
 
 namespace handmap {
+
+// A point whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip.
+constexpr double kAway = 3.0;
+// A point is on its way where a joint moves it by more than this share of its speed limit.
+constexpr double kOnItsWay = 0.7;
+// To look ahead: time of a sample [s], and their number, at most.
+constexpr double kSample = 0.05;
+constexpr int kSamples = 12;
+// Time until the hand looks ahead again: after a detour, and where none is known [s].
+constexpr double kAgain = 0.1, kLater = 0.2;
+// Shares of the error that is left of a point that was away, and of the sum of all squares, if a detour
+// is worth it.
+constexpr double kOfPoint = 0.75, kOfAll = 0.85;
+// Weight of the pull to a posture, which outweighs all targets; distance of its joints at which it is
+// reached [rad or m], and the longest time for it, in samples.
+constexpr double kPull = 20.0, kReached = 0.15;
+constexpr int kLongest = 6;
+// Targets that move farther than this end a detour [m].
+constexpr double kMoved = 0.05;
+// Where none is known, errors have to grow by this share before the hand looks again, or this time has to
+// pass [s].
+constexpr double kGrown = 1.3, kForgotten = 2.0;
 
 // Solves a sample with detours of the hands before `end`, each where that leads it nearer to its
 // targets.
@@ -15,7 +43,6 @@ class Detours {
  public:
   Detours(Ik& ik, size_t part)
       : ik_(ik),
-        rules_(*ik.detour_rules),
         index_(part),
         part_(ik.tree.parts[part]),
         is_finger_(ik.fingers[part]),
@@ -25,22 +52,21 @@ class Detours {
              Result& result) {
     const double dt = ik_.motion.next(when).granted;
     detour_.wait -= dt;
-    if (!detour_.via.empty() && moved_by(goal) > rules_.moved) detour_.via.clear();
+    if (!detour_.via.empty() && moved_by(goal) > kMoved) detour_.via.clear();
     if (!detour_.via.empty()) {
       solve_with_detours(ik_, index_, pulled(goal, detour_.via), when, margins, speed, result);
       const bool is_late = detour_.left < dt;
       detour_.left -= dt;
-      if (is_late || is_at(detour_.via)) detour_ = {{}, {}, {}, 0.0, rules_.again};
+      if (is_late || is_at(detour_.via)) detour_ = {{}, {}, {}, 0.0, kAgain};
       return;
     }
     solve_with_detours(ik_, index_, goal, when, margins, speed, result);
-    if (detour_.wait <= -rules_.forgotten) detour_.known.clear();
+    if (detour_.wait <= -kForgotten) detour_.known.clear();
     if (detour_.wait <= 0.0) look_ahead(goal, margins, result, dt * speed);
   }
 
  private:
   Ik& ik_;
-  const DetourRules& rules_;
   const size_t index_;
   const Part& part_;
   const Vector& is_finger_;
@@ -62,29 +88,29 @@ class Detours {
     // It may get there slowly by itself.
     if (is_nearer(found.errors, here)) ahead = foresee(goal, margins, {}).errors;
     if (!is_nearer(found.errors, ahead)) {
-      detour_ = {{}, {}, ahead, 0.0, rules_.later};
+      detour_ = {{}, {}, ahead, 0.0, kLater};
       return;
     }
     const bool is_direct = is_nearer(foresee(goal, margins, found.joints).errors, ahead);
-    detour_ = {is_direct ? found.joints : rest, goal.points, {}, rules_.longest * rules_.sample, 0.0};
+    detour_ = {is_direct ? found.joints : rest, goal.points, {}, kLongest * kSample, 0.0};
   }
 
   // Errors of the points and joints where the hand ends.
   End foresee(const Goal& given, const Vector& margins, const Vector& via) {
     const Motion motion = ik_.motion;
-    const When next = When::after(rules_.sample);
+    const When next = When::after(kSample);
     Goal goal = given;
     goal.postures.resize(1);
     Result result;
-    for (int k = 0; !via.empty() && k < rules_.longest; ++k) {
+    for (int k = 0; !via.empty() && k < kLongest; ++k) {
       ik_.solve(pulled(goal, via), next, margins, 1.0, result);
       if (is_at(via)) break;
     }
     End end;
-    for (int k = 0; k < rules_.samples; ++k) {
+    for (int k = 0; k < kSamples; ++k) {
       ik_.solve(goal, next, margins, 1.0, result);
       end.errors = errors(result);
-      if (*std::max_element(end.errors.begin(), end.errors.end()) <= rules_.away) break;
+      if (*std::max_element(end.errors.begin(), end.errors.end()) <= kAway) break;
     }
     end.joints = joints();
     ik_.motion = motion;
@@ -93,7 +119,7 @@ class Detours {
 
   Goal pulled(const Goal& goal, const Vector& posture) const {
     Goal towards = goal;
-    towards.postures.push_back({rules_.pull, posture, is_finger_});
+    towards.postures.push_back({kPull, posture, is_finger_});
     return towards;
   }
 
@@ -110,7 +136,7 @@ class Detours {
     for (size_t j = 0; j < posture.size(); ++j)
       most = std::max(most, is_finger_[j] *
                                 std::abs(ik_.motion.q[ik_.tree.q_indices[j]] - posture[j]));
-    return most < rules_.reached;
+    return most < kReached;
   }
 
   // Whether a joint of its finger moves a point nearly as fast as it can.
@@ -120,7 +146,7 @@ class Detours {
     const std::vector<int>& moving = ik_.tree.moving[joint];
     for (size_t j = 0; j < is_finger_.size(); ++j) {
       const int i = ik_.tree.joint_columns[j];
-      const double most = rules_.on_its_way * time * ik_.limits.speeds[i];
+      const double most = kOnItsWay * time * ik_.limits.speeds[i];
       if (is_finger_[j] != 0.0 && std::abs(result.displacement[i]) > most &&
           std::binary_search(moving.begin(), moving.end(), i))
         return true;
@@ -143,19 +169,19 @@ class Detours {
 
   // Whether a point is away, by more than where no way round is known.
   bool is_new(const Vector& errors, size_t k) const {
-    const double known = detour_.known.empty() ? 0.0 : rules_.grown * detour_.known[k];
-    return errors[k] > std::max(rules_.away, known);
+    const double known = detour_.known.empty() ? 0.0 : kGrown * detour_.known[k];
+    return errors[k] > std::max(kAway, known);
   }
 
   bool is_nearer(const Vector& errors, const Vector& other) const {
     bool is_any = false;
     double squares = 0.0, squares_other = 0.0;
     for (size_t k = 0; k < errors.size(); ++k) {
-      is_any |= other[k] > rules_.away && errors[k] < rules_.of_point * other[k];
+      is_any |= other[k] > kAway && errors[k] < kOfPoint * other[k];
       squares += errors[k] * errors[k];
       squares_other += other[k] * other[k];
     }
-    return is_any && squares < rules_.of_all * squares_other;
+    return is_any && squares < kOfAll * squares_other;
   }
 };
 
@@ -170,7 +196,7 @@ inline void solve_with_detours(Ik& ik, size_t end, const Goal& goal, const When&
 // Move the hand for one sample, by detours if its options allow any.
 inline void seek(Ik& ik, const Goal& goal, const When& when, const Vector& margins, double speed,
                  Result& result) {
-  if (!ik.detour_rules) {
+  if (!ik.takes_detours) {
     ik.solve(goal, when, margins, speed, result);
     return;
   }

@@ -1,4 +1,4 @@
-// What an episode is measured by: see handmap_qp/apps/datasets.
+// What an episode is measured by.
 #pragma once
 
 #include <algorithm>
@@ -18,7 +18,7 @@ struct FlagRows {
   const bool* row(size_t t) const { return data + t * width; }
 };
 
-// See measures.measure_episode.
+// Measures a recording, and what a robot did of it. Tables have a row for each sample.
 struct EpisodeMeter {
   size_t count;
   const double* time;

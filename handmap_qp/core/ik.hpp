@@ -1,15 +1,13 @@
-// Inverse kinematics of one sample: see handmap_qp/ik/qp.py and limits.py, whose names these are.
+// Inverse kinematics of one sample: see handmap_qp/ik/qp.py, whose names these are.
 #pragma once
 
 #include <cstdint>
 #include <functional>
 #include <iterator>
-#include <memory>
-#include <numeric>
 #include <optional>
 
+#include "gate.hpp"
 #include "guessed_qp.hpp"
-#include "pairs.hpp"
 
 namespace handmap {
 
@@ -78,19 +76,13 @@ struct Goal {
   }
 };
 
-// The constants of collision.py, by their names there.
-struct DetourRules {
-  double away, on_its_way, sample, again, later, of_point, of_all, pull, reached, moved, grown,
-      forgotten;
-  int samples, longest;
-};
-
-// Of one hand; see collision.Detour.
+// What the fingers of a hand are about to do in place of going to their targets; see detours.hpp.
 struct Detour {
-  Vector via;
-  std::vector<Vec3> points;
-  Vector known;
-  double left = 0.0, wait = 0.0;
+  Vector via = {};                // posture that they pass; none in most samples
+  std::vector<Vec3> points = {};  // targets for which it was found
+  Vector known = {};              // errors of the hand's points where none was found [cost]
+  double left = 0.0;              // time left to reach it [s]
+  double wait = 0.0;              // time until it may look ahead again [s]
 };
 
 enum class Status { converged, limited, unreachable, unsettled, failed, released };
@@ -106,21 +98,15 @@ struct Result {
   int held_by;  // the pair of shapes that holds the hand back, or -1
 };
 
-class Ik {
+// Moves a robot by QPs, through its gate.
+class Ik : public Gate {
  public:
-  Tree tree;
   Weights weights;
   Settings settings;
-  BoxLimits limits;
-  std::unique_ptr<Pairs> pairs;
-  Motion motion;
-  std::optional<DetourRules> detour_rules;
+  bool takes_detours = false;
   std::vector<Detour> detours;  // of each hand
-  std::vector<Vector> fingers;  // of each hand, of each joint: see Hand.finger_joints
 
-  explicit Ik(Tree given)
-      : tree(std::move(given)), at(tree), start_(tree), path_end_(tree) {}
-  Ik(const Ik&) = delete;
+  explicit Ik(Tree given) : Gate(std::move(given)) {}
 
   // Move the hand towards its targets for one sample.
   void solve(const Goal& goal, const When& when, const Vector& margins, double speed,
@@ -128,12 +114,12 @@ class Ik {
     const Interval interval = motion.next(when);
     const double dt = interval.dt;
     at.place(motion.q.data());
-    bounds(interval, speed);
+    bounds(interval, speed, lower_, upper_);
     const int n = tree.size;
     bool has_rows = false;
     if (pairs) {
-      start_.copy(at);
-      pairs->rows(start_, dt, margins, motion.displacement, linear_);
+      start.copy(at);
+      pairs->rows(start, dt, margins, motion.displacement, linear_);
       has_rows = linear_.count > 0;
     }
     total_.assign(n, 0.0);
@@ -171,13 +157,13 @@ class Ik {
     // Solve from the start again, and keep apart the points that met.
     const auto around = [&](bool by_margins) {
       double length2;
-      pairs->add_met(start_, by_margins, linear_);
+      pairs->add_met(start, by_margins, linear_);
       total_.assign(n, 0.0);
       feasible_.loosen(linear_, lower_, upper_, limits.stopping(motion, dt), total_, h_);
       least_ = lower_;
       most_ = upper_;
       if (!has_first_cost) {
-        at.copy(start_);
+        at.copy(start);
         cost(goal);
       }
       const bool has_step = minimise(linear_.count, length2, has_first_cost);
@@ -190,28 +176,26 @@ class Ik {
     for (int look = 0; has_rows && look < kLooks; ++look) {
       path_.resize(tree.nv);
       tree.expand(total_.data(), path_.data());
-      if (!pairs->meets_at(start_, path_.data(), at)) break;
+      if (!pairs->meets_at(start, path_.data(), at)) break;
       around(true);
       first_ = total_;
       at.displace(motion.q.data(), total_.data());
     }
-    has_stopped_ = false;
-    admit(total_, first_, interval, [&] { around(false); });
-    if (!has_stopped_) find_holding();
+    const auto go_around = [&]() -> const Vector& {
+      around(false);
+      return total_;
+    };
+    admit(total_, first_, interval, go_around, kTries);
+    if (held_by < 0 && is_pressed_) held_by = pressed_pair(linear_, h_, qp_.slope(kTight), qp_.x);
     at.place(motion.q.data());
-    if (pairs) pairs->arrive(at, path_end_);
+    if (pairs) pairs->arrive(at, path_end);
     finish(goal, iterations, last_step, has_failed, result);
   }
 
-  // Take the stop that was admitted last, for one sample; see qp.PointIk.hold.
+  // Take the stop that was admitted last, for one sample.
   void hold(const When& when, Result& result) {
-    const Interval interval = motion.next(when);
-    const double dt = interval.dt;
     stop_detours();
-    braking(dt, taken_);
-    times_.resize(tree.size);
-    for (int i = 0; i < tree.size; ++i) times_[i] = std::max(motion.stop_times[i] - dt, 0.0);
-    move(taken_, times_, interval);
+    brake(when);
     at.place(motion.q.data());
     result.points.resize(tree.points.size());
     for (size_t k = 0; k < tree.points.size(); ++k) result.points[k] = at.point(tree.points[k]);
@@ -242,63 +226,12 @@ class Ik {
     return found;
   }
 
-  // Move by a displacement, or by another one that is admitted; see limits.Gate.admit. `around`
-  // leaves another one in `total_`.
-  template <class Around>
-  void admit(const Vector& wanted, const Vector& first, const Interval& interval,
-             const Around& around, int tries = kTries) {
-    const int n = tree.size;
-    const double dt = interval.dt;
-    limits.box(motion, dt, box_);
-    taken_.resize(n);
-    bool is_inside = true;
-    for (int i = 0; i < n; ++i) {
-      taken_[i] = std::fmin(std::fmax(wanted[i], box_.lower[i]), box_.upper[i]);
-      is_inside &= taken_[i] >= box_.least[i] && taken_[i] <= box_.most[i];
-    }
-    limits.stop_times(taken_, dt, times_);
-    if (!(is_inside && is_clear(taken_, times_, dt))) {
-      if (is_inside && tries > 0 && pairs->has_met()) {
-        around();
-        return admit(total_, total_, interval, around, tries - 1);
-      }
-      has_stopped_ = is_inside && pairs->has_met();
-      if (has_stopped_) held_by_ = pairs->nearest_met();
-      Vector short_first(n);
-      for (int i = 0; i < n; ++i)
-        short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
-      shorten(taken_, short_first, dt);
-    }
-    move(taken_, times_, interval);
-  }
-
-  Placed at;               // where the hand is
   std::int64_t costs = 0;  // number of costs that were computed, as a measure of work
 
- private:
-  // See limits.Gate.bounds.
-  void bounds(const Interval& interval, double share) {
-    const auto [dt, granted, time] = interval;
-    limits.box(motion, dt, box_);
-    lower_.resize(tree.size);
-    upper_.resize(tree.size);
-    const double change = limits.change(granted);
-    for (int i = 0; i < tree.size; ++i) {
-      const double farthest = share * granted * limits.speeds[i];
-      double least = -farthest, most = farthest;
-      if (granted < dt) {
-        // Without commands, the robot has braked in the time beyond the grant.
-        const double beyond = (dt - granted) / std::max(motion.stop_times[i], 1e-300);
-        const double velocity = motion.displacement[i] / motion.dt;
-        const double middle = velocity * std::max(1.0 - beyond, 0.0) * granted;
-        least = clip(least, middle - change, middle + change);
-        most = clip(most, middle - change, middle + change);
-      }
-      lower_[i] = clip(least, box_.lower[i], box_.upper[i]);
-      upper_[i] = clip(most, box_.lower[i], box_.upper[i]);
-    }
-  }
+ protected:
+  void was_moved() override { stop_detours(); }
 
+ private:
   // Solve the QP of one iteration, whose cost is known: false if that fails. `has_other_rows` as of
   // `GuessedQp::solve`.
   bool minimise(int rows, double& length2, bool has_other_rows = false) {
@@ -323,28 +256,6 @@ class Ik {
       const bool is_high = expected >= high - (kRelative * std::abs(high) + kAbsolute);
       guess_[i] = static_cast<signed char>(is_low ? -1 : is_high);
     }
-  }
-
-  // Note the pair whose row the cost presses the last step against most; see limits.Gate.press.
-  void find_holding() {
-    held_by_ = -1;
-    if (!is_pressed_) return;
-    const int n = tree.size;
-    const Vector& slope = qp_.slope(kTight);
-    int found = -1;
-    double most = 0.0;
-    for (int k = 0; k < linear_.count; ++k) {
-      const double* g = linear_.G.data() + k * n;
-      if (h_[k] - Qp::dot(g, qp_.x.data(), n) > kTight) continue;
-      const double length2 = Qp::dot(g, g, n) + kLever * kLever;
-      const double pressed = -Qp::dot(g, slope.data(), n) / length2;
-      if (!(pressed > kPressing)) continue;
-      const double rounded = std::nearbyint(1e3 * pressed);
-      if (found >= 0 && !(rounded > most)) continue;
-      most = rounded;
-      found = k;
-    }
-    held_by_ = pairs->pair_of(found);
   }
 
   // Add rows of one block, nonzero in `columns_` only, to the cost.
@@ -572,105 +483,6 @@ class Ik {
     add_rows(block_.data(), 3, errors);
   }
 
-  // Whether a displacement and the stop behind it are clear of overlaps.
-  bool is_clear(const Vector& displacement, const Vector& times, double dt) {
-    if (!pairs) return true;
-    double time = 0.0;
-    for (int i = 0; i < tree.size; ++i)
-      if (limits.together[i]) time = std::max(time, times[i]);
-    whole_.resize(tree.size);
-    for (int i = 0; i < tree.size; ++i)
-      whole_[i] = limits.together[i] ? (1.0 + 0.5 * time / dt) * displacement[i] : 0.0;
-    start_.place(motion.q.data());
-    path_end_.displace(motion.q.data(), whole_.data(), &at);
-    path_.resize(tree.nv);
-    tree.expand(whole_.data(), path_.data());
-    return pairs->is_clear(start_, path_.data(), path_end_);
-  }
-
-  void braking(double dt, Vector& displacement) const {
-    displacement.resize(tree.size);
-    for (int i = 0; i < tree.size; ++i) {
-      const double share = 1.0 - dt / std::max(motion.stop_times[i], dt);
-      displacement[i] = motion.displacement[i] / motion.dt * (dt * share);
-    }
-  }
-
-  // Find a displacement that is admitted, and the times of the stop behind it; see Gate._shortened.
-  void shorten(const Vector& wanted, const Vector& first, double dt) {
-    const int n = tree.size;
-    Vector brake, left(n), least(n), most(n), clipped(n), base(n), tried(n), times(n), taken(n);
-    braking(dt, brake);
-    const double change = limits.change(dt);
-    for (int i = 0; i < n; ++i) {
-      const double middle = motion.displacement[i] / motion.dt * dt;
-      left[i] = std::max(motion.stop_times[i] - dt, 0.0);
-      // From a higher limit, the stop in force may brake harder than the limit allows.
-      least[i] = std::min(middle - change, brake[i]);
-      most[i] = std::max(middle + change, brake[i]);
-      clipped[i] = clip(first[i], least[i], most[i]);
-      base[i] = limits.together[i] ? brake[i] : clipped[i];
-    }
-    std::vector<std::vector<int>> parts;
-    for (const Vector& is_finger : fingers) {
-      parts.emplace_back();
-      for (size_t j = 0; j < is_finger.size(); ++j)
-        if (is_finger[j] != 0.0) parts.back().push_back(tree.joint_columns[j]);
-    }
-    parts.emplace_back(n);
-    std::iota(parts.back().begin(), parts.back().end(), 0);
-    for (const std::vector<int>& own : parts) {
-      for (int i = 0; i < n; ++i) tried[i] = clip(wanted[i], least[i], most[i]);
-      std::vector<Vector> candidates{tried};
-      for (const double share : kShares) {
-        for (int i = 0; i < n; ++i) tried[i] = base[i] + share * (clipped[i] - base[i]);
-        candidates.push_back(tried);
-      }
-      candidates.push_back(base);
-      bool is_admitted = false;
-      for (size_t c = 0; c < candidates.size() && !is_admitted; ++c) {
-        tried = base;
-        for (const int i : own) tried[i] = candidates[c][i];
-        limits.stop_times(tried, dt, times);
-        bool can_all = true;
-        for (int i = 0; i < n; ++i) {
-          const bool can_stop =
-              limits.is_inside(i, motion.q, tried[i] * (1.0 + 0.5 * times[i] / dt)) &&
-              times[i] <= kLongestStop * (1.0 + 1e-9);
-          const bool brakes = !can_stop && !limits.together[i];
-          taken[i] = brakes ? brake[i] : tried[i];
-          if (brakes) times[i] = left[i];
-          if (limits.together[i]) can_all &= can_stop;
-        }
-        is_admitted = can_all && is_clear(taken, times, dt);
-      }
-      // The line of the stop in force was found clear before.
-      for (int i = 0; i < n && !is_admitted; ++i)
-        if (limits.together[i]) times[i] = left[i];
-      for (const int i : own) clipped[i] = taken[i];
-    }
-    taken_ = taken;
-    times_ = times;
-  }
-
-  void move(const Vector& displacement, const Vector& times, const Interval& interval) {
-    Vector &step = path_, &reached = reached_;
-    step.resize(tree.nv);
-    reached.resize(tree.nq);
-    tree.expand(displacement.data(), step.data());
-    tree.integrate(motion.q.data(), step.data(), reached.data());
-    for (int i = 0; i < tree.nq; ++i) {
-      const double before = motion.q[i];
-      reached[i] = clip(reached[i], std::min(limits.lowest[i], before),
-                        std::max(limits.highest[i], before));
-    }
-    motion.q = reached;
-    motion.displacement = displacement;
-    motion.dt = interval.dt;
-    motion.time = interval.time;
-    motion.stop_times = times;
-  }
-
   void finish(const Goal& goal, int iterations, double last_step, bool has_failed, Result& result) {
     constexpr double kAtBound = 1e-7, kAtRest = 1e-3;
     const int n = tree.size;
@@ -701,7 +513,7 @@ class Ik {
     }
     result.iterations = iterations;
     result.last_step = last_step;
-    result.held_by = held_by_;
+    result.held_by = held_by;
     result.status = has_failed                                              ? Status::failed
                     : std::sqrt(farthest2) <= settings.point_tolerance ? Status::converged
                     : at_bound                                              ? Status::limited
@@ -710,20 +522,15 @@ class Ik {
   }
 
   GuessedQp qp_;
-  Feasible feasible_;
   Rows linear_;
-  Box box_;
   TaskRows further_;
-  Placed start_, path_end_;
-  // Whether a row is active in the last step, and whether pairs that met stopped the hand.
-  bool is_pressed_ = false, has_stopped_ = false;
-  int held_by_ = -1;  // the pair that holds the hand back
+  bool is_pressed_ = false;  // whether a row is active in the last step
   const std::vector<int> none_;
   std::vector<int> columns_, movers_;
   std::vector<signed char> guess_;
   std::vector<Vec3> levers_, turns_, targets_;
   Vector levers2_, lower_, upper_, expected_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_,
-      taken_, times_, path_, whole_, reached_;
+      path_;
 };
 
 }  // namespace handmap

@@ -1,445 +1,279 @@
-// Tells wrong input from a human hand, batch by batch: see handmap_qp/trackers (plausibility.py,
-// hand_geometry.py, wrist_axes.py), whose names these are.
+// Tells wrong input from a human hand, in the first second and at every sample after it.
 //
-// The core proves that a batch is a hand. Where it cannot, Python examines the batch and says in
-// words what is wrong.
+// Landmarks in another order, the other hand, a mirrored world, millimetres, milliseconds, fingers that
+// bend backwards or a wrist quaternion in another order map without an error, to nonsense. `InputCheck`
+// measures what a human hand cannot do in small batches of samples, and asks which mistake explains it.
 #pragma once
 
-#include <vector>
-
-#include "order.hpp"
-#include "targets.hpp"
+#include "finding.hpp"
+#include "hand_geometry.hpp"
+#include "wrist_axes.hpp"
 
 namespace handmap {
 
-using Landmarks = std::array<Vec3, kLandmarks>;
-
-inline Landmarks landmarks_of(const double* p) {
-  Landmarks points;
-  for (Vec3& point : points) {
-    point = {p[0], p[1], p[2]};
-    p += 3;
-  }
-  return points;
-}
-
-// Places in the state; the numbers of Python are at most those. One more than the batches of the past,
-// so that the next one replaces none that is still needed.
-constexpr int kMostSamples = 32, kMostPast = 5, kMostSizes = 8;
-constexpr int kPairs = 26, kFingers = 5;
-// Coordinates beyond this are left to Python [m]: here nothing overflows.
-constexpr double kTooFar = 1e6;
-
+// When a batch is complete: at `most` samples, or at `least` ones after a time [s].
 struct BatchSize {
   int most, least;
   double time;
 };
+constexpr BatchSize kFreshBatch = {16, 8, 0.25};  // while the finding is new
+constexpr BatchSize kCalmBatch = {32, 16, 0.5};
+// After `alert`: two such batches are shorter than the guard's hold after a flip.
+constexpr BatchSize kAlertBatch = {16, 6, 0.19};
+constexpr int kCalmBatches = 2;  // after which the finding is no longer new
+constexpr int kMostSamples = kCalmBatch.most;
 
-// Numbers of Python.
-struct InputRules {
-  // plausibility
-  BatchSize fresh, calm, alert;
-  int calm_batches, carried_batches, first_sizes;
-  double sure_side, backwards, otherwise_right, same_misfit, resized, refused_share, brief;
-  double shortest_step, longest_step, shortest_hand, longest_hand;
-  double no_hand, better_by, contradiction;
-  // hand_geometry
-  double centres[kPairs], widths[kPairs], feature_sizes[5];
-  double largest_deviation, rigid_spread, quartiles_apart, hyperextension;
-  double least_trembling, stuck, carried, step, others_change, most_bent, least_bent;
-  // The 26 pairs of our own order, and then those that other orders need.
-  std::vector<int> first, second;
-  // Of each other order, where its pairs are: pair by pair, the orders of one behind each other.
-  std::vector<int> places;
-  int orders;
-  // wrist_axes
-  std::vector<Mat3> conventions;
-  double farthest, steady, turned, kept, farthest_apart;
-};
+constexpr double kSureSide = 0.6;  // of 5 (`PalmarEvidence::total`)
+// Of 2 (`PalmarEvidence::fingers`): beyond the hyperextension of people.
+constexpr double kBackwards = -0.95;
+constexpr double kOtherwiseRight = 0.25;  // of 3: what palm and thumb must say for backward fingers
+constexpr double kSameMisfit = 0.12;  // a misfit that rises by less needs no new search for orders
+constexpr int kCarriedBatches = 4;  // 2 s or more: what tells a finger at rest from one that is stuck
+constexpr int kFirstSizes = 8;      // batches at the start that say how large the hand is
+constexpr double kResized = 1.35;   // as large as at the start, or as small; 0.86 to 1.25 in people
+constexpr double kRefusedShare = 0.25;   // of a recording's valid samples
+constexpr double kShortRecording = 1.0;  // judged by its last batches up to this time [s]
 
-// Sort every column of rows (n, width): Batcher's merge exchange (Knuth, 5.2.2, algorithm M).
-inline void sort_columns(double* rows, int n, int width) {
-  int top = 1;
-  while (2 * top < n) top *= 2;
-  for (int p = n > 1 ? top : 0; p > 0; p /= 2) {
-    for (int q = top, r = 0, d = p; d > 0; d = q - p, q /= 2, r = p) {
-      for (int i = 0; i + d < n; ++i) {
-        if ((i & p) != r) continue;
-        double *a = rows + i * width, *b = rows + (i + d) * width;
-        for (int c = 0; c < width; ++c) {
-          const double low = a[c] < b[c] ? a[c] : b[c], high = a[c] < b[c] ? b[c] : a[c];
-          a[c] = low;
-          b[c] = high;
-        }
-      }
-      if (q == p) break;
-    }
-  }
-}
+// A misfit that no hand has: at most 1.2 in recordings.
+constexpr double kNoHand = 1.45;
+// An order must fit better than ours by this much. Real recordings fit no other order better.
+constexpr double kBetterBy = 0.12;
+constexpr double kNoisyMisfit = 15.0;  // what noise adds to both [1/m]
+// Of 5 (`PalmarEvidence::total`): the order or the side cannot be right.
+constexpr double kContradiction = 0.6;
 
-inline Vec3 unit(const Vec3& v) { return (1.0 / std::max(norm(v), 1e-9)) * v; }
+// Shortest and longest median time between samples [s]: from 2500 Hz to 2 Hz.
+constexpr double kSampleSteps[2] = {4e-4, 0.5};
+// Lengths that a hand may have [m], from wrist to middle fingertip: from a child's of five years to more
+// than those of nearly all men. Adults that were tracked have 0.175 to 0.195.
+constexpr double kHandLengths[2] = {0.12, 0.25};
 
-// Logarithms of the distances of some pairs over some samples, and how much they vary.
-struct Distances {
-  std::vector<double> medians, spreads;
-};
-
-// Measure the pairs of `rules` with numbers in [from, to).
-inline void measure_pairs(const InputRules& rules, const Landmarks* hands, int n, int from, int to,
-                    Distances& found) {
-  const int width = to - from;
-  std::vector<double> squares(n * width);
-  for (int t = 0; t < n; ++t)
-    for (int k = 0; k < width; ++k) {
-      const Vec3 apart = hands[t][rules.first[from + k]] - hands[t][rules.second[from + k]];
-      squares[t * width + k] = dot(apart, apart);
-    }
-  sort_columns(squares.data(), n, width);
-  const auto log_of = [&](int row, int k) {
-    return 0.5 * std::log(std::max(squares[row * width + k], 1e-24));
-  };
-  found.medians.resize(to);
-  found.spreads.resize(to);
-  for (int k = 0; k < width; ++k) {
-    found.medians[from + k] = log_of(n / 2, k);
-    found.spreads[from + k] =
-        (log_of(n - 1 - n / 4, k) - log_of(n / 4, k)) / rules.quartiles_apart;
-  }
-}
-
-// How badly distances fit a hand in our order; `rigid` is false to leave out their spreads.
-inline double misfit(const InputRules& rules, const Distances& distances, double middle,
-                     bool rigid) {
-  const double most = rules.largest_deviation * rules.largest_deviation;
-  double sum = 0.0;
-  for (int i = 0; i < kPairs; ++i) {
-    const double off = (distances.medians[i] - rules.centres[i] - middle) / rules.widths[i];
-    const double soft = rigid ? distances.spreads[i] / rules.rigid_spread : 0.0;
-    sum += std::min(off * off + soft * soft, most);
-  }
-  return std::sqrt(sum / kPairs);
-}
-
-// The least misfit of all other orders.
-inline double least_misfit(const InputRules& rules, const Distances& distances) {
-  const int K = rules.orders;
-  const double most = rules.largest_deviation * rules.largest_deviation;
-  std::vector<double> deviations(kPairs * K), sums(K, 0.0);
-  for (int i = 0; i < kPairs; ++i)
-    for (int k = 0; k < K; ++k)
-      deviations[i * K + k] = distances.medians[rules.places[i * K + k]] - rules.centres[i];
-  std::vector<double> sorted = deviations;
-  sort_columns(sorted.data(), kPairs, K);
-  const double* middles = sorted.data() + kPairs / 2 * K;
-  for (int i = 0; i < kPairs; ++i)
-    for (int k = 0; k < K; ++k) {
-      const double off = (deviations[i * K + k] - middles[k]) / rules.widths[i];
-      const double soft = distances.spreads[rules.places[i * K + k]] / rules.rigid_spread;
-      const double square = off * off + soft * soft;
-      sums[k] += square < most ? square : most;
-    }
-  return std::sqrt(*std::min_element(sums.begin(), sums.end()) / kPairs);
-}
-
-// Evidence for a right hand in one sample.
-struct PalmarEvidence {
-  double total, fingers;
-};
-
-inline PalmarEvidence palmar_evidence(const InputRules& rules, const Landmarks& hand) {
-  const auto offset = [&](int i) { return hand[i] - hand[0]; };
-  const Vec3 along = offset(9), palmar = unit(cross(offset(5), offset(17)));
-  const Vec3 axis = cross(unit(along), palmar);
-  const double size = std::max(norm(along), 1e-12);
-  const auto height = [&](int i) { return dot(offset(i), palmar) / size; };
-  double bends = 0.0, bent = 0.0;
-  for (int base = 5; base < kLandmarks; base += 4) {
-    const Vec3 first = unit(hand[base + 1] - hand[base]);
-    const Vec3 second = unit(hand[base + 2] - hand[base + 1]);
-    bends += 0.25 * dot(cross(first, second), axis);
-    bent += 0.25 * dot(first, palmar);
-  }
-  const double limit = rules.hyperextension;
-  const double features[5] = {height(1), -0.5 * (height(9) + height(13)), height(2), bends,
-                              bent - clip(bent, -limit, limit)};
-  double evidence[5];
-  for (int i = 0; i < 5; ++i) evidence[i] = clip(features[i] / rules.feature_sizes[i], -1.0, 1.0);
-  const double fingers = evidence[3] + evidence[4];
-  return {evidence[0] + evidence[1] + evidence[2] + fingers, fingers};
-}
-
-// Whether a finger repeats to rounding while most others tremble, or a bone has no length.
-inline bool has_stuck_finger(const InputRules& rules, const Landmarks* hands, int n) {
-  double trembling[kFingers];
-  bool is_carried[kFingers];
-  for (int f = 0; f < kFingers; ++f) {
-    trembling[f] = 0.0;
-    for (int k = 4 * f + 2; k < 4 * f + 4; ++k) {
-      double least = HUGE_VAL, most = 0.0, sum = 0.0;
-      for (int t = 0; t < n; ++t) {
-        const Vec3 bone = hands[t][k + 1] - hands[t][k];
-        const double square = dot(bone, bone);
-        least = std::min(least, square);
-        most = std::max(most, square);
-        sum += square;
-      }
-      if (sum == 0.0) return true;
-      trembling[f] = std::max(trembling[f], (most - least) / (sum / n));
-    }
-    is_carried[f] = false;
-    for (int t = 1; t < n; ++t) {
-      const Vec3 moved = hands[t][4 * f + 4] - hands[0][4 * f + 4];
-      is_carried[f] = is_carried[f] || moved.x != 0.0 || moved.y != 0.0 || moved.z != 0.0;
-    }
-  }
-  double sorted[kFingers];
-  std::copy(trembling, trembling + kFingers, sorted);
-  const double usual = upper_median(sorted, kFingers);
-  for (int f = 0; f < kFingers; ++f)
-    if (trembling[f] < rules.stuck * usual && is_carried[f] && usual > rules.least_trembling)
-      return true;
-  return false;
-}
-
-// What a batch is compared with.
-struct Examined {
-  double misfit = std::numeric_limits<double>::quiet_NaN();
-  int size_count = 0;
-  double sizes[kMostSizes];
-  // The last batches in a ring, the oldest at `past_first`.
-  int past_count = 0, past_first = 0;
-  int past_sizes[kMostPast];
-  Landmarks past[kMostPast][kMostSamples];
-  bool has_start = false, is_proven = false, has_curled = false;
-  Mat3 start_palm, start_mean;
-
-  template <class Visit>
-  void each_past(const Visit& visit) const {
-    for (int b = 0; b < past_count; ++b) {
-      const int at = (past_first + b) % kMostPast;
-      for (int t = 0; t < past_sizes[at]; ++t) visit(past[at][t]);
-    }
-  }
-  void append_past(const InputRules& rules, const Landmarks* hands, int n) {
-    const int at = (past_first + past_count) % kMostPast;
-    std::copy(hands, hands + n, past[at]);
-    past_sizes[at] = n;
-    ++past_count;
-    if (past_count > rules.carried_batches) {
-      past_first = (past_first + 1) % kMostPast;
-      --past_count;
-    }
-  }
-};
-
-constexpr int kSpans = 9;
-// Distances of three joints of a finger to three landmarks of the palm.
-inline double span(const Landmarks& hand, int finger, int i) {
-  constexpr int kTo[3] = {0, 5, 17};
-  return norm(hand[4 * finger + 2 + i / 3] - hand[kTo[i % 3]]);
-}
-
-// Whether the palm carries a bent finger as it is while the other fingers move.
-inline bool has_carried_finger(const InputRules& rules, const Examined& seen) {
-  bool is_carried[kFingers] = {}, any = false;
-  for (int f = 0; f < kFingers; ++f) {
-    bool is_rigid = true;
-    for (int i = 0; i < kSpans && is_rigid; ++i) {
-      double least = HUGE_VAL, most = 0.0;
-      seen.each_past([&](const Landmarks& hand) {
-        if (most - least >= rules.carried) return;
-        const double away = span(hand, f, i);
-        least = std::min(least, away);
-        most = std::max(most, away);
-      });
-      is_rigid = most - least < rules.carried;
-    }
-    if (!is_rigid) continue;
-    const int last = (seen.past_first + seen.past_count - 1) % kMostPast;
-    const Landmarks& hand = seen.past[last][seen.past_sizes[last] - 1];
-    Vec3 bones[3];
-    for (int k = 0; k < 3; ++k) bones[k] = unit(hand[4 * f + 2 + k] - hand[4 * f + 1 + k]);
-    for (int k = 0; k < 2; ++k) {
-      const double bend = dot(bones[k + 1], bones[k]);
-      is_carried[f] = is_carried[f] || (bend > rules.most_bent && bend < rules.least_bent);
-    }
-    any = any || is_carried[f];
-  }
-  if (!any) return false;
-  double changing[kFingers] = {};
-  int steps = -1;
-  double former[kFingers][kSpans];
-  seen.each_past([&](const Landmarks& hand) {
-    ++steps;
-    for (int f = 0; f < kFingers; ++f) {
-      bool changes = false;
-      for (int i = 0; i < kSpans; ++i) {
-        const double away = span(hand, f, i);
-        changes = changes || (steps > 0 && std::abs(away - former[f][i]) > rules.step);
-        former[f][i] = away;
-      }
-      changing[f] += changes;
-    }
-  });
-  return upper_median(changing, kFingers) > rules.others_change * steps;
-}
-
-inline double cosine(const Mat3& a, const Mat3& b) {
-  double sum = 0.0;
-  for (int i = 0; i < 9; ++i) sum += a.m[i] * b.m[i];
-  return clip((sum - 1.0) / 2.0, -1.0, 1.0);
-}
-
-// The palm's rotation: +y distal, +z dorsal.
-inline Mat3 palm_axes(const Landmarks& hand, double sign) {
-  const Vec3 dorsal = unit(-sign * cross(hand[5] - hand[0], hand[17] - hand[0]));
-  const Vec3 lateral = unit(cross(hand[9] - hand[0], dorsal));
-  const Vec3 distal = cross(dorsal, lateral);
-  return {{lateral.x, distal.x, dorsal.x, lateral.y, distal.y, dorsal.y, lateral.z, distal.z,
-           dorsal.z}};
-}
-
-// Whether wrist poses belong to the landmarks, with axes that are known. `seen` learns of them.
-inline bool follows_palm(const InputRules& rules, double sign, const Landmarks* hands,
-                         const Pose* wrists, int n, Examined& seen) {
-  double apart[kMostSamples];
-  for (int t = 0; t < n; ++t) apart[t] = norm(wrists[t].p - hands[t][0]);
-  if (!(upper_median(apart, n) <= rules.farthest_apart)) return false;
-  Mat3 palms = 0.0 * Mat3{}, halves[2] = {palms, palms};
-  for (int t = 0; t < n; ++t) {
-    const Mat3 palm = palm_axes(hands[t], sign);
-    Mat3& half = halves[t < n / 2 ? 0 : 1];
-    palms = palms + palm;
-    half = half + transposed(palm) * wrists[t].R;
-  }
-  const Mat3 mean = nearest_rotation(halves[0] + halves[1]), palm = nearest_rotation(palms);
-  const double steadiness =
-      n < 2 ? 1.0 : cosine(nearest_rotation(halves[0]), nearest_rotation(halves[1]));
-  const Mat3 start_palm = seen.has_start ? seen.start_palm : palm;
-  const Mat3 start_mean = seen.has_start ? seen.start_mean : mean;
-  const double kept = cosine(mean, start_mean);
-  bool is_known = false;
-  for (const Mat3& axes : rules.conventions)
-    is_known = is_known || cosine(axes, mean) > rules.farthest;
-  if (!(steadiness > rules.steady && kept > rules.steady && is_known)) return false;
-  const double turn = std::acos(cosine(palm, start_palm)), change = std::acos(kept);
-  seen.has_start = true;
-  seen.start_palm = start_palm;
-  seen.start_mean = start_mean;
-  seen.is_proven = seen.is_proven || (cosine(mean, rules.conventions[0]) > rules.farthest &&
-                                      turn > rules.turned && change < rules.kept * turn);
-  return true;
-}
-
-// Whether landmarks are in metres, given that their order is ours.
-inline bool is_in_metres(const InputRules& rules, const Distances& own, const Landmarks* hands,
-                         int n) {
-  double length = 0.0, depth = 0.0;
-  for (int i = 8; i < 12; ++i) length += std::exp(own.medians[i]);
+// Image coordinates have no depth: the z of MediaPipe's image landmarks is relative to the wrist's.
+inline bool is_image(const Landmarks* hands, int n, double length) {
   Vec3 least = hands[0][0], most = least;
-  for (int t = 0; t < n; ++t)
-    for (int i = 0; i < 3; ++i) {
+  double depth = 0.0;
+  for (int t = 0; t < n; ++t) {
+    for (int i = 0; i < 2; ++i) {
       least[i] = std::min(least[i], hands[t][0][i]);
       most[i] = std::max(most[i], hands[t][0][i]);
-      if (i == 2) depth = std::max(depth, std::abs(hands[t][0].z));
     }
+    depth = std::max(depth, std::abs(hands[t][0].z));
+  }
   const double moved = std::max(most.x - least.x, most.y - least.y);
-  const bool is_image = depth < 1e-4 * length && 1e-4 * length < moved;
-  return !is_image && length >= rules.shortest_hand && length <= rules.longest_hand;
+  return depth < 1e-4 * length && 1e-4 * length < moved;
 }
 
-// Whether a batch is surely a hand as it is said to be, which then `seen` learns of.
-inline bool is_plausible(const InputRules& rules, double sign, const Landmarks* hands,
-                         const Pose* wrists, int n, Examined& seen) {
-  double total[kMostSamples], fingers[kMostSamples];
+// The largest extent of a hand along an axis, the median over samples [m].
+inline double extent_of(const Landmarks* hands, int n) {
+  Vector extents(n);
+  for (int t = 0; t < n; ++t)
+    for (int axis = 0; axis < 3; ++axis) {
+      const auto [least, most] = std::minmax_element(
+          hands[t].begin(), hands[t].end(),
+          [axis](const Vec3& a, const Vec3& b) { return a[axis] < b[axis]; });
+      extents[t] = std::max(extents[t], (*most)[axis] - (*least)[axis]);
+    }
+  return median(extents);
+}
+
+// Tell whether landmarks, which are a hand or in another order, are not in metres.
+inline Finding find_length_unit(const Distances& distances, const Landmarks* hands, int n,
+                                bool is_hand) {
+  const double length = distances.hand_length();
+  if (is_image(hands, n, length)) return {Mistake::image};
+  if (kHandLengths[0] <= length && length <= kHandLengths[1]) return {};
+  if (!is_hand) {
+    // Landmarks of the size of a hand may be in another order.
+    const double extent = extent_of(hands, n);
+    if (kHandLengths[0] / 2.0 < extent && extent < kHandLengths[1]) return {};
+  }
+  return {Mistake::length, length};
+}
+
+// How much noise adds to the misfits of a batch.
+inline double misfit_of_noise(const Landmarks* hands, int n) {
+  if (n < 3) return 0.0;
+  Vector changes;
+  for (int t = 2; t < n; ++t)
+    for (int i = 0; i < kLandmarks; ++i) {
+      const auto offset = [&](int at) { return hands[at][i] - hands[at][0]; };
+      changes.push_back(norm((offset(t) - offset(t - 1)) - (offset(t - 1) - offset(t - 2))));
+    }
+  return kNoisyMisfit * noise_of(changes.data(), changes.size(), change_rate(1.0, 1.0));
+}
+
+// Evidence for a right hand, of landmarks in some order; the median over samples.
+inline double evidence_in_order(const std::array<int, kLandmarks>& order, const Landmarks* hands,
+                                int n) {
+  Vector totals(n);
   for (int t = 0; t < n; ++t) {
-    for (const Vec3& p : hands[t])
-      if (!(std::abs(p.x) < kTooFar && std::abs(p.y) < kTooFar && std::abs(p.z) < kTooFar)) return false;
-    const PalmarEvidence evidence = palmar_evidence(rules, hands[t]);
-    total[t] = sign * evidence.total;
-    fingers[t] = sign * evidence.fingers;
+    Landmarks ordered;
+    for (int i = 0; i < kLandmarks; ++i) ordered[i] = hands[t][order[i]];
+    totals[t] = palmar_evidence(ordered).total;
   }
-  const double side = upper_median(total, n), bent = upper_median(fingers, n);
-  Distances distances;
-  measure_pairs(rules, hands, n, 0, kPairs, distances);
-  double deviations[kPairs];
-  for (int i = 0; i < kPairs; ++i) deviations[i] = distances.medians[i] - rules.centres[i];
-  const double size = upper_median(deviations, kPairs);
-  const double own = misfit(rules, distances, size, true);
-  // A misfit of before that is NaN is none.
-  const bool is_known = own < seen.misfit + rules.same_misfit && side > rules.sure_side;
-  if (!is_known) {
-    measure_pairs(rules, hands, n, kPairs, static_cast<int>(rules.first.size()), distances);
-    const double needed = side > -rules.contradiction ? own - rules.better_by : own;
-    if (!(least_misfit(rules, distances) >= needed) ||
-        !(misfit(rules, distances, size, false) <= rules.no_hand))
-      return false;
-  }
-  if (!is_in_metres(rules, distances, hands, n)) return false;
-  if ((bent <= rules.backwards && side - bent > rules.otherwise_right) || side < -rules.sure_side)
-    return false;
-  if (has_stuck_finger(rules, hands, n)) return false;
-  double sizes[kMostSizes];
-  int count = seen.size_count;
-  std::copy(seen.sizes, seen.sizes + count, sizes);
-  if (count < rules.first_sizes) sizes[count++] = size;
-  const double ratio = std::exp(size - upper_median(sizes, count));
-  if (!(ratio > 1.0 / rules.resized && ratio < rules.resized)) return false;
-  const int past_count = seen.past_count, past_first = seen.past_first;
-  seen.append_past(rules, hands, n);
-  const bool is_carried =
-      seen.past_count == rules.carried_batches && has_carried_finger(rules, seen);
-  if (is_carried || (wrists && !follows_palm(rules, sign, hands, wrists, n, seen))) {
-    seen.past_count = past_count;
-    seen.past_first = past_first;
-    return false;
-  }
-  if (count > seen.size_count) seen.sizes[seen.size_count++] = size;
-  if (!is_known) seen.misfit = own;
-  seen.has_curled = seen.has_curled || bent >= -rules.backwards;
-  return true;
+  return median(totals);
 }
 
-// What Python says about input that the core cannot prove to be a hand: findings by their numbers,
-// none by `kNone`. It takes the GIL, and throws what Python raises.
-constexpr int kNone = -1;
+// Look for an order that explains landmarks much better than ours, whose evidence is -5 to 5.
+inline Finding find_order(const LandmarkOrders& orders, Distances& distances, double sign,
+                          double own_evidence, const Landmarks* hands, int n) {
+  distances.measure(orders.pairs.data(), kPairs, static_cast<int>(orders.pairs.size()), hands, n);
+  const Vector all = misfits(distances, orders);
+  const double own = all[0], slack = misfit_of_noise(hands, n);
+  // The other hand is an explanation too, so an order of fingers must beat it only where our own order
+  // contradicts the side.
+  const double needed = own - slack - (own_evidence > -kContradiction ? kBetterBy : 0.0);
+  std::vector<int> better;
+  for (size_t k = 0; k < all.size(); ++k)
+    if (all[k] < needed) better.push_back(static_cast<int>(k));
+  std::stable_sort(better.begin(), better.end(), [&](int a, int b) { return all[a] < all[b]; });
+  const auto named = [](bool is_hand, int order) -> Finding {
+    if (!is_hand || order == 0) return {Mistake::unknown_order};
+    return {Mistake::order, kNaN, order};
+  };
+  for (const int k : better) {
+    const double evidence = sign * evidence_in_order(orders.orders[k], hands, n);
+    if (evidence > std::min(-kContradiction, own_evidence)) return named(all[k] < kNoHand, k);
+  }
+  if (misfit(distances, false) <= kNoHand + slack) return {};
+  const auto best = std::min_element(all.begin(), all.end());
+  return named(*best < std::min(kNoHand, own - 3.0 * kBetterBy),
+               static_cast<int>(best - all.begin()));
+}
 
-class Explainer {
- public:
-  virtual ~Explainer() = default;
-  virtual int explain_times(const double* times, int n) = 0;
-  virtual int explain_rate(double rate) = 0;
-  virtual int explain_batch(const Landmarks* hands, const Pose* wrists, int n,
-                            Examined& seen) = 0;
-  // The rule (`Rule`) that a finding is named by.
-  virtual int rule_of(int finding) const = 0;
+// What is remembered of the batches before.
+struct Examined {
+  double misfit = kNaN;
+  bool has_curled = false;
+  int size_count = 0;
+  double sizes[kFirstSizes];
+  // The last batches in a ring, the next one at `past_next`.
+  int past_count = 0, past_next = 0;
+  int past_sizes[kCarriedBatches];
+  Landmarks past[kCarriedBatches][kMostSamples];
+  WristCheck wrist;
 };
 
-struct InputState {
-  // The batch so far.
-  int count = 0, wrist_count = 0;
-  double times[kMostSamples];
-  Landmarks hands[kMostSamples];
-  Pose wrists[kMostSamples];
-  bool has_last_time = false;
-  double last_time = 0.0;
-  int guess = kNone, finding = kNone, batches = 0, calm = 0;
-  Examined seen{};
-};
+// Tell whether a finger repeats, by this batch or by the last ones together.
+inline Finding find_stuck(const Landmarks* hands, int n, Examined& seen) {
+  std::copy(hands, hands + n, seen.past[seen.past_next]);
+  seen.past_sizes[seen.past_next] = n;
+  seen.past_next = (seen.past_next + 1) % kCarriedBatches;
+  seen.past_count = std::min(seen.past_count + 1, kCarriedBatches);
+  int finger = stuck_finger(hands, n);
+  if (seen.past_count == kCarriedBatches) {
+    std::vector<const Landmarks*> all;
+    for (int b = 0; b < kCarriedBatches; ++b) {
+      const int at = (seen.past_next + b) % kCarriedBatches;
+      for (int t = 0; t < seen.past_sizes[at]; ++t) all.push_back(&seen.past[at][t]);
+    }
+    const int carried = carried_finger(all);
+    if (carried >= 0 && (finger < 0 || carried < finger)) finger = carried;
+  }
+  if (finger < 0) return {};
+  return {Mistake::stuck, kNaN, finger};
+}
 
-// See plausibility.InputCheck.
+// Compare the logarithm of the hand's size with that of the first batches.
+inline Finding find_resized(double size, Examined& seen) {
+  if (seen.size_count < kFirstSizes) seen.sizes[seen.size_count++] = size;
+  double sizes[kFirstSizes];
+  std::copy(seen.sizes, seen.sizes + seen.size_count, sizes);
+  const double ratio = std::exp(size - upper_median(sizes, seen.size_count));
+  if (1.0 / kResized < ratio && ratio < kResized) return {};
+  return {Mistake::resized, ratio};
+}
+
+// Tell the other hand from a mirrored world, which only the wrist's orientation can.
+inline Finding other_side(double sign, const Landmarks* hands, const Pose* wrists, int n) {
+  if (!wrists) return {Mistake::other_side};
+  const bool is_other = WristCheck().examine(-sign, hands, wrists, n).is_none();
+  return {is_other ? Mistake::other_hand : Mistake::mirrored};
+}
+
+// What is wrong in one batch. `wrists` is null where one is missing.
+inline Finding examine(const LandmarkOrders& orders, double sign, const Landmarks* hands,
+                       const Pose* wrists, int n, Examined& seen) {
+  Vector totals(n), of_fingers(n);
+  for (int t = 0; t < n; ++t) {
+    const PalmarEvidence evidence = palmar_evidence(hands[t]);
+    totals[t] = sign * evidence.total;
+    of_fingers[t] = sign * evidence.fingers;
+  }
+  const double total = upper_median(totals.data(), totals.size());
+  const double fingers = upper_median(of_fingers.data(), of_fingers.size());
+  Distances distances;
+  distances.measure(orders.pairs.data(), 0, kPairs, hands, n);
+  const double own = misfit(distances, true);
+  // A misfit of before that is NaN is none.
+  const bool is_known = own < seen.misfit + kSameMisfit && total > kSureSide;
+  const Finding order =
+      is_known ? Finding{} : find_order(orders, distances, sign, total, hands, n);
+  const Finding unit = find_length_unit(distances, hands, n, order.is_none());
+  if (!unit.is_none()) return unit;
+  if (!order.is_none()) return order;
+  // Fingers that were seen to curl are bent backwards by the person.
+  const bool is_back = fingers <= kBackwards && !seen.has_curled;
+  if (is_back && total - fingers > kOtherwiseRight) return {Mistake::flexion};
+  if (total < -kSureSide) return other_side(sign, hands, wrists, n);
+  if (!is_known) seen.misfit = own;
+  seen.has_curled = seen.has_curled || fingers >= -kBackwards;
+  const Finding stuck = find_stuck(hands, n, seen);
+  if (!stuck.is_none()) return stuck;
+  const Finding resized = find_resized(distances.log_size(), seen);
+  if (!resized.is_none() || !wrists) return resized;
+  return seen.wrist.examine(sign, hands, wrists, n);
+}
+
+// Tell whether the median step of instants is not one of a tracker in seconds.
+inline Finding find_time_unit(const double* times, int n) {
+  if (n < 2) return {};
+  double steps[kMostSamples];
+  for (int i = 0; i + 1 < n; ++i) steps[i] = times[i + 1] - times[i];
+  const double step = upper_median(steps, n - 1);
+  if (step <= 0.0 || (kSampleSteps[0] <= step && step <= kSampleSteps[1])) return {};
+  return {Mistake::step, step};
+}
+
+// Checks one hand's samples as they come. Samples are collected into batches of 16, or of a quarter of a
+// second for a slow tracker, and of twice as many once nothing changes any more. Two batches in a row
+// must agree before the finding changes, so one bad sample changes nothing.
 class InputCheck {
  public:
-  const InputRules& rules;
-  double sign;
-  Explainer& explainer;
-  InputState state{};
+  // What it remembers; a copy goes on from there.
+  struct State {
+    // The batch so far.
+    int count = 0, wrist_count = 0;
+    double times[kMostSamples];
+    Landmarks hands[kMostSamples];
+    Pose wrists[kMostSamples];
+    bool has_last_time = false;
+    double last_time = 0.0;
+    Finding guess, finding;
+    int batches = 0, calm = 0;
+    Examined seen;
 
-  InputCheck(const InputRules& own_rules, double own_sign, Explainer& own_explainer)
-      : rules(own_rules), sign(own_sign), explainer(own_explainer) {}
+    // Whether counts are in their ranges, which those of a damaged copy may not be.
+    bool is_sound() const {
+      const auto is_within = [](int value, int most) { return 0 <= value && value <= most; };
+      for (const int size : seen.past_sizes)
+        if (!is_within(size, kMostSamples)) return false;
+      for (const Finding& each : {guess, finding})
+        if (!each.is_sound()) return false;
+      return is_within(count, kMostSamples - 1) && is_within(wrist_count, count) &&
+             is_within(seen.size_count, kFirstSizes) &&
+             is_within(seen.past_count, kCarriedBatches) &&
+             is_within(seen.past_next, kCarriedBatches - 1);
+    }
+  };
+  State state{};
 
-  // The number of the finding so far.
-  int update(double time, const Landmarks& landmarks, const Pose* wrist) {
+  // The sign is 1 for a right hand, -1 for a left one.
+  InputCheck(double sign, std::shared_ptr<const LandmarkOrders> orders)
+      : sign_(sign), orders_(std::move(orders)) {}
+
+  // Take a sample in which the tracker saw the hand; return the finding so far.
+  const Finding& update(double time, const Landmarks& landmarks, const Pose* wrist) {
     const int i = state.count++;
     state.times[i] = time;
     state.hands[i] = landmarks;
@@ -448,38 +282,37 @@ class InputCheck {
     return state.finding;
   }
 
+  // Judge the next samples by themselves and soon: something has changed.
   void alert() {
     clear();
-    state.calm = -rules.calm_batches;
+    state.calm = -kCalmBatches;
   }
 
-  int finish() {
-    if (state.count > 0 && (state.count >= rules.fresh.least || state.batches == 0)) judge();
+  // Judge what is left at the end of a recording, by one batch if there was no other.
+  const Finding& finish() {
+    if (state.count > 0 && (state.count >= kFreshBatch.least || state.batches == 0)) judge();
     clear();
     return state.batches == 1 ? state.guess : state.finding;
   }
 
  private:
+  double sign_;
+  std::shared_ptr<const LandmarkOrders> orders_;
+
   void clear() { state.count = state.wrist_count = 0; }
 
   bool is_complete() const {
-    const BatchSize* size = &rules.alert;
-    if (state.calm >= 0 && state.finding == kNone) {
-      const bool is_calm = state.seen.is_proven || state.wrist_count < state.count;
-      size = is_calm && state.calm >= rules.calm_batches ? &rules.calm : &rules.fresh;
+    BatchSize size = kAlertBatch;
+    if (state.calm >= 0 && state.finding.is_none()) {
+      const bool is_calm = state.seen.wrist.is_proven || state.wrist_count < state.count;
+      size = is_calm && state.calm >= kCalmBatches ? kCalmBatch : kFreshBatch;
     }
     const double duration = state.times[state.count - 1] - state.times[0];
-    return state.count >= size->most || (state.count >= size->least && duration >= size->time);
+    // A batch that began with wrists may have grown beyond the number of one without.
+    return state.count >= size.most || (state.count >= size.least && duration >= size.time);
   }
 
-  bool are_seconds(const double* times, int n) const {
-    if (n < 2) return true;
-    double steps[kMostSamples];
-    for (int i = 0; i + 1 < n; ++i) steps[i] = times[i + 1] - times[i];
-    const double step = upper_median(steps, n - 1);
-    return step <= 0.0 || (step >= rules.shortest_step && step <= rules.longest_step);
-  }
-
+  // Examine the collected samples, and change the finding if two batches agree.
   void judge() {
     const bool has_wrists = state.wrist_count == state.count;
     double times[kMostSamples + 1];
@@ -487,9 +320,8 @@ class InputCheck {
     if (state.has_last_time) times[n++] = state.last_time;
     for (int i = 0; i < state.count; ++i) {
       times[n++] = state.times[i];
-      const Vec3 palm = state.hands[i][9] - state.hands[i][0];
-      // The same point 21 times is what trackers send where they lost the hand.
-      if (!(std::abs(palm.x) + std::abs(palm.y) + std::abs(palm.z) > 1e-9)) continue;
+      // Where trackers lost the hand, they send one point 21 times: that has rules of its own.
+      if (!(norm(state.hands[i][9] - state.hands[i][0]) > 1e-9)) continue;
       state.hands[hands] = state.hands[i];
       state.wrists[hands++] = state.wrists[i];
     }
@@ -497,12 +329,13 @@ class InputCheck {
     ++state.batches;
     state.has_last_time = true;
     state.last_time = times[n - 1];
-    const Pose* wrists = has_wrists ? state.wrists : nullptr;
-    int guess = are_seconds(times, n) ? kNone : explainer.explain_times(times, n);
-    if (guess == kNone && hands > 0 &&
-        !is_plausible(rules, sign, state.hands, wrists, hands, state.seen))
-      guess = explainer.explain_batch(state.hands, wrists, hands, state.seen);
-    const bool is_same = (guess == kNone) == (state.guess == kNone) && state.batches > 1;
+    Finding guess = find_time_unit(times, n);
+    if (guess.is_none() && hands > 0) {
+      const Pose* wrists = has_wrists ? state.wrists : nullptr;
+      guess = examine(*orders_, sign_, state.hands, wrists, hands, state.seen);
+    }
+    // Two batches in a row must agree that something is wrong, or that nothing is.
+    const bool is_same = guess.is_none() == state.guess.is_none() && state.batches > 1;
     state.calm = is_same || state.calm < 0 ? state.calm + 1 : 0;
     if (is_same) state.finding = guess;
     state.guess = guess;

@@ -1,8 +1,28 @@
-// Limits of a displacement: see handmap_qp/ik/limits.py, whose names these are.
+// Limits of a displacement: a box that is never empty.
+//
+// The box of position, speed and acceleration limits is
+//
+//     clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt).
+//
+// Clipping is monotone, so the lower bound never passes the upper one, also where `q` starts outside its
+// limits: there both bounds meet at the speed limit and the joint comes back as fast as it may. The
+// stacked position and speed rows of mink and pink are infeasible in that case.
+//
+// An acceleration limit is clipped into that box the same way, `clip(v_last dt -+ a dt^2, lower, upper)`:
+// position and speed limits have priority. To avoid such conflicts, a joint approaches its limit only as
+// fast as it can still brake,
+//
+//     v dt + v^2 / (2 a) <= distance to the limit.
+//
+// Once true, this stays true from command to command for any times. So a joint that starts at rest inside
+// its limits keeps both limits. No coordinate moves faster than `a kLongestStop`, so every stop takes at
+// most that time, whatever the limit is.
 #pragma once
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 
 #include "tree.hpp"
@@ -10,26 +30,40 @@
 namespace handmap {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
+// Least time that a command accounts for [s]. In less, rounding of positions would be a speed.
 constexpr double kShortestDt = 1e-6;
 // Longest time in which a robot stops: hand.LONGEST_STOP [s].
 constexpr double kLongestStop = 0.5;
+// A stop that ends outside the limits by no more counts as inside [rad or m].
 constexpr double kRounding = 1e-12;
+// Distances count as no more than this, because a floating wrist has infinite ones [rad or m].
 constexpr double kFar = 1e9;
+// Pairs that are nearer than their margin by less than this need not part [m].
 constexpr double kRoughly = 2e-5;
+// Share of their excess by which pairs part in a sample. All of it makes links oscillate that are
+// pressed together.
 constexpr double kParted = 0.3;
+// Pairs whose distance changes by less than this part slowly [m/rad]: all of the box would part them by
+// a few um, and the fingers would jump.
 constexpr double kLever = 0.015;
+// Parting takes this share of the box at most. All of it may leave nothing but its corner.
 constexpr double kInside = 0.9;
+// A row is tight within this [m]. It holds a step back where the cost would fall by this much per metre:
+// where a point stays some millimetre from its target because of it.
 constexpr double kTight = 1e-7;
 constexpr double kPressing = 10.0;
+// How often a way is sought around what meets, and how often a step is solved again with the points that
+// come too near where it ends.
 constexpr int kTries = 3;
 constexpr int kLooks = 3;
+// Shares of a displacement that are tried where all of it is not admitted.
 constexpr double kShares[] = {1.0, 0.5, 0.25, 0.1};
 
 inline double clip(double value, double least, double most) {
   return std::min(std::max(value, least), most);
 }
 
-// When a command is: an instant on the robot's clock, or a time since its last command; see limits.When.
+// When a command is: an instant on the robot's clock, or a time since its last command.
 struct When {
   bool is_instant = false;
   double time = 0.0;           // the instant, or the time since the last command [s]
@@ -42,19 +76,24 @@ struct When {
   static When at(double time, double longest) { return {true, time, longest}; }
 };
 
-// The time of a robot's next command; see limits.Interval.
+// The time of a robot's next command.
 struct Interval {
-  double dt, granted, time;
+  double dt;       // since the robot's last command [s]
+  double granted;  // the part of it in which the command may move the robot [s]
+  double time;     // instant of the command on the robot's clock [s]
 };
 
 // How a robot moves.
 struct Motion {
-  Vector q, displacement;
-  double dt = 1.0;
-  Vector stop_times;
-  double time = 0.0;
+  Vector q;             // configuration last commanded, (nq,)
+  Vector displacement;  // of the last command, in the active coordinates
+  double dt = 1.0;      // time from the command before to the last one [s]
+  Vector stop_times;    // in which each coordinate can stop on the line that was admitted [s]
+  double time = 0.0;    // instant of the last command, on the robot's clock [s]
+  std::uint64_t stamp = 0;  // no two commands of a process have the same
+  std::int64_t commands = 0;  // how many the robot has had
 
-  // The time of the next command; see limits.Gate.interval.
+  // The time of the next command; `kShortestDt` if it is not later than the last.
   Interval next(const When& when) const {
     // `max` keeps its first argument where the other one is NaN.
     if (!when.is_instant) {
@@ -67,6 +106,14 @@ struct Motion {
   }
 };
 
+// A stamp that no other motion of this process has.
+inline std::uint64_t new_stamp() {
+  static std::atomic<std::uint64_t> last{0};
+  return ++last;
+}
+
+// Bounds of a displacement; then the least and the largest one to which the acceleration limit leads, with
+// a stop behind it inside the limits of position and time.
 struct Box {
   Vector lower, upper, least, most;
 };
@@ -119,6 +166,12 @@ class BoxLimits {
            displacement <= std::max(upper[i] + kRounding - here, 0.0);
   }
 
+  // A coordinate of a configuration inside its limits, or no farther outside than before.
+  double clipped(int i, double q, double before) const {
+    return clip(q, std::min(lowest[i], before), std::max(highest[i], before));
+  }
+
+  // By how much acceleration can change a displacement; never 0.
   double change(double dt) const { return std::max(acceleration * (dt * dt), 1e-200); }
 
   void stop_times(const Vector& displacement, double dt, Vector& times) const {
@@ -153,7 +206,12 @@ struct Rows {
   Vector G, h;
 };
 
-// Loosen rows where they contradict each other or a box; see limits.feasible.
+// Loosens rows where they contradict each other or a box.
+//
+// The displacement nearest to none inside the box always satisfies them: where a pair is nearer than the
+// margin already, it need not part at once, only not come closer than the limits make it. Where a
+// displacement is found that parts all those pairs without harm to the others, that is what they are held
+// to; it is damped, so that pairs whose distance hardly depends on the joints part slowly.
 class Feasible {
  public:
   void loosen(const Rows& rows, const Vector& lower, const Vector& upper, double stopping,

@@ -11,44 +11,6 @@
 
 namespace handmap {
 
-// -- the motion, which the core shares with a `Gate` of Python
-
-inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double dt,
-                       const Array& stop_times, double time) {
-  expect_size(q, ik.tree.nq, "q");
-  expect_size(displacement, ik.tree.size, "displacement");
-  expect_size(stop_times, ik.tree.size, "stop_times");
-  ik.stop_detours();
-  ik.motion.q = vector_of(q);
-  ik.motion.displacement = vector_of(displacement);
-  ik.motion.dt = dt;
-  ik.motion.stop_times = vector_of(stop_times);
-  ik.motion.time = time;
-}
-
-// Whether something else has moved the hand since.
-inline bool was_set(const PythonIk& ik) {
-  static const nb::object& read_motion = interned("read_motion");
-  return !nb::getattr(ik.gate, read_motion).is(ik.moved);
-}
-
-// Take the motion over if something else has moved the hand.
-inline void take_motion(PythonIk& ik) {
-  static const nb::object& motion = interned("motion");
-  if (!was_set(ik)) return;
-  const nb::object from = nb::getattr(ik.gate, motion);
-  set_motion(ik, nb::cast<Array>(item(from, 0)), nb::cast<Array>(item(from, 1)),
-             nb::cast<double>(item(from, 2)), nb::cast<Array>(item(from, 3)),
-             nb::cast<double>(item(from, 4)));
-}
-
-// Let the gate read the motion from the step that has moved the hand, when it is asked.
-inline void leave_motion(PythonIk& ik, const nb::object& step) {
-  static const nb::object& read_motion = interned("read_motion");
-  nb::setattr(ik.gate, read_motion, step);
-  ik.moved = step;
-}
-
 // -- samples
 
 // A float that Python takes for a time between samples; see mapper.check_dt.
@@ -68,7 +30,7 @@ inline When when_from(const nb::object& given) {
 // Likewise of a caller of the package, or none for one that Python has to look at; see
 // mapper.check_when.
 inline std::optional<When> plain_when(const nb::object& given) {
-  static const nb::object& instant = *new nb::object(module_of("ik.limits").object("Instant"));
+  static const nb::object& instant = *new nb::object(module_of("ik.motion").object("Instant"));
   if (given.type().is(instant)) {
     double time, longest;
     if (!nb::try_cast(item(given, 0), time) || !nb::try_cast(item(given, 1), longest)) return {};
@@ -138,7 +100,7 @@ inline nb::list parts_of(const Asked& asked, const std::vector<ArrayShape>& shap
   return found;
 }
 
-// `IkResult` of a step of a hand, whose gate has the links of each pair.
+// `IkResult` of a step of a hand, with the links of each pair that its gate keeps apart.
 inline nb::object result_of(const Step& step, const nb::object& hand, const nb::object& links) {
   static const nb::object& frozen = *new nb::object(module_of("se3").object("frozen"));
   static const nb::object& IkResult =
@@ -167,8 +129,8 @@ struct StepReader {
   nb::object summary = module_of("mapping.method").object("StepSummary");
   nb::object statuses = module_of("ik.compiled").object("STATUSES");
 
-  StepReader(const nb::object& robot, const nb::object& gate, nb::object make_targets)
-      : hand(robot), links(nb::getattr(gate, "links")), targets(std::move(make_targets)),
+  StepReader(const nb::object& robot, nb::object own_links, nb::object make_targets)
+      : hand(robot), links(std::move(own_links)), targets(std::move(make_targets)),
         joint_names(nb::getattr(robot, "joint_names")),
         columns(Fields(robot).indices("joint_columns")) {}
 };
@@ -176,20 +138,15 @@ struct StepReader {
 // Of one hand, whose targets come from a map of Python.
 inline std::shared_ptr<const StepReader> reader_of(const nb::object& target_map,
                                                    const nb::object& robot,
-                                                   const nb::object& gate) {
-  auto reader = std::make_shared<StepReader>(robot, gate, nb::getattr(target_map, "asked"));
+                                                   const nb::object& links) {
+  auto reader = std::make_shared<StepReader>(robot, links, nb::getattr(target_map, "asked"));
   reader->shapes = Fields(target_map).get<const TargetMap&>("core").shapes();
   reader->centred = Fields(target_map).points("estimator.centred");
   return reader;
 }
 
-// A step that a gate reads the motion from.
-struct PythonStep : Step {
-  nb::object motion_;
-};
-
 // `Stages` of a step, whose objects Python gets when it asks for them.
-struct Stages : PythonStep {
+struct Stages : Step {
   std::shared_ptr<const StepReader> reader;
   HumanPose pose;
   nb::object asked_, ik_, command_, summary_;
@@ -268,17 +225,6 @@ inline nb::tuple reduced(const nb::object& self) {
                                              read_ik(self), stages.read_command()));
 }
 
-// The `Motion` of a gate after a step; its arrays are read-only.
-inline nb::object motion_of(PythonStep& step) {
-  if (step.motion_.is_valid()) return step.motion_;
-  static const nb::object& frozen = *new nb::object(module_of("se3").object("frozen"));
-  static const nb::object& Motion =
-      *new nb::object(module_of("ik.limits").object("Motion"));
-  return step.motion_ = Motion(frozen(array_of(step.motion.q)),
-                               frozen(array_of(step.motion.displacement)), step.motion.dt,
-                               frozen(array_of(step.motion.stop_times)), step.motion.time);
-}
-
 // Reads the samples after a reference as they come in, and hands them on; one call each.
 class SampleReader {
  public:
@@ -327,10 +273,10 @@ class SampleReader {
     if (verdict.is_held || verdict.is_return) return said;
     // Python relates the stream's clock to the robot's.
     const double time = given ? 0.0 : nb::cast<double>(origin) + verdict.time;
-    if (!given && last - time > guard.guard.rules.behind) return said;
+    if (!given && last - time > kBehind) return said;
     const Clock::time_point started = Clock::now();
     try {
-      const double speed = verdict.rule == kUnproven ? unproven_speed() : 1.0;
+      const double speed = verdict.rule == kUnproven ? kUnprovenSpeed : 1.0;
       const double granted = given ? given->own_time() : std::max(verdict.dt, kShortestDt);
       HumanPose pose = reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr);
       const When when = given ? *given : When::at(time, granted);
@@ -350,11 +296,6 @@ class SampleReader {
   virtual nb::object moved(HumanPose&& pose, const When& when, double speed) = 0;
   // Instant of the robot's last command, on its clock [s].
   virtual double last_time() = 0;
-  static double unproven_speed() {
-    static const double speed =
-        module_of("human.sample").get<double>("UNPROVEN_SPEED");
-    return speed;
-  }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -380,7 +321,7 @@ class SampleMapper : public SampleReader {
   // Of a core's `Ik`, its hand, and a map of Python with a core.
   SampleMapper(nb::object ik, const nb::object& robot, const nb::object& target_map)
       : SampleReader(target_map), ik_owner_(std::move(ik)),
-        ik_(nb::cast<PythonIk&>(ik_owner_)), reader_(reader_of(target_map, robot, ik_.gate)) {}
+        ik_(nb::cast<PythonIk&>(ik_owner_)), reader_(reader_of(target_map, robot, ik_.links)) {}
 
   // Map samples of a recording, whose time begins at `origin` on the robot's clock; see run.hpp.
   // Return the first that is left out, the verdict about it if it was judged, and the pose that was
@@ -395,8 +336,7 @@ class SampleMapper : public SampleReader {
       throw std::invalid_argument("wrong sizes of samples or rows");
     check_map(ik_, map_, {std::vector<Vec3>(reader.used.size()), true, {}});
     const Work moving(ik_), judging(guard), smoothing(smoother);
-    take_motion(ik_);
-    Run run{ik_, map_, reader, guard.guard, smoother.smoother, unproven_speed(), origin};
+    Run run{ik_, map_, reader, guard.guard, smoother.smoother, origin};
     size_t next = first;
     std::exception_ptr failure;
     {
@@ -408,7 +348,6 @@ class SampleMapper : public SampleReader {
       }
     }
     guard.former = run.former;
-    if (run.count) leave_motion(ik_, nb::cast(PythonStep{std::move(run.step), {}}));
     if (failure) std::rethrow_exception(failure);
     return nb::make_tuple(next, run.leaves ? guard.verdict_of(run.verdict) : nb::none(),
                           run.has_seen ? nb::cast(std::move(run.seen)) : nb::none());
@@ -418,16 +357,13 @@ class SampleMapper : public SampleReader {
   nb::object moved(HumanPose&& pose, const When& when, double speed) override {
     check_map(ik_, map_, pose);
     const Work moving(ik_);
-    take_motion(ik_);
     auto [made, stages] = new_stages(reader_);
     stages.pose = std::move(pose);
     handmap::follow(ik_, map_, stages.pose, when, speed, goal_, stages);
-    leave_motion(ik_, made);
     return made;
   }
   double last_time() override {
     const Work reading(ik_);
-    take_motion(ik_);
     return ik_.motion.time;
   }
 

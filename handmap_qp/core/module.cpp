@@ -17,6 +17,7 @@ NB_MODULE(_core, m) {
   });
   // Classes come after their bases.
   bind_hands(m);
+  bind_gate(m);
   bind_ik(m);
   bind_samples(m);
   bind_robot(m);

@@ -262,7 +262,7 @@ class Pairs {
     return has_met();
   }
 
-  // What met on the last path, where it began: see collision.CollisionLimit.met_on.
+  // What met on the last path, where it began.
   bool has_met() const { return !met_.empty(); }
 
   // The pair of those that is nearest where the path began, as it came.
@@ -273,10 +273,11 @@ class Pairs {
     return static_cast<int>(place(std::min_element(met_.begin(), met_.end(), is_nearer)->pair));
   }
 
-  // The pair of a row, as it came; -1 of none.
-  int pair_of(int row) const { return row < 0 ? -1 : row_pairs_[row]; }
+  // How many rows there were last, and the pair of one, as it came.
+  size_t row_count() const { return row_pairs_.size(); }
+  int pair_of(int row) const { return row_pairs_[row]; }
 
-  // Add the rows of what met, kept apart by their margins or by `kCleared`; see limits.Gate.joined.
+  // Add the rows of what met, kept apart by their margins or by `kCleared`.
   void add_met(const Placed& at, bool by_margins, Rows& rows) {
     const int n = tree_.size;
     std::sort(met_.begin(), met_.end(),

@@ -1,4 +1,4 @@
-// What is measured of a person's hand in many samples: see handmap_qp/human/measure.py.
+// What is measured of a person's hand in many samples.
 #pragma once
 
 #include <algorithm>
@@ -78,7 +78,8 @@ class Layer {
   Vec3 axes_[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
 };
 
-// See contact_gap.smallest_gap, whose constants these are.
+// A percentile of the smallest gap between the tips of thumb and finger [m]. Gaps are medians over a time
+// [s] first, which single outliers and noise hardly move.
 inline double smallest_gap(const double* time, const std::vector<Vec3>& landmarks,
                            double median_time, double percentile) {
   const int count = static_cast<int>(landmarks.size() / 21);
@@ -107,15 +108,23 @@ struct PersonShape {
   double little_weight = 1.0;
 };
 
+// Sine of the angle between proximal bone and the line from PIP to tip, above which a finger spans a
+// plane: of 15 degrees.
+constexpr double kBentSine = 0.25881904510252074;
+// Bent samples that a finger's roll needs.
+constexpr size_t kFewestBent = 20;
+// Spread that landmarks of a palm have at least: they are not told apart below it [m].
+constexpr double kSteadySpread = 5e-4;
+// Least weight of the little finger's knuckle where the palm is fitted.
+constexpr double kLeastKnuckleWeight = 0.02;
+// Rounds in which shape and weight of the palm are found.
+constexpr int kRounds = 5;
+// Samples that the spread of knuckles is measured in, at most.
+constexpr size_t kSpreadSamples = 64;
+
 class PersonMeter {
  public:
-  double bent;        // see measure._BENT
-  size_t fewest_bent;
-  double largest_roll;
-  // How the little finger's knuckle is weighed; see measure._little_weight and its constants.
-  double steady, least_weight;
-  int rounds;
-  size_t few;
+  double largest_roll;  // of a finger [rad]
 
   // Of landmarks of a right hand, 21 a sample; `palm` is the standard one.
   PersonShape measure(const std::vector<Vec3>& landmarks, std::vector<Vec3> palm) const {
@@ -125,7 +134,7 @@ class PersonMeter {
       for (const int i : kPalm) palms.push_back(landmarks[21 * t + i]);
     Vector weights(palm.size(), 1.0);
     palm = common_shape(palms, palm, weights);
-    for (int round = 0; round < rounds; ++round) {
+    for (int round = 0; round < kRounds; ++round) {
       const double weight = little_weight(palms, palm, weights);
       if (weight == weights.back()) break;
       weights.back() = weight;
@@ -142,7 +151,8 @@ class PersonMeter {
   }
 
  private:
-  // The median of palms that are laid onto it, from a first guess of it.
+  // The shape that palms have in common, from a first guess: generalised Procrustes analysis, which lays
+  // every sample on the median shape, then takes the median again. Three rounds are enough to converge.
   static std::vector<Vec3> common_shape(const std::vector<Vec3>& palms, std::vector<Vec3> palm,
                                         const Vector& weights) {
     std::vector<Vec3> laid(palms.size());
@@ -155,15 +165,18 @@ class PersonMeter {
     return palm;
   }
 
+  // The weight of the little finger's knuckle in the fit of the palm. The fifth metacarpal moves on the
+  // palm, the second does not, and noise moves both knuckles alike. So the weight falls where the little
+  // finger's knuckle moves more than the index finger's, seen from all other landmarks.
   double little_weight(const std::vector<Vec3>& palms, const std::vector<Vec3>& palm,
                        const Vector& weights) const {
-    const size_t n = palm.size(), count = palms.size() / n, stride = (count + few - 1) / few;
+    const size_t n = palm.size(), count = palms.size() / n, stride = (count + kSpreadSamples - 1) / kSpreadSamples;
     std::vector<Vec3> some;
     for (size_t t = 0; t < count; t += stride)
       some.insert(some.end(), palms.begin() + n * t, palms.begin() + n * (t + 1));
-    const double ratio = (spread(some, palm, weights, 1) + steady) /
-                         (spread(some, palm, weights, n - 1) + steady);
-    return std::clamp(ratio * ratio * ratio * ratio, least_weight, 1.0);
+    const double ratio = (spread(some, palm, weights, 1) + kSteadySpread) /
+                         (spread(some, palm, weights, n - 1) + kSteadySpread);
+    return std::clamp(ratio * ratio * ratio * ratio, kLeastKnuckleWeight, 1.0);
   }
 
   // How far a landmark moves on palms that are laid onto a shape by their other landmarks.
@@ -192,16 +205,19 @@ class PersonMeter {
     }
   }
 
+  // The roll of a finger about its bone. The bones of a bent finger span a plane whose normal is its
+  // flexion axis. Abduction turns it about the axis that rolls with it, so that the ratio of its x and z
+  // parts is that of the roll. The thumb's bones bend about two axes, so it has none.
   double roll(const std::vector<Vec3>& laid, int finger) const {
     Vector angles;
     for (size_t t = 0; t < laid.size(); t += 21) {
       const Vec3* joints = laid.data() + t + 1 + 4 * finger;
       const Vec3 proximal = joints[1] - joints[0], beyond = joints[3] - joints[1];
       const Vec3 normal = cross(proximal, beyond);
-      if (norm(normal) > bent * norm(proximal) * norm(beyond))
+      if (norm(normal) > kBentSine * norm(proximal) * norm(beyond))
         angles.push_back(std::atan2(normal.z, -normal.x));
     }
-    if (angles.size() < fewest_bent) return 0.0;
+    if (angles.size() < kFewestBent) return 0.0;
     return std::clamp(median(angles), -largest_roll, largest_roll);
   }
 };

@@ -38,7 +38,7 @@ class Asker : public SampleReader {
  public:
   // Of the core's `Ik` of a robot, a hand of it, and a map of Python with a core.
   Asker(const PythonIk& ik, const nb::object& hand, const nb::object& target_map)
-      : SampleReader(target_map), reader_(reader_of(target_map, hand, ik.gate)) {}
+      : SampleReader(target_map), reader_(reader_of(target_map, hand, ik.links)) {}
 
  protected:
   // A hand asks by the time since its own last sample; the robot has a clock of its own.
@@ -71,7 +71,7 @@ class RobotMover {
       : ik_owner_(std::move(ik)), ik_(nb::cast<PythonIk&>(ik_owner_)),
         rest_(Fields(robot).numbers("rest")), leaders_(std::move(leaders)), turns_in_(turns_in) {
     const Fields constants = module_of("mapping.robot_mapper");
-    reader_ = std::make_shared<StepReader>(robot, ik_.gate, nb::none());
+    reader_ = std::make_shared<StepReader>(robot, ik_.links, nb::none());
     home_ = constants.object("_HOME");
     map_step_ = constants.object("MapStep");
     robot_step_ = constants.object("RobotStep");
@@ -111,7 +111,6 @@ class RobotMover {
     if (!when || !nb::try_cast(given, numbers) || !nb::try_cast(given_wrists, wrists) ||
         numbers.size() != leaders_.size())
       return nb::none();
-    take_motion(ik_);
     const double granted = ik_.motion.next(*when).granted;
     std::vector<nb::object> steps;
     std::vector<const Ask*> asks;
@@ -195,7 +194,6 @@ class RobotMover {
     double speed = 1.0;
     for (const Ask* ask : asks) speed = std::min(speed, ask->speed);
     const Work moving(ik_);
-    take_motion(ik_);
     aim(asks, times, worlds);
     goal_.postures = ik_.postures(wanted_rest_, ik_.motion.next(when).granted);
     goal_.regularise(regularisation_);
@@ -211,7 +209,6 @@ class RobotMover {
       whole.asked.is_clamped |= asked_[k].is_clamped;
       parts.push_back(part_of(whole, *asks[k], k));
     }
-    leave_motion(ik_, made);
     return {made, parts};
   }
 

@@ -26,8 +26,7 @@ struct Run {
   const LandmarkReader& reader;
   StreamGuard& guard;
   Smoother& smoother;
-  double unproven_speed;  // share of the speed limits; see human.sample.UNPROVEN_SPEED
-  double origin;          // where the stream's time begins on the robot's clock [s]
+  double origin;  // where the stream's time begins on the robot's clock [s]
 
   Verdict verdict{};
   GuardState former = guard.state;  // before the last sample
@@ -48,7 +47,7 @@ struct Run {
     verdict = guard.check(sample);
     // Python leads back to the hand after a hold, and relates the stream's clock to the robot's.
     const double behind = ik.motion.time - (origin + verdict.time);
-    leaves = verdict.is_return || behind > guard.rules.behind;
+    leaves = verdict.is_return || behind > kBehind;
     if (leaves) return false;
     try {
       move(sample, wrist);
@@ -72,7 +71,7 @@ struct Run {
     }
     HumanPose pose =
         smoother.smooth(reader.read(sample.landmarks, wrist ? &*wrist : nullptr), dt);
-    const double speed = verdict.rule == kUnproven ? unproven_speed : 1.0;
+    const double speed = verdict.rule == kUnproven ? kUnprovenSpeed : 1.0;
     try {
       follow(ik, map, pose, when, speed, goal, step);
     } catch (...) {

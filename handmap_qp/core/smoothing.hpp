@@ -1,19 +1,42 @@
-// Smoothing of samples by their noise: see handmap_qp/stream/follower.py, whose names these are.
+// Smoothing of samples by their noise.
+//
+// An alpha-beta filter predicts every point by its velocity, and corrects it by a share of what is
+// measured. Kalata's tracking index (IEEE Trans. AES 20 (1984) 174) gives the share: the acceleration that
+// a point may have, times the square of the time, over the noise. Two low-pass filters of the same share
+// follow, which take from the jerk; the velocity makes up for their lag. Without noise, all shares are 1,
+// and samples pass as they are.
 #pragma once
+
+#include <optional>
 
 #include "noise.hpp"
 #include "step.hpp"
 
 namespace handmap {
 
-struct SmoothRules {
-  bool is_on = false;
-  double acceleration, speed_gain, farthest;
-  double longest_gap, hand, memory, least_noise, most_noise, least_index;
-  NoiseRules noise;
+// A longer gap in time starts the filter again [s].
+constexpr double kLongestGap = 0.5;
+// Lever that turns the wrist's angles into lengths [m].
+constexpr double kHandLever = 0.1;
+// Time in which the speed of a point is forgotten: where it turns, it is slow [s].
+constexpr double kSpeedMemory = 0.25;
+// Noise below this counts as this [m].
+constexpr double kLeastSmoothed = 1e-9;
+// Noise above this is not worth the lag that it would cost [m].
+constexpr double kMostSmoothed = 0.004;
+// Largest correction that is left out, over the noise.
+constexpr double kFarthestLeftOut = 3.0;
+// A tracking index below this counts as this: samples count, however little.
+constexpr double kLeastIndex = 1e-9;
+
+// See stream.follower.Smoothing.
+struct Smoothing {
+  double acceleration;  // that a point at rest may have [m/s^2]
+  double speed_gain;    // rise of the acceleration with the speed of a point [1/s]
 };
 
-// See follower._Place.
+// Where a hand is: points in wrist axes, with the wrist's position behind them [m]. Without a wrist, points
+// are in the world, and the wrist is its origin.
 struct Place {
   std::vector<Vec3> points;
   Mat3 rotation;
@@ -50,26 +73,31 @@ struct Place {
 
 constexpr int kStages = 3;
 
+// State of the filter after a sample.
 struct SmoothState {
-  double noise = 0.0, waited = 0.0, dt = 0.0;
-  Place seen{}, stages[kStages]{};  // `seen` has no points to start again
-  std::vector<Vec3> moving, speeds;
-  Vector recent;
+  double noise = 0.0;   // running estimate of the noise of the points [m]; 0 before there is one
+  double waited = 0.0;  // since the sample came [s]
+  double dt = 0.0;      // between it and the one before [s]; 0 for a first one
+  Place seen{};         // the sample; without points to start again
+  Place stages[kStages]{};   // where the three filters are; the last one is the smoothed sample
+  std::vector<Vec3> moving;  // velocity of the sample's points [m/s]
+  std::vector<Vec3> speeds;  // smoothed velocities, as of `Place::to` [m/s, rad/s]
+  Vector recent;             // largest recent speeds, of the turn at a lever [m/s]
 };
 
-// See follower.Smoother.
 class Smoother {
  public:
-  SmoothRules rules;
+  std::optional<Smoothing> options;  // none: samples pass as they are
   SmoothState state{}, former{};
 
+  // Smooth the next sample, `dt` after the last call [s]; one that repeats is the same one.
   HumanPose smooth(HumanPose&& pose, double dt) {
-    if (!rules.is_on) return std::move(pose);
+    if (!options) return std::move(pose);
     former = state;
     Place seen = Place::of(pose);
     dt += state.waited;
     state.waited = 0.0;
-    if (state.seen.points.size() != seen.points.size() || dt > rules.longest_gap ||
+    if (state.seen.points.size() != seen.points.size() || dt > kLongestGap ||
         state.seen.has_wrist != seen.has_wrist) {
       start(seen);
     } else if (is_same(seen)) {
@@ -80,12 +108,15 @@ class Smoother {
     state.seen = std::move(seen);
     return state.stages[kStages - 1].pose();
   }
+  // Let time pass without a sample [s].
   void wait(double dt) { state.waited += dt; }
+  // Let the next sample pass as it is, and go on from there with the noise that is known.
   void restart() {
     const double noise = state.noise;
     state = SmoothState();
     state.noise = noise;
   }
+  // Forget the sample that was smoothed last.
   void forget() { state = former; }
 
  private:
@@ -117,17 +148,17 @@ class Smoother {
     }
     if (state.dt > 0.0) {
       const double rate = change_rate(dt, state.dt);
-      const double own = noise_of(rules.noise, changes.data(), static_cast<int>(n), rate);
-      state.noise = learnt_noise(rules.noise, state.noise, own);
+      const double own = noise_of(changes.data(), n, rate);
+      state.noise = learnt_noise(state.noise, own);
     }
     state.dt = dt;
-    state.noise = std::max(state.noise, rules.least_noise);
+    state.noise = std::max(state.noise, kLeastSmoothed);
     filter(seen, dt);
   }
 
   void filter(const Place& seen, double dt) {
-    const double noise = state.noise, capped = std::min(noise, rules.most_noise);
-    const double kept = std::exp(-dt / rules.memory);
+    const double noise = state.noise, capped = std::min(noise, kMostSmoothed);
+    const double kept = std::exp(-dt / kSpeedMemory);
     std::vector<Vec3>& speeds = state.speeds;
     const size_t n = speeds.size();
     std::vector<Vec3> ahead(n), part(n);
@@ -136,13 +167,14 @@ class Smoother {
     const std::vector<Vec3> way = at.to(seen);
     Vector alpha(n);
     for (size_t i = 0; i < n; ++i) {
-      const double lever = i + 1 < n ? 1.0 : rules.hand;
+      const double lever = i + 1 < n ? 1.0 : kHandLever;
       double& recent = state.recent[i];
       recent = std::max(lever * norm(speeds[i]), kept * recent);
-      const double acceleration = rules.acceleration + rules.speed_gain * recent;
-      const double index = std::max(acceleration * dt * dt / capped, rules.least_index);
+      const double acceleration = options->acceleration + options->speed_gain * recent;
+      const double index = std::max(acceleration * dt * dt / capped, kLeastIndex);
+      // alpha is 1 - r^2, beta is 2 (1 - r)^2.
       const double r = 4.0 / (4.0 + index + std::sqrt(8.0 * index + index * index));
-      const double farthest = rules.farthest * noise / std::max(lever * norm(way[i]), noise);
+      const double farthest = kFarthestLeftOut * noise / std::max(lever * norm(way[i]), noise);
       const double left = std::min(r * r, farthest), root = 1.0 - std::sqrt(left);
       alpha[i] = 1.0 - left;
       speeds[i] = speeds[i] + 2.0 * (root * root) / dt * way[i];

@@ -26,8 +26,8 @@ from .spec import PointSpec
 PARALLEL = 0.85
 """Cosine from which on two axes are parallel.
 
-On the 30 robot hands of `benchmarks/bench_hands.py` and the human one, joints that flex a finger
-have 0.99 and more with its last joint at zero, and no other joint has more than 0.82.
+On the 30 robot hands of `benchmarks/fidelity/bench_hands.py` and the human one, joints that flex a
+finger have 0.99 and more with its last joint at zero, and no other joint has more than 0.82.
 """
 
 Place = tuple[int, Array]

@@ -4,6 +4,8 @@ from .contact_gap import clipped_gap as clipped_gap
 from .contact_gap import measure_contact_gap as measure_contact_gap
 from .contact_gap import smallest_gap as smallest_gap
 from .contact_gap import tip_gaps as tip_gaps
+from .findings import HAND_LENGTHS as HAND_LENGTHS
+from .findings import Finding as Finding
 from .fit import LandmarkFitter as LandmarkFitter
 from .fit import fit_recording as fit_recording
 from .measure import check_length as check_length
@@ -23,14 +25,12 @@ from .recording import sample_columns as sample_columns
 from .recording import turned as turned
 from .recording import upright_axes as upright_axes
 from .sample import FIRST_JOINTS as FIRST_JOINTS
-from .sample import HAND_LENGTHS as HAND_LENGTHS
 from .sample import LANDMARK_COUNT as LANDMARK_COUNT
 from .sample import LANDMARK_NAMES as LANDMARK_NAMES
 from .sample import PALM as PALM
 from .sample import RULES as RULES
 from .sample import TIPS as TIPS
 from .sample import UNSEEN as UNSEEN
-from .sample import Finding as Finding
 from .sample import HumanSample as HumanSample
 from .sample import PalmShape as PalmShape
 from .sample import Rule as Rule

@@ -52,17 +52,7 @@ def smallest_gap(time: Array, landmarks: Array) -> float:
         time: Instants [s], shape (T,).
         landmarks: Landmarks of samples in which the hand was seen [m], shape (T, 21, 3).
     """
-    if core is not None:
-        return core.smallest_gap(time, landmarks)
-    # Importing it takes a fifth of a worker's start, and the core does without.
-    from scipy.ndimage import median_filter
-
-    gaps = tip_gaps(landmarks)
-    period = np.median(np.diff(time)) if len(time) > 1 else _MEDIAN_TIME
-    width = 2 * round(0.5 * _MEDIAN_TIME / max(period, 1e-6)) + 1
-    size = (min(width, len(gaps)), 1)
-    smooth = median_filter(gaps, size, mode="nearest")
-    return float(np.percentile(smooth.min(axis=1), _PERCENTILE))
+    return core.smallest_gap(time, landmarks, _MEDIAN_TIME, _PERCENTILE)
 
 
 def measure_contact_gap(recording: Recording) -> float:

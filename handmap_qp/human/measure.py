@@ -1,6 +1,5 @@
 """A person's hand, measured in a recording, and the human hand scaled to it."""
 
-import math
 from functools import cache
 
 import numpy as np
@@ -12,8 +11,6 @@ from handmap_qp.se3 import (
     Array,
     as_floats,
     lengths,
-    rigid_fit,
-    transform_points,
 )
 from .recording import Recording
 from .sample import (
@@ -24,18 +21,6 @@ from .sample import (
     human_name,
     landmarks_at_rest,
 )
-
-_BENT = math.sin(math.radians(15.0))
-"""Sine of the angle between proximal bone and the line from PIP to tip, above which a finger spans
-a plane."""
-_FEWEST_BENT = 20
-"""Bent samples that a finger's roll needs."""
-_STEADY = 5e-4
-"""Spread that landmarks of a palm have at least: they are not told apart below it [m]."""
-_LEAST_WEIGHT = 0.02
-_ROUNDS = 5
-_FEW = 64
-"""Samples that the spread of knuckles is measured in, at most."""
 
 
 def check_length(landmarks: Array) -> Array:
@@ -95,68 +80,7 @@ def measure_shape(landmarks: Array, palm: Array) -> tuple[Array, Array, float]:
     Returns:
         `HumanLengths.bases` and `rolls`, and the little finger's of `palm_weights`.
     """
-    if core is not None:
-        return core.measure_shape(landmarks, palm)
-    palms = landmarks[:, PALM]
-    weights = np.ones(len(PALM))
-    palm = _common_shape(palms, palm, weights)
-    for _ in range(_ROUNDS):
-        weight = _little_weight(palms, palm, weights)
-        if weight == weights[-1]:
-            break
-        weights[-1] = weight
-        palm = _common_shape(palms, palm, weights)
-    laid = transform_points(rigid_fit(palms, palm, weights), landmarks)
-    # The bones of a bent finger span a plane whose normal is its flexion axis. Abduction turns it
-    # about the axis that rolls with it, so that the ratio of its x and z parts is that of the roll.
-    # The thumb's bones bend about two axes.
-    bases, joints, _, tips = np.moveaxis(finger_chains(laid), 2, 0)
-    proximal = joints - bases
-    beyond = tips - joints
-    normals = np.cross(proximal, beyond)
-    angles = np.arctan2(normals[..., 2], -normals[..., 0])
-    is_bent = lengths(normals) > _BENT * lengths(proximal) * lengths(beyond)
-    is_bent &= is_bent.sum(axis=0) >= _FEWEST_BENT
-    bent = np.ma.array(angles, mask=~is_bent)
-    rolls = np.ma.median(bent, axis=0).filled(0.0)
-    rolls[0] = 0.0
-    rolls = np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
-    return np.median(bases, axis=0), rolls, float(weights[-1])
-
-
-def _common_shape(palms: Array, palm: Array, weights: Array) -> Array:
-    """Return the shape that palms (T, 5, 3) have in common, from a first guess, shape (5, 3).
-
-    Generalised Procrustes analysis: lay every sample on the median shape, then take the median
-    again. Three rounds are enough to converge.
-    """
-    for _ in range(3):
-        laid = transform_points(rigid_fit(palms, palm, weights), palms)
-        palm = np.median(laid, axis=0)
-        palm = palm - palm[0]
-    return palm
-
-
-def _little_weight(palms: Array, palm: Array, weights: Array) -> float:
-    """Return the weight of the little finger's knuckle in the fit of the palm.
-
-    The fifth metacarpal moves on the palm, the second does not, and noise moves both knuckles
-    alike. So the weight falls where the little finger's knuckle moves more than the index finger's,
-    seen from all other landmarks.
-    """
-    some = palms[:: -(-len(palms) // _FEW)]
-    index, little = (_spread(some, palm, weights, k) for k in (1, len(PALM) - 1))
-    ratio = (index + _STEADY) / (little + _STEADY)
-    return float(np.clip(ratio**4, _LEAST_WEIGHT, 1.0))
-
-
-def _spread(palms: Array, palm: Array, weights: Array, landmark: int) -> float:
-    """Return how far a landmark moves on palms that are laid by their other landmarks [m]."""
-    others = weights.copy()
-    others[landmark] = 0.0
-    places = transform_points(rigid_fit(palms, palm, others), palms)[:, landmark]
-    off = lengths(places - np.median(places, axis=0))
-    return float(np.sqrt(np.mean(off**2)))
+    return core.measure_shape(landmarks, palm, LARGEST_ROLL)
 
 
 def scaled_human(

@@ -1,8 +1,8 @@
 """A sample of a human hand: its landmarks, the palm that they show, and what is said about it.
 
-Trackers, files and layouts make each `HumanSample`; `stream.guard` and `trackers.plausibility` make
-its `Verdict`, which `MapStep` carries. `measure` measures a person's hand in a recording, and `fit`
-fits joint angles to it.
+Trackers, files and layouts make each `HumanSample`; the guard of its stream makes its `Verdict`,
+which `MapStep` carries. `measure` measures a person's hand in a recording, and `fit` fits joint
+angles to it.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands import FINGERS, Hand, Names, PointSpec, Side
+from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
     as_floats,
@@ -27,6 +28,7 @@ from handmap_qp.se3 import (
     is_real,
     transform_points,
 )
+from .findings import HAND_LENGTHS, Finding
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
@@ -48,10 +50,7 @@ FIRST_JOINTS = np.arange(1, LANDMARK_COUNT, 4)
 """First joint of every finger: thumb CMC and the four MCPs."""
 TIPS = FIRST_JOINTS + 3
 """The fingertips."""
-HAND_LENGTHS = (0.12, 0.25)
-"""Lengths that a hand may have [m], from wrist to middle fingertip: from a child's of five years to
-more than those of nearly all men. Adults that were tracked have 0.175 to 0.195."""
-_PALM_RATIOS = (0.5, 2.0)
+_PALM_RATIOS: tuple[float, float] = core.PALM_RATIOS
 """Size of a sample's palm over the hand's own, which is constant; 0.87 to 1.12 in recordings."""
 
 
@@ -257,26 +256,8 @@ Rule = str
 RULES: dict[Rule, str] = json.loads(Path(__file__).with_name("rules.json").read_bytes())
 """The rules, in words (`rules.json`); `RULE_NAMES` of `stream.step_table` has the same order."""
 
-UNPROVEN_SPEED = 0.25
+UNPROVEN_SPEED: float = core.UNPROVEN_SPEED
 """Share of the speed limits at which the robot follows a wrist that is not proven yet."""
-
-
-class Finding(NamedTuple):
-    """What is wrong with the input.
-
-    Attributes:
-        kind: The kind of mistake: a rule that says `for a while`.
-        problem: What was found, in one line.
-        advice: What to do about it.
-    """
-
-    kind: Rule
-    problem: str
-    advice: str
-
-    def __str__(self) -> str:
-        """Compose `problem: advice`."""
-        return f"{self.problem}: {self.advice}"
 
 
 class Verdict(NamedTuple):
@@ -289,7 +270,7 @@ class Verdict(NamedTuple):
         dt: Time that the sample accounts for [s].
         consistency: RMS difference of the distances that cannot change (bones, and neighbours in
             the palm) from the person's [m]; NaN if there are no landmarks.
-        finding: What the input is instead of what it says, in words (`trackers.plausibility`).
+        finding: What the input is instead of what it says; None if it is plausible.
         lost: At a return from a brief loss alone, its time [s]; else infinite.
         time: Instant of the sample in the time of its stream, which never goes back [s].
     """

@@ -13,7 +13,7 @@ becomes
 with J_a and J_b the Jacobians of the nearest points. Both lie on one line along n, so the wrench
 (n, p x n) of either does for both. The first order is an approximation: a shape that turns by an
 angle x at a radius r may come r x^2 / 2 closer than the row says. The margin is for that, and
-`handmap_qp.ik.limits.Gate` checks the whole displacement afterwards.
+the gate (`handmap_qp.ik.gate`) checks the whole displacement afterwards.
 
 Rows are linearised where a sample starts, and hold for its whole displacement: a later iteration of
 the QP has what the ones before it left. Where there is a horizon, a pair gets a row if another step
@@ -53,18 +53,12 @@ Pairs may yield (`handmap_qp.hands.contact_yield`): commanded links overlap by a
 with a given force. Then all of the above counts from that overlap on, as of the posture where the
 sample starts. A pair that overlaps by more, because the joints have moved since, must not come
 nearer, and its row parts it.
-
-Rows may hold a finger behind others, or a folded one, far from its target though another posture is
-near: a QP finds the nearest minimum. Where a point is away from its target, and not on its way,
-the hand looks ahead by the same QPs (`Detours`): where would it end if it went by its rest posture?
-If that is clearly nearer, the joints are pulled to what was found there, straight or by rest,
-whichever was seen to arrive. Every step passes the gate. Each hand of a robot looks by itself.
 """
 
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -81,11 +75,9 @@ from handmap_qp.hands import (
 )
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
 from .core import Compiled
-from .limits import Rows
-from .tasks import Goal
 
-if TYPE_CHECKING:
-    from .qp import IkResult, PointIk
+Rows = tuple[Array, Array]
+"""G, shape (r, n), and h, shape (r,), of `G x <= h`."""
 
 KEPT = 2e-4
 """Pairs do not come nearer than this, or than they are at the start, where a path is measured; and
@@ -103,31 +95,6 @@ _GAIN = 0.85
 _NEAR, _APPROACH = 0.001, 0.5
 # They approach by no more than this part of their travel in the last sample.
 _EXPECTED = 0.25
-AWAY = 3.0
-"""A point whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip."""
-ON_ITS_WAY = 0.7
-"""A point is on its way where a joint moves it by more than this share of its speed limit."""
-# To look ahead: time of a sample [s], and their number, at most.
-_SAMPLE = 0.05
-_SAMPLES = 12
-# Time until the hand looks ahead again: after a detour, and where none is known [s].
-_AGAIN = 0.1
-_LATER = 0.2
-# Shares of the error that is left of a point that was away, and of the sum of all squares, if a
-# detour is worth it.
-_OF_POINT = 0.75
-_OF_ALL = 0.85
-# Weight of the pull to a posture, which outweighs all targets; distance of its joints at which it
-# is reached [rad or m], and the longest time for it, in samples.
-_PULL = 20.0
-_REACHED = 0.15
-_LONGEST = 6
-# Targets that move farther than this end a detour [m].
-_MOVED = 0.05
-# Where none is known, errors have to grow by this share before the hand looks again, or this time
-# has to pass [s].
-_GROWN = 1.3
-_FORGOTTEN = 2.0
 
 
 class NearPairs(NamedTuple):
@@ -500,145 +467,3 @@ class CollisionLimit:
         kept = kept[pairs] if isinstance(kept, np.ndarray) else kept
         kept = kept - self.overlaps(configuration.q, near)
         return configuration.contracted(G), _GAIN * (found[:, 0] - kept)
-
-
-class Detour(NamedTuple):
-    """What the fingers of a hand are about to do in place of going to their targets.
-
-    Attributes:
-        via: Posture that they pass, shape (n,); None in most samples.
-        points: Targets for which it was found [m], shape (m, 3).
-        known: Errors of the hand's p points where none was found [cost], shape (p,).
-        left: Time left to reach it [s].
-        wait: Time until it may look ahead again [s].
-    """
-
-    via: Array | None = None
-    points: Array = np.array(np.inf)
-    known: Array = np.array(0.0)
-    left: float = 0.0
-    wait: float = 0.0
-
-
-class Detours:
-    """Solves each sample of a `PointIk`, by a detour where that leads a hand nearer to its targets.
-
-    Args:
-        ik: Solves a sample, and moves the hand.
-        detours: Of the hands up to this one, of the solver that `ik` is a copy of; else empty ones.
-    """
-
-    def __init__(self, ik: PointIk, detours: list[Any]) -> None:
-        hand = ik.hand
-        self._ik = ik
-        *before, own = detours
-        self._before = Detours(ik, before) if before else None
-        self._solve = self._before.solve if self._before else ik.solve_once
-        self._detour = Detour(*own)
-        self._motion = ik.gate.motion
-        self._own = hand.configuration().parts[len(before)]
-        # The joints of an arm follow the wrist at all times.
-        self._is_finger = hand.finger_joints[len(before)]
-        self._fingers = hand.joint_columns[self._is_finger]
-        self._moves = hand.moves_points[self._own, self._is_finger]
-        self._costs = ik.options.point_costs(hand)
-
-    @property
-    def detour(self) -> Detour:
-        """The one that the hand is on; none where something else has moved the hand since."""
-        return self._detour if self._ik.gate.motion is self._motion else Detour()
-
-    @property
-    def detours(self) -> list[Any]:
-        """Those of the hands up to this one."""
-        before = self._before.detours if self._before else []
-        return [*before, self.detour]
-
-    def solve(self, goal: Goal) -> IkResult:
-        """Move the hand for one sample."""
-        ik = self._ik
-        dt = ik.gate.interval(goal.dt).granted
-        before = ik.gate.motion
-        via, points, known, left, wait = self.detour
-        if lengths(goal.points - points)[self._own].max() > _MOVED:
-            via = None
-        try:
-            pulled = goal if via is None else self._pulled(goal, via)
-            result = self._solve(pulled)
-            self._motion = ik.gate.motion
-            self._detour = Detour(via, points, known, left - dt, wait - dt)
-            if via is None:
-                self.look_ahead(goal, result, dt)
-            elif left < dt or self._is_at(via):
-                self._detour = Detour(wait=_AGAIN)
-        except BaseException:
-            # What was foreseen is not where the hand is.
-            ik.gate.motion = before
-            raise
-        return result
-
-    def look_ahead(self, goal: Goal, result: IkResult, dt: float) -> None:
-        """Take a detour if the hand is held away from its targets, and that leads nearer.
-
-        All are of the sample just solved, whose command was granted dt [s].
-        """
-        wait = self.detour.wait
-        if wait > 0.0:
-            return
-        here = self._errors(result)
-        known = self.detour.known * (wait > -_FORGOTTEN)
-        speeds = self._ik.gate.limits.speeds[self._fingers]
-        most = ON_ITS_WAY * (dt * goal.speed) * speeds
-        is_fast = np.abs(result.displacement[self._fingers]) > most
-        is_held = ~self._moves.dot(is_fast)
-        if not np.any(is_held & (here > AWAY) & (here > _GROWN * known)):
-            return
-        via = goal.postures[0][1]
-        errors, found = self._foresee(goal, via)
-        ahead = here
-        if _is_nearer(errors, here):
-            # It may get there slowly by itself.
-            ahead, _ = self._foresee(goal)
-        if not _is_nearer(errors, ahead):
-            self._detour = Detour(known=ahead, wait=_LATER)
-            return
-        if _is_nearer(self._foresee(goal, found)[0], ahead):
-            via = found
-        self._detour = Detour(via, goal.points, left=_LONGEST * _SAMPLE)
-
-    def _foresee(self, goal: Goal, via: Array | None = None) -> tuple[Array, Array]:
-        """Return errors of the points, shape (p,), and joints, shape (n,), where the hand ends."""
-        ik = self._ik
-        motion = ik.gate.motion
-        goal = goal._replace(postures=goal.postures[:1], dt=_SAMPLE, speed=1.0)
-        if via is not None:
-            for _ in range(_LONGEST):
-                ik.solve_once(self._pulled(goal, via))
-                if self._is_at(via):
-                    break
-        for _ in range(_SAMPLES):
-            result = ik.solve_once(goal)
-            errors = self._errors(result)
-            if errors.max() <= AWAY:
-                break
-        ik.gate.motion = motion
-        return errors, result.q[ik.hand.q_indices]
-
-    def _errors(self, result: IkResult) -> Array:
-        """Return the weighted error of every point of the hand [cost], shape (p,)."""
-        return (self._costs * lengths(result.errors))[self._own]
-
-    def _pulled(self, goal: Goal, posture: Array) -> Goal:
-        """Return a goal that pulls the fingers to a posture."""
-        pull = _PULL * self._is_finger, posture
-        return goal._replace(postures=[*goal.postures, pull])
-
-    def _is_at(self, posture: Array) -> bool:
-        off = self._ik.gate.motion.q[self._ik.hand.q_indices] - posture
-        return bool((np.abs(off)[self._is_finger] < _REACHED).all())
-
-
-def _is_nearer(errors: Array, other: Array) -> bool:
-    """Return whether a way's errors are clearly smaller than other ones, shape (p,) both."""
-    is_nearer = (other > AWAY) & (errors < _OF_POINT * other)
-    return bool(is_nearer.any() and errors @ errors < _OF_ALL * other @ other)

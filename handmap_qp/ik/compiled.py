@@ -1,69 +1,30 @@
-"""The compiled core of a hand: built from what Pinocchio loaded, and called once a sample.
+"""The compiled core of a hand: its kinematics, and the gate that its QPs move it through.
 
-The core (`handmap_qp/core`, C++) does what `handmap_qp.ik.qp`, `limits` and `collision` do, up to
-rounding: they are its readable reference. It has kinematics, distances and a QP solver of its own.
+The core (`handmap_qp/core`, C++) has kinematics, distances and a QP solver of its own.
 """
 
-import warnings
 from functools import lru_cache
 from typing import Any, get_args
 
-from handmap_qp.errors import MissingCoreWarning
+from handmap_qp.errors import HandError
 from handmap_qp.hands import Hand
-from .core import core, problem
-from .limits import Gate
-from .options import IkOptions
+from .core import core
 from .qp import Status
 
 STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""
 
 
-def _warn_of_missing_core() -> None:
-    """Warn that Python maps although nobody asked for that, once in a program."""
-    # Few need it.
-    import multiprocessing
-
-    # Workers have the installation of the process that started them, which has warned. They import
-    # its main module before they know their parent, but have a name of their own.
-    if multiprocessing.current_process().name == "MainProcess":
-        slow = "Python maps, some hundred times slower"
-        message = f"{slow}: {problem}, or set HANDMAP_PURE=1"
-        warnings.warn(message, MissingCoreWarning, stacklevel=2)
-
-
-if problem:
-    _warn_of_missing_core()
-
-
 @lru_cache(maxsize=16)
-def core_tree(hand: Hand) -> Any | None:
-    """Return the core's kinematics of a hand; None without a core, or if it lacks a joint."""
-    if hand.unscaled:
-        standard = core_tree(hand.unscaled)
-        return standard and standard.moved(hand.moves)
-    try:
-        return core and core.Tree(hand)
-    except ValueError:
-        return None
+def core_tree(hand: Hand) -> Any:
+    """Return the core's kinematics of a hand.
 
-
-def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> Any | None:
-    """Return the core of a hand, which moves it and the gate with it.
-
-    It is None where it is not built, not asked for, or not able.
-
-    Args:
-        hand: The hand.
-        options: Weights and settings.
-        gate: Its limits and pairs.
+    Raises:
+        HandError: If the hand has a joint that is neither revolute, prismatic nor floating.
     """
-    is_asked = options.formulation == "compiled" and options.solver == "daqp"
-    tree = core_tree(hand)
-    if not (core and tree and is_asked):
-        return None
+    if hand.unscaled:
+        return core_tree(hand.unscaled).moved(hand.moves)
     try:
-        return core.Ik(tree, hand, options, gate)
-    except ValueError:
-        # A kind of shape that the core does not have.
-        return None
+        return core.Tree(hand)
+    except ValueError as error:
+        raise HandError(f"{hand.name}: {error}", key="urdf") from error

@@ -1,20 +1,10 @@
-"""The compiled core (`handmap_qp/core`, C++), where it was built and is allowed.
-
-Everything that it does is in Python too: the readable reference, which runs where `core` is None.
-"""
+"""The compiled core (`handmap_qp/core`, C++): loaded once, or one error that says what is wrong."""
 
 import importlib
-import os
 import zlib
-from functools import cached_property, wraps
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
-
-T = TypeVar("T")
-
-_AGAIN = (
-    "install handmap_qp again with a C++ compiler, such as g++ (`make` in a checkout)"
-)
+from typing import Any
 
 
 def fingerprint() -> str:
@@ -25,51 +15,49 @@ def fingerprint() -> str:
     return f"{zlib.crc32(content):08x}" if content else ""
 
 
-def _load() -> tuple[Any, str, str]:
-    if os.environ.get("HANDMAP_PURE", "") not in ("", "0"):
-        return None, "Python path: HANDMAP_PURE is set", ""
+def load_core() -> Any:
+    """Load the compiled module.
+
+    Raises:
+        MissingCoreError: If it is missing, cannot be loaded, or is older than its sources.
+    """
+    # Not above: a build runs this file by itself, before anything else can be imported.
+    from handmap_qp.errors import MissingCoreError
+
     try:
-        found = importlib.import_module("handmap_qp._core")
+        module = importlib.import_module("handmap_qp._core")
     except ImportError as error:
-        problem = f"no compiled core ({error}); {_AGAIN}"
-    else:
-        if fingerprint() in ("", found.SOURCES):
-            return found, "compiled core", ""
-        problem = f"the core is older than its sources; {_AGAIN}"
-    return None, f"Python path: {problem}", problem
+        problem = f"cannot be loaded ({error})"
+        raise MissingCoreError(problem, command=_installing()) from error
+    if fingerprint() not in ("", module.SOURCES):
+        raise MissingCoreError("is older than its sources", command=_installing())
+    return module
 
 
-core, description, problem = _load()
-"""The core, or None; which path runs, and why; and why it is not the one that is wanted."""
+def _installing() -> str:
+    """Return the command that installs the package again, with its core."""
+    checkout = Path(__file__).parents[2]
+    if (checkout / "pyproject.toml").is_file():
+        return f"pip install --no-deps --editable {checkout}"
+    package = __name__.partition(".")[0].replace("_", "-")
+    return f"pip install --no-deps --force-reinstall {package}"
 
 
-def in_core(reference: T) -> T:
-    """Let an object's `core` do what this method does, by its name, where there is one."""
-    method: Any = reference
-
-    def call(self: Any, *values: Any, **named: Any) -> Any:
-        if self.core:
-            return getattr(self.core, method.__name__)(*values, **named)
-        return method(self, *values, **named)
-
-    wrapped: Any = wraps(method)(call)
-    return wrapped if core else method
+core: Any = load_core() if __package__ else None
+"""The core; None where a build runs this file by itself, for `fingerprint`."""
 
 
 class Compiled:
     """Base of classes that the core has too, under the same name; subclasses run in Python."""
 
-    _saved: Any = None
-    """What the core's own of a former copy remembered, which that of this one begins with."""
-
     @cached_property
     def core(self) -> Any | None:
-        """The core's own, made of this object's attributes; None without a core."""
+        """The core's own, made of this object's attributes; None for a class of a user."""
         kind = getattr(core, type(self).__name__, None)
         return kind and kind(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but the core's own, which a copy makes anew, and what that remembers."""
+        """Return all but the core's own, which a copy makes anew."""
         state = vars(self).copy()
-        save = getattr(state.pop("core", None), "save", None)
-        return {**state, "_saved": save()} if save else state
+        state.pop("core", None)
+        return state

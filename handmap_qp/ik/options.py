@@ -41,9 +41,10 @@ class IkOptions(Options, frozen=True):
         acceleration_weight: Cost of every joint's change of speed from sample to sample, times the
             time of the sample; likewise.
         formulation: How the QP is posed. `compiled`: by the compiled core, with a solver of its
-            own; where that is not built, or with another solver than DAQP, as by `direct`.
-            `direct`: in Python, the readable reference. `mink`: by `mink.build_ik`, solved by
-            `qpsolvers`. All have the same answers, in 1, 10 and 40 times the time.
+            own; with another solver than DAQP, as by `direct`. `direct`: in Python, the readable
+            reference. `mink`: by `mink.build_ik`, solved by `qpsolvers`. All have the same answers,
+            in 1, 10 and 40 times the time, but that the core alone takes detours, and looks for
+            another step where links would meet at the end of one.
         solver: `daqp`, `proxqp`, or any other that `qpsolvers` finds.
         max_iterations: QPs of a sample, and three more where links would meet.
         step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm].
@@ -84,6 +85,11 @@ class IkOptions(Options, frozen=True):
     def point_costs(self, hand: Hand) -> Array:
         """Return the cost of every reference point's error [cost]/[m], shape (m,)."""
         return self.point_weight / LENGTH_UNIT * np.sqrt(hand.point_weights)
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the compiled core poses and solves the QP."""
+        return self.formulation == "compiled" and self.solver == "daqp"
 
     @property
     def wrist_costs(self) -> tuple[float, float]:

@@ -26,13 +26,13 @@ from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands import Configuration, Hand, Names
 from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
-from .limits import TIGHT, Gate, Motion, Rows, When, feasible
+from .motion import Motion, When
 from .options import IkOptions
 from .tasks import Goal, JointPositions, Task, TaskRows, tasks_named
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
-    from .collision import NearPairs
+    from .collision import Rows
 
 # At DAQP's default tolerance of 1e-6 a joint was left 4e-7 rad outside its limit. Beyond 1000
 # iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000 hostile problems one
@@ -45,6 +45,8 @@ _AT_REST = 1e-3
 _AT_BOUND = 1e-7
 # How often the step is solved again with the points that come too near where it ends.
 _LOOKS = 3
+# A coordinate is free if its step is farther from its bounds [rad or m].
+_FREE = 1e-7
 # Leave out pairs of shapes that are farther apart than this beyond their margin [m].
 _HORIZON = 0.012
 
@@ -242,7 +244,8 @@ class PointIk:
         hand: The hand.
         options: Weights and settings.
         gate: Admits the displacements, and knows how the hand moves.
-        core: The compiled core of this hand; None where it is not built, or not asked for.
+        core: The compiled core of this hand.
+        is_compiled: Whether it solves the QP, which is posed in Python for other solvers.
 
     Raises:
         InvalidInputError: If `options` are something else.
@@ -267,26 +270,21 @@ class PointIk:
             collisions = ik.collision.CollisionLimit(hand)
         self._contacts = contacts
         self._tasks = tasks_named(options.tasks, hand)
+        self.is_compiled = options.is_compiled
         self._solver = solve_by_daqp
         if options.solver != "daqp":
             self._solver = ik.solvers.make_solver(options.solver)
-        self.gate = Gate(
-            hand,
-            motion or Motion.at_rest(pin.neutral(hand.model), len(hand.active_columns)),
-            options,
-            collisions,
-        )
-        self.core: Any = ik.compiled.compile_ik(hand, options, self.gate)
-        self._mover = self.core
-        if options.takes_detours and not self.core:
-            known = detours or [()] * len(hand.hands)
-            self._mover = ik.collision.Detours(self, known)
-        elif detours:
+        at_rest = Motion.at_rest(pin.neutral(hand.model), len(hand.active_columns))
+        self.gate = ik.gate.IkGate(hand, motion or at_rest, options, collisions)
+        self.core = self.gate.core
+        if detours:
             self.core.go_on(detours)
+        # The pair of shapes that the last QP posed in Python was pressed against; -1 for none.
+        self._pressed = -1
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Build a copy with a workspace of its own that continues the same motion."""
-        detours = self._mover and self._mover.detours
+        detours = self.core.detours
         motion = self.gate.motion
         return PointIk, (self.hand, self.options, motion, self._contacts, detours)
 
@@ -354,60 +352,53 @@ class PointIk:
             speed,
             regularisation,
         )
-        return self._mover.solve(goal) if self._mover else self.solve_once(goal)
+        return self.core.solve(goal) if self.is_compiled else self._solve_here(goal)
 
-    def solve_once(self, goal: Goal) -> IkResult:
-        """Move the hand straight towards the targets of one sample, in Python."""
+    def _solve_here(self, goal: Goal) -> IkResult:
+        """Move the hand straight towards the targets of one sample, by QPs that are posed here."""
         gate = self.gate
         configuration = self.configuration
         start = gate.motion.q
         dt = goal.dt
         lower, upper = gate.bounds(dt, goal.speed)
-        linear = gate.rows(configuration, dt, goal.margins)
+        rows = gate.rows(dt, lower, upper, goal.margins)
         total = first = step = np.zeros(len(lower))
         iterations = 0
         last_step = math.inf
 
-        def go_on(so_far: Array) -> tuple[Array, Array | None]:
+        def go_on(so_far: Array, limits: Rows | None) -> tuple[Array, Array | None]:
             """Solve one QP; return the displacement with its step, and the step, if any."""
             nonlocal iterations
             iterations += 1
             # Leave later iterations the rest of the bounds, which hold for the whole sample.
-            rest = lower - so_far, upper - so_far
-            rows = linear and feasible(
-                linear, *rest, stopping=gate.stopping(dt), so_far=so_far
-            )
-            step = self._step(goal, *rest, rows)
+            step, slope = self._step(goal, lower - so_far, upper - so_far, limits)
+            is_pressed = rows and step is not None
+            self._pressed = rows.pressed_pair(slope, step) if is_pressed else -1
             # Clip exactly: solvers hold the box up to their tolerance. On failure, bring joints
             # outside their limits back all the same: the box excludes zero there.
             return np.clip(0.0 if step is None else so_far + step, lower, upper), step
 
-        def around(met: NearPairs, *kept: Array | None) -> Array:
-            """Solve from the start again, and keep apart the points that met."""
-            nonlocal linear
-            assert linear
+        def around(limits: Rows) -> Array:
+            """Solve from the start again, with rows of the points that met."""
             configuration.place(start)
-            linear = gate.joined(linear, configuration, met, *kept)
-            return go_on(np.zeros(len(lower)))[0]
+            return go_on(np.zeros(len(lower)), limits)[0]
 
         while (
             last_step > self.options.step_tolerance
             and iterations < self.options.max_iterations
         ):
-            total, step = go_on(total)
+            total, step = go_on(total, rows and rows.behind(total))
             last_step = 0.0 if step is None else math.sqrt(step.dot(step))
             first = total if iterations == 1 else first
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
-        # Keep apart the points that come too near where the step ends: see `collision`.
-        for _ in range(_LOOKS if linear else 0):
-            assert gate.collisions
-            met = gate.collisions.met_at(start, total, gate.near, goal.margins)
-            if not len(met.pairs):
+        for _ in range(_LOOKS if rows else 0):
+            met = rows.at_end(total)
+            if met is None:
                 break
-            total = first = around(met, goal.margins)
-        total = gate.admit(total, first, dt, around)
+            total = first = around(met)
+        total = gate.admit(total, first, dt, rows, around)
         status = "failed" if step is None else "solved"
         targets, off = goal.points.copy(), 0.0
         placed = self.configuration
@@ -429,10 +420,7 @@ class PointIk:
         Args:
             dt: Time since the robot's last command [s], or the instant of this one.
         """
-        displacement = self.gate.brake(dt)
-        points = self.configuration.points
-        active = np.zeros(len(displacement), dtype=np.int8)
-        return self._result("released", points, displacement, active, 0, 0.0)
+        return self.core.hold(dt)
 
     def postures(
         self, dt: float, rest: Array | None, regularisation: Array | None = None
@@ -457,10 +445,13 @@ class PointIk:
 
     def _step(
         self, goal: Goal, lower: Array, upper: Array, rows: Rows | None
-    ) -> Array | None:
-        """Pose the QP of one iteration and solve it; None if the solver fails."""
+    ) -> tuple[Array | None, Array]:
+        """Pose the QP of one iteration and solve it.
+
+        Returns:
+            The step, None if the solver fails; and the slope of the cost there, 0 at bounds.
+        """
         problem = self.hand, self.options, self._configuration, goal
-        self.gate.held_by = -1
         if self.options.formulation == "mink":
             posed = ik.mink_problem.build_problem(*problem)
             H, c = np.asarray(posed.P), posed.q
@@ -469,15 +460,18 @@ class PointIk:
         step = self._solver(H, c, lower, upper, rows)
         # Catch NaN too, which solvers return where extreme weights or targets overflow.
         if step is None or not math.isfinite(step.dot(step)):
-            return None
-        if rows:
-            is_free = np.minimum(step - lower, upper - step) > TIGHT
-            self.gate.press(is_free * (H.dot(step) + c), step, rows)
-        return step
+            return None, c
+        is_free = np.minimum(step - lower, upper - step) > _FREE
+        return step, is_free * (H.dot(step) + c)
+
+    @property
+    def _held_by(self) -> int:
+        """The pair of shapes that stopped the last displacement, or else what it was pressed to."""
+        return self.gate.held_by if self.gate.held_by >= 0 else self._pressed
 
     def _result(
         self,
-        end: Literal["solved", "failed", "released"],
+        end: Literal["solved", "failed"],
         targets: Array,
         displacement: Array,
         active: Array,
@@ -506,5 +500,5 @@ class PointIk:
             self.hand,
             iterations,
             last_step,
-            self.gate.links[self.gate.held_by],
+            self.gate.links[self._held_by],
         )

@@ -31,7 +31,7 @@ from .core import Compiled
 from .options import LENGTH_UNIT
 
 if TYPE_CHECKING:
-    from .limits import When
+    from .motion import When
 
 _SHORTEST = 1e-9
 """Distance below which two points have no direction from one to the other [m]."""

@@ -497,7 +497,7 @@ class HandMapper(Mover):
         """Return the core's mapper by the map of a reference; None if Python has to map."""
         ik = self.point_ik
         is_python = self._is_released or self.tasks or ik.options.tasks
-        if is_python or not (ik.core and getattr(target_map, "core", None)):
+        if is_python or not (ik.is_compiled and getattr(target_map, "core", None)):
             return None
         kind = getattr(core, self._core_kind)
         return self.core or kind(ik.core, self.robot, target_map)

@@ -473,7 +473,7 @@ class RobotMapper(Mover):
     def _moved(self, when: When) -> tuple[Stages, list[Stages]]:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
         leaders = self.leaders.values()
-        own = self.point_ik.core
+        own = self.point_ik.core if self.ik.is_compiled else None
         if own and not self._is_released:
             self.core = self.core or core.RobotMover(
                 own, self.robot, self._pinching, self.leaders, self._turns_in

@@ -8,6 +8,7 @@ from .guard import BEHIND as BEHIND
 from .guard import StreamGuard as StreamGuard
 from .hand_grip import GripOptions as GripOptions
 from .hand_grip import can_grip as can_grip
+from .hand_grip import gripping_presets as gripping_presets
 from .hand_grip import has_grasp as has_grasp
 from .held_object import ObjectFollower as ObjectFollower
 from .held_object import ObjectOptions as ObjectOptions

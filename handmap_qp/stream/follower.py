@@ -20,7 +20,8 @@ from msgspec import structs
 
 from handmap_qp.errors import HandmapError, expect
 from handmap_qp.human import HumanSample, Recording, Verdict
-from handmap_qp.ik import SHORTEST_DT, Compiled, Instant, Task, When, in_core
+from handmap_qp.ik import SHORTEST_DT, Instant, Task, When
+from handmap_qp.ik.core import core
 from handmap_qp.mapping import (
     HandMapper,
     HumanPose,
@@ -32,7 +33,6 @@ from handmap_qp.mapping import (
 from handmap_qp.mapping.exclusive import exclusively
 from handmap_qp.options import NotNegative, Option, Options, Positive
 from handmap_qp.se3 import Array, affine, lengths, transform_points
-from handmap_qp.trackers import change_rate, learnt_noise, noise_of
 from .guard import BEHIND, StreamGuard
 from .step_table import StepTable
 
@@ -48,15 +48,6 @@ TURN_SPEED = 3.0
 _SHORTEST = 0.05  # shortest time of fading [s]
 _RUN = 1000  # samples of a recording that the core maps before progress is told
 _PEAK = 1.875  # largest speed of a minimum-jerk motion over its mean speed
-_LONGEST_GAP = 0.5  # a gap in time longer than this starts the filter again [s]
-_HAND = 0.1  # lever that turns the wrist's angles into lengths [m]
-_MEMORY = 0.25  # time in which the speed of a point is forgotten: where it turns, it is slow [s]
-_LEAST_NOISE = 1e-9  # noise below this counts as this [m]
-_MOST_NOISE = 0.004  # noise above this is not worth the lag that it would cost [m]
-_FARTHEST = 3.0  # largest correction that is left out, over the noise
-_LEAST_INDEX = (
-    1e-9  # a tracking index below this counts as this: samples count, however little
-)
 
 
 class _Place(NamedTuple):
@@ -173,112 +164,58 @@ SMOOTH_IK = {"speed_weight": 2.0, "acceleration_weight": 8.0}
 """Weights of `IkOptions` that smooth further: they damp what the QP adds to smooth targets."""
 
 
-class SmoothState(NamedTuple):
-    """State of the filter after a sample.
-
-    Attributes:
-        noise: Running estimate of the noise of the points [m]; 0 before there is one.
-        waited: Time since the sample came [s].
-        seen: The sample; None to start again.
-        dt: Time between it and the one before [s]; 0 for a first one.
-        moving: Velocity of its points, shape (n, 3) [m/s]; None for a first one.
-        speeds: Smoothed velocities, as of `_Place.to`, shape (n + 2, 3) [m/s, rad/s].
-        recent: Largest recent speeds, of the turn at a lever, shape (n + 2,) [m/s]; 0 likewise.
-        stages: Where the three filters are; the last one is the smoothed sample.
-    """
-
-    noise: float = 0.0
-    waited: float = 0.0
-    seen: Any = None
-    dt: float = 0.0
-    moving: Any = None
-    speeds: Any = None
-    recent: Any = 0.0
-    stages: tuple[_Place, ...] = ()
-
-
-class Smoother(Compiled):
+class Smoother:
     """Smooths the samples of one hand as much as they are noisy; without options, not at all.
 
     An alpha-beta filter predicts every point by its velocity, and corrects it by a share of what is
     measured. Kalata's tracking index (IEEE Trans. AES 20 (1984) 174) gives the share: the
     acceleration that a point may have, times the square of the time, over the noise. Two low-pass
     filters of the same share follow, which take from the jerk; the velocity makes up for their lag.
-    Without noise, all shares are 1, and samples pass as they are.
+    Without noise, all shares are 1, and samples pass as they are. The compiled core filters
+    (`core/smoothing.hpp`).
+
+    Args:
+        options: How much; None for not at all.
+
+    Attributes:
+        options: As given.
+        core: The smoother of the compiled core.
     """
 
     def __init__(self, options: Smoothing | None) -> None:
         self.options = options
-        self._state = self._former = SmoothState()
+        self.core = self._new_core()
 
-    @in_core
+    def _new_core(self) -> Any:
+        if self.options is None:
+            return core.Smoother(None, 0.0)
+        return core.Smoother(self.options.acceleration, self.options.speed_gain)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy continues from."""
+        return {"options": self.options, "saved": self.core.save()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Continue from the state of another one."""
+        self.options = state["options"]
+        self.core = self._new_core()
+        self.core.restore(state["saved"])
+
     def smooth(self, pose: HumanPose, dt: float) -> HumanPose:
         """Smooth the next sample, dt [s] after the last call; one that repeats is the same one."""
-        if self.options is None:
-            return pose
-        before = self._former = self._state
-        seen, former = _Place.of(pose), before.seen
-        dt += before.waited
-        is_first = former is None or former.has_wrist != seen.has_wrist
-        if is_first or dt > _LONGEST_GAP:
-            still = np.zeros((len(seen.points) + 1, 3))
-            self._state = SmoothState(
-                before.noise, seen=seen, speeds=still, stages=(seen,) * 3
-            )
-        elif all(map(np.array_equal, seen, former)):
-            self._state = before._replace(waited=dt)
-        else:
-            self._state = _smoothed(self.options, before, seen, dt)
-        return self._state.stages[-1].pose()
+        return self.core.smooth(pose, dt)
 
-    @in_core
     def wait(self, dt: float) -> None:
         """Let time pass without a sample [s]."""
-        self._state = self._state._replace(waited=self._state.waited + dt)
+        self.core.wait(dt)
 
-    @in_core
     def restart(self) -> None:
         """Let the next sample pass as it is, and go on from there with the noise that is known."""
-        self._state = SmoothState(self._state.noise)
+        self.core.restart()
 
-    @in_core
     def forget(self) -> None:
         """Forget the sample that was smoothed last."""
-        self._state = self._former
-
-
-def _smoothed(
-    options: Smoothing, before: SmoothState, seen: _Place, dt: float
-) -> SmoothState:
-    """Smooth a sample that came dt [s] after the one before."""
-    moving = (seen.points - before.seen.points)[:-1] / dt
-    noise = before.noise
-    if before.dt > 0.0:
-        rate = change_rate(dt, before.dt)
-        noise = learnt_noise(noise, noise_of(lengths(moving - before.moving), rate))
-    noise = max(noise, _LEAST_NOISE)
-    speeds = before.speeds
-    levers = np.ones(len(speeds))
-    levers[-1] = _HAND
-    at = before.stages[0].moved(dt * speeds)
-    way = at.to(seen)
-    kept = math.exp(-dt / _MEMORY)
-    recent = np.maximum(levers * lengths(speeds), kept * before.recent)
-    # Kalata: alpha is 1 - r^2 and beta is 2 (1 - r)^2.
-    acceleration = options.acceleration + options.speed_gain * recent
-    index = acceleration * dt * dt / min(noise, _MOST_NOISE)
-    index = np.maximum(index, _LEAST_INDEX)
-    r = 4.0 / (4.0 + index + np.sqrt(8.0 * index + index * index))
-    farthest = _FARTHEST * noise / np.maximum(levers * lengths(way), noise)
-    left = np.minimum(r * r, farthest)[:, None]
-    alpha = 1.0 - left
-    speeds = speeds + 2.0 * (1.0 - np.sqrt(left)) ** 2 / dt * way
-    stages = [at.moved(alpha * way)]
-    at = stages[0].moved(2.0 * left / alpha * dt * speeds)
-    for stage in before.stages[1:]:
-        at = stage.moved(alpha * stage.to(at))
-        stages.append(at)
-    return SmoothState(noise, 0.0, seen, dt, moving, speeds, recent, tuple(stages))
+        self.core.forget()
 
 
 class Follower:
@@ -465,7 +402,7 @@ class Follower:
         mapper = self.mapper
         # Python leads back to the hand, and takes a reference.
         is_plain = self._return.offset is None and not self._has_new_reference
-        if not (mapper.core and self._guard.core and is_plain):
+        if not (mapper.core and is_plain):
             return ()
         return self._guard.core, self._smoother.core, mapper.landmarks.core
 

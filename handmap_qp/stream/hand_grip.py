@@ -17,10 +17,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands import SLIDING_STIFFNESS, STIFFNESS, THUMB, Hand, PadPair
+from handmap_qp.hands import (
+    SLIDING_STIFFNESS,
+    STIFFNESS,
+    THUMB,
+    Hand,
+    Names,
+    PadPair,
+)
 from handmap_qp.ik import AttachedPoints, JointPositions, Task
-from handmap_qp.mapping import HandMapper, MapStep, robot_fingers
-from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation
+from handmap_qp.mapping import PRESETS, HandMapper, MapStep, robot_fingers
+from handmap_qp.mapping.methods.teleoperation import BoundTeleoperation, Teleoperation
 from handmap_qp.options import Options, Positive
 from handmap_qp.se3 import Array, lengths, unit
 from .closing_pads import ClosingPads, FingerPads
@@ -112,6 +119,15 @@ def can_grip(mapper: HandMapper) -> bool:
     It can by a method with pinches, and a hand with a thumb and a finger, or two jaws.
     """
     return _has_pinches(mapper) and has_grasp(mapper.robot)
+
+
+def gripping_presets() -> Names:
+    """Return the names of the presets by which a `HandGrip` can hold things."""
+    return tuple(
+        name
+        for name, preset in PRESETS.items()
+        if isinstance(preset.method, Teleoperation)
+    )
 
 
 def has_grasp(robot: Hand) -> bool:

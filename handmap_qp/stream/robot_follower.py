@@ -104,7 +104,7 @@ class CommandClock(NamedTuple):
             # These stamps outrun arrival. Hands may share a clock, so all of them lag behind.
             excess = max(time - now - granted, 0.0)
             time -= excess
-            rate = rate._replace(stamp=time)
+            rate = rate.at(time)
             offsets = {side: offset - excess for side, offset in offsets.items()}
         if time - now > _AHEAD and not is_known:
             # A pause, or another clock: only a robot that stands still is slow enough for both.
@@ -181,7 +181,7 @@ class RobotFollower:
             if isinstance(sample, HumanSample)
         }
         if dt is None and stamps:
-            clock, when = clock.advance(stamps, mapper.motion.time, arrival)
+            clock, when = clock.advance(stamps, mapper.point_ik.gate.time, arrival)
 
         def follow(side: Side) -> MapStep:
             own = None if dt is None else mapper.time_since_sample(side, dt)
@@ -198,7 +198,7 @@ class RobotFollower:
                 self.hands[side].forget(step)
             raise
         self._clock = clock
-        now = mapper.motion.time
+        now = mapper.point_ik.gate.time
         self._seen |= dict.fromkeys(samples, now)
         for side, time in self._seen.items():
             if now - time > _SILENCE:

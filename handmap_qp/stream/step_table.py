@@ -5,14 +5,14 @@ from typing import get_args
 import numpy as np
 
 from handmap_qp.hands import Hand, Names
-from handmap_qp.human import RULES
 from handmap_qp.ik import Status
+from handmap_qp.ik.core import core
 from handmap_qp.mapping import MapStep
 from handmap_qp.se3 import Array
 
 STATUS_NAMES: Names = (*get_args(Status), "held", "gliding")
 """Outcomes of a step (`MapStep.status`); rows have the index."""
-RULE_NAMES: Names = ("", *RULES)
+RULE_NAMES: Names = core.RULES
 """Names of what is wrong with a sample (`MapStep.rule`), likewise."""
 
 

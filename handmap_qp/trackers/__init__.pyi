@@ -20,9 +20,6 @@ from .formats.base import first_of as first_of
 from .formats.base import reading as reading
 from .hand_geometry import BONES as BONES
 from .hand_geometry import NEIGHBOURS as NEIGHBOURS
-from .hand_geometry import change_rate as change_rate
-from .hand_geometry import learnt_noise as learnt_noise
-from .hand_geometry import noise_of as noise_of
 from .layouts import LAYOUTS as LAYOUTS
 from .layouts.angles import AngleLayout as AngleLayout
 from .layouts.base import Layout as Layout
@@ -35,3 +32,4 @@ from .layouts.tables import load_layout as load_layout
 from .layouts.tables import table_text as table_text
 from .plausibility import InputCheck as InputCheck
 from .plausibility import check_recording as check_recording
+from .plausibility import known_orders as known_orders

@@ -7,7 +7,7 @@ look and never one to refuse: people may move slowly on purpose.
 
 **Time.** People's fingers move at 1 to 3 Hz: half of the power of their speed lies below that
 frequency. Instants that run k times as slowly divide it by k. A factor of 10 is outside of what
-people do, and a factor of 2 is inside: see `benchmarks/bench_lies.py`.
+people do, and a factor of 2 is inside: see `benchmarks/fidelity/bench_lies.py`.
 
 **Wrist.** A tracker that measures a wrist never repeats it exactly while the palm moves.
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from handmap_qp.human import Recording
 from handmap_qp.se3 import Array, affine, lengths, nearest_rotation
-from .hand_geometry import BONES, log_sizes, own_distances
+from .hand_geometry import BONES, log_size
 from .wrist_axes import palm_axes
 
 # -- limits of what is usual
@@ -355,9 +355,7 @@ def _sizes(landmarks: Array) -> tuple[float, float]:
 def _log_sizes(landmarks: Array, count: int) -> Array:
     """Return the logarithm of the hand's size in so many equal parts of a recording."""
     groups = _equal_parts(landmarks, count)
-    # Distances are measured over the first axis, which is the time within a part.
-    sizes = [log_sizes(own_distances(parts.swapaxes(0, 1))) for parts in groups]
-    return np.concatenate(sizes)
+    return np.array([log_size(part) for parts in groups for part in parts])
 
 
 def _changed_size(facts: RecordingFacts) -> str:

@@ -374,8 +374,7 @@ void solvers(Numbers& numbers) {
       ik.pairs = std::make_unique<Pairs>(ik.tree, boxes_of(ik.tree));
       ik.pairs->margin = 1e-3;
     }
-    if (round % 6 == 0)
-      ik.detour_rules = {0.1, 0.3, 0.05, 0.5, 0.5, 0.7, 0.9, 1.0, 0.05, 0.01, 1.2, 0.5, 4, 4};
+    ik.takes_detours = round % 6 == 0;
     ik.stop_detours();
     ik.motion = {ik.tree.rest, Vector(n, 0.0), 1.0 / 60.0, Vector(n, 0.0)};
     const Motion start = ik.motion;
@@ -388,6 +387,15 @@ void solvers(Numbers& numbers) {
       const When when = When::after(std::abs(numbers.number(hostile, 0.02)));
       seek(ik, goal, when, {}, numbers.number(hostile) > 0.0 ? 1.0 : 0.2, result);
       if (numbers.below(5) == 0) ik.hold(when, result);
+      if (numbers.below(5) == 0) {
+        Vector goal_q = ik.tree.rest;
+        for (double& q : goal_q) q += numbers.number(hostile, 0.3);
+        ik.advance(goal_q, when, 0.5, numbers.below(2));
+      }
+      if (numbers.below(5) == 0) {
+        const Vector wanted = numbers.vector(n, hostile);
+        ik.admit(wanted, wanted, ik.motion.next(when));
+      }
       // Where hostile numbers have led, nobody goes on.
       bool is_finite = true;
       for (const double q : ik.motion.q) is_finite &= std::isfinite(q);

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import runpy
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -23,22 +24,21 @@ from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.objects import Box
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-SCRIPTS = sorted(FOLDER.glob("bench_*.py"))
+SCRIPTS = sorted(FOLDER.glob("*/bench_*.py"))
 
 
-def run(script: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(script), *map(str, words)]
+def run(script: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(FOLDER), script, *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=600)
 
 
 @pytest.fixture(scope="module")
 def benchmark() -> Iterator[Callable[[str], Any]]:
-    """Import modules by name, with the folder of the scripts on the path as for a script."""
-    sys.path.insert(0, str(FOLDER))
-    try:
+    """Import modules by name, with the folders on the path that a script has."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "path", [*sys.path])
+        runpy.run_path(str(FOLDER / "__main__.py"), run_name="benchmarks")
         yield importlib.import_module
-    finally:
-        sys.path.remove(str(FOLDER))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_the_page_of_figures_has_a_row_an_aim(
 @pytest.mark.slow
 def test_json_may_go_to_stdout_alone(recordings: Path) -> None:
     done = run(
-        FOLDER / "bench_accuracy.py",
+        "bench_accuracy",
         "--quick",
         "--json",
         "-",
@@ -109,7 +109,7 @@ def test_json_may_go_to_stdout_alone(recordings: Path) -> None:
 
 @pytest.mark.slow
 def test_without_recordings_a_benchmark_says_so_in_one_line(tmp_path: Path) -> None:
-    done = run(FOLDER / "bench_accuracy.py", "--recordings", tmp_path)
+    done = run("bench_accuracy", "--recordings", tmp_path)
     assert done.returncode == 2
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from call_counts import count_calls
+from verdict_cases import streams
 
 from handmap_qp import (
     Follower,
@@ -28,8 +29,9 @@ from handmap_qp.apps.datasets.episodes import run_job
 from handmap_qp.apps.datasets.sources import JobOptions
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import sample_columns
-from handmap_qp.ik import core as core_module
+from handmap_qp.mapping.method import MapStep
 from handmap_qp.stream.grip import GripFollower
+from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers import check_recording, hints, recording_facts
 from handmap_qp.trackers.formats import (
@@ -38,9 +40,6 @@ from handmap_qp.trackers.formats import (
     write_recordings,
 )
 from handmap_qp.trackers.formats.hdf5 import EgoDexFormat
-
-if core_module.core is None:
-    pytest.skip(core_module.description, allow_module_level=True)
 
 ALLEGRO = load_hand("allegro_right")
 FRAMES = 265
@@ -143,6 +142,41 @@ def test_a_followed_sample(people: Iterator[Hand], samples: list[HumanSample]) -
     follower.map_sample(second)
     counts = [count_calls(partial(follower.map_sample, sample)) for sample in others]
     assert max(counts) <= 11
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mirrored for a while, wrist",
+        "millimetres for a while",
+        "other order for a while",
+        "no hand for a while",
+        "milliseconds for a while",
+        "wrist elsewhere for a while, wrist",
+        "wrist of another convention for a while, wrist",
+        "fault flip",
+    ],
+)
+def test_a_sample_that_is_wrong_costs_no_more_than_others(name: str) -> None:
+    """Words about it are made when they are read, and then alone."""
+    human = load_hand("human", points="landmarks")
+    guard = StreamGuard(human)
+    follower = Follower(HandMapper(human, ALLEGRO))
+    judged, held = [], []
+    for sample in streams()[name].samples[:200]:
+        judged.append(count_calls(partial(guard.check, sample)))
+        steps: list[MapStep] = []
+        calls = count_calls(partial(map_into, steps, follower, sample))
+        if steps[0].is_held:
+            held.append(calls)
+    assert max(judged) <= 6
+    assert held
+    # The robot brakes, and the step says so.
+    assert max(held) <= 190
+
+
+def map_into(steps: list[MapStep], follower: Follower, sample: HumanSample) -> None:
+    steps.append(follower.map_sample(sample))
 
 
 LANDMARKS = {

@@ -451,18 +451,19 @@ def test_a_mistyped_word_is_answered_with_the_nearest_one(
     assert not printed.out
 
 
-def commands_of_examples() -> dict[str, str]:
-    """Return the folder of each command that a package in examples has, by its entry points."""
+def commands_of_packages() -> dict[str, str]:
+    """Return the folder of each command that a package of the tree has, by its entry points."""
     found = {}
-    for file in (ROOT / "examples").rglob("pyproject.toml"):
-        project = tomllib.loads(file.read_text(encoding="utf-8"))["project"]
+    run = ROOT / "examples" / "run" / "pyproject.toml"
+    for file in (*(ROOT / "packages").glob("*/pyproject.toml"), run):
+        project = tomllib.loads(file.read_text(encoding="utf-8")).get("project", {})
         points = project.get("entry-points", {}).get("handmap_qp.commands", {})
         found |= dict.fromkeys(points, file.parent.relative_to(ROOT).as_posix())
-    # Its build tool, that of ROS 2, knows no pyproject.toml.
-    return found | {"ros2": "examples/ros2/handmap_ros2[dds]"}
+    # The build tool of ROS 2 reads setup.py.
+    return found | {"ros2": "packages/ros2[dds]"}
 
 
-@pytest.mark.parametrize(("name", "folder"), commands_of_examples().items())
+@pytest.mark.parametrize(("name", "folder"), commands_of_packages().items())
 def test_a_command_of_another_package_says_what_installs_it(
     name: str,
     folder: str,

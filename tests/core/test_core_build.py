@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import os
+import pty
 import shutil
 import subprocess
 import sys
 import sysconfig
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from email import message_from_string
 from pathlib import Path
 
 import nanobind
 import pytest
 from pyproject_hooks import BuildBackendHookCaller
+
+import handmap_qp
 
 ROOT = Path(__file__).parents[2]
 CORE = ROOT / "handmap_qp" / "core"
@@ -79,6 +84,161 @@ def test_pip_reads_the_metadata_without_a_build(
     assert "service" in (metadata.get_all("Provides-Extra") or [])
 
 
+def required_by(path: str, **variables: str) -> list[str]:
+    """Return what the backend asks for besides what pyproject.toml names."""
+    script = "import backend; print(*backend.get_requires_for_build_wheel())"
+    environment = {name: value for name, value in os.environ.items() if name != "CXX"}
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=environment | {"PATH": path, "PYTHONPATH": str(ROOT / ".ci")} | variables,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("name", ["c++", "g++", "clang++"])
+def test_a_build_asks_for_a_compiler_where_there_is_none(
+    name: str, tmp_path: Path
+) -> None:
+    (zig,) = required_by(str(tmp_path))
+    assert zig.startswith("ziglang")
+    assert required_by(str(tmp_path), CXX="/opt/own/c++") == []
+    (tmp_path / name).write_text("#!/bin/sh\n")
+    (tmp_path / name).chmod(0o755)
+    assert required_by(str(tmp_path)) == []
+
+
+@pytest.mark.parametrize(
+    ("variables", "problem"),
+    [
+        ({"CXX": "/no/compiler"}, "CXX names /no/compiler, which is not there"),
+        ({}, "no C++ compiler was found, and no package ziglang"),
+    ],
+)
+def test_a_build_without_a_compiler_ends_with_one_line(
+    variables: dict[str, str], problem: str, tmp_path: Path
+) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "CXX"}
+    done = subprocess.run(
+        # Without packages, ziglang among them.
+        [sys.executable, "-S", "-c", "import compilers; compilers.check_compiler()"],
+        env=environment
+        | {"PATH": str(tmp_path), "PYTHONPATH": str(ROOT / ".ci")}
+        | variables,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert problem in done.stderr
+    assert "g++" in done.stderr
+
+
+@pytest.mark.slow
+def test_where_compiling_fails_the_build_ends_and_says_how_to_go_on(
+    tmp_path: Path,
+) -> None:
+    broken = {
+        "CXX": shutil.which("false") or "",
+        # In a folder of its own: CMake remembers a compiler that worked.
+        "SKBUILD_BUILD_DIR": f"{tmp_path}/core",
+    }
+    words = ["-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, *words, str(ROOT)],
+        cwd=tmp_path,
+        env=os.environ | broken,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    assert "handmap_qp: compiling the core failed" in done.stderr + done.stdout
+    assert not list(tmp_path.glob("*.whl"))
+
+
+@pytest.fixture
+def own_package(tmp_path: Path) -> Path:
+    """Copy the package with its core, which a test may break."""
+    package = Path(handmap_qp.__file__).parent
+    copied = tmp_path / "handmap_qp"
+    shutil.copytree(package, copied, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "urdf").symlink_to(package.parent / "urdf")
+    if not list(copied.glob("_core.*")):
+        pytest.skip("the core lies elsewhere")
+    return copied
+
+
+def make_older(package: Path) -> None:
+    with (package / "core" / "qp.hpp").open("a", encoding="utf-8") as file:
+        file.write("// another line\n")
+
+
+def remove(package: Path) -> None:
+    for file in package.glob("_core.*"):
+        file.unlink()
+
+
+def damage(package: Path) -> None:
+    for file in package.glob("_core.*"):
+        file.write_bytes(b"no library")
+
+
+def run_in(package: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run Python with a copy of the package."""
+    return subprocess.run(
+        [sys.executable, *words],
+        cwd=package.parent,
+        env=os.environ | {"PYTHONPATH": str(package.parent)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+IMPORTS = """
+from handmap_qp.errors import MissingCoreError
+try:
+    from handmap_qp.mapping.mapper import HandMapper
+except MissingCoreError as error:
+    assert isinstance(error, ImportError)
+    assert error.problem in str(error) and error.command in str(error)
+    print(error.problem, "|", error.command)
+"""
+
+
+@pytest.mark.parametrize(
+    ("harm", "problem"),
+    [
+        (make_older, "is older than its sources"),
+        (remove, "cannot be loaded (No module named"),
+        (damage, "cannot be loaded ("),
+    ],
+)
+def test_a_core_that_cannot_be_used_is_one_error_that_says_how_to_mend_it(
+    own_package: Path, harm: Callable[[Path], None], problem: str
+) -> None:
+    harm(own_package)
+    done = run_in(own_package, "-c", IMPORTS)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(problem)
+    assert "| pip install " in done.stdout
+
+    line = f"handmap: the compiled core {problem}"
+    done = run_in(own_package, "-m", "handmap_qp.cli", "map", "demo")
+    assert done.returncode == 2
+    assert done.stderr.startswith(line)
+    assert len(done.stderr.splitlines()) == 1
+    assert "pip install" in done.stderr
+
+    done = run_in(own_package, "-m", "handmap_qp.cli", "doctor", "--json")
+    assert done.returncode == 0, done.stderr
+    assert f"the compiled core {problem}" in json.loads(done.stdout)["versions"]["core"]
+
+
 @pytest.fixture
 def read_only_source(tmp_path: Path) -> Iterator[Path]:
     """Copy all that a build reads, and remove the right to write."""
@@ -109,7 +269,6 @@ def without_rights_of_root() -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not any(map(shutil.which, ("c++", "g++"))), reason="no compiler")
 def test_a_read_only_source_gives_a_wheel_with_the_core(
     read_only_source: Path, tmp_path: Path
 ) -> None:
@@ -119,7 +278,7 @@ def test_a_read_only_source_gives_a_wheel_with_the_core(
         [*without_rights_of_root(), sys.executable, *words, str(read_only_source)],
         cwd=tmp_path,
         # Without optimization, which takes most of the time.
-        env=os.environ | {"HANDMAP_PURE": "", "SKBUILD_CMAKE_BUILD_TYPE": "None"},
+        env=os.environ | {"SKBUILD_CMAKE_BUILD_TYPE": "None"},
         capture_output=True,
         text=True,
         check=False,
@@ -130,3 +289,30 @@ def test_a_read_only_source_gives_a_wheel_with_the_core(
     names = zipfile.ZipFile(wheel).namelist()
     assert any(name.startswith("handmap_qp/_core.") for name in names)
     assert sorted(read_only_source.rglob("*")) == before
+
+
+def told(is_kept: bool, **environment: str) -> str:
+    """Return what a build's line puts on a terminal, where pip keeps the output or shows it."""
+    script = "import terminal; terminal.tell('compiling')"
+    child, end = pty.fork()
+    if child == 0:
+        output = os.open(os.devnull, os.O_WRONLY) if is_kept else 1
+        os.dup2(output, 1)
+        os.environ.pop("MAKELEVEL", None)
+        os.environ.update(environment)
+        os.chdir(ROOT / ".ci")
+        os.execv(sys.executable, [sys.executable, "-c", script])
+    shown = b""
+    with suppress(OSError):  # how Linux says that the terminal has been closed
+        while part := os.read(end, 1024):
+            shown += part
+    os.close(end)
+    os.waitpid(child, 0)
+    return shown.decode().strip()
+
+
+def test_who_waits_for_a_build_is_told_what_it_does() -> None:
+    assert told(is_kept=True) == "compiling"
+    assert told(is_kept=False) == "compiling"
+    # make shows the lines of a build itself.
+    assert told(is_kept=True, MAKELEVEL="1") == ""

@@ -157,6 +157,6 @@ def test_motors_are_the_demo_of_another_package(
     Demo(HAND, Path("here"), drive=True).run()
     assert asked == [(None, Path("demo")), (HAND, Path("here"))]
     monkeypatch.setattr(demo, "entry_points", lambda **_: {})
-    with pytest.raises(InvalidInputError, match="pip install examples/drive") as raised:
+    with pytest.raises(InvalidInputError, match="pip install packages/drive") as raised:
         Demo(drive=True).run()
     assert raised.value.argument == "--drive"

@@ -19,6 +19,7 @@ from handmap_qp.errors import (
     InvalidInputError,
     InvalidOptionsError,
     MapperBusyError,
+    MissingCoreError,
     MissingExtraError,
     MissingPackageError,
     RecordingError,
@@ -63,6 +64,10 @@ EXAMPLES: list[tuple[HandmapError, str]] = [
         "a line (singular values 10, 0, 0 mm)",
     ),
     (MapperBusyError(), "this mapper is at work in another thread"),
+    (
+        MissingCoreError("is older than its sources", command="pip install -e ."),
+        "the compiled core is older than its sources: pip install -e .",
+    ),
     (
         MissingExtraError("viser", "view"),
         "viser is not installed: pip install 'handmap-qp[view]'",

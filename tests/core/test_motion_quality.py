@@ -1,4 +1,4 @@
-"""`benchmarks/motion_quality.py` on motions with known values: fingers, palm, smoothness."""
+"""`tests/support/motion_quality.py` on motions with known values: fingers, palm, smoothness."""
 
 from dataclasses import replace
 

@@ -10,11 +10,22 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "reading.md").read_text(encoding="utf-8")
-ROWS = re.findall(r"^\| `([\w/]+\.py)` \| (.*) \|$", PAGE, flags=re.MULTILINE)
+ROWS = re.findall(r"^\| `([\w/]+\.(?:py|hpp))` \| (.*) \|$", PAGE, flags=re.MULTILINE)
+
+
+def names_in_cpp(text: str) -> set[str]:
+    """Return the names of a header's functions and types, and of methods with their type."""
+    kinds = set(re.findall(r"^(?:struct|class) (\w+)", text, flags=re.MULTILINE))
+    functions = set(re.findall(r"\b(\w+)\(", text))
+    return (
+        kinds | functions | {f"{kind}.{name}" for kind in kinds for name in functions}
+    )
 
 
 def names_of(file: Path) -> set[str]:
     """Return the names of a module's functions and classes, and of methods with their class."""
+    if file.suffix == ".hpp":
+        return names_in_cpp(file.read_text(encoding="utf-8"))
     names = set()
     for node in ast.parse(file.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):

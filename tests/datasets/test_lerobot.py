@@ -23,7 +23,7 @@ from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 PYTHON = os.environ.get("HANDMAP_LEROBOT_PYTHON") or (
     sys.executable if find_spec("lerobot") else ""
 )
-READER = Path(__file__).parents[1] / "lerobot_reader.py"
+READER = Path(__file__).parents[1] / "support" / "lerobot_reader.py"
 FPS, LENGTHS, TASKS = 30.0, (5, 9, 4), ("pour", "stack", "pour")
 
 

@@ -1,4 +1,4 @@
-"""The teleoperator and the simulated hand of LeRobot, in `examples/lerobot`.
+"""The teleoperator and the simulated hand of LeRobot, in `packages/lerobot`.
 
 Most of it is tried with stand-ins for LeRobot's base classes. LeRobot itself records and trains
 where the variable `HANDMAP_LEROBOT_PYTHON` names an interpreter that has it and the plug-in.
@@ -20,7 +20,7 @@ from service_tools import HERE, address_of, client_of, human_q, serving
 
 from handmap_qp import load_hand
 
-PLUGIN = Path(__file__).parents[2] / "examples" / "lerobot"
+PLUGIN = Path(__file__).parents[2] / "packages" / "lerobot"
 PYTHON = os.environ.get("HANDMAP_LEROBOT_PYTHON", "")
 
 pytestmark = pytest.mark.slow
@@ -75,6 +75,7 @@ def test_an_action_says_the_command(plugin: Any, robot: str) -> None:
     q, place = command_of(hand, action)
     np.testing.assert_array_equal(q, hand.rest)
     if hand.is_floating:
+        assert place is not None
         np.testing.assert_allclose(place, wrist, atol=1e-12)
     else:
         assert place is None
@@ -151,7 +152,7 @@ def test_the_simulated_hand_goes_where_actions_say(
     not PYTHON, reason="lerobot and the plug-in are elsewhere (HANDMAP_LEROBOT_PYTHON)"
 )
 def test_lerobot_records_and_trains(tmp_path: Path) -> None:
-    """The two commands of `examples/lerobot/README.md`, shorter."""
+    """The two commands of `packages/lerobot/README.md`, shorter."""
     shared = ["--dataset.repo_id=lab/pinch", f"--dataset.root={tmp_path / 'set'}"]
     commands = Path(PYTHON).parent
     run_lerobot(

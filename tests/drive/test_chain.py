@@ -27,7 +27,7 @@ from handmap_qp.apps.service.server import Server
 from handmap_qp.client import Client
 
 for module in ("dynamixel_sdk", "pymodbus"):
-    pytest.importorskip(module, reason="needs the packages of examples/drive")
+    pytest.importorskip(module, reason="needs packages/drive and what it installs")
 
 
 class Chain:

@@ -11,7 +11,7 @@ from handmap_qp import Recording, load_hand, read_recording
 from handmap_qp.errors import HandmapError
 
 for module in ("dynamixel_sdk", "pymodbus"):
-    pytest.importorskip(module, reason="needs the packages of examples/drive")
+    pytest.importorskip(module, reason="needs packages/drive and what it installs")
 
 from handmap_drive.demo import Driven, slowed, started  # noqa: E402
 

@@ -26,7 +26,7 @@ from handmap_qp import load_hand
 from handmap_qp.errors import HandmapError, InvalidInputError
 
 for module in ("dynamixel_sdk", "scservo_sdk", "pymodbus"):
-    pytest.importorskip(module, reason="needs the packages of examples/drive")
+    pytest.importorskip(module, reason="needs packages/drive and what it installs")
 
 JOINTS = tuple(map(str, range(16)))
 """Joints of the LEAP hand, as its URDF names them."""
@@ -197,7 +197,7 @@ def test_registers_of_servos_are_those_of_the_makers() -> None:
 
 
 def test_an_emulated_dynamixel_refuses_what_a_real_one_does() -> None:
-    # It needs the packages of examples/drive.
+    # It needs packages/drive and what it installs.
     from handmap_drive.emulated_servos import Dynamixel
 
     servos = Dynamixel(range(1), START)

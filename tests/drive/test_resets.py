@@ -20,7 +20,7 @@ import pytest
 from handmap_drive.driver import DriverError
 
 for module in ("dynamixel_sdk", "scservo_sdk", "pymodbus"):
-    pytest.importorskip(module, reason="needs the packages of examples/drive")
+    pytest.importorskip(module, reason="needs packages/drive and what it installs")
 
 from handmap_drive.ability import Ability  # noqa: E402
 from handmap_drive.drive import UNREAD, Loop, State  # noqa: E402

@@ -117,7 +117,7 @@ def test_without_the_package_its_files_name_it(
     monkeypatch.setattr(FORMATS, "_others", {})
     for suffix in (".npz", ".npy", ".pkl"):
         file = write(tmp_path / f"video{suffix}", predicted(is_raw=True))
-        with pytest.raises(RecordingError, match="install examples/hamer"):
+        with pytest.raises(RecordingError, match="install packages/hamer"):
             read_recording(file)
     with pytest.raises(RecordingError, match=r"of HaMeR or WiLoR: .* give --fps"):
         read_recording(tmp_path / "video.npz")

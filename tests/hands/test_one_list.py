@@ -25,7 +25,6 @@ from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import read_hand_spec
 
 # Installed packages and descriptions: no path of the mapping.
-pytestmark = pytest.mark.same_on_both
 
 INSTALLED = hand_names()
 ROBOTS = [name for name in INSTALLED if name not in HUMAN_HANDS]

@@ -16,7 +16,7 @@ import trimesh
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ik_cases import problem_of, random_cases
+from ik_cases import loosened, problem_of, random_cases
 from scipy.optimize import linprog
 
 from handmap_qp import HandError, IkOptions, MissingExtraError, load_hand
@@ -26,7 +26,6 @@ from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import CollisionSpec, Mount, read_hand_spec
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.limits import feasible
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 
 DT = 1.0 / 60.0
@@ -51,7 +50,7 @@ def avoiding_step(
     """Return the step of the QP with the rows of all pairs, before the gate."""
     H, c, lower, upper = problem_of(ik, targets, None, dt)
     near = limit.measure(ik.configuration.q)
-    rows = feasible(limit.rows(ik.configuration, near), lower, upper)
+    rows = loosened(limit.rows(ik.configuration, near), lower, upper)
     return solve_by_daqp(H, c, lower, upper, rows)
 
 
@@ -163,7 +162,7 @@ def test_parting_leaves_room_and_does_not_jump(seed: int) -> None:
     G = rng.normal(size=(count, size)) * 10.0 ** rng.uniform(-5.0, -1.0, (count, 1))
     excess = 10.0 ** rng.uniform(-6.0, -2.0, count)
     lower, upper = -rng.uniform(0.01, 0.2, size), rng.uniform(0.01, 0.2, size)
-    rows = feasible((G, -excess), lower, upper)
+    rows = loosened((G, -excess), lower, upper)
     # A pull of any strength leaves a solution, also in a slightly smaller box.
     for share in (1.0, 0.91):
         pull = rng.normal(size=size) * 10.0 ** rng.uniform(-3.0, 3.0)
@@ -207,7 +206,7 @@ def test_pairs_that_cannot_all_part_leave_a_solution(seed: int) -> None:
     G = rng.normal(size=(count, size))
     h = rng.choice([-0.01, 0.0, 0.01], count)
     bounds = rng.uniform(0.01, 0.2, size)
-    rows, limits = feasible((G, h), -bounds, bounds)
+    rows, limits = loosened((G, h), -bounds, bounds)
     found = linprog(
         np.zeros(size),
         rows,
@@ -224,7 +223,7 @@ def test_rows_of_a_later_iteration_hold_for_the_whole_sample(seed: int) -> None:
     rng = np.random.default_rng(seed)
     G, so_far = rng.normal(size=(4, 6)), rng.uniform(-0.01, 0.01, 6)
     h = np.abs(rng.normal(size=4)) + 1.0
-    rows, limits = feasible((G, h), -np.ones(6), np.ones(6), so_far=so_far)
+    rows, limits = loosened((G, h), -np.ones(6), np.ones(6), so_far=so_far)
     rest = rng.normal(size=(200, 6))
     np.testing.assert_array_equal(
         (rest @ rows.T <= limits).all(axis=1),
@@ -406,6 +405,6 @@ def test_pairs_within_the_horizon_have_the_rows_they_have_without_one() -> None:
 def test_a_row_leaves_room_for_the_stop_behind_a_displacement(stopping: float) -> None:
     G, h = np.array([[1.0, 2.0]]), np.array([0.3])
     bounds = np.full(2, 1.0)
-    _, kept = feasible((G, h), -bounds, bounds, stopping=stopping)
+    _, kept = loosened((G, h), -bounds, bounds, stopping=stopping)
     # The farthest displacement and the stop behind it, on one line, end where the row does.
     np.testing.assert_allclose((1.0 + stopping) * kept, h, rtol=0.0, atol=1e-15)

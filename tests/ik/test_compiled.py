@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
-import shutil
-import subprocess
-import sys
-from collections.abc import Callable
 from functools import lru_cache
 from itertools import combinations_with_replacement
-from pathlib import Path
 from typing import Any
 
 import coal
@@ -31,15 +25,11 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik import core as core_module
-from handmap_qp.ik.compiled import core_tree
-from handmap_qp.ik.limits import Motion
+from handmap_qp.ik.core import core
+from handmap_qp.ik.gate import IkGate
+from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.mapping.presets import get_preset
-
-core: Any = core_module.core
-if core is None:
-    pytest.skip(core_module.description, allow_module_level=True)
 
 HUMANS = {
     "right": load_hand("human", points="landmarks"),
@@ -67,8 +57,8 @@ def test_a_sample_of_both_paths_from_one_state_has_one_command(
         slow = HandMapper(HUMANS[robot.side], robot, chosen.method, ik=reference)
     except ValueError as error:
         pytest.skip(str(error))
-    assert fast.point_ik.core is not None
-    assert slow.point_ik.core is None
+    assert fast.point_ik.is_compiled
+    assert not slow.point_ik.is_compiled
     taken = read_recording("demo", robot.side)
     worst = 0.0
     # Every step starts from one state, so few of them have all there is: from the open hand to a
@@ -100,8 +90,8 @@ def test_hands_whose_links_press_have_one_command_on_both_paths(name: str) -> No
     slow = HandMapper(
         HUMANS["right"], robot, method, ik=options.replaced(formulation="direct")
     )
-    assert fast.point_ik.core is not None
-    assert slow.point_ik.core is None
+    assert fast.point_ik.is_compiled
+    assert not slow.point_ik.is_compiled
     limit = slow.point_ik.gate.collisions
     assert limit
     worst = 0.0
@@ -189,8 +179,7 @@ def test_many_samples_in_one_call_are_those_one_by_one(has_wrist: bool) -> None:
     dt = 10.0 ** rng.uniform(-3, -1, count)
     speed = rng.uniform(0.1, 1.0, count)
     margins = rng.uniform(0.0, 0.004, len(shapes.fingers))
-    many = core.Ik(core_tree(hand), hand, ik.options, ik.gate)
-    many.set_motion(*ik.gate.motion)
+    many = IkGate(hand, ik.gate.motion, ik.options, ik.gate.collisions).core
     numbers = many.solve_many(
         points, wrists if has_wrist else None, dt, speed, margins, ik.postures(1, None)
     ).reshape(count, -1)
@@ -255,10 +244,10 @@ class Wrong:
 def test_wrong_rows_of_a_task_are_an_error_and_move_nothing() -> None:
     hand = load_hand("three_finger")
     ik = PointIk(hand, IkOptions())
-    before = ik.gate.motion
+    before = ik.gate.stamp
     with pytest.raises(ValueError, match="sizes"):
         ik.solve(ik.configuration.points.copy(), None, 0.01, tasks=[Wrong()])
-    assert ik.gate.motion is before
+    assert ik.gate.stamp == before
 
 
 def test_the_solver_is_never_worse_than_daqp() -> None:
@@ -394,94 +383,5 @@ def test_distances_are_those_of_coal(first: str, second: str) -> None:
 @pytest.mark.parametrize("choice", [{"formulation": "direct"}, {"solver": "proxqp"}])
 def test_options_choose_the_python_path(choice: dict[str, Any]) -> None:
     hand = load_hand("three_finger")
-    assert PointIk(hand, IkOptions()).core is not None
-    assert PointIk(hand, IkOptions(**choice)).core is None
-
-
-@pytest.fixture
-def own_package(tmp_path: Path) -> Path:
-    """Copy the package with its core, which a test may break."""
-    package = Path(core_module.__file__).parents[1]
-    copied = tmp_path / "handmap_qp"
-    shutil.copytree(package, copied, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(package.parent / "urdf", tmp_path / "urdf")
-    if not list(copied.glob("_core.*")):
-        pytest.skip("the core lies elsewhere")
-    return copied
-
-
-SAYS = """
-import multiprocessing
-import subprocess
-import sys
-
-import handmap_qp.ik.qp
-import handmap_qp.mapping.mapper
-from handmap_qp.ik.core import description
-
-if __name__ == "__main__":
-    print(description)
-    worker = multiprocessing.get_context("spawn").Process(target=print)
-    worker.start()
-    worker.join()
-"""
-
-
-def said_by(package: Path, **variables: str) -> tuple[str, list[str]]:
-    """Return which path a program says that it takes, and the warnings of its first use."""
-    script = package.parent / "program.py"
-    script.write_text(SAYS, encoding="utf-8")
-    # An empty value is that of a shell that has none.
-    names = ("HANDMAP_PURE", "PYTHONWARNINGS")
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env={**os.environ, **dict.fromkeys(names, ""), **variables},
-        cwd=package.parent,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    warned = [line for line in done.stderr.splitlines() if "Warning: " in line]
-    return done.stdout.strip(), warned
-
-
-def make_older(package: Path) -> None:
-    with (package / "core" / "qp.hpp").open("a", encoding="utf-8") as file:
-        file.write("// another line\n")
-
-
-def remove(package: Path) -> None:
-    for file in package.glob("_core.*"):
-        file.unlink()
-
-
-def damage(package: Path) -> None:
-    for file in package.glob("_core.*"):
-        file.write_bytes(b"no library")
-
-
-@pytest.mark.parametrize(
-    ("harm", "problem"),
-    [
-        (make_older, "the core is older than its sources"),
-        (remove, "no compiled core (No module named"),
-        (damage, "no compiled core ("),
-    ],
-)
-def test_a_core_that_cannot_be_used_is_told_once(
-    own_package: Path, harm: Callable[[Path], None], problem: str
-) -> None:
-    assert said_by(own_package) == ("compiled core", [])
-    harm(own_package)
-    which, warned = said_by(own_package)
-    assert which.startswith(f"Python path: {problem}")
-    # Workers do not repeat what the program has told.
-    assert len(warned) == 1, warned
-    (line,) = warned
-    assert "MissingCoreWarning: Python maps, some hundred times slower" in line
-    assert problem in line
-    assert "install handmap_qp again with a C++ compiler" in line
-    # Whoever asks for the Python path knows it.
-    which, warned = said_by(own_package, HANDMAP_PURE="1")
-    assert which == "Python path: HANDMAP_PURE is set"
-    assert warned == []
+    assert PointIk(hand, IkOptions()).is_compiled
+    assert not PointIk(hand, IkOptions(**choice)).is_compiled

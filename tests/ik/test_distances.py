@@ -11,8 +11,6 @@ from handmap_qp.hands.pads import _corners as corners
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.ik.collision import CollisionLimit
 
-pytestmark = pytest.mark.same_on_both
-
 HORIZON = 0.012
 
 

@@ -2,7 +2,7 @@
 
 No limit is passed, no answer holds a NaN, no exception is undocumented.
 
-A short run of `benchmarks/exactness.py`, which takes a million.
+A short run of `tests/judges/exactness.py`, which takes a million.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import importlib
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,15 +21,13 @@ import pytest
 from handmap_qp import MissingExtraError, hand_names, load_hand
 from handmap_qp.hands.shape_pairs import all_pairs
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+JUDGES = Path(__file__).parents[1] / "judges"
 
 
 @pytest.fixture(scope="module")
-def hostile() -> Iterator[ModuleType]:
-    """The steps that the benchmark takes too."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(BENCHMARKS)
-        yield importlib.import_module("hostile")
+def hostile() -> ModuleType:
+    """The steps that the judge's long mode takes too."""
+    return importlib.import_module("hostile")
 
 
 @pytest.mark.slow
@@ -216,7 +213,8 @@ def test_the_judge_finds_a_wrist_that_jumps(hostile: ModuleType) -> None:
 def test_the_command_reports_in_json() -> None:
     command = [
         sys.executable,
-        str(BENCHMARKS / "exactness.py"),
+        str(JUDGES),
+        "exactness",
         "--steps",
         "400",
         "--seed",

@@ -10,13 +10,9 @@ import pytest
 
 from handmap_qp import HandMapper, IkOptions, load_hand, read_recording
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik import core as core_module
 from handmap_qp.ik.qp import IkResult, PointIk
 
-needs_core = pytest.mark.skipif(
-    core_module.core is None, reason=core_module.description
-)
-FORMULATIONS = ["direct", "mink", pytest.param("compiled", marks=needs_core)]
+FORMULATIONS = ["direct", "mink", "compiled"]
 
 
 def pressed(
@@ -69,7 +65,6 @@ def test_an_open_hand_is_held_by_nothing(formulation: Any) -> None:
         assert result.held_by == ()
 
 
-@needs_core
 @pytest.mark.parametrize("limit", [None, 25.0], ids=["free", "accelerating"])
 @pytest.mark.parametrize("name", ["allegro_right", "three_finger", "g1_left"])
 def test_both_paths_name_the_same_links_on_hostile_input(

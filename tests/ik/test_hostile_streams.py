@@ -1,22 +1,20 @@
 """The judge of hostile streams takes many commands a call, and finds what it finds one by one.
 
-Short runs of `benchmarks/exact_streams.py`. Gates are broken on purpose: the judge has limits that
-are a little lower, and commands and time stamps are changed after the gate.
+Short runs of `tests/judges/exact_streams.py`. Gates are broken on purpose: the judge has limits
+that are a little lower, and commands and time stamps are changed after the gate.
 """
 
 from __future__ import annotations
 
 import importlib
 import itertools
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 STEPS = 250
 RUNS = (("three_finger", 14), ("allegro_right", 8), ("shadow_right", 9))
 """Hands and seeds of streams by time stamps, times and instants, with acceleration limits."""
@@ -34,10 +32,9 @@ class Call(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def streams() -> Iterator[ModuleType]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(BENCHMARKS)
-        yield importlib.import_module("streams")
+def streams() -> ModuleType:
+    """The judge, whose import loads hands: only where tests of it run."""
+    return importlib.import_module("streams")
 
 
 @pytest.fixture(scope="module", params=RUNS, ids=lambda run: run[0])

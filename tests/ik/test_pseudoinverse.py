@@ -9,13 +9,20 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
-from ik_cases import HANDS, Case, each_plain_hand, hand_of, problem_of, random_cases
+from ik_cases import (
+    HANDS,
+    Case,
+    box_of,
+    each_plain_hand,
+    hand_of,
+    problem_of,
+    random_cases,
+)
 from pseudoinverse import PseudoinverseIk, weighted_task
 
 from handmap_qp import IkOptions, load_hand
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.ik.tasks import Goal
 
@@ -176,14 +183,13 @@ def _with_rest(hand: Hand, rest: np.ndarray) -> Hand:
 
 def test_plain_steps_ignore_limits_and_clipped_ones_hold_them() -> None:
     hand, options = load_hand("allegro_right"), IkOptions()
-    box = BoxLimits(hand)
     broken = 0
     for case in random_cases(hand, 40, seed=4, is_inside=True):
         plain, clipped = (
             PseudoinverseIk(hand, options),
             PseudoinverseIk(hand, options, limits="clip"),
         )
-        lower, upper = box.box(case.q, case.dt)[:2]
+        lower, upper = box_of(hand, case.q, case.dt)
         for ik in (plain, clipped):
             ik.place(case.q)
             ik.solve(case.point_targets, case.wrist_target, case.dt)
@@ -195,6 +201,16 @@ def test_plain_steps_ignore_limits_and_clipped_ones_hold_them() -> None:
         assert (dq <= upper + 1e-9).all()
         assert (dq >= lower - 1e-9).all()
     assert broken > 20
+
+
+def test_a_plain_sample_is_one_step_of_eq_8() -> None:
+    hand, options = load_hand("allegro_right"), IkOptions(max_iterations=1)
+    for case in random_cases(hand, 5, seed=6, is_inside=True):
+        ik = PseudoinverseIk(hand, options)
+        ik.place(case.q)
+        expected = ik.step(goal_of(hand, case))
+        result = ik.solve(case.point_targets, case.wrist_target, case.dt)
+        np.testing.assert_allclose(result.displacement, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1.0])

@@ -14,6 +14,7 @@ from ik_cases import (
     ARM_JOINTS,
     HANDS,
     arm_hand,
+    box_of,
     each_kind_of_hand,
     hand_of,
     problem_of,
@@ -25,7 +26,9 @@ from handmap_qp import HandError, HandMapper, IkOptions, load_hand
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.ik.limits import BoxLimits, Gate, Motion
+from handmap_qp.ik.gate import Gate
+from handmap_qp.ik.limits import BoxLimits
+from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.ik.solvers import make_solver
 from handmap_qp.options import Option, options_of
@@ -54,10 +57,8 @@ def test_the_box_never_contradicts_itself(rng: np.random.Generator, dt: float) -
             options = IkOptions(
                 has_velocity_limits=has_velocity_limits, max_acceleration=acceleration
             )
-            limits = BoxLimits(hand, options)
-            lower, upper = limits.box(
-                any_posture(hand, rng, outside=2.0), dt, velocity
-            )[:2]
+            q = any_posture(hand, rng, outside=2.0)
+            lower, upper = box_of(hand, q, dt, velocity, options)
             assert (lower <= upper).all()
             assert not np.isnan([lower, upper]).any()
 
@@ -68,7 +69,7 @@ def test_inside_its_limits_the_box_is_position_and_speed_limits_together(
 ) -> None:
     hand = HAND
     q = any_posture(hand, rng, outside=0.0)
-    lower, upper = BoxLimits(hand).box(q, dt)[:2]
+    lower, upper = box_of(hand, q, dt)
     angles, reach = q[hand.q_indices], hand.velocity_limits * dt
     np.testing.assert_array_equal(
         upper[hand.joint_columns], np.minimum(hand.upper_limits - angles, reach)
@@ -88,9 +89,7 @@ def test_from_outside_a_joint_comes_back_as_fast_as_it_may(
 ) -> None:
     hand, dt = HAND, 0.01
     angles = hand.upper_limits + rng.uniform(0.001, 1.0, len(hand.joint_names))
-    lower, upper = BoxLimits(hand).box(
-        hand.configuration_vector(angles, np.eye(4)), dt
-    )[:2]
+    lower, upper = box_of(hand, hand.configuration_vector(angles, np.eye(4)), dt)
     overshoot = angles - hand.upper_limits
     back = np.minimum(overshoot, hand.velocity_limits * dt)
     np.testing.assert_allclose(upper[hand.joint_columns], -back, atol=1e-15)
@@ -105,14 +104,12 @@ def test_from_rest_acceleration_never_stands_against_position(
     # brake before its limit.
     hand = HAND
     acceleration = 10.0 ** rng.uniform(-1, 3)
-    limits, q = (
-        BoxLimits(hand, IkOptions(max_acceleration=acceleration)),
-        any_posture(hand, rng, outside=0.0),
-    )
+    options = IkOptions(max_acceleration=acceleration)
+    q = any_posture(hand, rng, outside=0.0)
     velocity = np.zeros(len(hand.active_columns))
     for _ in range(60):
         dt = 10.0 ** rng.uniform(-3, -1)
-        lower, upper = limits.box(q, dt, velocity)[:2]
+        lower, upper = box_of(hand, q, dt, velocity, options)
         # Mostly full speed into one corner: the hardest case for the brakes.
         dq = np.where(rng.random(len(lower)) < 0.9, upper, rng.uniform(lower, upper))
         assert (
@@ -129,21 +126,19 @@ def test_position_and_speed_go_before_acceleration(rng: np.random.Generator) -> 
     # A joint approaches its limit far too fast: the box gives the bound nearest to the range that
     # its acceleration allows.
     hand, dt = HAND, 0.01
-    limits, plain = BoxLimits(hand, IkOptions(max_acceleration=1e-3)), BoxLimits(hand)
+    options = IkOptions(max_acceleration=1e-3)
     q = any_posture(hand, rng)
     direction = rng.choice([-1.0, 1.0], len(hand.active_columns))
-    lower, upper = limits.box(q, dt, 1e4 * direction)[:2]
-    least, most = plain.box(q, dt)[:2]
+    lower, upper = box_of(hand, q, dt, 1e4 * direction, options)
+    least, most = box_of(hand, q, dt)
     np.testing.assert_array_equal(lower, np.where(direction > 0.0, most, least))
     np.testing.assert_array_equal(upper, lower)
 
 
 def test_an_infinite_acceleration_limit_limits_nothing() -> None:
     q = any_posture(HAND, np.random.default_rng(0))
-    expected = BoxLimits(HAND).box(q, 0.01)[:2]
-    limits = BoxLimits(HAND, IkOptions(max_acceleration=np.inf))
-    for bound, other in zip(limits.box(q, 0.01)[:2], expected, strict=True):
-        np.testing.assert_allclose(bound, other, atol=1e-15)
+    bounds = box_of(HAND, q, 0.01, options=IkOptions(max_acceleration=np.inf))
+    np.testing.assert_allclose(bounds, box_of(HAND, q, 0.01), atol=1e-15)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, [1.0, 2.0]])
@@ -201,7 +196,7 @@ def test_limits_hold_from_anywhere_to_anywhere(
     for case in random_cases(hand, 30, seed=10):
         ik.place(case.q)
         ik.solve(case.point_targets, case.wrist_target, case.dt)
-        lower, upper = BoxLimits(hand).box(case.q, case.dt)[:2]
+        lower, upper = box_of(hand, case.q, case.dt)
         dq = pin.difference(hand.model, case.q, ik.configuration.q)[hand.active_columns]
         assert (dq <= upper + 1e-9).all()
         assert (dq >= lower - 1e-9).all()

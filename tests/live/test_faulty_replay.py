@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
-COMMANDS = re.findall(r"^    python benchmarks/faulty_replay.py (.+)$", PAGE, re.M)
+COMMANDS = re.findall(r"^    python tests/judges faulty_replay (.+)$", PAGE, re.M)
 
 
 @pytest.fixture

@@ -29,7 +29,6 @@ from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.session import Session
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
 from handmap_qp.human.recording import sample_columns
-from handmap_qp.ik.core import core
 from handmap_qp.trackers.layouts.points import PointLayout
 from handmap_qp.trackers.layouts.tables import load_layout
 
@@ -144,7 +143,6 @@ def start(browser: Browser, server: Server, **choices: Any) -> None:
     wait_for_text(browser, "#state", "Waiting for hands")
 
 
-@pytest.mark.skipif(core is None, reason="Python takes longer than a frame for G1")
 def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
     start(browser, server, words="?robot=g1")
     show_hands(browser, "right", "left")

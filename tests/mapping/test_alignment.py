@@ -11,7 +11,6 @@ import pytest
 
 from handmap_qp import HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.client.messages import SETUP
-from handmap_qp.ik import core as core_module
 from handmap_qp.mapping.alignment import rotation_of
 from handmap_qp.mapping.presets import (
     PRESETS,
@@ -21,7 +20,7 @@ from handmap_qp.mapping.presets import (
 )
 
 HUMAN = load_hand("human", points="landmarks")
-FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+FORMULATIONS = ("compiled", "direct")
 OF_A_PALM = [name for name in PRESETS if "alignment" in get_preset(name).method.values]
 TURN = pin.exp3(np.array([0.7, -1.1, 0.4]))
 robot_of = cache(load_hand)

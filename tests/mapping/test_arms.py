@@ -11,13 +11,12 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import HandMapper, MapStep, load_hand
-from handmap_qp.ik import core as core_module
 from handmap_qp.ik.qp import point_rows
 from handmap_qp.mapping.presets import get_preset
 
 HUMAN = load_hand("human", points="landmarks")
 DT = 1.0 / 60.0
-FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+FORMULATIONS = ("compiled", "direct")
 
 
 def motion(count: int) -> list[tuple[np.ndarray, np.ndarray]]:

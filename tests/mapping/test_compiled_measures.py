@@ -1,33 +1,27 @@
-"""What the core measures of people and hands is what the Python that says the same measures."""
+"""What the core measures of people and hands is what numpy, coal and Pinocchio measure."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from oracles import people
 
-from handmap_qp import HumanLengths, load_hand
+from handmap_qp import HumanLengths, load_hand, read_recording
 from handmap_qp.apps.offline import surface_gaps
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
+from handmap_qp.human.measure import _standard_palm, measure_shape
 from handmap_qp.human.sample import landmarks_at_rest
-from handmap_qp.ik import core as core_module
 from handmap_qp.ik import nearest_posture as posture_module
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.mapping import hand_pair
 from handmap_qp.mapping.hand_pair import HandPair
 from handmap_qp.se3 import inverse_pose, transform_points
-
-core: Any = core_module.core
-if core is None:
-    pytest.skip(core_module.description, allow_module_level=True)
 
 HANDS = ("allegro_right", "three_finger", "hey5", "g1_right", "ur5_allegro")
 
@@ -48,7 +42,7 @@ def in_python(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return take
 
 
-def people(count: int) -> list[HumanLengths]:
+def persons(count: int) -> list[HumanLengths]:
     rng = np.random.default_rng(3)
     usual = HumanLengths.from_hand_length(0.19)
     return [
@@ -67,7 +61,7 @@ def test_the_robot_is_matched_to_people_as_in_python(
 ) -> None:
     robot = load_hand(name)
     side = "human" if robot.side == "right" else "human_left"
-    humans = [load_hand(side, points="landmarks", lengths=each) for each in people(3)]
+    humans = [load_hand(side, points="landmarks", lengths=each) for each in persons(3)]
     fast = [HandPair(human, robot) for human in humans]
     in_python()
     for human, one in zip(humans, fast, strict=True):
@@ -108,40 +102,21 @@ def test_a_posture_is_the_nearest_one_to_hostile_targets_too(
     assert (np.array(apart) < 1e-9).mean() >= 0.9
 
 
-PEOPLE = """
-import sys
-import numpy as np
-from handmap_qp import read_recording
-from handmap_qp.human.measure import _standard_palm, measure_shape
-
-rng = np.random.default_rng(2)
-palm = _standard_palm()
-recording = read_recording("demo", "right")
-seen = recording.landmarks[recording.valid]
-seen = np.concatenate([seen, seen + rng.normal(0.0, 0.004, seen.shape)])
-flat = 0.1 * rng.normal(size=(60, 21, 3))
-flat[:20, :, 2] = 0.0
-flat[20:40, [0, 5, 9, 13, 17]] = palm * (1.0, 1.0, -1.0)
-found = [measure_shape(part, palm) for part in (*np.split(seen, [1, 3, 34]), flat)]
-found = [*found, (measure_shape(np.zeros((5, 21, 3)), palm)[1],)]
-np.savetxt(sys.stdout, np.concatenate([np.ravel(a) for each in found for a in each]))
-"""
-
-
-def test_people_are_measured_as_in_python() -> None:
+def test_people_are_measured_as_by_procrustes_analysis() -> None:
     """Recorded, noisy, flat and mirrored hands, and an odd and an even count of samples."""
-    found = []
-    for value in ("", "1"):
-        printed = subprocess.run(
-            [sys.executable, "-c", PEOPLE],
-            env=os.environ | {"HANDMAP_PURE": value},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        found.append(np.array(printed.split(), dtype=float))
-    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
-    assert len(found[0]) == 5 * 21 + 5
+    rng = np.random.default_rng(2)
+    palm = _standard_palm()
+    seen = read_recording("demo", "right").landmarks
+    seen = np.concatenate([seen, seen + rng.normal(0.0, 0.004, seen.shape)])
+    flat = 0.1 * rng.normal(size=(60, 21, 3))
+    flat[:20, :, 2] = 0.0
+    flat[20:40, [0, 5, 9, 13, 17]] = palm * (1.0, 1.0, -1.0)
+    for part in (*np.split(seen, [1, 3, 34]), flat):
+        found = measure_shape(part, palm)
+        for one, other in zip(found, people.measure_shape(part, palm), strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-9)
+    _, rolls, _ = measure_shape(np.zeros((5, 21, 3)), palm)
+    np.testing.assert_array_equal(rolls, 0.0)
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -165,7 +140,7 @@ def test_gaps_are_measured_as_by_coal(name: str, in_python: Callable[[], None]) 
 
 @pytest.mark.parametrize("name", ["human", "human_left"])
 def test_pads_of_a_scaled_hand_are_those_of_its_urdf(name: str) -> None:
-    for lengths in people(2):
+    for lengths in persons(2):
         scaled = load_hand(name, points="landmarks", lengths=lengths)
         plain = msgspec.structs.replace(scaled.spec, mirror=False)
         read = Hand(plain, points="landmarks", urdf_text=scaled.urdf_text)
@@ -178,7 +153,7 @@ def test_pads_of_a_scaled_hand_are_those_of_its_urdf(name: str) -> None:
 @pytest.mark.parametrize("name", ["human", "human_left"])
 def test_the_core_moves_the_joints_of_a_scaled_hand(name: str) -> None:
     rng = np.random.default_rng(8)
-    for lengths in people(5):
+    for lengths in persons(5):
         human = load_hand(name, points="landmarks", lengths=lengths)
         q = rng.uniform(human.lower_limits, human.upper_limits)
         palm = human.frame_pose("palm", q)

@@ -19,12 +19,8 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.ik import core as core_module
 from handmap_qp.mapping.method import Stages, StepSummary
 from handmap_qp.mapping.presets import get_preset
-
-if core_module.core is None:
-    pytest.skip(core_module.description, allow_module_level=True)
 
 HUMAN = load_hand("human", points="landmarks")
 ROBOT = load_hand("three_finger")

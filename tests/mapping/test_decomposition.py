@@ -22,8 +22,6 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.mapping.decomposition import decompose, polar, primitives
 from handmap_qp.se3 import rotation_from_quat_wxyz, transform_points
 
-pytestmark = pytest.mark.same_on_both
-
 any_motions = affine_motions(mirrored=None)
 scales = st.floats(min_value=0.2, max_value=5.0)
 

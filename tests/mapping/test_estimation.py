@@ -30,8 +30,6 @@ from handmap_qp.mapping.estimation import (
 )
 from handmap_qp.se3 import nearest_rotation, transform_points
 
-pytestmark = pytest.mark.same_on_both
-
 ridges = st.sampled_from([0.0, 1e-6, 0.1, 1.0, 1e3])
 
 

@@ -25,8 +25,6 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.mapping.estimation import estimate_motion
 from handmap_qp.se3 import transform_points
 
-pytestmark = pytest.mark.same_on_both
-
 ridges = st.floats(min_value=1e-6, max_value=1e3)
 FINGERTIPS = (
     np.array([[-62, 8, -21], [-22, 52, -8], [4, 58, -3], [27, 50, -5], [50, 30, -12]])

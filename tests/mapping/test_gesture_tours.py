@@ -1,11 +1,12 @@
 """Labelled gestures of people, one after the other: no finger stays caught, none freezes.
 
-`benchmarks/bench_gestures.py` brings every pair of them; here are those of each fifth pose.
+`benchmarks/fidelity/bench_gestures.py` brings every pair of them. Here are those
+of each fifth pose.
 """
 
 from __future__ import annotations
 
-import bench_gestures
+import gesture_tours
 import numpy as np
 import pytest
 import shared_hands
@@ -13,13 +14,11 @@ import shared_hands
 from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
 from handmap_qp.errors import MissingPackageError
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.ik import core as core_module
 
 # Python takes a minute a hand for it.
 HANDS = ("allegro_right", "shadow_right", "leap_right")
 
 
-@pytest.mark.skipif(core_module.core is None, reason=core_module.description)
 @pytest.mark.parametrize("name", HANDS)
 def test_no_finger_stays_caught_from_one_gesture_to_the_next(name: str) -> None:
     if name in shared_hands.NAMES and shared_hands.shared_hands_folder() is None:
@@ -28,19 +27,17 @@ def test_no_finger_stays_caught_from_one_gesture_to_the_next(name: str) -> None:
         hand = shared_hands.load(name)
     except MissingPackageError as error:
         pytest.skip(str(error))
-    poses = bench_gestures.read_poses()[::5]
-    order = bench_gestures.tour(len(poses))
-    robot, q, wrist, still = bench_gestures.map_tour(
-        hand, poses, order, "teleoperation"
-    )
+    poses = gesture_tours.read_poses()[::5]
+    order = gesture_tours.tour(len(poses))
+    robot, q, wrist, still = gesture_tours.map_tour(hand, poses, order, "teleoperation")
     shown = np.array([poses[k].landmarks for k in order])
     lengths = HumanLengths.from_hand_length(0.19)
-    errors = bench_gestures.compare(
+    errors = gesture_tours.compare(
         trace_human(shown, lengths), trace_robot(robot, q, wrist)
     )
     fingers = [i for i, finger in enumerate(errors.names) if finger != "thumb"]
     off = np.maximum(errors.direction, np.abs(errors.bend))[:, fingers]
-    caught = (off > bench_gestures.CAUGHT).any(axis=1)
+    caught = (off > gesture_tours.CAUGHT).any(axis=1)
     # 13 poses; what is left are detours on their way when the next gesture begins.
     assert caught.mean() <= 0.015
     assert still <= 5

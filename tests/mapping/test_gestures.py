@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from gesture_tours import RATE, read_poses, stream
+from shared_hands import shared_hand_spec, shared_hands_folder
 
 from handmap_qp import HandMapper, Recording, load_hand
 from handmap_qp.human.measure import scaled_human
-
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "benchmarks"))
-from bench_gestures import RATE, read_poses, stream  # noqa: E402
-from shared_hands import shared_hand_spec, shared_hands_folder  # noqa: E402
 
 GESTURES = ("rest", "flare", "asl j", "grab", "asl x", "asl 7")
 

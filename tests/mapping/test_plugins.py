@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.slow, pytest.mark.same_on_both]
+pytestmark = pytest.mark.slow
 
 METHOD = """
 from typing import Annotated
@@ -217,7 +217,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     )
     (metadata / "entry_points.txt").write_text(ENTRY_POINTS)
     root = Path(__file__).resolve().parents[2]
-    paths = [str(folder), str(root), str(root / "tests")]
+    paths = [str(folder), str(root), str(root / "tests" / "support")]
     return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
 
 

@@ -23,7 +23,6 @@ WRIST = affine(
 
 
 @pytest.mark.slow
-@pytest.mark.same_on_both
 @pytest.mark.parametrize("name", sorted(set(hand_names()) - set(HUMAN_HANDS)))
 def test_possible_presets_are_those_that_the_mapper_accepts(name: str) -> None:
     robot = load_hand(name)

@@ -18,8 +18,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.robot import joined, load_robot, load_whole
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import HumanSample, Verdict, human_name
-from handmap_qp.ik import core as core_module
-from handmap_qp.ik.limits import Motion
+from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances, PointOffset
 from handmap_qp.mapping.presets import get_preset
@@ -30,7 +29,7 @@ from handmap_qp.stream.robot_follower import RobotFollower
 SIDES: tuple[Side, ...] = ("left", "right")
 HUMANS = {side: load_hand(human_name(side), points="landmarks") for side in SIDES}
 DT = 1.0 / 60.0
-FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+FORMULATIONS = ("compiled", "direct")
 PRESET = get_preset("teleoperation")
 
 Samples = tuple[dict[Side, np.ndarray], dict[Side, np.ndarray]]
@@ -119,19 +118,14 @@ def on_detours(mapper: HandMapper | RobotMapper) -> list[bool]:
     return [via is not None for via, *_ in mapper.point_ik.__reduce__()[1][-1]]
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_each_hand_takes_the_detours_that_it_takes_alone(
-    pair: Hand, formulation: str
-) -> None:
-    # The second posture of these takes each hand on a detour, one before the other; the core has
-    # time for more.
-    count = 50 if formulation == "direct" else 200
-    mapper, alone = together_and_alone(pair, formulation)
+def test_each_hand_takes_the_detours_that_it_takes_alone(pair: Hand) -> None:
+    # The second posture of these takes each hand on a detour, one before the other.
+    mapper, alone = together_and_alone(pair, "compiled")
     _, wrists = motion(0, apart=1.0)
     randoms = {"left": np.random.default_rng(5), "right": np.random.default_rng(28)}
     taken = np.zeros(2, dtype=int)
     q: dict[Side, np.ndarray] = {}
-    for i in range(count):
+    for i in range(200):
         if i % 25 == 0:
             q = {
                 side: randoms[side].uniform(human.lower_limits, human.upper_limits)

@@ -27,8 +27,8 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.ik import core as core_module
-from handmap_qp.ik.limits import SHORTEST_DT, Gate, Instant, Motion
+from handmap_qp.ik.gate import Gate
+from handmap_qp.ik.motion import SHORTEST_DT, Instant, Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.mapping.robot_mapper import RobotMapper
@@ -39,7 +39,7 @@ from handmap_qp.stream.robot_follower import RobotFollower, paired
 MOST = 30.0
 """Limit of acceleration [rad/s^2]."""
 PRESET = get_preset("teleoperation")
-FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+FORMULATIONS = ("compiled", "direct")
 PAUSE = without(in_turns((60.0, 60.0), 1.2), "right", 0.6, 0.8)
 STREAMS = {
     "in turns": in_turns((60.0, 60.0), 1.0),
@@ -483,10 +483,10 @@ def test_an_instant_that_cannot_be_used_changes_nothing(g1: Hand, times: dict) -
     mapper = mapper_of(g1)
     landmarks = {side: landmarks_at(side, 0.0) for side in SIDES}
     mapper.map_landmarks(landmarks, time=100.0)
-    before = mapper.motion
+    before = mapper.point_ik.gate.stamp
     with pytest.raises(InvalidInputError):
         mapper.map_landmarks(landmarks, **times)
-    assert mapper.motion is before
+    assert mapper.point_ik.gate.stamp == before
     single = HandMapper(HUMANS["left"], load_hand("three_finger"), "teleoperation")
     with pytest.raises(InvalidInputError):
         single.map_landmarks(landmarks["left"], **times)
@@ -524,7 +524,7 @@ def test_a_time_that_cannot_be_one_changes_nothing(
         single.map_landmarks(landmarks["left"])
         follower.map_sample(sample)
     movers = mapper, single, follower.mapper
-    before = [mover.motion for mover in movers]
+    before = [mover.point_ik.gate.stamp for mover in movers]
     calls = [
         lambda: mapper.map_landmarks(landmarks, dt=when),
         lambda: single.map_landmarks(landmarks["left"], dt=when),
@@ -534,7 +534,7 @@ def test_a_time_that_cannot_be_one_changes_nothing(
     for call in calls:
         with pytest.raises(InvalidInputError, match="dt: expected"):
             call()
-    assert [mover.motion for mover in movers] == before
+    assert [mover.point_ik.gate.stamp for mover in movers] == before
 
 
 def moved_in(mapper: HandMapper | RobotMapper, count: int) -> int:

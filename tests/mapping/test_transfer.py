@@ -17,8 +17,6 @@ from handmap_qp import Homogeneous, load_hand
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.se3 import transform_points
 
-pytestmark = pytest.mark.same_on_both
-
 HUMAN = load_hand("human", points="fingertips_middle")
 ROBOT = load_hand("three_finger", points="fingertips_middle")
 HERE = np.eye(4)

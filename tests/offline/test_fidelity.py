@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from shared_hands import shared_hand_spec, shared_hands_folder
 
 from handmap_qp.apps.offline.fidelity import (
     angles_between,
@@ -40,7 +38,6 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 
 RATE = 100.0
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 @pytest.fixture(scope="module")
@@ -450,14 +447,9 @@ def test_fingers_that_reach_into_each_other_are_seen(allegro: Hand) -> None:
 
 @pytest.mark.parametrize("name", ["leap_right", "svh_right"])
 def test_hands_of_the_shared_folder_are_described(name: str) -> None:
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        shared = importlib.import_module("shared_hands")
-    finally:
-        sys.path.remove(str(BENCHMARKS))
-    if shared.shared_hands_folder() is None:
+    if shared_hands_folder() is None:
         pytest.skip("no folder with shared hands")
-    hand = load_hand(shared.shared_hand_spec(name))
+    hand = load_hand(shared_hand_spec(name))
     stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)[None]
     trace = trace_robot(hand, stretched)
     local = dict(zip(trace.names, trace.local[0], strict=True))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from made_hands import ODDITIES, MadeHand, make_hand, make_odd_hand
+from shared_hands import shared_hands_folder
 from strategies import generators
 
 from handmap_qp import HandError, load_hand
@@ -17,11 +18,6 @@ from handmap_qp.hands.spec import OTHER_SIDE, Side
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
-
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-from made_hands import ODDITIES, MadeHand, make_hand, make_odd_hand  # noqa: E402
-from shared_hands import shared_hands_folder  # noqa: E402
 
 SHARED = shared_hands_folder()
 LEAP_PIP = {"index": "dip", "middle": "dip_2", "ring": "dip_3"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,6 +14,8 @@ import pinocchio as pin
 import pytest
 import trimesh
 import yaml
+from made_hands import MadeHand, make_hand
+from shared_hands import NAMES, load, shared_hands_folder
 
 from handmap_qp import Hand, HandError, cli, load_hand
 from handmap_qp.apps.drawing import load_shape
@@ -55,11 +56,6 @@ from handmap_qp.se3 import inverse_pose, transform_points
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
-
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-from made_hands import MadeHand, make_hand  # noqa: E402
-from shared_hands import NAMES, load, shared_hands_folder  # noqa: E402
 
 SHARED = shared_hands_folder()
 

@@ -1,6 +1,7 @@
 """The paper's figures: every one with its numbers and its paragraph, all of them or none."""
 
 import csv
+import importlib
 import re
 from collections.abc import Iterator
 from functools import partial
@@ -9,7 +10,6 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
-import paper_figures
 import pytest
 from section_four import drawings, figures
 from section_four.drawings import box_triangles
@@ -35,6 +35,7 @@ pytest.importorskip("trimesh")
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
+ROOT = Path(__file__).resolve().parents[2]
 NAMES = tuple(FIGURES)
 TABLES = ("claims.csv", "final_errors.csv", "report.md")
 
@@ -195,9 +196,12 @@ def test_the_same_numbers_give_the_same_files(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("light")
 def test_the_command_prints_the_claims(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    paper_figures.main(["--out", str(tmp_path / "new")])
+    monkeypatch.syspath_prepend(ROOT / "benchmarks" / "paper")
+    importlib.import_module("paper_figures").main(["--out", str(tmp_path / "new")])
     out = capsys.readouterr().out
     assert "the paper claims" in out
     assert "report.md" in out

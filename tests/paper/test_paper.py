@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from beyond_the_paper import limited_hand
 from experiment_variants import (
     IK,
     FingerMode,
     Pivot,
     Variant,
     limit_excess,
+    limited_hand,
     moved_scene,
 )
 from section_four.cube import reference_grasp

@@ -190,7 +190,7 @@ def main() -> None:
         ):
             shared = os.environ.get("HANDMAP_RECORDINGS", "")
             code = f"import os\nos.environ['HANDMAP_RECORDINGS'] = {shared!r}\n{_CASES}"
-            path.python(code, str(cases), str(ROOT / "tests"), str(ROOT / "benchmarks"))
+            path.python(code, str(cases), str(ROOT / "tests" / "support"))
         for k, python in enumerate(find_pythons()):
             wheel = build(python, folder / f"{k}")
             for numpy in NUMPY:

@@ -59,7 +59,7 @@ while len(found) < 30 and time.monotonic() < until:
 print(json.dumps({"count": len(found), "names": list(found[0].name) if found else []}))
 """
 DOMAIN = "97"
-PACKAGE = ROOT / "examples" / "ros2" / "handmap_ros2"
+PACKAGE = ROOT / "packages" / "ros2"
 """The package of the command, installed beside ours."""
 
 

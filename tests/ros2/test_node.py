@@ -1,4 +1,4 @@
-"""The node of `examples/ros2`, on the message types of rosbags and a stand-in for rclpy."""
+"""The node of `packages/ros2`, on the message types of rosbags and a stand-in for rclpy."""
 
 from __future__ import annotations
 

@@ -25,13 +25,11 @@ from grip_cases import (
 from handmap_qp import HandMapper, HumanSample, load_hand
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands import Side, load_robot
-from handmap_qp.ik.core import core
 from handmap_qp.mapping import RobotMapper
 from handmap_qp.stream import Follower, GripOptions, RobotFollower, RobotGripFollower
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(core is None, reason="needs the compiled core"),
 ]
 
 

@@ -48,14 +48,12 @@ from handmap_qp import (
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.errors import HandError, InvalidOptionsError
 from handmap_qp.hands import Side, load_robot
-from handmap_qp.ik.core import core
 from handmap_qp.mapping import RobotMapper, get_preset
 from handmap_qp.stream import RobotFollower
 
 # The core is compiled once more, as that of another package.
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(core is None, reason="needs the compiled core"),
 ]
 CASES = [
     ("three_finger", "teleoperation"),

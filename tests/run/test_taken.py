@@ -20,11 +20,14 @@ from run_cases import SOURCES, module_of
         ),
         ("CHANGES", lambda old: old[:2] + old[3:], "ik/qp.py imports daqp"),
         ("CHANGES", lambda old: old[:1] + old[2:], "imports pinocchio"),
-        ("CHANGES", lambda old: old[:3] + old[4:], "imports scipy.spatial.transform"),
         ("CONSTANTS", lambda old: old | {"se3": ("HOME",)}, "se3.py has no HOME"),
         ("TAKEN", lambda old: f"{old} ik/gone", "ik/gone.py any more"),
         ("TAKEN", lambda old: old.replace("stream/guard ", ""), "guard.* BEHIND"),
-        ("TAKEN", lambda old: old.replace("human/sample", ""), "human.* LANDMARK"),
+        (
+            "TAKEN",
+            lambda old: old.replace("human/recording", ""),
+            "human.* upright_axes",
+        ),
         ("DATA", lambda old: (*old, "human/gone.json"), "human/gone.json any more"),
     ],
 )

@@ -411,6 +411,9 @@ def test_a_trajectory_plays_whatever_is_seen(tmp_path: Path) -> None:
     ("name", "text"),
     [
         ("teleop", "did you mean teleoperation"),
+        ("teleoperation+grib", r"did you mean teleoperation\+grip"),
+        ("teleoperation+grip+places", "no mapping"),
+        ("finger-vectors+grip", r"can grip \(teleoperation, picking\)"),
         ("nowhere.py:NAME", "a file that exists"),
         (f"{__file__}", "FILE.py:NAME"),
         ("nowhere.npz", "a file that exists"),
@@ -687,7 +690,7 @@ needs_adroit = [
     pytest.mark.slow,
     pytest.mark.skipif(
         find_spec("gymnasium_robotics") is None,
-        reason="needs gymnasium-robotics: pip install 'examples/score[tasks]'",
+        reason="needs gymnasium-robotics: pip install 'packages/score[tasks]'",
     ),
     pytest.mark.skipif(
         not (experts.weights_folder() / "door.npz").is_file(),

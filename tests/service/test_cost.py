@@ -27,7 +27,6 @@ from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client.messages import HandSample, Step
 from handmap_qp.hands import Side
 from handmap_qp.human.recording import Recording, sample_columns
-from handmap_qp.ik.core import core
 
 MOST_CALLS = 122
 """Calls of Python and C for an answer."""
@@ -37,8 +36,6 @@ MOST_CALLS_OF_A_TICK = 14
 """Calls for a look at a session that is led, of which there are 50 in a second."""
 WARM = 20
 MEASURED = 20
-
-pytestmark = pytest.mark.skipif(core is None, reason="counts calls around the core")
 
 
 def rows_of(landmarks: np.ndarray) -> tuple[tuple[float, float, float], ...]:

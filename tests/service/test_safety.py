@@ -14,7 +14,7 @@ from handmap_qp.apps.service.safety import CommandedRobot, SessionClock
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.limits import SHORTEST_DT
+from handmap_qp.ik.motion import SHORTEST_DT
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 
@@ -42,7 +42,7 @@ def test_no_joint_goes_faster_than_its_share_of_the_limit(
 ) -> None:
     guard = CommandedRobot(ROBOT, angles(ROBOT, generator), np.eye(4))
     before = guard.q.copy()
-    guard.advance(angles(ROBOT, generator), None, dt, share)
+    guard.move_to(angles(ROBOT, generator), None, dt, share)
     assert (
         np.abs(guard.q - before) <= ROBOT.velocity_limits * dt * share + 1e-12
     ).all()
@@ -53,7 +53,7 @@ def test_the_wrist_keeps_its_limits(
     generator: np.random.Generator, before: np.ndarray, wanted: np.ndarray, dt: float
 ) -> None:
     guard = CommandedRobot(ROBOT, ROBOT.rest, before)
-    guard.advance(ROBOT.rest, wanted, dt)
+    guard.move_to(ROBOT.rest, wanted, dt)
     wrist = guard.wrist
     assert wrist is not None
     limits = (
@@ -74,7 +74,7 @@ def test_what_is_within_the_limits_passes_unchanged(
     wanted = ROBOT.rest + ROBOT.velocity_limits * 0.01 * generator.uniform(
         -1.0, 1.0, len(ROBOT.rest)
     )
-    assert guard.advance(wanted, wrist, 0.01)
+    assert guard.move_to(wanted, wrist, 0.01)
     assert np.array_equal(guard.q, wanted)
 
 
@@ -94,7 +94,7 @@ def test_a_far_posture_is_reached_in_the_time_that_the_slowest_needs(
         joints.max(), (np.abs(wrist_twist(ROBOT, before, wanted)) / speeds).max()
     )
     steps = int(np.ceil(slowest / 0.02 - 1e-6)) + 1
-    is_there = [guard.advance(goal, wanted, 0.02) for _ in range(steps)]
+    is_there = [guard.move_to(goal, wanted, 0.02) for _ in range(steps)]
     assert is_there[-1]
     assert np.array_equal(guard.q, goal)
 
@@ -148,7 +148,7 @@ def test_a_slew_never_leads_through_a_link(most: float | None) -> None:
             if k % 50 > 45:
                 guard.brake(dt)
             else:
-                is_there = guard.advance(goal, None, dt, 0.5)
+                is_there = guard.move_to(goal, None, dt, 0.5)
             worst = min(worst, ways.nearest(before, guard.q, 2))
             last, velocity = velocity, (guard.q - before) / dt
             assert (np.abs(velocity) <= FIXED.velocity_limits * (1.0 + 1e-9)).all()
@@ -170,7 +170,7 @@ def test_the_joints_stop_on_their_line_while_the_wrist_still_brakes() -> None:
     far, goal = motion_of(np.eye(3), np.array([0.0, 0.0, 9.0])), guard.q + 0.02
     postures = [guard.q]
     for _ in range(6):
-        guard.advance(goal, far, dt)
+        guard.move_to(goal, far, dt)
         postures.append(guard.q)
     velocity = (postures[-1] - postures[-2]) / dt
     stop = np.abs(velocity).max() / most
@@ -189,7 +189,7 @@ def test_the_joints_stop_on_their_line_while_the_wrist_still_brakes() -> None:
 def test_a_brake_whose_time_rounds_to_zero_stops_at_once() -> None:
     guard = CommandedRobot(FIXED, FIXED.rest)
     guard.obey(PointIk(FIXED, IkOptions(max_acceleration=1e308)))
-    guard.advance(np.nextafter(FIXED.rest, 1.0), None, 10.0)
+    guard.move_to(np.nextafter(FIXED.rest, 1.0), None, 10.0)
     before = guard.q
     guard.brake(0.01)
     assert not guard.motion.is_braking
@@ -199,8 +199,8 @@ def test_a_brake_whose_time_rounds_to_zero_stops_at_once() -> None:
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_numbers_that_are_not_finite_are_not_followed(bad: float) -> None:
     guard = CommandedRobot(ROBOT, ROBOT.rest, np.eye(4))
-    assert not guard.advance(np.full_like(ROBOT.rest, bad), np.eye(4), 0.01)
-    assert not guard.advance(ROBOT.rest, np.full((4, 4), bad), 0.01)
+    assert not guard.move_to(np.full_like(ROBOT.rest, bad), np.eye(4), 0.01)
+    assert not guard.move_to(ROBOT.rest, np.full((4, 4), bad), 0.01)
     assert np.array_equal(guard.q, ROBOT.rest)
 
 
@@ -208,14 +208,14 @@ def test_the_first_wrist_places_it() -> None:
     guard = CommandedRobot(ROBOT, ROBOT.rest)
     assert guard.wrist is None
     far = motion_of(np.eye(3), np.array([5.0, 0.0, 0.0]))
-    assert guard.advance(ROBOT.rest, far, 0.001)
+    assert guard.move_to(ROBOT.rest, far, 0.001)
     assert np.array_equal(np.asarray(guard.wrist), far)
 
 
 def test_a_fixed_wrist_stays_where_the_urdf_has_it() -> None:
     guard = CommandedRobot(FIXED, FIXED.rest)
     expected = FIXED.frame_pose("wrist", FIXED.rest)
-    guard.advance(FIXED.rest + 0.01, expected, 0.1)
+    guard.move_to(FIXED.rest + 0.01, expected, 0.1)
     assert np.allclose(np.asarray(guard.wrist), expected, atol=1e-15)
 
 

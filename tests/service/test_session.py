@@ -318,7 +318,8 @@ def test_a_robot_moves_as_its_mapper_until_something_else_moves_it(
     session, sample = make_session(preset="teleoperation"), Sampler()
     now = follow(session, sample, 0.0)
     mapper = session._hands.mapper
-    assert session.motion is mapper.motion
+    gate = mapper.point_ik.gate
+    assert session._commanded.moves_as(gate)
     moved: list[Any] = []
     monkeypatch.setattr(mapper, "_was_moved", lambda: moved.append(mapper))
     # Other options do not move the robot.
@@ -326,6 +327,6 @@ def test_a_robot_moves_as_its_mapper_until_something_else_moves_it(
     now = follow(session, sample, now + PERIOD)
     assert not moved
     session._commanded.brake(PERIOD)
-    assert session.motion is not mapper.motion
+    assert not session._commanded.moves_as(gate)
     follow(session, sample, now + PERIOD)
     assert len(moved) == 1

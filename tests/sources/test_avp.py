@@ -31,7 +31,7 @@ from handmap_qp.human.sample import HumanSample
 from handmap_qp.trackers import SIDES, load_layout
 
 avp = pytest.importorskip(
-    "handmap_sources.avp", reason="needs the packages of examples/sources"
+    "handmap_sources.avp", reason="needs packages/sources and what it installs"
 )
 # Servers are processes.
 pytestmark = pytest.mark.slow

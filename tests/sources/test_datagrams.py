@@ -33,7 +33,7 @@ from handmap_qp.human.person import Person, write_person
 from handmap_qp.human.sample import HumanSample
 
 datagrams = pytest.importorskip(
-    "handmap_sources.datagrams", reason="needs the packages of examples/sources"
+    "handmap_sources.datagrams", reason="needs packages/sources and what it installs"
 )
 HOST = "127.0.0.1"
 STEP = 0.01

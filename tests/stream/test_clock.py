@@ -11,13 +11,9 @@ from hypothesis import strategies as st
 
 from handmap_qp import load_hand
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.stream.guard import (
-    GAP,
-    LONGEST_STEP,
-    RateCheck,
-    SampleClock,
-    StreamGuard,
-)
+from handmap_qp.ik.core import core
+from handmap_qp.ik.motion import LONGEST_STEP
+from handmap_qp.stream.guard import GAP, SampleClock, StreamGuard
 
 PERIOD = 0.01
 HUMAN = load_hand("human", points="landmarks")
@@ -112,7 +108,7 @@ def test_jitter_does_not_shorten_the_time_that_speeds_are_computed_over() -> Non
 
 
 def rates(stamps: np.ndarray, arrivals: np.ndarray) -> list[float | None]:
-    check = RateCheck()
+    check = core.RateCheck()
     return [
         check.update(*pair)
         for pair in zip(stamps.tolist(), arrivals.tolist(), strict=True)

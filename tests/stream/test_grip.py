@@ -314,11 +314,11 @@ def test_one_error_for_what_cannot_be_used(allegro: Hand) -> None:
     grip = grip_follower(allegro)
     first, second, *_ = samples()
     grip.map_sample(first, allegro.rest)
-    before = grip.follower.mapper.motion
+    before = grip.follower.mapper.point_ik.gate.stamp
     for wrong in (allegro.rest[1:], np.full(len(allegro.rest), np.nan), "open"):
         with pytest.raises(InvalidInputError, match="measured_q"):
             grip.map_sample(second, wrong)
-    assert grip.follower.mapper.motion is before
+    assert grip.follower.mapper.point_ik.gate.stamp == before
     with pytest.raises(InvalidInputError, match="`teleoperation` moves"):
         GripFollower(Follower(HandMapper(HUMAN, allegro, "paper")))
     with pytest.raises(InvalidOptionsError, match="stiffness"):
@@ -637,10 +637,10 @@ def test_numbers_that_cannot_be_are_an_error_before_the_robot_moves(
     first, second, *_ = samples()
     centre = np.zeros(3)
     grip.map_sample(first, allegro.rest, centre)
-    before = grip.follower.mapper.motion
+    before = grip.follower.mapper.point_ik.gate.stamp
     arguments: dict[str, Any] = {"measured_q": allegro.rest, "object_centre": centre}
     arguments |= given
     (name,) = given
     with pytest.raises(InvalidInputError, match=name):
         grip.map_sample(second, **arguments)
-    assert grip.follower.mapper.motion is before
+    assert grip.follower.mapper.point_ik.gate.stamp == before

@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
-from bench_objects import depth, pads_of
 from holding import FINGERS, Hold, hold
+from pad_places import depth, pads_of
 
 from handmap_qp import Hand, HandMapper, cli, hand_names, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from faulty_recordings import DEMO
 from injection import inject, parse_faults
+from oracles.alpha_beta import ReferenceSmoother
 
 from handmap_qp import Follower, HandMapper, HumanLengths, IkOptions, Smoothing
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.ik.core import core
-from handmap_qp.stream.follower import Rejoin, Smoother
-from handmap_qp.stream.guard import StreamGuard
+from handmap_qp.stream.follower import Rejoin
 from handmap_qp.stream.step_table import StepTable
 
 HUMAN = load_hand(
@@ -92,19 +92,17 @@ def test_what_the_core_does_not_do_is_done_all_the_same(choice: dict) -> None:
     assert_same(whole.map_samples(columns), one_by_one(single, columns))
 
 
-class ReferenceGuard(StreamGuard):
-    """Runs in Python, as every class that the core does not know."""
+class PlainFollower(Follower):
+    """Judges, smooths and maps each sample by calls of their own."""
+
+    def _cores(self) -> tuple[Any, ...]:
+        return ()
 
 
-class ReferenceSmoother(Smoother):
-    """Runs in Python."""
-
-
-@pytest.mark.skipif(core is None, reason="without the core, both are in Python")
 @pytest.mark.parametrize("noise", [0.0, 2e-3, 5e-3])
 @pytest.mark.parametrize("lost", [0.0, 0.2])
 @pytest.mark.parametrize("copies", [1, 3])
-def test_noise_losses_and_repetition_are_met_in_the_core_as_in_python(
+def test_noise_losses_and_repetition_are_met_at_once_as_one_by_one(
     noise: float, lost: float, copies: int
 ) -> None:
     random, columns = np.random.default_rng(4), columns_of(samples_with(""))
@@ -114,8 +112,8 @@ def test_noise_losses_and_repetition_are_met_in_the_core_as_in_python(
         + random.normal(scale=noise, size=(150, 21, 3))[np.arange(150) // copies]
     )
     columns = replace(columns, landmarks=noisy, valid=random.random(150) >= lost)
-    whole, single = (Follower(HandMapper(HUMAN, ROBOT)) for _ in range(2))
-    single._guard = ReferenceGuard(single.mapper.human)
+    whole = Follower(HandMapper(HUMAN, ROBOT))
+    single: Any = PlainFollower(HandMapper(HUMAN, ROBOT))
     single._smoother = ReferenceSmoother(Smoothing())
     found, expected = whole.map_samples(columns), one_by_one(single, columns)
     np.testing.assert_allclose(

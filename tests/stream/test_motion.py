@@ -9,9 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pinocchio import exp3
 
-from handmap_qp.stream.guard import change_between, first_track
-
-pytestmark = pytest.mark.same_on_both
+from handmap_qp.ik.core import core
 
 
 @given(
@@ -26,13 +24,11 @@ def test_the_change_of_a_palms_speed_is_its_acceleration_at_any_times(
 ) -> None:
     times = np.cumsum([0.0, *steps])
     palm, (a, v) = DEMO.landmarks[0], np.array([acceleration, speed])
-    first, second, third = (
-        first_track(t, palm + v * t + 0.5 * a * t**2) for t in times
-    )
-    change = change_between(first, second, steps[0])
+    first, second, third = (core.Track(t, palm + v * t + 0.5 * a * t**2) for t in times)
+    change = core.change_between(first, second, steps[0])
     # A first motion has nothing to be compared with.
     np.testing.assert_array_equal(change.sizes[:3], 0.0)
-    change = change_between(change.track, third, steps[1])
+    change = core.change_between(change.track, third, steps[1])
     assert change.sizes[0] == pytest.approx(np.linalg.norm(a), abs=1e-9)
     np.testing.assert_allclose(
         change.track.velocity, v + a * (steps[0] + 0.5 * steps[1]), atol=1e-9
@@ -51,8 +47,8 @@ def test_a_turn_is_measured_about_its_axis_and_fingers_in_the_axes_of_the_palm()
         0.0,
         0.004,
     ]  # of the index fingertip, in the world after it
-    change = change_between(
-        first_track(0.0, hand), first_track(dt, moved @ rotation.T), dt
+    change = core.change_between(
+        core.Track(0.0, hand), core.Track(dt, moved @ rotation.T), dt
     )
     np.testing.assert_allclose(change.track.turning, turning, atol=1e-9)
     speeds = np.linalg.norm(change.track.bending, axis=1)

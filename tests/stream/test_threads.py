@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -25,8 +25,7 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.errors import HandmapError
-from handmap_qp.human.recording import Recording, sample_columns
-from handmap_qp.ik import core as core_module
+from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.tasks import JointPositions
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.plausibility import InputCheck
@@ -38,9 +37,6 @@ ROBOT = load_hand("three_finger")
 COLUMNS = sample_columns(DEMO.part(slice(0, 150)))
 SAMPLE = COLUMNS.sample(20)
 PATIENCE = 60.0  # of what must happen soon [s]
-needs_core: Any = pytest.mark.skipif(
-    core_module.core is None, reason=core_module.description
-)
 
 
 def follower() -> Follower:
@@ -163,7 +159,6 @@ def test_an_error_lets_others_in() -> None:
         assert pool.submit(used.map_sample, COLUMNS.sample(0)).result(PATIENCE)
 
 
-@needs_core
 def test_threads_on_one_mapper_end_in_order() -> None:
     """Nothing pauses here: the core maps recordings without the interpreter's lock meanwhile."""
     expected = follower().map_samples(COLUMNS).rows[:, :-1]
@@ -216,7 +211,6 @@ def pausing_task(pause: Callable[..., Any]) -> Pausing:
     return task
 
 
-@needs_core
 def test_a_solver_at_work_refuses_every_call() -> None:
     mapper = HandMapper(HUMAN, ROBOT)
     mapper.map_landmarks(SAMPLE.landmarks)
@@ -258,76 +252,61 @@ def test_a_solver_at_work_refuses_every_call() -> None:
     assert solver.hold(0.02).status == "released"
 
 
-@needs_core
-@pytest.mark.parametrize("is_whole", [False, True], ids=["sample", "recording"])
-def test_a_guard_at_work_refuses_every_call(
-    monkeypatch: pytest.MonkeyPatch, is_whole: bool
-) -> None:
+def refused_while(work: Callable[[], Any], calls: Sequence[Callable[[], Any]]) -> None:
+    """Check that each call is refused while another thread works, and works by itself."""
+    stop = threading.Event()
+
+    def go_on() -> None:
+        while not stop.is_set():
+            with suppress(MapperBusyError):
+                work()
+
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(go_on)
+        try:
+            for call in calls:
+                refused = False
+                while not (refused or future.done()):
+                    try:
+                        call()
+                    except MapperBusyError:
+                        refused = True
+        finally:
+            stop.set()
+        future.result(PATIENCE)
+    for call in calls:
+        call()
+
+
+def test_a_guard_at_work_refuses_every_call() -> None:
+    """It judges a recording without the interpreter's lock."""
     guard = StreamGuard(HUMAN)
-    own: Any = guard.core
-    # It cannot be proved to be a hand, so Python is asked.
-    mirrored = replace(DEMO, landmarks=DEMO.landmarks * (-1.0, 1.0, 1.0))
-    columns = sample_columns(mirrored.part(slice(0, 60)))
-
-    def judge(pause: Pause) -> Any:
-        examine = InputCheck._examine
-
-        def paused(self: InputCheck, *values: Any) -> Any:
-            pause()
-            return examine(self, *values)
-
-        monkeypatch.setattr(InputCheck, "_examine", paused)
-        if is_whole:
-            return own.judge(columns)
-        return [own.check(columns.sample(i), None) for i in range(60)]
-
-    with at_work(judge) as finish:
-        refuse(
-            [
-                lambda: own.check(SAMPLE, None),
-                own.forget,
-                own.save,
-                lambda: own.holds(columns),
-                lambda: own.judge(columns),
-                lambda: pickle.dumps(guard),
-            ]
-        )
-        finish()
-    monkeypatch.undo()
-    own.check(SAMPLE, None)
+    columns = sample_columns(DEMO)
+    refused_while(
+        lambda: guard.holds(columns),
+        [
+            lambda: guard.check(SAMPLE),
+            guard.forget,
+            lambda: guard.holds(columns),
+            lambda: pickle.dumps(guard),
+        ],
+    )
 
 
-@needs_core
-def test_an_input_check_at_work_refuses_every_call(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    own: Any = InputCheck("right").core
-    mirrored = replace(DEMO, landmarks=DEMO.landmarks * (-1.0, 1.0, 1.0))
-    recording: Recording = mirrored.part(slice(0, 60))
-
-    def examine(pause: Pause) -> Any:
-        found = InputCheck._examine
-
-        def paused(self: InputCheck, *values: Any) -> Any:
-            pause()
-            return found(self, *values)
-
-        monkeypatch.setattr(InputCheck, "_examine", paused)
-        return own.examine(recording)
-
-    with at_work(examine) as finish:
-        refuse(
-            [
-                lambda: own.update(0.0, SAMPLE.landmarks, None),
-                own.alert,
-                own.finish,
-                own.finding,
-                own.save,
-                own.is_wrist_proven,
-                lambda: own.examine(recording),
-            ]
-        )
-        finish()
+def test_an_input_check_at_work_refuses_every_call() -> None:
+    check = InputCheck("right")
+    refused_while(
+        lambda: check.examine(DEMO),
+        [
+            lambda: check.update(0.0, SAMPLE.landmarks, None),
+            check.alert,
+            check.finish,
+            lambda: check.finding,
+            lambda: check.is_wrist_proven,
+            lambda: check.examine(DEMO),
+            lambda: pickle.dumps(check),
+        ],
+    )
 
 
 def test_the_error_is_one_of_the_package() -> None:

@@ -225,7 +225,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "camera": (
         {"pred_keypoints_3d": LANDMARKS, "cam_t": LANDMARKS[:, 0]},
         {"side": "right", "fps": FPS},
-        "install examples/hamer",
+        "install packages/hamer",
     ),
 }
 

@@ -665,7 +665,7 @@ def test_what_is_wrong_with_hot3d_is_said(
 
 @pytest.fixture
 def _alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the formats of other packages, such as examples/hamer."""
+    """Leave out the formats of other packages, such as packages/hamer."""
     monkeypatch.setattr(FORMATS, "_others", {})
 
 

@@ -23,13 +23,14 @@ from handmap_qp import (
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.stream.guard import StreamGuard
-from handmap_qp.trackers.hand_geometry import misfit, own_distances, palmar_evidence
+from handmap_qp.trackers.hand_geometry import misfit, palmar_evidence
 from handmap_qp.trackers.plausibility import (
     Finding,
     InputCheck,
     check_recording,
     examine_recording,
 )
+from handmap_qp.trackers.wrist_axes import palm_axes
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +121,7 @@ def test_the_measures_do_not_depend_on_place_size_and_rate(
     moved = 3.0 * take.landmarks[:, :, [1, 2, 0]] + (5.0, -2.0, 1.0)
     one, other = palmar_evidence(take.landmarks), palmar_evidence(moved)
     np.testing.assert_allclose(np.array(one), np.array(other), atol=1e-9)
-    pair = [misfit(own_distances(points[:16])) for points in (take.landmarks, moved)]
+    pair = [misfit(points[:16]) for points in (take.landmarks, moved)]
     assert pair[0] == pytest.approx(pair[1], abs=1e-9)
     # A mirror changes the sign of the evidence and nothing else.
     mirrored = palmar_evidence(take.landmarks * (-1.0, 1.0, 1.0))
@@ -573,3 +574,11 @@ def test_a_wrist_that_stops_turning_is_slowed_down_at_once_and_held(
     assert rules[170] == ""
     assert rules.index("unproven", 180) <= far + 64
     assert rules.index("wrist", 180) <= far + 96
+
+
+def test_measures_of_no_samples_are_none() -> None:
+    none = np.zeros((0, 21, 3))
+    assert palm_axes(none, 1.0).shape == (0, 3, 3)
+    assert palmar_evidence(none).total.shape == (0,)
+    with pytest.raises(ValueError, match="no samples"):
+        misfit(none)

@@ -15,7 +15,7 @@ from handmap_qp.cli import main
 from handmap_qp.trackers import FORMATS
 from handmap_qp.trackers.formats import write_recordings
 
-av = pytest.importorskip("av", reason="needs the packages of examples/videos")
+av = pytest.importorskip("av", reason="needs packages/videos and what it installs")
 pytest.importorskip("h5py")
 parquet = pytest.importorskip("pyarrow.parquet")
 from handmap_videos import KEY, Videos  # noqa: E402

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import expect
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.ik.limits import When
+from handmap_qp.ik.motion import When
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.stream.follower import Follower

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from handmap_qp.ik.core import core, description
-
-if core is None:
-    raise ImportError(f"the compiled core is missing: {description}")
+from handmap_qp.ik.core import core
 
 exp3 = core.exp3
 log3 = core.log3

@@ -77,7 +77,7 @@ def saved(mapper: HandMapper | RobotMapper) -> bytes:
             core, with tasks, or by another solver.
         HandError: If a human hand has no landmarks.
     """
-    if not mapper.point_ik.core:
+    if not mapper.ik.is_compiled:
         _refuse("formulation", "the compiled core does not move this hand as asked")
     collisions = _packed(mapper.point_ik.gate.collisions)
     if isinstance(mapper, RobotMapper):

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from handmap_qp.apps.offline.look_ahead import look_ahead
 from handmap_qp.apps.offline.metrics import Metric
 from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.apps.offline.trajectory import Trajectory, map_hands, rms_derivative
+from handmap_qp.apps.offline.trajectory import Trajectory, map_hands
 from handmap_qp.errors import (
     DiskFullError,
     HandmapError,
@@ -29,10 +29,10 @@ from handmap_qp.errors import (
     reason_of,
 )
 from handmap_qp.hands import FINGERS, Hand, Values, load_whole
-from handmap_qp.human import Recording, finger_chains, tip_gaps
+from handmap_qp.human import Recording, tip_gaps
 from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
-from handmap_qp.se3 import Arrays, lengths
+from handmap_qp.se3 import Arrays
 from handmap_qp.stream import measure_person
 from handmap_qp.trackers import (
     check_recording,
@@ -169,10 +169,9 @@ def measure_episode(
         Values by the keys of `MEASURES`, rounded to six digits, the worse one where they differ
         between hands; None where a question does not arise.
     """
-    measure = core.measure_episode if core else _measured
     found = []
     for recording in recordings:
-        found.append(measure(recording, trajectory))
+        found.append(core.measure_episode(recording, trajectory))
         if meter := _meter(robot.by_side[recording.side]):
             found[-1] |= _surfaces(recording, trajectory, contact_gap, meter)
     rounded = {}
@@ -181,29 +180,6 @@ def measure_episode(
         value = worse.reduce([values.get(each.key, np.nan) for values in found])
         rounded[each.key] = float(f"{value:.6g}") if np.isfinite(value) else None
     return rounded
-
-
-def _measured(recording: Recording, trajectory: Trajectory) -> Values:
-    """Measure all but surfaces; see `MEASURES`."""
-    seen = trajectory.valid
-    errors = 1e3 * trajectory.point_error[seen]
-    fingers = finger_chains(recording.landmarks[recording.valid])
-    bones = lengths(np.diff(fingers, axis=2))
-    # The longest time between valid samples, beyond the usual step.
-    whole = recording.time
-    times = whole[recording.valid]
-    inside = np.diff(times).max(initial=0.0) - np.median(recording.steps)
-    gap = max(inside, times[0] - whole[0], whole[-1] - times[-1])
-    return {
-        "valid": recording.valid.mean(),
-        "longest_gap_s": gap,
-        "bone_variation": (bones.std(axis=0) / bones.mean(axis=0)).mean(),
-        "reach_mm": errors.mean(),
-        "reach_p95_mm": np.percentile(errors, 95),
-        "saturation": trajectory.at_limit[seen].mean(),
-        "speed_limited": trajectory.at_speed_limit[seen].any(axis=1).mean(),
-        "jerk": rms_derivative(trajectory.q, trajectory.time, seen, order=3),
-    }
 
 
 def _surfaces(

@@ -68,7 +68,7 @@ class Demo:
                 found,
                 "--drive",
                 "the package handmap-drive",
-                advice="pip install examples/drive",
+                advice="pip install packages/drive",
             )
             return found["drive"].load()(self.robot, self.out)
         with progress("mapping") as advance:

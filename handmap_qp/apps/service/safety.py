@@ -6,7 +6,7 @@ outlasts everything but its clearing, which leaves the robot released.
 
 A mapper does not know how much time has really passed, that it was reset, that the former session
 left the robot elsewhere, or that a client switched speed limits off. So the robot has a gate of its
-own (`handmap_qp.ik.limits`), and `SessionClock` limits the time that a command may account for.
+own (`handmap_qp.ik.gate`), and `SessionClock` limits the time that a command may account for.
 """
 
 import math
@@ -28,16 +28,11 @@ from handmap_qp.ik import (
     Motion,
     PointIk,
     When,
-    braking_displacement,
-    feasible,
-    solve_by_daqp,
 )
 from handmap_qp.mapping import RobotCommand
 from handmap_qp.se3 import Array, frozen
 from handmap_qp.stream import BEHIND
 
-# Displacements of a sample are near this size [rad]; the solver is exact near one.
-_SCALE = 0.05
 HEARTBEAT = 0.1
 """Time between commands that repeat a hold [s]."""
 RETURN_PERIOD = 1.0 / 60.0
@@ -304,21 +299,18 @@ class CommandedRobot(Gate):
         self._fixed_wrist: Array | None = None
         if not can_move:
             self._fixed_wrist = self._wrist_at(vector)
-        # The posture that was asked for last, and what tells whether the robot is there yet.
-        self._known: tuple[Callable[[], Motion], Array, Array] | None = None
+        # The posture that was asked for last, and the stamp of the command that led there.
+        self._known: tuple[int, Array, Array] | None = None
 
-    def follow(self, gate: Gate, command: RobotCommand) -> None:
+    def follow_command(self, gate: Gate, command: RobotCommand) -> None:
         """Move as a mapper's gate with the same limits has admitted.
-
-        The motion is read when it is asked for. It stays that of this command, wherever the gate
-        moves later.
 
         Args:
             gate: The gate.
             command: The posture that the gate admitted last.
         """
-        self.read_motion = gate.read_motion
-        self._known = self.read_motion, command.q, command.wrist
+        self.core.follow(gate.core)
+        self._known = self.core.stamp, command.q, command.wrist
 
     def obey(self, ik: PointIk) -> None:
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
@@ -338,10 +330,10 @@ class CommandedRobot(Gate):
     @property
     def posture(self) -> tuple[Array, Array | None]:
         """Joint angles and wrist last commanded, as of `q` and `wrist`."""
-        if self._known is None or self._known[0] is not self.read_motion:
+        if self._known is None or self._known[0] != self.core.stamp:
             vector = self.motion.q
             q = frozen(vector[self.hand.q_indices])
-            self._known = self.read_motion, q, self._wrist_at(vector)
+            self._known = self.core.stamp, q, self._wrist_at(vector)
         _, q, wrist = self._known
         return q, wrist if self.is_placed else None
 
@@ -356,7 +348,7 @@ class CommandedRobot(Gate):
         self._placed.place(vector)
         return self._placed.wrist.homogeneous
 
-    def advance(
+    def move_to(
         self,
         q: Array,
         wrist: Array | None,
@@ -366,13 +358,6 @@ class CommandedRobot(Gate):
         stops: bool = False,
     ) -> bool:
         """Move towards a posture as far as the gate admits.
-
-        Where links are kept apart, the robot takes the nearest displacement that the rows of
-        self-collision avoidance allow,
-
-            min |x - wanted|^2   s.t.   lower <= x <= upper,   G x <= h,
-
-        so that links slide along each other instead of meeting, or a part of it, or it brakes.
 
         Args:
             q: Target joint angles [rad], shape (n,).
@@ -390,62 +375,14 @@ class CommandedRobot(Gate):
         if not self.is_placed and wrist is not None:
             self.place(self.hand.configuration_vector(self.q, wrist))
             self.is_placed = True
-        start = self.motion.q
         goal = self._at(q, wrist)
-        granted = self.interval(when).granted
-        change = pin.difference(self.hand.model, start, goal)[self.hand.active_columns]
-        lower, upper = self.bounds(when, share)
-        limit = self.limits.speeds * (granted * share)
-        slack = 1e-12 + 1e-9 * limit
-        braking = self.limits.change(granted)
-        reach = braking if stops else np.inf
-        near = np.clip(np.clip(change, -reach, reach), lower, upper)
-        is_there = (np.abs(change - near) <= slack).all()
-        # The part of the way that the robot takes if it must stop at its end.
-        allowed = braking_displacement(np.abs(change), braking)
-        # Scale all six coordinates of a free wrist alike, so that it stays on its path.
-        free = slice(6 * self.hand.is_floating)
-        shares = limit[free] / np.maximum(allowed[free], 1e-300)
-        allowed[free] *= shares.min(initial=1.0)
-        nearest = np.clip(np.copysign(allowed, change), lower, upper)
-        wanted = change if is_there else nearest
-        if self.collisions is not None:
-            nearest = self._along_links(wanted, lower, upper, when)
-        taken = self.admit(wanted, nearest, when)
-        if not (is_there and (np.abs(taken - change) <= slack).all()):
-            return False
-        self.motion = self.motion._replace(q=self.limits.clipped(goal, start))
-        return True
+        return self.advance(goal, when, share, stops=stops)
 
     def _at(self, q: Array, wrist: Array | None) -> Array:
         """Return a configuration, with the wrist where it is if none is given."""
         there = self.wrist if wrist is None else wrist
         wrists = [there] * self.hand.is_floating
         return self.hand.configuration_vector(q, *wrists)
-
-    def _along_links(
-        self,
-        wanted: Array,
-        lower: Array,
-        upper: Array,
-        when: When,
-    ) -> Array:
-        """Return the displacement nearest to a wanted one that the rows of the pairs allow."""
-        self._placed.place(self.motion.q)
-        rows = self.rows(self._placed, when)
-        assert rows is not None
-        G, h = feasible(rows, lower, upper, stopping=self.stopping(when))
-        if not (G.dot(wanted) > h).any():
-            return wanted
-        found = solve_by_daqp(
-            np.eye(len(wanted)),
-            -wanted / _SCALE,
-            lower / _SCALE,
-            upper / _SCALE,
-            (G, h / _SCALE),
-        )
-        # Without a solution, only the brake is left.
-        return np.clip(0.0 if found is None else found * _SCALE, lower, upper)
 
 
 class Bucket:

@@ -475,7 +475,7 @@ class Session:
         status = self._state.mode
         if self._state is SessionState.RETURNING:
             share = self.request.return_speed
-            self._commanded.advance(
+            self._commanded.move_to(
                 self.robot.rest, None, self._when, share, stops=True
             )
             # The mapper starts again from there, even if the client has clutched meanwhile.
@@ -605,7 +605,7 @@ class Session:
         if self._following:
             self._following.restart()
         # The robot's clock goes on.
-        time = self._hands.mapper.motion.time
+        time = self._hands.mapper.point_ik.gate.time
         self._commanded = CommandedRobot(self.robot, q, wrist, time)
         nq = self.robot.model.nq
         if motion is not None and len(motion.q) == nq and wrist is not None:
@@ -655,7 +655,7 @@ class Session:
         self._dt = dt
         self._when = dt
         if self._clock.waited > dt:
-            self._when = Instant(self._commanded.motion.time + self._clock.waited, dt)
+            self._when = Instant(self._commanded.time + self._clock.waited, dt)
 
     def _map(self, humans: Humans, sample: Step, now: float) -> MapStep:
         """Map a sample within the time granted."""
@@ -761,10 +761,10 @@ class Session:
         """Move the robot to the mapper's posture within its limits; return flags."""
         mapper = self._hands.mapper
         if mapper.ik.has_velocity_limits and not self._is_slewing:
-            self._commanded.follow(mapper.point_ik.gate, step.command)
+            self._commanded.follow_command(mapper.point_ik.gate, step.command)
             return []
         target = step.command
-        is_there = self._commanded.advance(target.q, target.wrist, self._when)
+        is_there = self._commanded.move_to(target.q, target.wrist, self._when)
         self._is_slewing = not is_there
         return ["slewing"] * self._is_slewing
 

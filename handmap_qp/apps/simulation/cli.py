@@ -31,7 +31,7 @@ from handmap_qp.mapping import parse_object, surface
 from handmap_qp.output_files import check_output
 from handmap_qp.stream import has_grasp
 from handmap_qp.trackers import save_npz
-from .commands import chosen_methods, map_pinch, map_take, read_pick
+from .commands import GripName, chosen_methods, map_pinch, map_take, read_pick
 from .gripping import GripScene
 from .pad_motion import PersonPads, meeting_row
 from .physics import Physics, choose_gravity
@@ -246,10 +246,11 @@ class Simulate:
             for method, commands in zip(methods, mapped, strict=True)
         }
         grip = self._grip_of(robot)
-        if grip and take:
-            name = f"{own_methods()[0]}+{grip}"
-            sees = grip == "grip+place"
-            scenes[name] = gripping = GripScene(take, robot, window, physics, sees)
+        name = f"{own_methods()[0]}+{grip}"
+        gripped = GripName.parse(name)
+        if gripped and take:
+            gripping = GripScene(take, robot, window, physics, gripped.sees)
+            scenes[name] = gripping
             gripping.placing = placing
             gripping.least_clear = least_clear
         assumed = {

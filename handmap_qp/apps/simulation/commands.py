@@ -1,6 +1,7 @@
 """What mappings command over time, and when the human pinches: `map_pinch`, `find_pinch`."""
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -53,6 +54,40 @@ _LOOKS = 9
 _LAST_JOINTS = ((3, 4, 8), (7, 8, 4))
 # A joint that bends by so much shows where its tip goes [rad].
 _BEND = 1e-4
+
+_GRIP = re.compile(r"(?P<preset>.+)\+grip(?P<place>\+place(?P<millimetres>\d*))?")
+
+
+class GripName(NamedTuple):
+    """What the name of a mapping with a grip says.
+
+    `PRESET+grip` knows the robot's measured joints alone. `PRESET+grip+place` knows the object's
+    place too, exactly. `PRESET+grip+place5` knows it with an error, whose standard deviation along
+    each axis is 5 mm, or any other number of millimetres.
+
+    Attributes:
+        preset: Name of the preset.
+        deviation: Standard deviation of the known place along each axis [m]; None if no place is
+            known.
+    """
+
+    preset: str
+    deviation: float | None
+
+    @property
+    def sees(self) -> bool:
+        """Whether the object's place is known."""
+        return self.deviation is not None
+
+    @classmethod
+    def parse(cls, name: str) -> "GripName | None":
+        """Return what a name says; None if it is not the name of a mapping with a grip."""
+        match = _GRIP.fullmatch(name)
+        if match is None:
+            return None
+        if match["place"] is None:
+            return cls(match["preset"], None)
+        return cls(match["preset"], 1e-3 * float(match["millimetres"] or 0))
 
 
 class PinchWindow(NamedTuple):

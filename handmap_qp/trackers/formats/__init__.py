@@ -64,7 +64,7 @@ _OURS = {file.stem: file for file in DEMO_FILE.parent.glob("*.npz")}
 
 _REFUSED = {
     ".pkl": "is a pickle, as those of OakInk2, which may run code and is not read; save pose or "
-    "joints, and object_pose, as an .npz of the form mano, or install examples/hamer, which reads "
+    "joints, and object_pose, as an .npz of the form mano, or install packages/hamer, which reads "
     "arrays alone (docs/files.md)",
 }
 """Why files with a suffix of no format are not read."""

@@ -46,7 +46,7 @@ OF_MANO = ("joints", "pose", "hand_pose")
 _SIDE_ARRAYS = ("handedness", "side")
 _OF_VIDEO = ("right", "is_right", "pred_cam_t_full", "cam_t")
 """Arrays beside `pred_keypoints_3d` that say which hands these are, and where."""
-_READ_VIDEO = "install examples/hamer, which reads it, and give --fps (docs/files.md)"
+_READ_VIDEO = "install packages/hamer, which reads it, and give --fps (docs/files.md)"
 _KNOWN = (*COLUMNS, *WORDS, "wrist_pose")
 _EXPECTED = f"landmarks of one hand, shape (T, {LANDMARK_COUNT}, 3)"
 

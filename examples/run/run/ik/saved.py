@@ -6,9 +6,9 @@ from typing import Any
 
 from handmap_qp.ik import qp
 from handmap_qp.ik.core import core
-from handmap_qp.ik.limits import Gate, Motion, When
+from handmap_qp.ik.gate import IkGate
+from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult
 
 
 class PointIk(qp.PointIk):
@@ -26,9 +26,10 @@ class PointIk(qp.PointIk):
         self.options = options
         self._contacts = contacts
         self._tasks = []
+        self.is_compiled = True
         at_rest = Motion.at_rest(hand.model.neutral, len(hand.active_columns))
-        self.gate = Gate(hand, motion or at_rest, options, hand.collisions)
-        self.core = self._mover = core.Ik(hand.tree, hand, options, self.gate)
+        self.gate = _SavedGate(hand, motion or at_rest, options, hand.collisions)
+        self.core = self.gate.core
         if detours:
             self.core.go_on(detours)
 
@@ -36,6 +37,12 @@ class PointIk(qp.PointIk):
         """Build a copy that continues the same motion."""
         return PointIk, super().__reduce__()[1]
 
-    def hold(self, dt: When) -> IkResult:
-        """Bring the hand to a stop within its acceleration limit, without targets."""
-        return self.core.hold(dt)
+
+class _SavedGate(IkGate):
+    """The gate of a saved hand, which has its own kinematics."""
+
+    def _make_core(self, options: IkOptions) -> Any:
+        hand: Any = self.hand
+        return core.Ik(
+            hand.tree, hand, options, self.limits, self.collisions, self.links
+        )

@@ -1,0 +1,233 @@
+"""Both hands of a person on one robot: palms, fingers, contacts, and what a step costs.
+
+    python benchmarks bench_robots
+    python benchmarks bench_robots --robots g1 ur5_pair --json robots.json
+
+Recordings are those of a left and a right hand with one name, and `meeting hands`: palms that go
+from 285 mm to 60 mm apart and back while the fingers open and close. `palms` is by how much the
+distance of the robot's palms differs from the person's while these are within 200 mm of each other.
+`overlap` is the largest one of left hand, right hand and body, as `overlap.py` measures it. `d`
+columns are each hand's figures minus those of the same hand without an arm, of the robot's own
+description, where the person's palms are farther apart: correlation of the extensions, direction
+of the fingers [deg], closed pinches; the worse hand counts. `cost` is the CPU time of a step over
+that of one hand without an arm, measured in turns.
+"""
+
+from __future__ import annotations
+
+import common  # first: it sets the number of threads before numpy is loaded
+
+# isort: split
+import argparse
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from meeting_hands import Hands, meeting_hands
+from msgspec.structs import replace
+from overlap import OverlapMeter
+from streams import ROBOTS
+
+from handmap_qp import Hand, HandMapper, Recording, load_hand, read_recording
+from handmap_qp.apps.offline.comparison import prepare_take
+from handmap_qp.apps.offline.fidelity import assess_fidelity
+from handmap_qp.apps.offline.hand_trace import trace_robot
+from handmap_qp.apps.offline.trajectory import RobotMotion
+from handmap_qp.hands.robot import (
+    load_robot,
+    read_hands,
+    read_robot_spec,
+    robot_files,
+)
+from handmap_qp.hands.shape_pairs import ShapePairs
+from handmap_qp.hands.sources import read_urdf
+from handmap_qp.hands.spec import HandSpec, Side
+from handmap_qp.hands.urdf import cut_subtree, joints_by_name, parse_urdf
+from handmap_qp.human.measure import scaled_human
+from handmap_qp.mapping.presets import get_preset
+from handmap_qp.mapping.robot_mapper import RobotMapper
+from handmap_qp.se3 import lengths, transform_points
+
+_FIGURES = (
+    ("extension", "extension_correlation"),
+    ("direction", "finger_direction_deg"),
+    ("pinches", "pinch_closed"),
+)
+NEAR = 0.2
+"""Distance of the person's palms from which on the robot's go by it [m]."""
+
+
+def find_pairs(files: Sequence[Any]) -> list[Hands]:
+    """Read the recordings of both hands with one name."""
+    by_name: dict[str, dict[Side, Recording]] = {}
+    for file in files:
+        recording = read_recording(file)
+        stem = recording.name.removesuffix(f"_{recording.side}")
+        by_name.setdefault(stem, {})[recording.side] = recording
+    return [hands for hands in by_name.values() if len(hands) == 2]
+
+
+def measure(name: str, robot: Hand, hands: Hands, alignment: str) -> dict[str, Any]:
+    """Map recordings of both hands at the instants at which both are seen."""
+    preset = get_preset("teleoperation")
+    method = preset.method.replaced(alignment=alignment)
+    humans = {side: scaled_human(each) for side, each in hands.items()}
+    tracked = {side: human.with_points("landmarks") for side, human in humans.items()}
+    mapper = RobotMapper(robot, tracked, method, ik=preset.ik)
+    bare = without_arms(name)
+    side = next(iter(bare))
+    single = HandMapper(tracked[side], bare[side])
+    meter = overlap_meter(mapper)
+    count = min(map(len, hands.values()))
+    both = np.all([each.valid[:count] for each in hands.values()], axis=0)
+    samples = np.flatnonzero(both)
+    off, near, overlaps, costs, motion, wrists = [], [], [], [], [], []
+    dt = float(np.median(hands[side].steps))
+    for k in samples:
+        points = {s: each.landmarks[k] for s, each in hands.items()}
+        began = time.thread_time()
+        single.map_landmarks(points[side], dt=dt)
+        between = time.thread_time()
+        step = mapper.map_landmarks(points, dt=dt)
+        costs.append((time.thread_time() - between, between - began))
+        motion.append(step.command.q)
+        wrists.append([each.wrist_error[0] for each in step.hands.values()])
+        overlaps.append(meter.depth(mapper.motion.q))
+        asked = [leader.asked for leader in mapper.leaders.values()]
+        ends = [
+            transform_points(each.command.wrist @ leader.robot.wrist_to_palm, own)
+            for each, leader, own in zip(
+                step.hands.values(),
+                mapper.leaders.values(),
+                [each.map.robot_anchor for each in asked],
+                strict=True,
+            )
+        ]
+        here, there = (each.map.person_at(each.pose) for each in asked)
+        near.append(lengths((there - here)[:3, 3]))
+        off.append(lengths(ends[1] - ends[0] - (there - here)[:3, 3]))
+    near, off = np.array(near), np.array(off)
+    is_near = near < NEAR
+    row: dict[str, Any] = {"robot": name, "recording": hands["left"].name}
+    row["palms, least_mm"] = 1e3 * near.min()
+    row["off_mm"] = 1e3 * np.median(off[is_near]) if is_near.any() else np.nan
+    row["off, most_mm"] = 1e3 * off[is_near].max() if is_near.any() else np.nan
+    row["wrist_mm"] = 1e3 * np.percentile(wrists, 95)
+    row["overlap_mm"] = 1e3 * max(overlaps)
+    q = np.array(motion)
+    changes = [
+        changed(robot.by_side[s], hand, hands[s], q, samples, ~is_near)
+        for s, hand in bare.items()
+    ]
+    for short, _ in _FIGURES:
+        values = [change[short] for change in changes]
+        worst = max if short == "direction" else min
+        row[f"d {short}"] = worst(values)
+    two, one = np.median(costs, axis=0)
+    row["step_us"] = 1e6 * two
+    row["cost"] = two / one
+    return row
+
+
+def overlap_meter(mapper: RobotMapper) -> OverlapMeter:
+    """Return what measures overlaps of all links that are kept apart."""
+    collisions = mapper.point_ik.gate.collisions
+    assert collisions is not None
+    geometry = collisions.bounds.geometry
+    shapes = ShapePairs(geometry, ("",) * len(geometry.collisionPairs))
+    return OverlapMeter(mapper.robot, shapes)
+
+
+def changed(
+    robot: Hand,
+    bare: Hand,
+    recording: Recording,
+    q: np.ndarray,
+    samples: np.ndarray,
+    counts: np.ndarray,
+) -> dict[str, float]:
+    """Return the figures of a robot's hand minus those of the same hand alone."""
+    take = prepare_take(recording, recording.side)
+    alone = HandMapper(take.human.with_points("landmarks"), bare)
+    dt = float(np.median(recording.steps))
+    steps = [alone.map_landmarks(recording.landmarks[k], dt=dt) for k in samples]
+    trace = take.trace.part(samples, take.trace.names)
+    clock = recording.time[samples]
+    wrist = np.array([step.command.wrist for step in steps])
+    found = []
+    for hand, angles in (
+        (robot, q),
+        (bare, np.array([step.command.q for step in steps])),
+    ):
+        other = trace_robot(hand, angles, wrist if hand.is_floating else None)
+        motion = RobotMotion(hand, clock, angles, wrist, np.full(len(clock), np.nan))
+        fidelity = assess_fidelity(trace, other, clock, counts, motion)
+        found.append(fidelity.values)
+    return {short: found[0][key] - found[1][key] for short, key in _FIGURES}
+
+
+def without_arms(name: str) -> dict[Side, Hand]:
+    """Load the hands of a robot without their arms."""
+    specs = read_hands(read_robot_spec(robot_files()[name]))
+    return {
+        side: load_hand(without_arm(spec), mount="floating")
+        for side, spec in specs.items()
+    }
+
+
+def without_arm(spec: HandSpec) -> HandSpec:
+    """Return the description of a hand without its arm: what hangs from its wrist."""
+    if spec.arm is not None:
+        return replace(spec, arm=None)
+    tree = parse_urdf(read_urdf(spec))
+    cut_subtree(tree, spec.wrist.link)
+    joints = joints_by_name(tree)
+    keys = "rest", "locked", "limits", "mimic"
+    kept = {
+        key: {name: at for name, at in getattr(spec, key).items() if name in joints}
+        for key in keys
+    }
+    return replace(spec, root=spec.wrist.link, joints=(*kept["rest"],), **kept)
+
+
+def draw(rows: list[dict[str, Any]]) -> Any:
+    """Draw by how much the palms of each robot are off."""
+    from matplotlib.figure import Figure
+
+    figure = Figure((7.0, 1.2 + 0.25 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    names = ["{robot}, {recording}".format(**row) for row in rows][::-1]
+    axes.barh(names, [row["off_mm"] for row in rows][::-1], color=common.PALETTE[1])
+    axes.set(title="distance of the palms less the person's, median", xlabel="mm")
+    return figure
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the benchmark."""
+    parser = common.make_parser("Both hands of a person on one robot.")
+    parser.add_argument("--robots", nargs="+", default=ROBOTS, choices=ROBOTS)
+    arguments: argparse.Namespace = common.parse_arguments(parser, words)
+    meeting = meeting_hands()
+    if arguments.quick:
+        few = slice(None, None, 4)
+        meeting = {side: each.part(few) for side, each in meeting.items()}
+    pairs = [("world", meeting)]
+    if arguments.quick:
+        arguments.robots = arguments.robots[:1]
+    else:
+        files = common.find_recordings(arguments.recordings)
+        # Headsets have +y up.
+        pairs += [("y-up", hands) for hands in find_pairs(files)]
+    rows = [
+        measure(name, load_robot(name), hands, alignment)
+        for name in arguments.robots
+        for alignment, hands in pairs
+    ]
+    common.print_table("Robots with two hands", rows, to_stderr=arguments.json == "-")
+    common.save_picture(arguments.picture, lambda: draw(rows))
+    common.write_json(arguments.json, "bench_robots", {"rows": rows})
+
+
+if __name__ == "__main__":
+    main()

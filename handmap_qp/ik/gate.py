@@ -1,0 +1,186 @@
+"""The gate: every displacement of a robot passes it, whoever asks.
+
+Following, holding, stopping, slewing, both hands of a robot and grips all move the robot through
+it. What it admits, and why a stop is always possible behind that, is in `core/gate.hpp`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from handmap_qp.hands import Hand, Names
+from handmap_qp.se3 import Array
+from .collision import CollisionLimit, Rows
+from .compiled import core_tree
+from .core import core
+from .limits import BoxLimits
+from .motion import Interval, Motion, When
+from .options import IkOptions
+
+
+class Gate:
+    """Owns the motion of a robot and its time, and admits its displacements.
+
+    Args:
+        hand: The robot.
+        motion: How it moves; it may come from the gate of another limit.
+        options: Say whether speed limits hold, and limit the acceleration.
+        collisions: Pairs of shapes to keep apart; none if omitted.
+        limits: Limits other than those of the hand and of `options`.
+
+    Attributes:
+        hand: As given.
+        limits: Of position, speed and acceleration.
+        collisions: As given.
+        links: Links of each pair; at -1, there are none.
+        core: The gate of the compiled core, which decides.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        motion: Motion,
+        options: IkOptions = IkOptions(),
+        collisions: CollisionLimit | None = None,
+        limits: BoxLimits | None = None,
+    ) -> None:
+        self.hand = hand
+        self.collisions = collisions
+        together = collisions.columns if collisions else False
+        self.limits = limits or BoxLimits(hand, options, together)
+        self.links: tuple[Names, ...] = collisions.bounds.links if collisions else ((),)
+        self.core = self._make_core(options)
+        self.motion = motion
+
+    def _make_core(self, options: IkOptions) -> Any:
+        """Return the core's gate of this robot."""
+        tree = core_tree(self.hand)
+        return core.Gate(tree, self.hand, self.limits, self.collisions)
+
+    @property
+    def motion(self) -> Motion:
+        """How the robot moves."""
+        return Motion(*self.core.motion)
+
+    @motion.setter
+    def motion(self, motion: Motion) -> None:
+        self.core.set_motion(*motion)
+
+    @property
+    def time(self) -> float:
+        """Instant of the last command, on the robot's clock [s]."""
+        return self.core.time
+
+    @property
+    def commands(self) -> int:
+        """How many commands of the robot have passed."""
+        return self.core.commands
+
+    @property
+    def stamp(self) -> int:
+        """A number that no other command of this process has, of any robot."""
+        return self.core.stamp
+
+    @property
+    def held_by(self) -> int:
+        """Index of the pair of shapes that held the last displacement back; -1 if none did."""
+        return self.core.held_by
+
+    def follow(self, leader: Gate) -> None:
+        """Take over the motion of another gate of the same robot."""
+        self.core.follow(leader.core)
+
+    def moves_as(self, other: Gate) -> bool:
+        """Tell whether both gates have the motion of one and the same command."""
+        return self.core.stamp == other.core.stamp
+
+    def place(self, q: Array) -> None:
+        """Put the robot at a configuration of Pinocchio, shape (nq,), at rest.
+
+        Its clock goes on.
+        """
+        self.motion = Motion.at_rest(q, self.limits.size, self.time)
+
+    def interval(self, when: When) -> Interval:
+        """Return the time of the next command; `SHORTEST_DT` if it is not later than the last."""
+        return Interval(*self.core.interval(when))
+
+    def bounds(self, when: When, share: float = 1.0) -> Array:
+        """Return the lower and upper bounds of the next displacement, shape (2, nv).
+
+        Args:
+            when: When the next command is.
+            share: Share of the speed limits to use, as far as braking allows.
+        """
+        return self.core.bounds(when, share)
+
+    def rows(
+        self, when: When, lower: Array, upper: Array, margins: Array | None = None
+    ) -> Any:
+        """Return the rows of a QP that is posed elsewhere; None if no shapes are kept apart.
+
+        Args:
+            when: When the next command is.
+            lower: Lower bounds of its displacement, shape (nv,).
+            upper: Upper bounds, likewise.
+            margins: Distance that each pair keeps [m], shape (k,); the hand's own if omitted.
+        """
+        if self.collisions is None:
+            return None
+        return core.PosedRows(self.core, when, lower, upper, margins)
+
+    def admit(
+        self,
+        wanted: Array,
+        first: Array,
+        when: When,
+        rows: Any = None,
+        around: Callable[[Rows], Array] | None = None,
+    ) -> Array:
+        """Move the robot by a displacement, or by another one that is admitted.
+
+        Args:
+            wanted: Displacement in the active coordinates, shape (nv,).
+            first: Another one that is shortened if the wanted one is not admitted, likewise.
+            when: When the command is.
+            rows: What `rows` returned for this command; goes with `around`.
+            around: Finds another one in place of both, of rows G and h which keep apart what meets
+                on the line of the wanted one.
+
+        Returns:
+            The displacement taken: `wanted` itself if it is admitted.
+        """
+        if rows and around:
+            return rows.admit(wanted, first, around)
+        return self.core.admit(wanted, first, when)
+
+    def brake(self, when: When) -> Array:
+        """Take the stop that was admitted last, for one command; return the displacement."""
+        return self.core.brake(when)
+
+    def advance(
+        self, goal: Array, when: When, share: float = 1.0, *, stops: bool = False
+    ) -> bool:
+        """Move towards a configuration as far as is admitted; return whether it is reached.
+
+        Where links are kept apart, they slide along each other instead of meeting.
+
+        Args:
+            goal: Pinocchio configuration, shape (nq,).
+            when: When the command is.
+            share: Share of the speed limits to use.
+            stops: Whether the robot must be able to stop there at once.
+        """
+        return self.core.advance(goal, when, share, stops)
+
+
+class IkGate(Gate):
+    """The gate of a hand that the core's QPs move, too."""
+
+    def _make_core(self, options: IkOptions) -> Any:
+        """Return the core's `Ik` of this hand, which is a gate."""
+        tree = core_tree(self.hand)
+        return core.Ik(
+            tree, self.hand, options, self.limits, self.collisions, self.links
+        )

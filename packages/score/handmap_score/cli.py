@@ -1,0 +1,271 @@
+"""`handmap score`: mappings and peers on public gestures, as one page."""
+
+import json
+import shlex
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from tyro.conf import arg
+
+from handmap_qp.apps.arguments import check_names, hinted
+from handmap_qp.apps.offline.compare import Compare, methods_of, takes_of
+from handmap_qp.apps.offline.comparison import (
+    ComparedMethod,
+    OutsideError,
+    base_name,
+    own_methods,
+)
+from handmap_qp.apps.offline.trajectory import package_versions
+from handmap_qp.apps.tables import print_result, progress
+from handmap_qp.errors import expect, warn
+from handmap_qp.hands import Hand, Names, Values, find_fingers, load_hand, sided_name
+from handmap_qp.output_files import make_folder, replaced_file
+from .gestures import SOURCES
+from .pages import results_of, score_page, votes_page
+from .scoring import FORMULA, score_hand
+
+HANDS = (
+    "allegro_right",
+    "leap_right",
+    "shadow_right",
+    "orca_right",
+    "ability_right",
+    "svh_right",
+)
+"""Hands with thumbs of different kinds."""
+
+
+class Amount(NamedTuple):
+    """How much is measured, unless options say otherwise.
+
+    Attributes:
+        hands: How many of `HANDS`.
+        seeds: Seeds of the performances.
+        rate: Samples per second of the performances.
+        every: Every so many-th gesture has pictures.
+        pairs: Pairs of pictures to vote on, of each hand.
+    """
+
+    hands: int = 3
+    seeds: tuple[int, ...] = (0, 1, 2)
+    rate: float = 30.0
+    every: int = 3
+    pairs: int = 6
+
+
+FULL = Amount(6, (0, 1, 2, 3, 4), 60.0, 1, 24)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Score mappings on public gestures of people's hands, and write one page.
+
+    Every mapping follows 71 labelled poses on every hand, in an order, with durations and noise of
+    each seed. Columns are those of `handmap compare`; in addition, a reader who has seen people
+    only names the robot's gestures. --out gets score.html, score.json and votes.html, which asks
+    people which of two robots shows a gesture better. Hands that are not installed are left out.
+
+    Mappings share a place unless their scores differ by more than chance over the seeds.
+
+    Quick by default: 3 hands, 3 seeds, 30 samples a second, and pictures of every third gesture.
+    --full takes 6 hands, 5 seeds, 60 samples a second, and pictures of all.
+
+    --tasks lets operators do tasks in closed loop in place of gestures, and writes tasks.html and
+    tasks.json. Methods are presets, peers such as dexi-dexpilot (+limits clips them by the robot's
+    limits), FILE.py:NAME or a trajectory FILE.npz; the controls always run. PRESET+grip holds what
+    thumb and finger meet, by the robot's measured joints; with PRESET+grip+place the mapping knows
+    the object's place too, and with PRESET+grip+place5 with an error of 5 mm (standard deviation
+    along each axis). Each of --seeds begins a block: a calibration of the person, and --attempts
+    scenes.
+
+    Examples:
+        handmap score
+        handmap score --full --peers --out score
+        handmap score --hands my_hand.yaml --methods teleoperation finger-vectors --seeds 7 8
+        handmap score --tasks door relocate --methods teleoperation
+        handmap score --tasks pick --hands leap_right --objects can pen --resume
+        handmap score --tasks pick --methods teleoperation teleoperation+grip+place5
+
+    Attributes:
+        out: Folder to write to; created if it does not exist.
+        hands: Hands by name, or paths of their hand.yaml.
+        methods: Mappings by name, as of `handmap compare`.
+        seeds: Seeds of the performances.
+        recordings: Further recordings for all columns but reading.
+        peers: Run the peers too.
+        full: Take all hands, five seeds, twice as many samples a second, and all pictures.
+        json: Print JSON instead of a table.
+        tasks: Tasks in closed loop; all if none is named.
+        operators: Operators of the tasks.
+        attempts: Attempts of each block of the tasks.
+        processes: Processes that run attempts of tasks.
+        films: Draw films of the tasks.
+        objects: Objects of the tasks, such as `can` and `pen` of `pick`.
+        resume: Go on with the attempts that --out has of a run that was stopped.
+    """
+
+    out: Annotated[Path, arg(metavar="FOLDER")] = Path("score")
+    hands: Annotated[Names, hinted("HAND...", "(default: three, or six)")] = ()
+    methods: Annotated[Names, arg(aliases=("--presets",), metavar="METHOD...")] = ()
+    seeds: Annotated[tuple[int, ...], hinted("SEED...", "(default: 0 1 2)")] = ()
+    recordings: Annotated[tuple[Path, ...], hinted("FILE...")] = ()
+    peers: bool = False
+    full: bool = False
+    json: bool = False
+    tasks: Annotated[Names | None, hinted("TASK...", "(default: gestures)")] = None
+    operators: Annotated[
+        Names, hinted("OPERATOR...", "(default: as the task says)")
+    ] = ()
+    attempts: Annotated[int | None, hinted("N", "(default: 4, or 40)")] = None
+    processes: Annotated[int | None, hinted("N", "(default: processors)")] = None
+    films: bool = True
+    objects: Annotated[Names, hinted("OBJECT...", "(default: all)")] = ()
+    resume: bool = False
+
+    def run(self) -> None:
+        """Check everything, measure, print and write.
+
+        Raises:
+            HandmapError: If a hand, mapping, seed, recording or folder cannot be used.
+        """
+        if self.tasks is not None:
+            self._score_tasks(self.tasks)
+            return
+        self._reject_options_of_tasks()
+        amount = FULL if self.full else Amount()
+        seeds = self.seeds or amount.seeds
+        is_right = min(seeds) >= 0 and len({*seeds}) == len(seeds)
+        expect(is_right, "--seeds", "different numbers from 0", value=seeds)
+        about = {
+            "command": shlex.join(["handmap", *sys.argv[1:]]),
+            "seeds": seeds,
+            "samples a second": amount.rate,
+            "score": FORMULA,
+            "versions": package_versions(),
+        }
+        for source in SOURCES:
+            about[f"poses: {source.name}"] = f"{source.licence}, {source.credit}"
+        if not self.peers:
+            about["peers"] = "not run; `pip install 'handmap-qp[peers]'`, then --peers"
+        wanted = self._wanted(HANDS[: amount.hands], about)
+        make_folder(self.out, "--out")
+        scores = []
+        for request, robot, methods in wanted:
+            with progress(f"{robot.name}:") as say:
+                takes = takes_of(request, robot, say)
+                score = score_hand(robot, methods, takes, seeds, amount.rate, say)
+            scores.append(score)
+            about |= {f"recording: {t.name}": t.recording.source for t in takes}
+        results = results_of(scores, about)
+        with progress("drawing, which takes a minute"):
+            pages = {
+                "score.json": json.dumps(results, indent=1),
+                "score.html": score_page(scores, results, amount.every),
+                "votes.html": votes_page(scores, amount.pairs),
+            }
+        for name, page in pages.items():
+            with replaced_file(self.out / name, "--out") as file:
+                file.write(page.encode())
+        tables = {"Score, mean over the seeds": results["overview"]}
+        written = map(self.out.joinpath, pages)
+        print_result(results, tables, written, as_json=self.json)
+
+    def _score_tasks(self, tasks: Names) -> None:
+        """Run tasks in place of gestures.
+
+        Raises:
+            HandmapError: If something cannot be used.
+        """
+        # MuJoCo and all that tasks need are not needed for gestures.
+        from .tasks.benches import Blocks
+        from .tasks.cli import (
+            ATTEMPTS,
+            BLOCKS,
+            FULL_ATTEMPTS,
+            TasksRequest,
+            score_tasks,
+        )
+
+        expect(not self.recordings, "--recordings", "none with --tasks", got="files")
+        usual = FULL_ATTEMPTS if self.full else ATTEMPTS
+        attempts = usual if self.attempts is None else self.attempts
+        processes = 0 if self.processes is None else self.processes
+        is_right = self.processes is None or processes > 0
+        expect(is_right, "--processes", "at least 1", value=self.processes)
+        request = TasksRequest(
+            tasks=tasks,
+            out=self.out,
+            hands=self.hands,
+            objects=self.objects,
+            operators=self.operators,
+            methods=self.methods,
+            peers=self.peers,
+            blocks=Blocks(self.seeds or BLOCKS, attempts),
+            processes=processes,
+            films=self.films,
+            resume=self.resume,
+            as_json=self.json,
+        )
+        score_tasks(request)
+
+    def _reject_options_of_tasks(self) -> None:
+        """Reject options that have no effect on gestures.
+
+        Raises:
+            InvalidInputError: If one is given.
+        """
+        given = {
+            "--operators": bool(self.operators),
+            "--attempts": self.attempts is not None,
+            "--processes": self.processes is not None,
+            "--no-films": not self.films,
+            "--objects": bool(self.objects),
+            "--resume": self.resume,
+        }
+        for option, is_given in given.items():
+            expect(not is_given, option, "--tasks too", got="gestures")
+
+    def _wanted(
+        self,
+        usual: Names,
+        about: Values,
+    ) -> list[tuple[Compare, Hand, list[ComparedMethod]]]:
+        """Return what to ask of each hand, the hand, and its mappings.
+
+        Args:
+            usual: Hands without --hands; those that are not installed are left out.
+            about: Gets a line for all that is left out.
+        """
+        # Of the package: the hand of the robot's side.
+        files = Path("demo"), *self.recordings
+        wanted = []
+        for given in self.hands or usual:
+            name = sided_name(given, "right")  # the package's recording has both hands
+            try:
+                robot = load_hand(name)
+            except ImportError as error:
+                if self.hands:
+                    raise
+                about[f"hand: {name}"] = f"left out: {error}"
+                warn(f"without {name}: {error}")
+                continue
+            expected = "a hand with fingers of people's names"
+            expect(find_fingers(robot), "--hands", expected, got=name)
+            request = Compare(files, name, self.methods, self.peers)
+            wanted.append((request, robot, mappings_of(request, about)))
+        check_names("--hands", [robot.name for _, robot, _ in wanted])
+        return wanted
+
+
+def mappings_of(request: Compare, about: Values) -> list[ComparedMethod]:
+    """Return the mappings of a hand, and write down why peers are left out."""
+    try:
+        return methods_of(request)
+    except OutsideError as error:
+        own = [name for name in request.methods if base_name(name) in own_methods()]
+        if request.methods and not own:
+            raise
+        about[f"peers on {request.robot}"] = f"left out: {error}"
+        return methods_of(replace(request, methods=tuple(own), peers=False))

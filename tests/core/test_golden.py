@@ -1,0 +1,64 @@
+"""Today's engine commands what that of the golden files did."""
+
+from __future__ import annotations
+
+import golden
+import numpy as np
+import pytest
+
+from handmap_qp.mapping.presets import PRESETS
+
+GOLDEN = {file: golden.read(file) for file in golden.MAKERS}
+HANDS = list(dict.fromkeys(name.split("/")[0] for name in GOLDEN["hands"]))
+OTHERS = [
+    (file, name) for file in ("robots", "streams", "problems") for name in GOLDEN[file]
+]
+
+
+def expect_as_before(file: str, name: str) -> None:
+    case = golden.MAKERS[file](name, 0.0)
+    before = GOLDEN[file][name]
+    assert case.numbers.shape == before.numbers.shape
+    np.testing.assert_array_equal(case.codes, before.codes, err_msg=name)
+    np.testing.assert_allclose(
+        case.numbers, before.numbers, rtol=0.0, atol=before.tolerance, err_msg=name
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hand", HANDS)
+def test_a_hand_moves_as_before_by_every_preset(hand: str) -> None:
+    if f"{hand}/paper" not in golden.case_names("hands"):
+        pytest.skip(f"{hand} is not installed")
+    for preset in PRESETS:
+        expect_as_before("hands", f"{hand}/{preset}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("file", "name"), OTHERS)
+def test_robots_streams_and_problems_are_as_before(file: str, name: str) -> None:
+    if name not in golden.case_names(file):
+        pytest.skip(f"{name} is not installed")
+    expect_as_before(file, name)
+
+
+def test_the_files_hold_what_they_promise() -> None:
+    assert len(HANDS) >= 25
+    assert {name.split("/")[1] for name in GOLDEN["hands"]} == set(PRESETS)
+    assert len(GOLDEN["robots"]) == 6
+    assert len(GOLDEN["streams"]) == 40
+    assert sum(len(case.numbers) for case in GOLDEN["problems"].values()) == 1000
+    sizes = [file.stat().st_size for file in golden.FOLDER.iterdir()]
+    assert sum(sizes) <= 4e6
+
+
+def test_nearly_all_cases_are_held_to_the_tolerance() -> None:
+    cases = [case for file in GOLDEN.values() for case in file.values()]
+    exact = [case for case in cases if case.tolerance == golden.TOLERANCE]
+    assert len(exact) >= 0.95 * len(cases)
+
+
+def test_packed_numbers_come_back(tmp_path: object) -> None:
+    numbers = np.random.default_rng(0).normal(size=(7, 3))
+    back = golden._unpacked(golden._packed(numbers))
+    np.testing.assert_allclose(back, numbers, rtol=0.0, atol=0.5001e-10)

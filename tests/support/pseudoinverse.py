@@ -1,0 +1,169 @@
+"""Eq. (8) as it stands: `dq = J# e + N xi`, the baseline that the QP replaces.
+
+The paper leaves the pseudoinverse, `xi` and the handling of limits open. Here J# is weighted by the
+cost of the tasks and by the regularisation M of the QP (rest and damping weights), and `N xi` pulls
+to the rest posture:
+
+    A = W J M^(-1/2),   dq = M^(-1/2) (A# W e + (I - A# A) M^(1/2) xi),   xi = M^(-1) w_q^2 (q_rest
+    - q)
+
+With singular values `s` of A, `A#` has `s / (s^2 + damping^2)`: eq. (8) for `damping = 0`, which is
+the limit of the QP for slack limits and vanishing regularisation; damped least squares (Nakamura
+and Hanafusa 1986, Wampler 1986) for `damping > 0`. At `damping = 1` it is the QP without its
+limits. Limits are either ignored, or the finished step is clipped into them, which changes its
+direction.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.collision import Rows
+from handmap_qp.ik.gate import IkGate
+from handmap_qp.ik.motion import Motion, When
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import PointIk, point_rows, wrist_rows
+from handmap_qp.ik.tasks import Goal
+
+RANK_TOLERANCE = 1e-10
+"""Without damping, singular values below this share of the largest count as zero."""
+
+
+def weighted_task(
+    hand: Hand,
+    options: IkOptions,
+    configuration: Configuration,
+    points: np.ndarray,
+    wrist: pin.SE3 | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return weighted Jacobian and error of all targets, (r, k) and (r,); 6 rows for a wrist."""
+    parts = [point_rows(configuration, points, None)]
+    if wrist is not None:
+        parts.append(wrist_rows(configuration, wrist))
+    error, jacobian = (np.concatenate(each) for each in zip(*parts, strict=True))
+    costs = np.repeat([*options.point_costs(hand), *options.wrist_costs], 3)
+    costs = costs[: len(error)]
+    return costs[:, None] * jacobian, costs * error
+
+
+class PseudoinverseIk(PointIk):
+    """Move a hand by eq. (8), with the interface of `handmap_qp.ik.qp.PointIk`.
+
+    Args:
+        hand: The hand.
+        options: Weights and settings; `solver` and `error_damping` have no meaning here.
+        limits: `none` ignores position and speed limits, `clip` clips every finished step into
+            them.
+        damping: 0 for the plain pseudoinverse, more for damped least squares; 1 is the
+            regularisation of the QP.
+
+    Raises:
+        InvalidOptionsError: If the damping is negative or not a number, or the limit handling is
+            unknown.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        options: IkOptions,
+        *,
+        limits: Literal["none", "clip"] = "none",
+        damping: float = 0.0,
+    ) -> None:
+        if not 0.0 <= damping < np.inf:
+            raise InvalidOptionsError(
+                option="damping", expected="a finite number >= 0", value=damping
+            )
+        if limits not in ("none", "clip"):
+            raise InvalidOptionsError(
+                option="limits", expected="'none' or 'clip'", value=limits
+            )
+        super().__init__(hand, options.replaced(formulation="direct"))
+        self._damping = damping
+        if limits == "none":
+            self.gate = _NoLimits(hand, self.gate.motion)
+            self.core = self.gate.core
+        regularisation = np.full(self.configuration.nv, options.damping**2)
+        regularisation[hand.joint_columns] += options.rest_weight**2
+        self._scale = 1.0 / np.sqrt(regularisation)
+
+    def place(self, q: np.ndarray) -> None:
+        """Put the hand at a configuration (nq,), at rest, from where `step` steps."""
+        super().place(q)
+        self._configuration.place(q)
+
+    def step(self, goal: Goal) -> np.ndarray:
+        """Return the step of eq. (8) at the present configuration.
+
+        Args:
+            goal: Targets; the first posture is the one to rest in.
+
+        Returns:
+            Displacement before any clipping, shape (nv,).
+
+        Raises:
+            numpy.linalg.LinAlgError: If the singular values cannot be found: the inputs hold
+                infinities or NaN.
+        """
+        hand = self.hand
+        configuration = self._configuration
+        wrist = None if goal.wrists is None else pin.SE3(goal.wrists[0])
+        A, b = weighted_task(hand, self.options, configuration, goal.points, wrist)
+        U, s, Vt = np.linalg.svd(A * self._scale, full_matrices=False)
+        if self._damping > 0.0:
+            inverse = s / (s**2 + self._damping**2)
+        else:
+            is_kept = s > RANK_TOLERANCE * s[0]
+            inverse = np.divide(1.0, s, out=np.zeros_like(s), where=is_kept)
+        joints, (_, rest) = hand.joint_columns, goal.postures[0]
+        away = rest - configuration.q[hand.q_indices]
+        homogeneous = np.zeros(A.shape[1])
+        homogeneous[joints] = self.options.rest_weight**2 * self._scale[joints] * away
+        # In the basis of the right singular vectors N is diagonal: 1 - inverse s, and 1 outside
+        # their span.
+        along = inverse * (U.T @ b + s * (Vt @ homogeneous))
+        return self._scale * (homogeneous - Vt.T @ along)
+
+    def _step(
+        self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
+    ) -> tuple[np.ndarray | None, np.ndarray]:
+        if goal.tasks:
+            raise InvalidOptionsError(
+                option="tasks", problem="eq. (8) has no further tasks"
+            )
+        still = np.zeros(len(lower))
+        try:
+            step = self.step(goal)
+        except np.linalg.LinAlgError:
+            return None, still
+        return step if np.isfinite(step).all() else None, still
+
+
+class _NoLimits(IkGate):
+    """Admits every displacement."""
+
+    def bounds(self, when: When, share: float = 1.0) -> np.ndarray:
+        """Return infinite bounds."""
+        free = np.full(len(self.motion.displacement), np.inf)
+        return np.array([-free, free])
+
+    def admit(
+        self,
+        wanted: np.ndarray,
+        first: np.ndarray,
+        when: When,
+        rows: object = None,
+        around: object = None,
+    ) -> np.ndarray:
+        """Move the robot by a displacement, whatever it is."""
+        placed = self.hand.configuration()
+        placed.displace(self.motion.q, wanted)
+        dt, _, time = self.interval(when)
+        self.motion = Motion(placed.q.copy(), wanted, dt, np.zeros(len(wanted)), time)
+        return wanted
