@@ -37,6 +37,7 @@ void set_motion(Gate& gate, const Array& q, const Array& displacement, double dt
 void follow_gate(Gate& gate, const Gate& leader) {
   expect(leader.tree.nq == gate.tree.nq && leader.tree.size == gate.tree.size,
          "a gate of another robot");
+  const Reading from(leader);
   gate.set_motion(leader.motion);
 }
 
@@ -65,7 +66,7 @@ class PosedRows {
   // For the next command of a gate that keeps shapes apart, with bounds of the displacement.
   PosedRows(Gate& gate, const nb::object& when, const Array& lower, const Array& upper,
             const std::optional<Array>& margins)
-      : gate_(gate), interval_(gate.motion.next(when_from(when))), lower_(vector_of(lower)),
+      : gate_(gate), interval_(gate.motion.next(when_from(when))), stamp_(gate.motion.stamp), lower_(vector_of(lower)),
         upper_(vector_of(upper)) {
     for (const Array* each : {&lower, &upper}) expect_size(*each, gate.tree.size, "bounds");
     expect(gate.pairs != nullptr, "a gate that keeps no shapes apart");
@@ -73,12 +74,14 @@ class PosedRows {
       expect_size(*margins, gate.pairs->size(), "margins");
       margins_ = vector_of(*margins);
     }
+    const Work posing(gate);
     gate.rows(interval_, margins_, lower_, upper_, Vector(gate.tree.size, 0.0), rows_, h_);
   }
 
   // G and h behind a part of the displacement, which never contradict the rest of its bounds.
   nb::tuple behind(const Array& so_far) {
     expect_size(so_far, gate_.tree.size, "so_far");
+    expect_same_command();
     const Work posing(gate_);
     const Vector before = vector_of(so_far);
     Vector least = lower_, most = upper_;
@@ -92,6 +95,7 @@ class PosedRows {
   // The same from the start, with what the end of a displacement meets; none if it meets nothing.
   std::optional<nb::tuple> at_end(const Array& displacement) {
     expect_size(displacement, gate_.tree.size, "displacement");
+    expect_same_command();
     const Work posing(gate_);
     if (!gate_.add_rows_at_end(vector_of(displacement), rows_)) return {};
     return loosened(lower_, upper_, Vector(gate_.tree.size, 0.0));
@@ -102,7 +106,9 @@ class PosedRows {
   NumpyArray admit(const Array& wanted, const Array& first, const nb::callable& around) {
     expect_size(wanted, gate_.tree.size, "wanted");
     expect_size(first, gate_.tree.size, "first");
+    expect_same_command();
     const Work moving(gate_);
+    gate_.was_moved();
     Vector other;
     const auto find = [&]() -> const Vector& {
       gate_.pairs->add_met(start(), false, rows_);
@@ -124,11 +130,15 @@ class PosedRows {
  private:
   Gate& gate_;
   const Interval interval_;
+  const std::uint64_t stamp_;
   const Vector lower_, upper_;
   Vector margins_;
   Rows rows_;
   Vector h_;
 
+  void expect_same_command() const {
+    expect(gate_.motion.stamp == stamp_, "rows of another command");
+  }
   const Placed& start() {
     start_.emplace(gate_.tree);
     start_->place(gate_.motion.q.data());
@@ -176,11 +186,11 @@ void bind_gate(nb::module_& m) {
       .def_prop_ro("stamp", [](const Gate& gate) { return gate.motion.stamp; })
       .def_prop_ro("commands", [](const Gate& gate) { return gate.motion.commands; })
       .def_prop_ro("time", [](const Gate& gate) { return gate.motion.time; })
-      .def_prop_ro("motion", exclusively(&motion_of))
+      .def_prop_ro("motion", reading(&motion_of))
       .def("set_motion", exclusively(&set_motion), "q"_a, "displacement"_a, "dt"_a, "stop_times"_a,
            "time"_a = 0.0)
       .def("follow", exclusively(&follow_gate), "leader"_a)
-      .def("interval", exclusively(&interval), "when"_a)
+      .def("interval", reading(&interval), "when"_a)
       .def("bounds", exclusively(&bounds), "when"_a, "share"_a = 1.0)
       .def("advance", exclusively(&advance), "goal"_a, "when"_a, "share"_a = 1.0, "stops"_a = false)
       .def("admit", exclusively(&admit), "wanted"_a, "first"_a, "when"_a)

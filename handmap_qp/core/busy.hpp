@@ -6,6 +6,7 @@
 #pragma once
 
 #include <exception>
+#include <thread>
 #include <utility>
 
 namespace handmap {
@@ -21,7 +22,9 @@ struct BusyError : std::exception {
 class Exclusive {
  private:
   friend class Work;
+  friend class Reading;
   bool is_at_work_ = false;
+  std::thread::id owner_;
 };
 
 // Work on an object, from here to the end of the block; throws BusyError if somebody works on it.
@@ -30,6 +33,7 @@ class Work {
   explicit Work(Exclusive& object) : object_(object) {
     if (object.is_at_work_) throw BusyError();
     object.is_at_work_ = true;
+    object.owner_ = std::this_thread::get_id();
   }
   Work(const Work&) = delete;
   ~Work() { object_.is_at_work_ = false; }
@@ -37,6 +41,24 @@ class Work {
  private:
   Exclusive& object_;
 };
+
+// Read from an object; throws BusyError if another thread works on it. The same thread may read what it
+// works on, such as a task of Python whose rows depend on the motion.
+class Reading {
+ public:
+  explicit Reading(const Exclusive& object) {
+    if (object.is_at_work_ && object.owner_ != std::this_thread::get_id()) throw BusyError();
+  }
+};
+
+// A function that reads an object, for Python.
+template <class Owner, class Result, class... Arguments>
+auto reading(Result (*function)(Owner&, Arguments...)) {
+  return [function](Owner& owner, Arguments... arguments) -> Result {
+    const Reading from(owner);
+    return function(owner, std::forward<Arguments>(arguments)...);
+  };
+}
 
 // A method, or a function of an object, for Python, in which one thread works on the object at a time.
 template <class Owner, class Result, class... Arguments>

@@ -55,8 +55,8 @@ class Gate : public Exclusive {
   std::unique_ptr<Pairs> pairs;  // of shapes to keep apart; null for none
   Motion motion;
   std::vector<Vector> fingers;  // of each hand, 1 for each joint of its fingers: see Hand.finger_joints
-  int held_by = -1;             // the pair of shapes that holds the robot back; -1 for none
-  Placed at;                    // where the robot is, or where a displacement that is tried leads
+  int held_by = -1;  // the pair of shapes that held the last displacement back; -1 for none
+  Placed at;         // where the robot was looked at last: where it is, or where a displacement leads
 
   explicit Gate(Tree given) : tree(std::move(given)), at(tree), start(tree), path_end(tree) {}
   Gate(const Gate&) = delete;
@@ -67,6 +67,9 @@ class Gate : public Exclusive {
     motion = taken;
     was_moved();
   }
+
+  // Something else than the QPs of an `Ik` moves the robot.
+  virtual void was_moved() {}
 
   // Move by a displacement, or by another one that is admitted. `first` is shortened if the wanted one
   // is not admitted. `around` finds one that takes the place of both, and keeps apart what meets on the
@@ -99,12 +102,14 @@ class Gate : public Exclusive {
     move(taken_, times_, interval);
   }
   void admit(const Vector& wanted, const Vector& first, const Interval& interval) {
+    was_moved();
     admit(wanted, first, interval, [&]() -> const Vector& { return wanted; }, 0);
   }
 
   // Take the stop that was admitted last, for one command.
   void brake(const When& when) {
     const Interval interval = motion.next(when);
+    was_moved();
     held_by = -1;
     braking(interval.dt, taken_);
     times_.resize(tree.size);
@@ -139,18 +144,23 @@ class Gate : public Exclusive {
   // Move towards a configuration as far as is admitted. Where links are kept apart, the robot takes the
   // displacement nearest to the wanted one that their rows allow, so that links slide along each other
   // instead of meeting, or a part of it, or it brakes. With `stops`, it must be able to stop there at
-  // once. Return whether the configuration is reached.
+  // once. Return whether the configuration is reached; it brakes where that is not finite.
   bool advance(const Vector& goal, const When& when, double share, bool stops) {
     const int n = tree.size;
     const Interval interval = motion.next(when);
     const Vector before = motion.q, change = change_to(goal);
+    for (const double way : change)
+      if (!std::isfinite(way)) {
+        brake(when);
+        return false;
+      }
     const double braking = limits.change(interval.granted), reach = stops ? braking : kInfinity;
     Vector lower, upper, allowed(n), nearest(n), slack(n);
     bounds(interval, share, lower, upper);
     double free_share = 1.0;
     for (int i = 0; i < n; ++i) {
       const double farthest = limits.speeds[i] * (interval.granted * share);
-      slack[i] = 1e-12 + 1e-9 * farthest;
+      slack[i] = 1e-12 + 1e-9 * std::min(farthest, 1.0);
       // The part of the way that the robot takes if it must stop at its end.
       allowed[i] = BoxLimits::braking_displacement(std::abs(change[i]), braking);
       if (tree.is_floating && i < 6)
@@ -219,9 +229,6 @@ class Gate : public Exclusive {
 
  protected:
   Placed start, path_end;  // where the line that was looked at last begins and ends
-
-  // Something else has moved the robot.
-  virtual void was_moved() {}
 
   Feasible feasible_;
 

@@ -172,7 +172,7 @@ class Ik : public Gate {
       for (int i = 0; i < n; ++i)
         total_[i] = clip(has_step ? qp_.x[i] : 0.0, lower_[i], upper_[i]);
     };
-    // See qp.PointIk.solve_once.
+    // See qp.PointIk._solve_here.
     for (int look = 0; has_rows && look < kLooks; ++look) {
       path_.resize(tree.nv);
       tree.expand(total_.data(), path_.data());
@@ -194,7 +194,6 @@ class Ik : public Gate {
 
   // Take the stop that was admitted last, for one sample.
   void hold(const When& when, Result& result) {
-    stop_detours();
     brake(when);
     at.place(motion.q.data());
     result.points.resize(tree.points.size());
@@ -228,7 +227,6 @@ class Ik : public Gate {
 
   std::int64_t costs = 0;  // number of costs that were computed, as a measure of work
 
- protected:
   void was_moved() override { stop_detours(); }
 
  private:
@@ -344,7 +342,7 @@ class Ik : public Gate {
       diagonal_[i] += scale * std::sqrt(levers2_[i]);
   }
 
-  // Whether the points' targets go with the wrists; see qp.carriers.
+  // Whether the points' targets go with the wrists.
   bool is_carried(const Goal& goal) const {
     return settings.points_follow_wrist && !goal.wrists.empty();
   }

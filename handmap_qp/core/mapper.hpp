@@ -217,7 +217,7 @@ inline nb::object read_ik(const nb::object& self) {
   return stages.ik_;
 }
 
-// A copy, by copy or pickle, is one of Python: there may be no core, and this one moves on.
+// A copy, by copy or pickle, is one of Python: this one moves on.
 inline nb::tuple reduced(const nb::object& self) {
   Stages& stages = nb::cast<Stages&>(self);
   const nb::object kind = module_of("mapping.method").object("Stages");

@@ -246,8 +246,7 @@ class Pairs {
     return is_clear && halve(at, step);
   }
 
-  // Whether the end of a path brings pairs that have rows nearer, and within their margin; see
-  // collision.CollisionLimit.met_at.
+  // Whether the end of a path brings pairs that have rows nearer, and within their margin.
   bool meets_at(const Placed& at, const double* step, const Placed& end) {
     travel_along(step);
     met_.clear();

@@ -24,7 +24,7 @@ struct Ask {
   }
 };
 
-// A copy, by copy or pickle, is one of Python: there may be no core.
+// A copy, by copy or pickle, is one of Python.
 inline nb::tuple reduced_ask(const nb::object& self) {
   const nb::object kind = module_of("mapping.robot_mapper").object("Asked");
   nb::list parts;

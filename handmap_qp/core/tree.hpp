@@ -232,7 +232,7 @@ class Placed {
     reached_.resize(tree_.nq);
     tree_.expand(displacement, step_.data());
     tree_.integrate(start, step_.data(), reached_.data());
-    if (other && other->q == reached_) return copy(*other);
+    if (other && other->has_placed_ && other->q == reached_) return copy(*other);
     place(reached_.data());
   }
 

@@ -412,20 +412,6 @@ class CollisionLimit:
             parts.append((middle, high, pairs, np.array([between, last])))
         return None
 
-    def met_at(
-        self, q: Array, displacement: Array, near: NearPairs, margins: Array | None
-    ) -> NearPairs:
-        """Return the pairs that a path brings nearer, and within their margin, where it ends.
-
-        Arguments are as of `measure`, which found `near`, and `met_on`, and so is the result.
-        """
-        kept = self.margin if margins is None else margins[near.pairs]
-        kept = kept - self.overlaps(q, near)
-        least = np.minimum(near.found[:, 0], kept) - _NEARER
-        there = pin.integrate(self._model, q, self._spread.dot(displacement))
-        found = self._found_at(there, near.pairs)
-        return self._meetings(q, there, near.pairs, found, least)
-
     def _meetings(
         self, q: Array, there: Array, pairs: Array, found: Array, least: Array
     ) -> NearPairs:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from handmap_qp.hands import Hand, Names
-from handmap_qp.se3 import Array
+from handmap_qp.se3 import Array, frozen
 from .collision import CollisionLimit, Rows
 from .compiled import core_tree
 from .core import core
@@ -61,7 +61,9 @@ class Gate:
     @property
     def motion(self) -> Motion:
         """How the robot moves."""
-        return Motion(*self.core.motion)
+        q, displacement, dt, stop_times, time = self.core.motion
+        arrays = frozen(q), frozen(displacement), dt, frozen(stop_times)
+        return Motion(*arrays, time)
 
     @motion.setter
     def motion(self, motion: Motion) -> None:
@@ -74,7 +76,7 @@ class Gate:
 
     @property
     def commands(self) -> int:
-        """How many commands of the robot have passed."""
+        """How many commands have passed this gate, or that whose motion it has taken over."""
         return self.core.commands
 
     @property
@@ -171,6 +173,9 @@ class Gate:
             when: When the command is.
             share: Share of the speed limits to use.
             stops: Whether the robot must be able to stop there at once.
+
+        Returns:
+            False, and the robot brakes, if the configuration is not finite.
         """
         return self.core.advance(goal, when, share, stops)
 

@@ -15,7 +15,7 @@ _NO_LIMIT = 1e100
 
 
 class BoxLimits:
-    """Bounds of the displacement within one sample.
+    """Limits of position, speed and acceleration, from which the core makes the bounds of a sample.
 
     Args:
         hand: The hand.

@@ -43,8 +43,7 @@ class IkOptions(Options, frozen=True):
         formulation: How the QP is posed. `compiled`: by the compiled core, with a solver of its
             own; with another solver than DAQP, as by `direct`. `direct`: in Python, the readable
             reference. `mink`: by `mink.build_ik`, solved by `qpsolvers`. All have the same answers,
-            in 1, 10 and 40 times the time, but that the core alone takes detours, and looks for
-            another step where links would meet at the end of one.
+            in 1, 10 and 40 times the time, but that the core alone takes detours.
         solver: `daqp`, `proxqp`, or any other that `qpsolvers` finds.
         max_iterations: QPs of a sample, and three more where links would meet.
         step_tolerance: A step shorter than this ends the iterations [rad or m, Euclidean norm].

@@ -250,6 +250,7 @@ class PointIk:
     Raises:
         InvalidInputError: If `options` are something else.
         InvalidOptionsError: If there is no such solver or task.
+        HandError: If the core cannot move a joint of the hand.
     """
 
     def __init__(

@@ -14,10 +14,15 @@ from robot_cases import landmarks_at, write_robot
 from handmap_qp import Follower, HandMapper, IkOptions, load_hand
 from handmap_qp.apps.service.safety import CommandedRobot
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.robot import load_robot
+from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.human.sample import HumanSample
+from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.gate import Gate
 from handmap_qp.ik.motion import Instant, Motion
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.robot_mapper import RobotMapper
 
 HUMAN = load_hand("human", points="landmarks")
@@ -100,7 +105,7 @@ def test_a_slew_and_a_stop_pass_the_same_gate() -> None:
     assert mapper.point_ik.gate.commands == 1
 
 
-def free_gate(**options: bool) -> Gate:
+def free_gate(**options: float) -> Gate:
     """Return the gate of a hand with a floating wrist, at rest."""
     hand = load_hand("three_finger")
     start = hand.configuration_vector(hand.rest, np.eye(4))
@@ -166,3 +171,73 @@ def test_a_gate_does_not_follow_that_of_another_robot() -> None:
     gate = free_gate()
     with pytest.raises(ValueError, match="another robot"):
         gate.follow(other)
+
+
+def test_a_slew_without_speed_limits_keeps_the_acceleration_limit() -> None:
+    gate = free_gate(has_velocity_limits=False, max_acceleration=20.0)
+    hand = gate.hand
+    far = hand.configuration_vector(hand.upper_limits, np.eye(4))
+    start = gate.motion.q.copy()
+    assert not gate.advance(far, 0.01)
+    moved = np.abs(gate.motion.q - start)[hand.q_indices]
+    assert moved.max() <= 20.0 * 0.01**2 * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_slew_to_what_is_not_finite_brakes(bad: float) -> None:
+    gate = free_gate(max_acceleration=20.0)
+    hand = gate.hand
+    goal = hand.configuration_vector(hand.upper_limits, np.eye(4))
+    gate.advance(goal, 0.01)
+    before = gate.motion
+    assert not gate.advance(np.full_like(goal, bad), 0.01)
+    assert np.isfinite(gate.motion.q).all()
+    speeds = np.abs(gate.motion.velocity), np.abs(before.velocity)
+    assert (speeds[0] <= speeds[1] + 1e-12).all()
+
+
+def test_the_first_slew_ends_where_it_is_measured() -> None:
+    """A posture of zeros is like that of kinematics which nobody has placed yet."""
+    hand = load_hand("allegro_right", mount="fixed")
+    zeros = np.clip(np.zeros(len(hand.rest)), hand.lower_limits, hand.upper_limits)
+    start = np.clip(zeros + 0.02, hand.lower_limits, hand.upper_limits)
+    at_rest = Motion.at_rest(hand.configuration_vector(start), len(hand.active_columns))
+    collisions = CollisionLimit(hand, all_pairs(hand))
+    gate = Gate(hand, at_rest, IkOptions(), collisions)
+    assert gate.advance(hand.configuration_vector(zeros), 1.0)
+    assert gate.held_by == -1
+
+
+class Watcher:
+    """A task that reads the motion while its rows are asked for."""
+
+    def __init__(self, ik: PointIk) -> None:
+        self.ik = ik
+        self.seen: list[float] = []
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        """Return no rows."""
+        self.seen.append(self.ik.gate.motion.time)
+        return TaskRows(np.zeros(0), np.zeros((0, hand.nv)))
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_task_may_read_the_motion(formulation: str) -> None:
+    hand = load_hand("three_finger")
+    ik = PointIk(hand, IkOptions().replaced(formulation=formulation))
+    watcher = Watcher(ik)
+    points = ik.configuration.points.copy()
+    for _ in range(2):
+        ik.solve(points, None, 0.01, tasks=[watcher])
+    assert {0.0, 0.01} == set(watcher.seen)
+
+
+def test_rows_serve_one_command() -> None:
+    hand = load_hand("three_finger")
+    ik = PointIk(hand, IkOptions(avoids_self_collision=True))
+    gate = ik.gate
+    lower, upper = gate.bounds(0.01)
+    rows = gate.rows(0.01, lower, upper)
+    gate.brake(0.01)
+    with pytest.raises(ValueError, match="another command"):
+        rows.behind(np.zeros_like(lower))

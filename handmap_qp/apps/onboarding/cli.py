@@ -408,7 +408,7 @@ class HandsCheck:
     Attributes:
         hand: Path of a hand.yaml, or name of a hand of the package.
         picture: Picture to draw, PNG, SVG or PDF.
-        motion: Map motions of a human hand to it (takes seconds; without the core, half a minute).
+        motion: Map motions of a human hand to it (takes seconds).
         json: Print one JSON object instead of tables.
     """
 

@@ -208,7 +208,8 @@ class Sessions:
                 former=former,
                 owner=owner,
                 account=by.account,
-                motion=running.motion if running else None,
+                # Without a record, it is another robot's.
+                motion=running.motion if running and former else None,
                 waited=running.since_command(now) if running else 0.0,
                 totals=self.metrics.counts,
             )
