@@ -152,7 +152,11 @@ def calls_of(core: Any) -> dict[str, Call]:
     geometry = bounds.geometry.geometryObjects
     solver, in_core = ik.core, mapper.core
     still = np.zeros(gate.limits.size)
-    posed = core.PosedRows(solver, dt, still - 0.1, still + 0.1, None)
+
+    def posed() -> Any:
+        """Return the rows of the next command: those of a former one are refused."""
+        return core.PosedRows(solver, dt, still - 0.1, still + 0.1, None)
+
     many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
     solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
     _, orders = known_orders()
@@ -206,10 +210,16 @@ def calls_of(core: Any) -> dict[str, Call]:
         "Gate.brake": (solver.brake, (dt,)),
         "Gate.advance": (solver.advance, (motion.q, dt, 1.0, False)),
         "PosedRows": (core.PosedRows, (solver, dt, still, still, None)),
-        "PosedRows.behind": (posed.behind, (still,)),
-        "PosedRows.at_end": (posed.at_end, (still,)),
-        "PosedRows.admit": (posed.admit, (still, still, lambda rows: still)),
-        "PosedRows.pressed_pair": (posed.pressed_pair, (still, still)),
+        "PosedRows.behind": (lambda *given: posed().behind(*given), (still,)),
+        "PosedRows.at_end": (lambda *given: posed().at_end(*given), (still,)),
+        "PosedRows.admit": (
+            lambda *given: posed().admit(*given),
+            (still, still, lambda rows: still),
+        ),
+        "PosedRows.pressed_pair": (
+            lambda *given: posed().pressed_pair(*given),
+            (still, still),
+        ),
         "loosened": (
             core.loosened,
             (np.ones((2, 3)), np.ones(2), -np.ones(3), np.ones(3), 0.0, np.zeros(3)),
