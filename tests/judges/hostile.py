@@ -207,6 +207,18 @@ class IkRun:
     ) -> tuple[np.ndarray, list[str]]:
         """Return configurations, shape (T, nq), and statuses of many samples."""
         ik, core = self._iks[self.ik.options.max_acceleration]
+        if not ik.is_compiled:
+            found = [
+                ik.solve(
+                    points[i],
+                    None if wrists is None else wrists[i],
+                    dt[i],
+                    margins=margins,
+                    speed=speed[i],
+                )
+                for i in range(len(dt))
+            ]
+            return np.array([each.q for each in found]), [each.status for each in found]
         before = ik.gate.motion
         core.set_motion(*before)
         postures = ik.postures(1.0, None)
