@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from handmap_qp.hands import Hand, Names
-from handmap_qp.se3 import Array, frozen
+from handmap_qp.se3 import Array
 from .collision import CollisionLimit, Rows
 from .compiled import core_tree
 from .core import core
@@ -60,10 +60,8 @@ class Gate:
 
     @property
     def motion(self) -> Motion:
-        """How the robot moves."""
-        q, displacement, dt, stop_times, time = self.core.motion
-        arrays = frozen(q), frozen(displacement), dt, frozen(stop_times)
-        return Motion(*arrays, time)
+        """How the robot moves: a copy, which writing to does not change."""
+        return Motion(*self.core.motion)
 
     @motion.setter
     def motion(self, motion: Motion) -> None:

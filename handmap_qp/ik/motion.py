@@ -31,7 +31,7 @@ BEHIND: float = core.BEHIND
 
 
 class Motion(NamedTuple):
-    """How a robot moves; do not write to the arrays.
+    """How a robot moves. Writing to the arrays moves nothing.
 
     Attributes:
         q: Pinocchio configuration last commanded, shape (nq,).
