@@ -27,7 +27,6 @@ from typing import NamedTuple
 import numpy as np
 from faulty_recordings import faulty
 from meeting_hands import meeting_hands
-from streams import ROBOTS
 
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.errors import (
@@ -36,7 +35,7 @@ from handmap_qp.errors import (
     MissingPackageError,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import HUMAN_HANDS, hand_names
+from handmap_qp.hands.library import HUMAN_HANDS, hand_names, robot_files
 from handmap_qp.hands.robot import load_robot
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, mirrored
@@ -192,7 +191,7 @@ def case_names(file: str) -> list[str]:
         hands = [name for name in hand_names() if name not in HUMAN_HANDS]
         return [f"{hand}/{preset}" for hand in hands for preset in PRESETS]
     if file == "robots":
-        return [name for name in ROBOTS if _is_installed(name)]
+        return [name for name in robot_files() if _is_installed(name)]
     if file == "streams":
         ways = [(hand, rejoin) for hand in _FOLLOWERS for rejoin in _REJOINS]
         return [f"{hand}/{way}/{fault}" for hand, way in ways for fault in _FAULTS]
