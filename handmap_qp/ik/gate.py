@@ -50,10 +50,24 @@ class Gate:
         together = collisions.columns if collisions else False
         self.limits = limits or BoxLimits(hand, options, together)
         self.links: tuple[Names, ...] = collisions.bounds.links if collisions else ((),)
-        self.core = self._make_core(options)
+        self._options = options
+        self.core = self._make_core()
         self.motion = motion
 
-    def _make_core(self, options: IkOptions) -> Any:
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy goes on from, with a workspace of its own."""
+        state = {**vars(self), "motion": self.motion}
+        del state["core"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on as a copy."""
+        motion = state.pop("motion")
+        vars(self).update(state)
+        self.core = self._make_core()
+        self.motion = motion
+
+    def _make_core(self) -> Any:
         """Return the core's gate of this robot."""
         tree = core_tree(self.hand)
         return core.Gate(tree, self.hand, self.limits, self.collisions)
@@ -181,9 +195,10 @@ class Gate:
 class IkGate(Gate):
     """The gate of a hand that the core's QPs move, too."""
 
-    def _make_core(self, options: IkOptions) -> Any:
+    def _make_core(self) -> Any:
         """Return the core's `Ik` of this hand, which is a gate."""
         tree = core_tree(self.hand)
+        limits = self.limits
         return core.Ik(
-            tree, self.hand, options, self.limits, self.collisions, self.links
+            tree, self.hand, self._options, limits, self.collisions, self.links
         )

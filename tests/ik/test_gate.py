@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
+from copy import deepcopy
 
 import numpy as np
 import pinocchio as pin
@@ -241,3 +243,19 @@ def test_rows_serve_one_command() -> None:
     gate.brake(0.01)
     with pytest.raises(ValueError, match="another command"):
         rows.behind(np.zeros_like(lower))
+
+
+@pytest.mark.parametrize(
+    "copied", [deepcopy, lambda gate: pickle.loads(pickle.dumps(gate))]
+)
+def test_a_copy_goes_on_by_itself(copied: Callable[[Gate], Gate]) -> None:
+    gate = free_gate(max_acceleration=20.0)
+    goal = gate.hand.configuration_vector(gate.hand.upper_limits, np.eye(4))
+    gate.advance(goal, 0.01)
+    other = copied(gate)
+    for each in (gate, other):
+        each.advance(goal, 0.01)
+    for one, two in zip(gate.motion, other.motion, strict=True):
+        np.testing.assert_array_equal(one, two)
+    other.brake(0.01)
+    assert gate.time < other.time

@@ -41,8 +41,9 @@ class PointIk(qp.PointIk):
 class _SavedGate(IkGate):
     """The gate of a saved hand, which has its own kinematics."""
 
-    def _make_core(self, options: IkOptions) -> Any:
+    def _make_core(self) -> Any:
         hand: Any = self.hand
+        limits = self.limits
         return core.Ik(
-            hand.tree, hand, options, self.limits, self.collisions, self.links
+            hand.tree, hand, self._options, limits, self.collisions, self.links
         )
