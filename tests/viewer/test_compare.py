@@ -147,7 +147,7 @@ def test_the_landmarks_stand_beside_the_hand_as_they_were_tracked(
         )
     np.testing.assert_allclose(
         node(viewer, "/landmarks/bones").points,
-        landmarks[BONES + NEIGHBOURS],
+        landmarks[[*BONES, *NEIGHBOURS]],
         atol=1e-6,
     )
     hand = in_scene(node(viewer, "/human"), landmarks)
