@@ -83,7 +83,7 @@ void order_statistics(Numbers& numbers) {
               "the largest value");
       }
       Vector changes = values;
-      noise_of({0.7, 0.1, 2.0, 1e-6}, changes.data(), static_cast<int>(count), 1.0);
+      noise_of(changes.data(), static_cast<int>(count), 1.0);
     }
 }
 
@@ -179,7 +179,7 @@ std::vector<Vec3> hands(Numbers& numbers, size_t count, double hostile) {
 }
 
 void persons(Numbers& numbers) {
-  const PersonMeter meter{0.26, 20, 0.6};
+  const PersonMeter meter{};
   for (int round = 0; round < 300; ++round) {
     const double hostile = kShares[round % 3];
     const size_t count = 1 + numbers.below(60);
@@ -211,7 +211,7 @@ void smoothing(Numbers& numbers) {
   for (int round = 0; round < 300; ++round) {
     const double hostile = kShares[round % 3];
     Smoother smoother;
-    smoother.rules = {true, 0.4, 12.0, 3.0, 0.5, 0.1, 0.25, 1e-9, 4e-3, 1e-9, {0.7, 0.1, 2.0, 1e-6}};
+    smoother.options = Smoothing{0.4, 12.0};
     for (int i = 0; i < 12; ++i) {
       // The number of points may change.
       const size_t count = numbers.below(3) ? 21 : numbers.below(4);
@@ -224,71 +224,19 @@ void smoothing(Numbers& numbers) {
   }
 }
 
-// Finds now this, now that.
-class Guesser : public Explainer {
- public:
-  explicit Guesser(Numbers& numbers) : numbers_(numbers) {}
-  int explain_times(const double*, int) override { return guess(); }
-  int explain_rate(double) override { return guess(); }
-  int explain_batch(const Landmarks*, const Pose*, int, Examined&) override { return guess(); }
-  int rule_of(int finding) const override { return finding % 2 ? kUnit : kSide; }
-
- private:
-  int guess() { return numbers_.below(3) - 1; }
-  Numbers& numbers_;
-};
-
 void guards(Numbers& numbers) {
-  InputRules input{};
-  input.fresh = {12, 6, 0.2};
-  input.calm = {32, 12, 0.5};
-  input.alert = {6, 3, 0.1};
-  input.calm_batches = 2;
-  input.carried_batches = 4;
-  input.first_sizes = 5;
-  std::fill(input.widths, input.widths + kPairs, 0.3);
-  std::fill(input.feature_sizes, input.feature_sizes + 5, 0.3);
-  input.largest_deviation = input.rigid_spread = input.quartiles_apart = 1.0;
-  input.shortest_step = 1e-3;
-  input.longest_step = 0.5;
-  input.shortest_hand = 0.01;
-  input.longest_hand = 10.0;
-  input.no_hand = input.better_by = 9.0;
-  input.sure_side = input.contradiction = -9.0;
-  input.resized = 100.0;
-  input.carried = 1e-3;
-  input.conventions = {Mat3{}};
-  input.farthest = input.steady = -2.0;
-  input.farthest_apart = 1.0;
-  for (int i = 0; i < kPairs; ++i) {
-    input.first.push_back(i % kLandmarks);
-    input.second.push_back((i + 5) % kLandmarks);
-    input.places.push_back((i + 1) % kPairs);
+  std::array<int, kLandmarks> own, reversed;
+  for (int k = 0; k < kLandmarks; ++k) {
+    own[k] = k;
+    reversed[k] = kLandmarks - 1 - k;
   }
-  input.orders = 1;
-  GuardRules rules{};
-  rules.longest_step = 2.0;
-  rules.gap = 0.5;
-  rules.set_back = rules.set_forward = 10.0;
-  rules.period_share = 0.1;
-  rules.shortest_step = 0.2;
-  rules.late_samples = 3;
-  rules.rate_window = 0.2;
-  rules.noise = {0.7, 0.1, 2.0, 1e-6};
-  for (int k = 0; k < kFixed; ++k) {
-    rules.starts[k] = k % kLandmarks;
-    rules.ends[k] = (k + 1) % kLandmarks;
-  }
-  std::fill(rules.believed, rules.believed + kSizes, 100.0);
-  rules.palm_ratios[1] = 1e3;
-  rules.frozen_after = 0.2;
-  rules.brief = 0.1;
-  Guesser guesser(numbers);
+  const auto orders =
+      std::make_shared<const LandmarkOrders>(std::vector<std::array<int, kLandmarks>>{own, reversed});
+  const std::vector<Vec3> at_rest = hands(numbers, 1, 0.0);
+  const Landmarks person = landmarks_of(&at_rest[0].x);
   for (int round = 0; round < 60; ++round) {
     const double hostile = kShares[round % 3];
-    StreamGuard guard(rules, input, 1.0, guesser);
-    guard.palm = 0.03;
-    guard.person.fill(0.02);
+    StreamGuard guard(1.0, person, orders);
     double time = 0.0;
     for (int i = 0; i < 80; ++i) {
       const std::vector<Vec3> hand = hands(numbers, 1, hostile);
