@@ -27,7 +27,6 @@ class Gate:
         motion: How it moves; it may come from the gate of another limit.
         options: Say whether speed limits hold, and limit the acceleration.
         collisions: Pairs of shapes to keep apart; none if omitted.
-        limits: Limits other than those of the hand and of `options`.
 
     Attributes:
         hand: As given.
@@ -43,12 +42,11 @@ class Gate:
         motion: Motion,
         options: IkOptions = IkOptions(),
         collisions: CollisionLimit | None = None,
-        limits: BoxLimits | None = None,
     ) -> None:
         self.hand = hand
         self.collisions = collisions
         together = collisions.columns if collisions else False
-        self.limits = limits or BoxLimits(hand, options, together)
+        self.limits = BoxLimits(hand, options, together)
         self.links: tuple[Names, ...] = collisions.bounds.links if collisions else ((),)
         self._options = options
         self.core = self._make_core()
