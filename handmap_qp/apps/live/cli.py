@@ -43,7 +43,7 @@ class Target:
         robot: Robot hand that the service moves; `handmap hands` lists those of the package.
         record: Recording to write (.npz or .csv).
         session: Public name of the session.
-        preset: What the mapping is for, as in `handmap map`.
+        preset: What the mapping is for, as in `handmap retarget`.
         person: File of the person's hand, of `handmap calibrate`.
         shared: Let other clients clutch and configure the session, clear its stops, and say where
             the robot's joints are, so that it grips.
@@ -131,7 +131,7 @@ class TrackReplay:
         handmap track replay demo.npz --speed 2 --loop --to 127.0.0.1 --robot hey5
 
     Attributes:
-        recording: Recording of a human hand, as for `handmap map`.
+        recording: Recording of a human hand, as for `handmap retarget`.
         speed: Factor on the speed of time, 0.01 to 100.
         loop: Start again at the end, until Ctrl-C.
         side: Which hand the recording is of, where the file does not say.

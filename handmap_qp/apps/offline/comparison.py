@@ -61,7 +61,7 @@ from .trajectory import RobotMotion, held_samples, map_recording
 PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""
 SMOOTH = "+smooth"
-"""Ending of a name that asks for smoother motion, as `--smooth` of `handmap map`."""
+"""Ending of a name that asks for smoother motion, as `--smooth` of `handmap retarget`."""
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
 

@@ -358,7 +358,7 @@ class HandsMigrate:
 
     Examples:
         handmap hands migrate allegro_hand_right.yml --urdf allegro_hand_right.urdf
-        handmap map recording.npz --robot hand.yaml
+        handmap retarget recording.npz --robot hand.yaml
 
     Attributes:
         config: YAML file of dex-retargeting, with the table `retargeting`.
@@ -445,7 +445,7 @@ class HandsMatch:
     Attributes:
         hand: Path of a hand.yaml, or name of a hand of the package.
         human_length: Length of the person's hand from wrist crease to middle fingertip [m].
-        recording: Recording in which the person's hand is measured, as for `handmap map`.
+        recording: Recording in which the person's hand is measured, as for `handmap retarget`.
         picture: Picture to draw: the human at rest, the robot at rest, the robot matched. PNG.
         json: Print one JSON object instead of a table.
         inputs: How the recording is to be read.

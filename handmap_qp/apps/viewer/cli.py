@@ -49,8 +49,8 @@ class View:
         handmap view --live 127.0.0.1      (beside a running handmap serve)
 
     Attributes:
-        recording: Recording of a human hand, as for `handmap map`; for a robot with both hands, of
-            one of them or of both.
+        recording: Recording of a human hand, as for `handmap retarget`; for a robot with both
+            hands, of one of them or of both.
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
             is the Allegro of the recording's side. Or a robot with both hands: a name of
             `handmap robots list`, or the path of its robot.yaml.
