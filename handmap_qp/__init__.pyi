@@ -1,4 +1,12 @@
 from .apps.doctor import __version__ as __version__
+from .apps.onboarding import Clue as Clue
+from .apps.onboarding import DescribedHand as DescribedHand
+from .apps.onboarding import HandFinding as HandFinding
+from .apps.onboarding import HandReport as HandReport
+from .apps.onboarding import InitResult as InitResult
+from .apps.onboarding import check_hand as check_hand
+from .apps.onboarding import check_robot as check_robot
+from .apps.onboarding import init_hands as init_hands
 from .errors import (
     DegeneratePointsError as DegeneratePointsError,
 )

@@ -230,6 +230,9 @@ def in_words_of_the_command_line(
     given = [o for o in options if o[2:].replace("-", "_").rpartition(".")[2] == name]
     if len(given) == 1:
         error.argument = given[0]
+    elif name == "out":
+        # It has a default, so that it need not be among the words.
+        error.argument = "--out"
     return error
 
 

@@ -13,7 +13,7 @@ import pytest
 from service_tools import CACHE, client_of, connected, human_q, opening, serving
 
 from handmap_qp import Hand, HandError, HandSpec, hand_names, load_hand
-from handmap_qp.apps.onboarding.cli import list_hands
+from handmap_qp.apps.onboarding.describe import list_hands
 from handmap_qp.apps.service.opening import HandCache, prepare_hands
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.viewer.figure import link_meshes
