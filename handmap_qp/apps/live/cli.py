@@ -9,7 +9,6 @@ from typing import Annotated
 from rich.console import Console
 from tyro.conf import Positional, arg
 
-from handmap_qp.apps import live
 from handmap_qp.apps.arguments import FileSide, KeyFiles, OpenSession, hinted
 from handmap_qp.apps.interrupts import ended_by_signals
 from handmap_qp.apps.tables import print_result
@@ -97,8 +96,11 @@ class Target:
         if self.record:
             sinks.append(Recorder(self.record, "--record", source.upright))
         if self.to and self.robot:
+            # It needs the extra `service`, as the commands without it do not.
+            from .service import ServiceSink
+
             sinks.append(
-                live.service.ServiceSink(
+                ServiceSink(
                     self.to,
                     self.robot,
                     source.side,
@@ -223,9 +225,10 @@ class TrackRecord:
     def run(self) -> None:
         """Record until the session ends or Ctrl-C."""
         recorder = Recorder(self.out, "OUT")
-        source = live.service.ServiceSource(
-            self.source, session=self.session, keys=self.keys
-        )
+        # It needs the extra `service`, as the commands without it do not.
+        from .service import ServiceSource
+
+        source = ServiceSource(self.source, session=self.session, keys=self.keys)
         recorder.upright = source.upright
         _lead(source, [recorder], is_json=self.json)
 

@@ -28,7 +28,6 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-import handmap_qp
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
 from handmap_qp.hands import Hand, Names, Side, Values, find_fingers
@@ -298,7 +297,7 @@ def compare_methods(
 
 def peers_program() -> Path:
     """Return the folder of the program that runs the peers: of the checkout, or of the package."""
-    package = Path(handmap_qp.__file__).parent
+    package = Path(__file__).parents[2]
     checkout = package.parent / "benchmarks" / "peers"
     return checkout if checkout.is_dir() else package / "outside" / "peers"
 

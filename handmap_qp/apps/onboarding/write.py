@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import msgspec
 import yaml
 
-from handmap_qp import hands
 from handmap_qp.errors import (
     HandError,
     MissingExtraError,
@@ -114,7 +113,9 @@ def open_source(
     named = given if source else str(path)
     if not is_mjcf(path):
         return RobotSource(path, named)
-    mjcf = hands.mjcf
+    # MuJoCo takes longer to import than most hands take to load.
+    from handmap_qp.hands import mjcf
+
     if source or not folder:
         notes = mjcf.ConvertedMjcf(path).notes
         return RobotSource(mjcf.cached_urdf(path), named, notes)
