@@ -22,7 +22,7 @@ OVERVIEW = DOCS / "trackers.md"
 PICTURES = DOCS / "images"
 BEGIN, END = "<!-- table: docs/layouts.py -->", "<!-- end of the table -->"
 READ = """
-    handmap map recording.npz --layout {name} --robot allegro_right
+    handmap retarget recording.npz --layout {name} --robot allegro_right
 
 `load_layout("{name}").read(values, time=seconds, side="right")` reads one sample. A session of the
 service takes `layout="{name}"`. [Trackers](../trackers.md) says what else there is to know.

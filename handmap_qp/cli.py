@@ -84,7 +84,7 @@ _GROUP = "handmap_qp.commands"
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
 _MODULES = {
     "demo": "offline.demo",
-    "map": "offline.cli",
+    "retarget": "offline.cli",
     "align": "offline.cli",
     "calibrate": "offline.cli",
     "convert": "datasets.convert",
@@ -118,6 +118,9 @@ COMMANDS: dict[str, Any] = {
     for kind in [name.title().replace(" ", "")]
 }
 """Commands of the package by name, in that order."""
+_FORMER_NAMES = {"map": "retarget"}
+"""Former names of commands that still work, and the names that they have now."""
+COMMANDS |= {former: COMMANDS[name] for former, name in _FORMER_NAMES.items()}
 
 
 @cache
@@ -163,7 +166,7 @@ given. `handmap COMMAND --help` explains a command and its options.
 Examples:
     handmap demo
     handmap hands list
-    handmap map demo --robot allegro_right
+    handmap retarget demo --robot allegro_right
     handmap compare recording.npz --robot allegro_right
     handmap view demo --robot allegro_right
 """
@@ -227,6 +230,9 @@ def in_words_of_the_command_line(
     given = [o for o in options if o[2:].replace("-", "_").rpartition(".")[2] == name]
     if len(given) == 1:
         error.argument = given[0]
+    elif name == "out":
+        # It has a default, so that it need not be among the words.
+        error.argument = "--out"
     return error
 
 
@@ -342,7 +348,9 @@ def _print_overview(prefix: str, about: str) -> None:
     print(f"usage: handmap {prefix or '[-h] '}COMMAND ...\n\n{about}\nCommands:")
     for name, place in all_commands().items():
         if name.startswith(prefix):
-            line = f"  {name:<{column}}{place.about}"
+            current = _FORMER_NAMES.get(name)
+            about = f"Former name of `{current}`." if current else place.about
+            line = f"  {name:<{column}}{about}"
             print(textwrap.fill(line, width, subsequent_indent=after))
 
 

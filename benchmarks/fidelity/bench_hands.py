@@ -28,7 +28,7 @@ from handmap_qp.apps.offline.comparison import (
     prepare_take,
 )
 from handmap_qp.apps.offline.metrics import METRICS, Metric
-from handmap_qp.apps.onboarding.findings import Report
+from handmap_qp.apps.onboarding.findings import HandReport
 from handmap_qp.apps.onboarding.measure import check_pinches
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
@@ -118,7 +118,7 @@ def measure(hand: Hand, takes: list[Take]) -> dict[str, Any]:
     comparison = compare_methods(takes, hand, [own_method(method)])
     overall = comparison.overall[comparison.methods[0]]
     failed = [run for run in comparison.runs if run.problem]
-    report = Report(hand.name)
+    report = HandReport(hand.name)
     report.add(check_pinches(hand))
     pinches = report.measured.get("Pinches", [])
     touched = [pinch["thumb and"] for pinch in pinches if pinch["touch"] == "yes"]

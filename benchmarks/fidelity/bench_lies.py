@@ -1,17 +1,18 @@
 """Which mistakes in recordings are found within a second, and how often a good one is refused.
 
 Every mistake of `lies.py` is put into every recording, and into motions of the human model. Windows
-of one second that start every quarter of a second are given to the check that `handmap map` and the
-service use, sample by sample. A mistake counts as found if the check reports anything, and as named
-if it reports the right kind. Windows that a mistake hardly changes are left out
+of one second that start every quarter of a second are given to the check that `handmap retarget`
+and the service use, sample by sample. A mistake counts as found if the check reports anything, and
+as named if it reports the right kind. Windows that a mistake hardly changes are left out
 (`lies.is_visible`).
 
 Mistakes that show only in the course of a stream go through the guard with the tracker's own wrist
 in our axes, from the first sample to the last. False alarms are counted on takes as they are, with
 Wilson's intervals at 95 %.
 
-A file has no time of arrival. What `handmap map` finds in whole ones, by `trackers.file_evidence`,
-has a table of its own: time at another rate, wrists that were not measured, hands that slowly grow.
+A file has no time of arrival. What `handmap retarget` finds in whole ones, by
+`trackers.file_evidence`, has a table of its own: time at another rate, wrists that were
+not measured, hands that slowly grow.
 """
 
 from __future__ import annotations
@@ -495,9 +496,7 @@ def main(words: Sequence[str] | None = None) -> None:
     common.print_table(
         "People left out", left_out, to_stderr=to_stderr, caption=caption
     )
-    caption = (
-        "found: refused, or named by `handmap map` below its table; intervals at 95 %"
-    )
+    caption = "found: refused, or named by `handmap retarget` below its table; intervals at 95 %"
     common.print_table(
         "Mistakes in whole files", in_files, to_stderr=to_stderr, caption=caption
     )

@@ -3,8 +3,8 @@
     python benchmarks joints --save build/joints.npz     # on the tree before a change
     python benchmarks joints --against build/joints.npz  # on the tree after it
 
-Every hand follows by its default method, through the guard, as `handmap map` does. A difference is
-the largest one of a joint [rad or m] or of an element of the wrist's pose.
+Every hand follows by its default method, through the guard, as `handmap retarget` does. A
+difference is the largest one of a joint [rad or m] or of an element of the wrist's pose.
 """
 
 from __future__ import annotations

@@ -366,7 +366,7 @@ def read_robot(
         "RECORDING",
         "one recording with --robot",
         value=len(files),
-        advice="give a robot with both hands, or --robots LEFT RIGHT of `handmap map`",
+        advice="give a robot with both hands, or --robots LEFT RIGHT of `handmap retarget`",
     )
     recording = command.inputs.read(files[0], robot.side, command.person)
     return robot, [fit_side(recording, robot, mirror=command.mirror)]

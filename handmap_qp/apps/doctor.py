@@ -11,10 +11,9 @@ from importlib import metadata
 from pathlib import Path
 
 from handmap_qp.errors import MissingCoreError
+from handmap_qp.version import PACKAGE, __version__
 from .tables import print_result
 
-_PACKAGE = "handmap-qp"
-__version__ = metadata.version(_PACKAGE)
 _CORE = "numpy scipy pin mink mujoco qpsolvers daqp osqp proxsuite tyro rich"
 _FOLDERS = {"HANDMAP_RECORDINGS": "*.npz", "HANDMAP_HANDS": "*/*.urdf"}
 """Folders that tests and benchmarks read, with the files expected there."""
@@ -53,7 +52,7 @@ def versions() -> dict[str, str]:
     """
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
     return {
-        _PACKAGE: __version__,
+        PACKAGE: __version__,
         "python": sys.version.split()[0],
         "system": system,
         "core": _core_state(),
@@ -64,7 +63,7 @@ def versions() -> dict[str, str]:
 def extras() -> dict[str, str]:
     """Return for every extra `installed`, or how to install it."""
     found: dict[str, list[str]] = {}
-    for requirement in metadata.requires(_PACKAGE) or []:
+    for requirement in metadata.requires(PACKAGE) or []:
         parts = re.match(r"([\w.-]+).*extra == ['\"]([\w-]+)['\"]", requirement)
         # `all` repeats the others.
         if not parts or parts[2] == "all":
@@ -75,7 +74,7 @@ def extras() -> dict[str, str]:
     return {
         extra: "installed"
         if not missing
-        else f"{', '.join(missing)} not installed: pip install '{_PACKAGE}[{extra}]'"
+        else f"{', '.join(missing)} not installed: pip install '{PACKAGE}[{extra}]'"
         for extra, missing in found.items()
     }
 

@@ -248,15 +248,15 @@ class Open(Request):
         max_dt: Longest time that one command may account for [s]; about two samples.
         time_from: Clock for speed limits; `client` needs --simulated-time.
         watchdog: Time without a sample after which the robot holds [s].
-        return_after: Time of a hold after which the robot returns to rest [s]; null for never.
+        return_after: Time of a hold after which the robot returns to rest [s]; never if omitted.
         return_speed: Share of its speed limits that it returns at.
         resume: After a hold: follow the human, or take a new reference.
         has_detail: Whether commands carry every stage of the mapping.
         is_shared: Whether others may release, clutch, configure and clear it by its name.
         following_error: Distance from all commands of the last 50 ms at which a measured joint does
-            not follow [rad], at most half of its range: the robot then holds where it is
+            not follow [rad], at most half of its range. The robot then holds where it is
             (`not_following`) until `clutch` or `reset`, as where measurements stay away for 150 ms.
-            Null: errors are only told. An object in the hand stops joints, too.
+            If omitted, errors are only reported. An object in the hand stops joints, too.
         following_time: How long it must last [s].
         grip: Fields of GripOptions: thumb and finger hold what they meet, by `measured_q` of
             samples or a driver's `measured`, or all press on an `object`. If omitted, they do so

@@ -16,7 +16,6 @@ from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
-from handmap_qp import hands
 from handmap_qp.errors import (
     HandError,
     MissingExtraError,
@@ -140,7 +139,10 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
     try:
         path = source_file(spec)
         if is_mjcf(path):
-            return hands.mjcf.cached_urdf(path)
+            # MuJoCo takes longer to import than most hands take to load.
+            from .mjcf import cached_urdf
+
+            return cached_urdf(path)
     except HandError as error:
         raise spec.error(error.problem, "urdf", spec.urdf) from error
     return path

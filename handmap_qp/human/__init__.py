@@ -1,8 +1,91 @@
-"""What was measured of a human hand: samples, recordings, and a person's lengths.
+"""What was measured of a human hand: samples, recordings, and a person's lengths."""
 
-Names of `__init__.pyi` are imported at their first use.
-"""
+from .contact_gap import (
+    TOUCH_GAP,
+    ContactGapMeter,
+    clipped_gap,
+    measure_contact_gap,
+    smallest_gap,
+    tip_gaps,
+)
+from .findings import HAND_LENGTHS, Finding
+from .fit import LandmarkFitter, fit_recording
+from .measure import check_length, measure_hand, scaled_human
+from .person import Person, read_person, write_person
+from .recording import (
+    HumanMotion,
+    Recording,
+    as_flags,
+    axis_direction,
+    finite_samples,
+    mirrored,
+    regular_time,
+    sample_columns,
+    turned,
+    upright_axes,
+)
+from .sample import (
+    FIRST_JOINTS,
+    LANDMARK_COUNT,
+    LANDMARK_NAMES,
+    PALM,
+    RULES,
+    TIPS,
+    UNSEEN,
+    HumanSample,
+    PalmShape,
+    Rule,
+    Verdict,
+    check_side,
+    finger_chains,
+    human_name,
+    landmarks_at_rest,
+    palm_fit_weights,
+    palm_sizes,
+)
 
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [
+    "FIRST_JOINTS",
+    "HAND_LENGTHS",
+    "LANDMARK_COUNT",
+    "LANDMARK_NAMES",
+    "PALM",
+    "RULES",
+    "TIPS",
+    "TOUCH_GAP",
+    "UNSEEN",
+    "ContactGapMeter",
+    "Finding",
+    "HumanMotion",
+    "HumanSample",
+    "LandmarkFitter",
+    "PalmShape",
+    "Person",
+    "Recording",
+    "Rule",
+    "Verdict",
+    "as_flags",
+    "axis_direction",
+    "check_length",
+    "check_side",
+    "clipped_gap",
+    "finger_chains",
+    "finite_samples",
+    "fit_recording",
+    "human_name",
+    "landmarks_at_rest",
+    "measure_contact_gap",
+    "measure_hand",
+    "mirrored",
+    "palm_fit_weights",
+    "palm_sizes",
+    "read_person",
+    "regular_time",
+    "sample_columns",
+    "scaled_human",
+    "smallest_gap",
+    "tip_gaps",
+    "turned",
+    "upright_axes",
+    "write_person",
+]

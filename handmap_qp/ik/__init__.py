@@ -1,5 +1,48 @@
-"""From targets to motion: a QP with limits. Names are those of `__init__.pyi`."""
+"""From targets to motion: a QP with limits."""
 
-import lazy_loader
+from . import collision, compiled, gate
+from .collision import pair_bounds
+from .compiled import core_tree
+from .core import Compiled
+from .gate import Gate
+from .motion import BEHIND, LONGEST_STEP, SHORTEST_DT, Instant, Motion, When
+from .options import LENGTH_UNIT, IkOptions
+from .qp import WRIST_LEVERS, IkResult, PointIk, Status, solve_by_daqp, wrist_error
+from .tasks import (
+    AttachedPoints,
+    JointPositions,
+    PointDistances,
+    PointOffset,
+    Task,
+    TaskRows,
+)
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [
+    "BEHIND",
+    "LENGTH_UNIT",
+    "LONGEST_STEP",
+    "SHORTEST_DT",
+    "WRIST_LEVERS",
+    "AttachedPoints",
+    "Compiled",
+    "Gate",
+    "IkOptions",
+    "IkResult",
+    "Instant",
+    "JointPositions",
+    "Motion",
+    "PointDistances",
+    "PointIk",
+    "PointOffset",
+    "Status",
+    "Task",
+    "TaskRows",
+    "When",
+    "collision",
+    "compiled",
+    "core_tree",
+    "gate",
+    "pair_bounds",
+    "solve_by_daqp",
+    "wrist_error",
+]

@@ -274,7 +274,10 @@ class PointIk:
         self.is_compiled = options.is_compiled
         self._solver = solve_by_daqp
         if options.solver != "daqp":
-            self._solver = ik.solvers.make_solver(options.solver)
+            # qpsolvers takes a second to import.
+            from .solvers import make_solver
+
+            self._solver = make_solver(options.solver)
         at_rest = Motion.at_rest(pin.neutral(hand.model), len(hand.active_columns))
         self.gate = ik.gate.IkGate(hand, motion or at_rest, options, collisions)
         self.core = self.gate.core
@@ -454,7 +457,9 @@ class PointIk:
         """
         problem = self.hand, self.options, self._configuration, goal
         if self.options.formulation == "mink":
-            posed = ik.mink_problem.build_problem(*problem)
+            from .mink_problem import build_problem
+
+            posed = build_problem(*problem)
             H, c = np.asarray(posed.P), posed.q
         else:
             H, c = direct_cost(*problem)

@@ -46,7 +46,7 @@ def read_options(path: Path | str) -> dict[str, Any]:
         raise InvalidInputError(
             f"{file} has an unknown option",
             argument=name,
-            advice=did_you_mean(name, known) or "see handmap map --help",
+            advice=did_you_mean(name, known) or "see handmap retarget --help",
         )
     return table
 

@@ -1,5 +1,36 @@
-"""Which samples of a tracker the robot follows. Names are those of `__init__.pyi`."""
+"""Which samples of a tracker the robot follows."""
 
-import lazy_loader
+from .follower import SMOOTH_IK, Follower, Smoothing
+from .following import FollowingCheck
+from .grip import GripFollower, RobotGripFollower, gripping
+from .guard import BEHIND, StreamGuard
+from .hand_grip import GripOptions, can_grip, gripping_presets, has_grasp
+from .held_object import ObjectFollower, ObjectOptions, follow_recording
+from .measurement import measure_person
+from .robot_follower import RobotFollower, paired
+from .step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [
+    "BEHIND",
+    "RULE_NAMES",
+    "SMOOTH_IK",
+    "STATUS_NAMES",
+    "Follower",
+    "FollowingCheck",
+    "GripFollower",
+    "GripOptions",
+    "ObjectFollower",
+    "ObjectOptions",
+    "RobotFollower",
+    "RobotGripFollower",
+    "Smoothing",
+    "StepTable",
+    "StreamGuard",
+    "can_grip",
+    "follow_recording",
+    "gripping",
+    "gripping_presets",
+    "has_grasp",
+    "measure_person",
+    "paired",
+]

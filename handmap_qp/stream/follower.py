@@ -2,7 +2,7 @@
 
 The guard judges every sample by named rules. After a hold the robot comes back to the human without
 a snap. Samples, never commands, are smoothed by their noise, so that the QP's speed limits hold.
-The sessions of the service, `handmap map` and `handmap view` all follow in this way.
+The sessions of the service, `handmap retarget` and `handmap view` all follow in this way.
 """
 
 from __future__ import annotations

@@ -1,8 +1,69 @@
-"""From files and devices to samples of a human hand, and checks that they are what they say.
+"""From files and devices to samples of a human hand, and checks that they are what they say."""
 
-Names of `__init__.pyi` are imported at their first use.
-"""
+from .file_evidence import (
+    STILL_TRAVEL,
+    STILL_TURN,
+    RecordingFacts,
+    hints,
+    recording_facts,
+)
+from .formats import (
+    DEMO,
+    FORMATS,
+    SEPARATOR,
+    Source,
+    format_to_write,
+    list_sources,
+    read_hands,
+    read_recording,
+    write_recordings,
+)
+from .formats.archive import NpzFormat, read_archive, save_npz
+from .formats.base import SIDES, first_of, reading
+from .hand_geometry import BONES, NEIGHBOURS
+from .layouts import LAYOUTS
+from .layouts.angles import AngleLayout
+from .layouts.base import Layout, sized_human
+from .layouts.files import layout_hint, read_with_layout
+from .layouts.markers import MarkerLayout
+from .layouts.points import PointLayout
+from .layouts.tables import load_layout, table_text
+from .plausibility import InputCheck, check_recording, known_orders
 
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [
+    "BONES",
+    "DEMO",
+    "FORMATS",
+    "LAYOUTS",
+    "NEIGHBOURS",
+    "SEPARATOR",
+    "SIDES",
+    "STILL_TRAVEL",
+    "STILL_TURN",
+    "AngleLayout",
+    "InputCheck",
+    "Layout",
+    "MarkerLayout",
+    "NpzFormat",
+    "PointLayout",
+    "RecordingFacts",
+    "Source",
+    "check_recording",
+    "first_of",
+    "format_to_write",
+    "hints",
+    "known_orders",
+    "layout_hint",
+    "list_sources",
+    "load_layout",
+    "read_archive",
+    "read_hands",
+    "read_recording",
+    "read_with_layout",
+    "reading",
+    "recording_facts",
+    "save_npz",
+    "sized_human",
+    "table_text",
+    "write_recordings",
+]

@@ -342,7 +342,7 @@ def test_a_mistake_is_one_line_or_a_box_and_leaves_no_file(
 
 
 COMMANDS = (
-    *("", "demo", "map", "calibrate", "compare", "view"),
+    *("", "demo", "retarget", "calibrate", "compare", "view"),
     *(
         "hands list",
         "hands show",
@@ -374,6 +374,23 @@ def test_help_has_examples_and_fits_the_terminal(
 def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
     for name, place in cli.COMMANDS.items():
         assert place.about == (place.load().__doc__ or "").partition("\n")[0], name
+
+
+def test_a_former_name_is_the_same_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.parse(["map", "demo"]) == cli.parse(["retarget", "demo"])
+    pages = {}
+    for name in ("map", "retarget"):
+        with pytest.raises(SystemExit):
+            cli.main([name, "--help"])
+        usage, _, pages[name] = capsys.readouterr().out.partition("\n")
+        assert usage.startswith(f"usage: handmap {name} ")
+        assert "handmap retarget demo" in pages[name]
+        assert "`handmap map` is the same command" in " ".join(pages[name].split())
+    with pytest.raises(SystemExit):
+        cli.main(["--help"])
+    listed = capsys.readouterr().out
+    assert re.search(r"^  map +Former name of `retarget`\.$", listed, re.MULTILINE)
+    assert re.search(r"^  retarget +Map a recording", listed, re.MULTILINE)
 
 
 def test_other_packages_are_looked_up_only_when_asked(
@@ -523,7 +540,7 @@ def test_completions_name_every_command(
         assert name.split()[-1] in script
     assert "--robot" in script
     (spec,) = re.findall(r"^COMPLETION_SPEC = (.*)", script, re.MULTILINE)
-    options = ast.literal_eval(spec)["subcommands"]["map"]["options"]
+    options = ast.literal_eval(spec)["subcommands"]["retarget"]["options"]
     assert not [option for option in options if "\n" in option["description"]]
     (rigid,) = (option for option in options if option["flags"] == ["--rigid-from"])
     assert sorted(rigid["choices"]) == ["none", "points", "wrist"]

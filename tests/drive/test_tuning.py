@@ -748,7 +748,11 @@ def test_a_session_is_told_the_stiffness_of_tuned_joints(
     file = tmp_path / "hand.yaml"
     known = msgspec.structs.replace(JOINT, stretch=0.25, weight=1.0)
     monkeypatch.setattr("handmap_drive.cli.read_tuning", lambda _: Tuning({"a": known}))
-    choices = {"preset": "teleoperation", "input": "landmarks", "hand_length": 0.18}
+    choices: dict[str, Any] = {
+        "preset": "teleoperation",
+        "input": "landmarks",
+        "hand_length": 0.18,
+    }
     with serving() as server, client_of(server) as owner, client_of(server) as driver:
         owner.open("allegro_right", name="lab", is_shared=True, **choices)
         driver.watch("lab")

@@ -13,7 +13,7 @@ import pytest
 from service_tools import CACHE, client_of, connected, human_q, opening, serving
 
 from handmap_qp import Hand, HandError, HandSpec, hand_names, load_hand
-from handmap_qp.apps.onboarding.cli import list_hands
+from handmap_qp.apps.onboarding.describe import list_hands
 from handmap_qp.apps.service.opening import HandCache, prepare_hands
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.viewer.figure import link_meshes
@@ -39,7 +39,7 @@ FOR_EACH_REASON = sorted(
 # How a hand is given to each command that takes one.
 LINES = {
     "demo": "demo --robot {}",
-    "map": "map demo --robot {}",
+    "retarget": "retarget demo --robot {}",
     "batch": "batch demo --robot {} --out mapped",
     "compare": "compare demo --robot {}",
     "view": "view demo --robot {}",
@@ -86,8 +86,9 @@ def test_every_command_that_takes_a_hand_is_here() -> None:
         for name, place in COMMANDS.items()
         if {"hand", "robot", "target"} & {item.name for item in fields(place.load())}
     }
-    # The hands of `serve` are paths of further ones; these take robots with two hands.
-    assert taking - {"serve", "robots show", "robots check"} == set(LINES)
+    # The hands of `serve` are paths of further ones; `robots` takes robots with two hands;
+    # `map` is `retarget`.
+    assert taking - {"serve", "robots show", "robots check", "map"} == set(LINES)
 
 
 @pytest.mark.slow
@@ -116,7 +117,7 @@ def test_every_command_loads_the_hand_that_it_names(
     ("command", "name"),
     [
         *((command, name) for command in LOCAL for name in FOR_EACH_REASON[:1]),
-        *(("map", name) for name in FOR_EACH_REASON[1:]),
+        *(("retarget", name) for name in FOR_EACH_REASON[1:]),
     ],
 )
 def test_every_command_says_what_installs_a_missing_hand(

@@ -12,7 +12,8 @@ import pytest
 import yaml
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.apps.onboarding.cli import HandsInit, list_hands
+from handmap_qp.apps.onboarding.cli import HandsInit
+from handmap_qp.apps.onboarding.describe import list_hands
 from handmap_qp.errors import MissingExtraError, MissingPackageError
 from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.sources import package_folder, source_path

@@ -72,7 +72,7 @@ def make_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     option = parser.add_argument
-    option("recording", type=Path, help="recording, as for `handmap map`")
+    option("recording", type=Path, help="recording, as for `handmap retarget`")
     option("--faults", required=True, help="such as dropout@2+0.5,jump@4+1:0.3")
     option("--seed", type=int, default=0, help="of random numbers (default: 0)")
     option("--speed", type=float, default=1.0, help="of time, 0.01 to 100 (default: 1)")
@@ -83,7 +83,7 @@ def make_parser() -> argparse.ArgumentParser:
     option("--robot", metavar="HAND", help="robot hand that the service moves")
     option("--record", metavar="FILE", type=Path, help="file to write (.npz or .csv)")
     option("--session", metavar="NAME", help="public name of the session")
-    option("--preset", help="what the mapping is for, as in `handmap map`")
+    option("--preset", help="what the mapping is for, as in `handmap retarget`")
     option("--person", metavar="PERSON.yaml", type=Path, help="of `handmap calibrate`")
     option("--keys", metavar=("SECRET", "SERVER"), type=Path, nargs=2, help="key files")
     option("--json", action="store_true", help="print the summary as JSON")

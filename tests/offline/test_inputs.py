@@ -1,4 +1,4 @@
-"""`handmap map` says what it assumed of time, wrist and size, and what looks unusual."""
+"""`handmap retarget` says what it assumed of time, wrist and size, and what looks unusual."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import read_recording
-from handmap_qp.apps.offline.cli import Map
+from handmap_qp.apps.offline.cli import Retarget
 from handmap_qp.apps.offline.inputs import describe_input, input_notes, input_rows
 from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.hdf5 import EgoDexFormat
@@ -89,11 +89,11 @@ def test_map_prints_what_it_assumed_and_writes_it_as_json(
     file, out = tmp_path / "slow.npz", tmp_path / "out.npz"
     recording = read_recording("demo", "right").part(slice(120))
     write_recordings([replace(recording, time=10.0 * recording.time)], file)
-    Map((file,), robot="allegro_right", out=out).run()
+    Retarget((file,), robot="allegro_right", out=out).run()
     printed = capsys.readouterr().out
     assert "the time stamps of the file" in printed
     assert "check its unit, or give the rate by --fps" in printed
-    Map((file,), robot="allegro_right", out=out, json=True).run()
+    Retarget((file,), robot="allegro_right", out=out, json=True).run()
     (found,) = json.loads(capsys.readouterr().out)["inputs"]
     assert found["rate_hz"] == pytest.approx(3.0, rel=0.05)
     assert len(found["hints"]) == 1

@@ -19,6 +19,7 @@ from shared_hands import NAMES, load, shared_hands_folder
 
 from handmap_qp import Hand, HandError, cli, load_hand
 from handmap_qp.apps.drawing import load_shape
+from handmap_qp.apps.onboarding import cli as onboarding
 from handmap_qp.apps.onboarding.check import (
     _check_tips,
     _check_wrist,
@@ -26,14 +27,13 @@ from handmap_qp.apps.onboarding.check import (
     check_hand,
     check_speeds,
 )
-from handmap_qp.apps.onboarding.cli import HandsCheck
 from handmap_qp.apps.onboarding.collision_pairs import (
     find_collision_pairs,
     joined_notes,
     with_collision_pairs,
 )
 from handmap_qp.apps.onboarding.detect import detect
-from handmap_qp.apps.onboarding.findings import Finding, Found, Report
+from handmap_qp.apps.onboarding.findings import Found, HandFinding, HandReport
 from handmap_qp.apps.onboarding.measure import (
     check_arm,
     check_contacts,
@@ -77,14 +77,14 @@ def described(tmp_path: Path, urdf: str, **changes: Any) -> Path:
     return tmp_path / "hand.yaml"
 
 
-def found_by(check: Found) -> Report:
+def found_by(check: Found) -> HandReport:
     """Return what one check finds."""
-    report = Report("hand")
+    report = HandReport("hand")
     report.add(check)
     return report
 
 
-def warnings_of(report: Report) -> dict[str, str]:
+def warnings_of(report: HandReport) -> dict[str, str]:
     found: dict[str, str] = {}
     for f in report.findings:
         if f.level == "warning":
@@ -92,7 +92,7 @@ def warnings_of(report: Report) -> dict[str, str]:
     return found
 
 
-def check(path: Path) -> Report:
+def check(path: Path) -> HandReport:
     return check_hand(str(path), has_motion=False)
 
 
@@ -282,7 +282,7 @@ def test_a_contradiction_is_an_exit_code(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     # Other tests look at pictures.
-    monkeypatch.setattr(HandsCheck, "_steps", ("hand", check_hand, lambda *_: None))
+    monkeypatch.setattr(onboarding, "draw_hand", lambda *_: None)
     file = described(tmp_path, made.urdf)
     words = ["hands", "check", str(file), "--no-motion", "--json"]
     assert cli.main(words) == 0
@@ -632,7 +632,7 @@ def test_a_fingertip_outside_its_shapes_is_found() -> None:
             set_origin(shape, pose)
     text = ElementTree.tostring(robot, encoding="unicode")
     (found,) = _check_tips(Hand(hand.spec, urdf_text=text))
-    assert isinstance(found, Finding)
+    assert isinstance(found, HandFinding)
     assert found.key == "points.index"
     assert re.match(r"the fingertip is \d+ mm outside the shapes", found.found)
     assert "`shapes`" in found.change

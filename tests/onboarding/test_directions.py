@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import cli, load_hand
-from handmap_qp.apps.onboarding.findings import Report, Rows
+from handmap_qp.apps.onboarding.findings import HandReport, Rows
 from handmap_qp.apps.onboarding.measure import check_directions
 from handmap_qp.apps.onboarding.picture import hand_scene
 from handmap_qp.hands.hand import Hand
@@ -18,7 +18,7 @@ BARE = load_hand("allegro_right")
 
 def measure_directions(hand: Hand, *upright: str) -> Rows:
     """Return the rows of the table; none without one."""
-    report = Report(hand.name)
+    report = HandReport(hand.name)
     report.add(check_directions(hand, *upright))
     return report.measured.get("Directions", [])
 
@@ -42,7 +42,7 @@ def test_a_bare_hand_has_no_directions_to_check() -> None:
 
 def test_the_picture_has_them() -> None:
     hand = load_hand("ur5_allegro")
-    scene = hand_scene(hand, *measure_directions(hand))
+    scene = hand_scene(hand, measure_directions(hand))
     labels = [label for _, _, label, _ in scene.arrows]
     assert labels[3:] == [row["direction"] for row in measure_directions(hand)]
     ends = np.array([end for _, end, *_ in scene.arrows[3:]])

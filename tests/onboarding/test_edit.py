@@ -27,7 +27,7 @@ from handmap_qp.apps.onboarding import edit
 from handmap_qp.apps.onboarding.cli import HandsInit
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.editor import HandEditor, HandsEdit
-from handmap_qp.apps.onboarding.findings import Report
+from handmap_qp.apps.onboarding.findings import HandReport
 from handmap_qp.apps.onboarding.gestures import GESTURES, draw_gestures
 from handmap_qp.apps.onboarding.measure import check_fist
 from handmap_qp.apps.onboarding.write import write_hand
@@ -102,7 +102,7 @@ def test_a_palm_turned_over_is_found_and_turned_back() -> None:
     turned = applied(hand, edit.with_palm_turned)
     levels = []
     for each in (hand, turned):
-        report = Report(each.name)
+        report = HandReport(each.name)
         report.add(check_fist(each))
         levels.append([finding.level for finding in report.findings])
     assert levels == [["fine"], ["warning"]]

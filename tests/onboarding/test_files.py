@@ -19,10 +19,10 @@ from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
 from handmap_qp.apps.drawing import scene
 from handmap_qp.apps.onboarding import picture
 from handmap_qp.apps.onboarding.check import check_hand, check_speeds
-from handmap_qp.apps.onboarding.cli import HandsCheck, HandsInit
+from handmap_qp.apps.onboarding.cli import HandsCheck, HandsInit, print_report
 from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import Detection, detect
-from handmap_qp.apps.onboarding.findings import Found, Report
+from handmap_qp.apps.onboarding.findings import Found, HandReport
 from handmap_qp.apps.onboarding.measure import (
     check_reach,
     check_size,
@@ -61,12 +61,12 @@ def chained_mimics() -> Detection:
 
 def tables_of(check: Found) -> dict[str, Any]:
     """Return the tables of one check."""
-    report = Report("hand")
+    report = HandReport("hand")
     report.add(check)
     return report.measured
 
 
-def levels(report: Report) -> list[str]:
+def levels(report: HandReport) -> list[str]:
     return [finding.level for finding in report.findings]
 
 
@@ -265,7 +265,7 @@ def test_joints_too_slow_for_a_fist_are_found(speed: float, count: int) -> None:
         if "spread" in j
     }
     hand = load_hand(msgspec.structs.replace(spec, limits=limits | spread))
-    report = Report("hand")
+    report = HandReport("hand")
     report.add(check_speeds(hand))
     if count == 0:
         assert report.findings == []
@@ -282,7 +282,7 @@ def test_a_description_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:
     assert levels(report) == ["error"]
     assert report.hand is None
     with pytest.raises(HandError, match="wrist"):
-        report.print(None, as_json=False)
+        print_report(report, None, as_json=False)
 
 
 def test_overlapping_links_are_found() -> None:

@@ -17,6 +17,7 @@ from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.edit import described
 from handmap_qp.apps.onboarding.findings import fine, warning
+from handmap_qp.apps.onboarding.write import RobotSource
 from handmap_qp.hands.sources import package_folder, urdf_directory, urdf_path
 from handmap_qp.hands.urdf import edges, parse_urdf
 
@@ -568,7 +569,7 @@ def test_fingers_that_would_cross_at_rest_are_opened(
     found = detect(urdf)
     before = load_hand(found.spec)
     assert bool(colliding_links(before, before.rest)) == is_opened
-    done = described(found, (urdf, str(urdf), ()))
+    done = described(found, RobotSource(urdf, str(urdf)))
     hand = load_hand(done.spec)
     assert not colliding_links(hand, hand.rest)
     assert (done.spec.rest != found.spec.rest) == is_opened

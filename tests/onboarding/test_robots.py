@@ -6,16 +6,17 @@ import json
 import re
 from contextlib import chdir
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from made_hands import two_hands_mjcf
 from PIL import Image
 
 from handmap_qp import HandError, load_hand
+from handmap_qp.apps.onboarding import cli as onboarding
 from handmap_qp.apps.onboarding.check import check_robot
-from handmap_qp.apps.onboarding.cli import RobotsCheck, list_robots
+from handmap_qp.apps.onboarding.describe import list_robots
 from handmap_qp.apps.onboarding.detect import detect, detect_hands
 from handmap_qp.cli import main
 from handmap_qp.hands.robot import load_robot, robot_files
@@ -27,7 +28,6 @@ pytestmark = pytest.mark.slow
 ROBOTS = package_folder("example-robot-data") / "robots"
 G1 = ROBOTS / "g1_description" / "urdf" / "g1_29dof_with_hand_rev_1_0.urdf"
 INSTALLED = [row["name"] for row in list_robots() if row["available"] == "yes"]
-CHOICE: dict[str, Any] = {"root": None, "side": None, "thumb": None}
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ CHOICE: dict[str, Any] = {"root": None, "side": None, "thumb": None}
     ids=["g1", "romeo", "tiago", "talos", "alex", "pr2"],
 )  # fmt: skip
 def test_both_palms_of_a_robot_are_found(urdf: Path, palms: tuple[str, str]) -> None:
-    left, right = detect_hands(urdf, base=None, name=None, **CHOICE)
+    left, right = detect_hands(urdf)
     assert (left.spec.palm.link, right.spec.palm.link) == palms
     assert left.spec.name.removesuffix("left") == right.spec.name.removesuffix("right")
     assert (left.spec.side, right.spec.side) == ("left", "right")
@@ -56,18 +56,17 @@ def test_both_palms_of_a_robot_are_found(urdf: Path, palms: tuple[str, str]) -> 
 
 
 def test_both_are_what_each_is_alone() -> None:
-    for found in detect_hands(G1, base=None, name=None, **CHOICE):
+    for found in detect_hands(G1):
         root = f"{found.spec.side}_hand_palm_link"
         alone = detect(G1, root=root, base="pelvis")
         assert alone == found
 
 
 def test_one_palm_of_a_robot_is_chosen_by_its_root_or_side() -> None:
-    choice = CHOICE | {"root": "left_hand_palm_link"}
-    (found,) = detect_hands(G1, base=None, name=None, **choice)
+    (found,) = detect_hands(G1, root="left_hand_palm_link")
     assert found == detect(G1, root="left_hand_palm_link")
     with pytest.raises(HandError, match=r"2 possible palms: .*choose one with --root"):
-        detect_hands(G1, base=None, name=None, **CHOICE | {"side": "left"})
+        detect_hands(G1, side="left")
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +123,7 @@ def test_files_that_exist_are_kept(
 def test_init_says_what_it_found_as_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "two.xml").write_text(mjcf(), encoding="utf-8")
+    (tmp_path / "two.xml").write_text(two_hands_mjcf(), encoding="utf-8")
     out, words = tmp_path / "robot.yaml", ["hands", "init", str(tmp_path / "two.xml")]
     assert main([*words, "--out", str(out), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -136,43 +135,10 @@ def test_init_says_what_it_found_as_json(
     assert {row["what"] for row in said["hands"][0]["found"]} >= {"palm", "side"}
 
 
-def mjcf(mirrored: float = -1.0) -> str:
-    """Make a torso on a waist with two arms of two joints, and hands of three fingers.
-
-    Args:
-        mirrored: Sign of the right hand's places across the palm: 1 for two left hands.
-    """
-
-    def body(name: str, pos: str, axis: str, length: float, inside: str = "") -> str:
-        end = f"0 0 {-length}"
-        return (
-            f'<body name="{name}" pos="{pos}"><joint name="{name}_joint" axis="{axis}" '
-            f'range="-0.1 1.5"/><geom type="capsule" size="0.008" fromto="0 0 0 {end}"/>'
-            f"{inside}</body>"
-        )
-
-    arms = ""
-    for side, y, sign in (("left", 0.2, 1.0), ("right", -0.2, mirrored)):
-        fingers = ""
-        for finger, x, turn in (("thumb", 0.03, "0 1 0"), ("index", -0.03, "0 -1 0"),
-                                ("middle", -0.03, "0 -1 0")):  # fmt: skip
-            across = {"thumb": 0.0, "index": 0.02, "middle": -0.02}[finger]
-            tip = body(f"{side}_{finger}_2", "0 0 -0.04", turn, 0.03)
-            place = f"{x} {sign * across} -0.08"
-            fingers += body(f"{side}_{finger}_1", place, turn, 0.04, tip)
-        palm = body(f"{side}_palm", "0 0 -0.3", "0 0 1", 0.08, fingers)
-        arms += body(f"{side}_arm", f"0 {y} 0.4", "1 0 0", 0.3, palm)
-    torso = body("torso", "0 0 1", "0 0 1", -0.4, arms)
-    return (
-        '<mujoco model="two"><compiler angle="radian"/><worldbody>'
-        f"{torso}</worldbody></mujoco>"
-    )
-
-
 def test_a_robot_in_mjcf_is_converted_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "two.xml").write_text(mjcf(), encoding="utf-8")
+    (tmp_path / "two.xml").write_text(two_hands_mjcf(), encoding="utf-8")
     out = tmp_path / "own" / "hand.yaml"
     assert main(["hands", "init", str(tmp_path / "two.xml"), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -190,7 +156,7 @@ def test_a_robot_in_mjcf_is_converted_once(
 def test_two_hands_of_one_side_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "two.xml").write_text(mjcf(1.0), encoding="utf-8")
+    (tmp_path / "two.xml").write_text(two_hands_mjcf(1.0), encoding="utf-8")
     words = ["hands", "init", str(tmp_path / "two.xml")]
     assert main([*words, "--out", str(tmp_path / "hand.yaml")]) == 2
     printed = capsys.readouterr().err
@@ -242,7 +208,7 @@ def test_a_contradiction_ends_with_exit_code_1(
 ) -> None:
     """Arms in each other: both palms are in the same place."""
     # Another test looks at the picture.
-    monkeypatch.setattr(RobotsCheck, "_steps", ("robot", check_robot, lambda *_: None))
+    monkeypatch.setattr(onboarding, "draw_robot", lambda *_: None)
     text = robot_files()["ur5_pair"].read_text(encoding="utf-8")
     text = text.replace(
         "left.yaml", str(robot_files()["ur5_pair"].parent / "left.yaml")

@@ -19,7 +19,6 @@ ABSENT = (
         "daqp",
         "coal",
         "handmap_qp",
-        "lazy_loader",
         "mink",
         "mujoco",
         "osqp",

@@ -1,10 +1,11 @@
-"""The client in one file: imports, signatures, restarts of the server, and no hanging calls."""
+"""The client in one folder: imports, signatures, restarts of the server, and no hanging calls."""
 
 from __future__ import annotations
 
 import ast
 import asyncio
 import inspect
+import re
 import shutil
 import signal
 import socket
@@ -15,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import zmq
@@ -39,8 +41,10 @@ from handmap_qp.apps.service.server import Server
 from handmap_qp.client import (
     AsyncClient,
     Client,
+    HandFields,
     ServiceError,
     ServiceTimeoutError,
+    messages,
 )
 from handmap_qp.client.messages import Pose
 from handmap_qp.hands.human import HumanLengths
@@ -257,6 +261,58 @@ def public_methods(kind: type) -> dict[str, Callable[..., Any]]:
     }
 
 
+def methods_text(file: str) -> str:
+    """Return the source of a client from its first request to its last."""
+    text = (FOLDER / file).read_text(encoding="utf-8")
+    return text[text.index("def open(") : text.index("self._close())")]
+
+
+def test_the_clients_differ_by_async_and_await_alone() -> None:
+    coroutines = methods_text("asynchronous.py").replace("async def ", "def ")
+    assert methods_text("blocking.py").split() == [
+        word for word in coroutines.split() if word != "await"
+    ]
+
+
+def documented(text: str | None, heading: str) -> dict[str, str]:
+    """Return the explanation of each argument or attribute, on one line."""
+    section = inspect.cleandoc(text or "").partition(f"{heading}:\n")[2]
+    section = section.partition("\n\n")[0]
+    entries = re.split(r"^    (?=\w+: )", section, flags=re.MULTILINE)
+    named = (entry.partition(": ") for entry in entries if entry.strip())
+    return {name: " ".join(about.split()) for name, _, about in named}
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("open", messages.Open),
+        ("step", messages.Step),
+        ("send", messages.Step),
+        ("reset", messages.Reset),
+        ("configure", messages.Configure),
+    ],
+)
+def test_methods_have_the_fields_of_their_messages(
+    name: str, message: type[msgspec.Struct]
+) -> None:
+    method = vars(Client)[name]
+    parameters = [*inspect.signature(method).parameters.values()][1:]
+    assert [one.name for one in parameters] == [*message.__annotations__]
+    optional = [one for one in parameters if one.name != "robot"]
+    assert all(one.default is None and one.kind is one.KEYWORD_ONLY for one in optional)
+    about = documented(method.__doc__, "Args")
+    assert about == documented(message.__doc__, "Attributes")
+    assert about.keys() == {one.name for one in parameters}
+
+
+def test_a_hand_of_a_sample_has_the_fields_of_its_message() -> None:
+    assert [*HandFields.__annotations__] == [*messages.HandSample.__annotations__]
+    assert [*(HandFields.__doc__ or "").partition("Attributes")[2].split()] == [
+        *(messages.HandSample.__doc__ or "").partition("Attributes")[2].split()
+    ]
+
+
 def test_both_clients_have_the_same_documented_methods_and_signatures() -> None:
     methods, coroutines = public_methods(Client), public_methods(AsyncClient)
     assert {"open", "step", "send", "latest", "watch", "configure"} <= methods.keys()
@@ -272,8 +328,8 @@ def test_both_clients_have_the_same_documented_methods_and_signatures() -> None:
 
 
 def test_an_argument_that_does_not_exist_is_rejected_before_sending() -> None:
-    with Client() as client, pytest.raises(TypeError, match="no argument 'wirst'"):
-        client.step(q=human_q(), wirst=WRIST)
+    with Client() as client, pytest.raises(TypeError, match="wirst"):
+        client.step(q=human_q(), wirst=WRIST)  # ty: ignore[unknown-argument]
 
 
 def test_every_argument_of_open_reaches_the_server(server: Server) -> None:

@@ -338,7 +338,11 @@ def test_a_client_grips_and_touches_by_arrays() -> None:
     recording: Recording = made_pick("right")
     own = HumanLengths.from_urdf(CACHE.human("right", None).urdf_text)
     lengths = {"bases": own.bases, "segments": own.segments}
-    choices = {"preset": "teleoperation", "input": "landmarks", "lengths": lengths}
+    choices: dict[str, Any] = {
+        "preset": "teleoperation",
+        "input": "landmarks",
+        "lengths": lengths,
+    }
     with serving() as server, client_of(server) as client:
         opened = client.open("allegro_right", grip={"force": 3.0}, **choices)
         rest = np.array(opened.q)

@@ -348,3 +348,36 @@ def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     """Return the rotation about a unit axis by an angle [rad] (Rodrigues' formula)."""
     cross = np.cross(np.eye(3), axis)
     return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def two_hands_mjcf(mirrored: float = -1.0) -> str:
+    """Make a torso on a waist with two arms of two joints, and hands of three fingers.
+
+    Args:
+        mirrored: Sign of the right hand's places across the palm: 1 for two left hands.
+    """
+
+    def body(name: str, pos: str, axis: str, length: float, inside: str = "") -> str:
+        end = f"0 0 {-length}"
+        return (
+            f'<body name="{name}" pos="{pos}"><joint name="{name}_joint" axis="{axis}" '
+            f'range="-0.1 1.5"/><geom type="capsule" size="0.008" fromto="0 0 0 {end}"/>'
+            f"{inside}</body>"
+        )
+
+    arms = ""
+    for side, y, sign in (("left", 0.2, 1.0), ("right", -0.2, mirrored)):
+        fingers = ""
+        for finger, x, turn in (("thumb", 0.03, "0 1 0"), ("index", -0.03, "0 -1 0"),
+                                ("middle", -0.03, "0 -1 0")):  # fmt: skip
+            across = {"thumb": 0.0, "index": 0.02, "middle": -0.02}[finger]
+            tip = body(f"{side}_{finger}_2", "0 0 -0.04", turn, 0.03)
+            place = f"{x} {sign * across} -0.08"
+            fingers += body(f"{side}_{finger}_1", place, turn, 0.04, tip)
+        palm = body(f"{side}_palm", "0 0 -0.3", "0 0 1", 0.08, fingers)
+        arms += body(f"{side}_arm", f"0 {y} 0.4", "1 0 0", 0.3, palm)
+    torso = body("torso", "0 0 1", "0 0 1", -0.4, arms)
+    return (
+        '<mujoco model="two"><compiler angle="radian"/><worldbody>'
+        f"{torso}</worldbody></mujoco>"
+    )

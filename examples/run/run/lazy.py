@@ -1,4 +1,4 @@
-"""Names of a package that are imported at their first use, as lazy_loader does for the tree."""
+"""Names of a package that are imported at their first use: not every module is here."""
 
 from collections.abc import Callable, Mapping
 from importlib import import_module

@@ -1,5 +1,47 @@
-"""A software renderer for hands, without a display. Names are those of `__init__.pyi`."""
+"""A software renderer for hands, without a display."""
 
-import lazy_loader
+from .contact_sheet import save_contact_sheet
+from .hands import (
+    AXIS_COLOURS,
+    GREY,
+    HUMAN_COLOUR,
+    ROBOT_COLOUR,
+    UPRIGHT,
+    draw_hands,
+    load_shape,
+    require_matplotlib,
+    save_panels,
+    save_picture,
+    spheres,
+    tube,
+)
+from .layout_pictures import save_layout_picture
+from .raster import Camera, Colour, Triangles, merged
+from .scene import PANEL, Scene
+from .shapes import LinkShape, read_shapes, shape_meshes
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [
+    "AXIS_COLOURS",
+    "GREY",
+    "HUMAN_COLOUR",
+    "PANEL",
+    "ROBOT_COLOUR",
+    "UPRIGHT",
+    "Camera",
+    "Colour",
+    "LinkShape",
+    "Scene",
+    "Triangles",
+    "draw_hands",
+    "load_shape",
+    "merged",
+    "read_shapes",
+    "require_matplotlib",
+    "save_contact_sheet",
+    "save_layout_picture",
+    "save_panels",
+    "save_picture",
+    "shape_meshes",
+    "spheres",
+    "tube",
+]

@@ -9,7 +9,6 @@ from typing import Annotated
 from rich.console import Console
 from tyro.conf import Positional, arg
 
-from handmap_qp.apps import live
 from handmap_qp.apps.arguments import FileSide, KeyFiles, OpenSession, hinted
 from handmap_qp.apps.interrupts import ended_by_signals
 from handmap_qp.apps.tables import print_result
@@ -43,7 +42,7 @@ class Target:
         robot: Robot hand that the service moves; `handmap hands` lists those of the package.
         record: Recording to write (.npz or .csv).
         session: Public name of the session.
-        preset: What the mapping is for, as in `handmap map`.
+        preset: What the mapping is for, as in `handmap retarget`.
         person: File of the person's hand, of `handmap calibrate`.
         shared: Let other clients clutch and configure the session, clear its stops, and say where
             the robot's joints are, so that it grips.
@@ -97,8 +96,11 @@ class Target:
         if self.record:
             sinks.append(Recorder(self.record, "--record", source.upright))
         if self.to and self.robot:
+            # It needs the extra `service`, as the commands without it do not.
+            from .service import ServiceSink
+
             sinks.append(
-                live.service.ServiceSink(
+                ServiceSink(
                     self.to,
                     self.robot,
                     source.side,
@@ -131,7 +133,7 @@ class TrackReplay:
         handmap track replay demo.npz --speed 2 --loop --to 127.0.0.1 --robot hey5
 
     Attributes:
-        recording: Recording of a human hand, as for `handmap map`.
+        recording: Recording of a human hand, as for `handmap retarget`.
         speed: Factor on the speed of time, 0.01 to 100.
         loop: Start again at the end, until Ctrl-C.
         side: Which hand the recording is of, where the file does not say.
@@ -223,9 +225,10 @@ class TrackRecord:
     def run(self) -> None:
         """Record until the session ends or Ctrl-C."""
         recorder = Recorder(self.out, "OUT")
-        source = live.service.ServiceSource(
-            self.source, session=self.session, keys=self.keys
-        )
+        # It needs the extra `service`, as the commands without it do not.
+        from .service import ServiceSource
+
+        source = ServiceSource(self.source, session=self.session, keys=self.keys)
         recorder.upright = source.upright
         _lead(source, [recorder], is_json=self.json)
 

@@ -1,4 +1,4 @@
-"""The commands `handmap map`, `handmap align` and `handmap calibrate`."""
+"""The commands `handmap retarget`, `handmap align` and `handmap calibrate`."""
 
 import json
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ _TOUCHES = "teleoperation of one hand, with a wrist that moves, at scale 1"
 
 
 @dataclass(frozen=True)
-class Map:
+class Retarget:
     """Map a recording of a human hand to a robot hand.
 
     Measures the human hand, maps the landmarks of every sample, and prints a summary of errors
@@ -45,15 +45,15 @@ class Map:
 
     Both hands are in one file or in two; --robots names a left and a right robot hand, each in a
     world of its own, and --robot a robot with both (`handmap robots list`). The forms of files are
-    listed by `handmap convert --help`.
+    listed by `handmap convert --help`. `handmap map` is the same command by its former name.
 
     Examples:
-        handmap map demo --robot allegro_right
-        handmap map recording.npz --robot my_hand.yaml --preset object --json
-        handmap map recording.npz --robot allegro_right --person anna.yaml
-        handmap map left.npz right.npz --robots allegro_left allegro_right
-        handmap map left.npz right.npz --robot g1
-        handmap map glove.csv --layout manus --side right --robot allegro_right
+        handmap retarget demo --robot allegro_right
+        handmap retarget recording.npz --robot my_hand.yaml --preset object --json
+        handmap retarget recording.npz --robot allegro_right --person anna.yaml
+        handmap retarget left.npz right.npz --robots allegro_left allegro_right
+        handmap retarget left.npz right.npz --robot g1
+        handmap retarget glove.csv --layout manus --side right --robot allegro_right
 
     Attributes:
         recordings: Recording of a human hand, or one of each hand: files as of `handmap convert`.
@@ -172,7 +172,7 @@ class Align:
         handmap align reaches.npz --at 1 2 4 6
 
     Attributes:
-        recording: Recording of a human hand, as for `handmap map`.
+        recording: Recording of a human hand, as for `handmap retarget`.
         at: When you began, were forward, were left and were up, from the first sample on [s].
         inputs: How the recording is to be read.
     """
@@ -205,16 +205,16 @@ class Calibrate:
     Measures bone lengths and palm, and the contact gap: the distance that the tracker gives between
     thumb and finger landmarks where the skin touches. Touch every finger with the thumb in the
     recording, and open the hand. Samples that make no sense (jumps, outliers and the like) do not
-    count. The file is taken by --person of `handmap map`, `view`, `compare` and `track` instead of
-    measuring every recording again.
+    count. The file is taken by --person of `handmap retarget`, `view`, `compare` and `track`
+    instead of measuring every recording again.
 
     Examples:
         handmap calibrate recording.npz --out anna.yaml
         handmap calibrate left.npz right.npz --out anna.yaml
-        handmap map another.npz --robot allegro_right --person anna.yaml
+        handmap retarget another.npz --robot allegro_right --person anna.yaml
 
     Attributes:
-        recordings: Recordings of the person's hands, as for `handmap map`; all count together.
+        recordings: Recordings of the person's hands, as for `handmap retarget`; all count together.
         out: File to write.
         overwrite: Replace the file if it exists.
         json: Print one JSON object instead of a table.

@@ -86,8 +86,9 @@ class Compare:
         handmap compare a.npz b.npz --robot my_hand.yaml --methods object paper
 
     Attributes:
-        recordings: Recordings of a human hand, as of `handmap map`. The tracker's wrist poses are
-            used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
+        recordings: Recordings of a human hand, as of `handmap retarget`. The tracker's wrist poses
+            are used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion
+            wxyz.
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
             is the Allegro of the first recording's side.
         methods: Methods to run: presets and other mappings by name, with +smooth for smoother

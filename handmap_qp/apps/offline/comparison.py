@@ -28,7 +28,6 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-import handmap_qp
 from handmap_qp.apps.arguments import check_names
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
 from handmap_qp.hands import Hand, Names, Side, Values, find_fingers
@@ -61,7 +60,7 @@ from .trajectory import RobotMotion, held_samples, map_recording
 PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""
 SMOOTH = "+smooth"
-"""Ending of a name that asks for smoother motion, as `--smooth` of `handmap map`."""
+"""Ending of a name that asks for smoother motion, as `--smooth` of `handmap retarget`."""
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
 
@@ -298,7 +297,7 @@ def compare_methods(
 
 def peers_program() -> Path:
     """Return the folder of the program that runs the peers: of the checkout, or of the package."""
-    package = Path(handmap_qp.__file__).parent
+    package = Path(__file__).parents[2]
     checkout = package.parent / "benchmarks" / "peers"
     return checkout if checkout.is_dir() else package / "outside" / "peers"
 

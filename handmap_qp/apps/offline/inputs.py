@@ -1,6 +1,6 @@
 """What a mapped recording shows of its time, wrist and size, and what was assumed of them.
 
-`handmap map` prints it below the summary of the robot's motion.
+`handmap retarget` prints it below the summary of the robot's motion.
 """
 
 import math

@@ -19,9 +19,9 @@ from handmap_qp.trackers import LAYOUTS, Layout, load_layout, table_text
 class Layouts:
     """List the layouts of trackers, or show one: order, frame and units.
 
-    A layout says how a tracker lays out one sample of a hand. `handmap map` and others take one by
-    --layout. It is a table; for a tracker of your own, write one with --template, change it, and
-    give its path where a name is expected.
+    A layout says how a tracker lays out one sample of a hand. `handmap retarget` and others take
+    one by --layout. It is a table; for a tracker of your own, write one with --template, change it,
+    and give its path where a name is expected.
 
     Examples:
         handmap layouts

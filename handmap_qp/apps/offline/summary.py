@@ -1,4 +1,4 @@
-"""Holds and summary numbers of a mapped motion, printed by `handmap map`."""
+"""Holds and summary numbers of a mapped motion, printed by `handmap retarget`."""
 
 from collections import Counter
 

@@ -38,7 +38,7 @@ from handmap_qp.trackers import first_of
 from .anatomy import FINGERS, NARROW, Clue, angle_between
 from .collision_pairs import colliding_links
 from .detect import detect, left_out_wrist
-from .findings import MOST_NAMES, Finding, Found, Report, advice, fine, warning
+from .findings import MOST_NAMES, Found, HandFinding, HandReport, advice, fine, warning
 from .measure import (
     check_arm,
     check_contacts,
@@ -73,7 +73,7 @@ _WORTH = 0.45
 _ANGLES = {"certain": 20.0, "likely": 40.0, "a guess: check it": 60.0}
 
 
-def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
+def check_hand(hand: str | Path, *, has_motion: bool = True) -> HandReport:
     """Check a description.
 
     Args:
@@ -83,7 +83,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
     Returns:
         All findings; the only one is an error if the hand cannot be built.
     """
-    report = Report(str(hand))
+    report = HandReport(str(hand))
     with warnings.catch_warnings():
         # Warnings of the loader are among `hand.notes`, which become findings.
         warnings.simplefilter("ignore")
@@ -91,7 +91,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
             report.hand = built = load_hand(hand)
         except HandError as error:
             report.error = error
-            report.add([Finding("error", error.key or "hand", str(error))])
+            report.add([HandFinding("error", error.key or "hand", str(error))])
             return report
         report.name = built.name
         for check in _CHECKS + _MOTIONS * has_motion:
@@ -105,7 +105,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
     return report
 
 
-def check_robot(given: str | Path, *, has_motion: bool = True) -> Report:
+def check_robot(given: str | Path, *, has_motion: bool = True) -> HandReport:
     """Check the descriptions of a robot's hands, and what overlaps at rest.
 
     Args:
@@ -113,7 +113,7 @@ def check_robot(given: str | Path, *, has_motion: bool = True) -> Report:
         has_motion: Whether to map a standard motion to each hand.
     """
     robot = load_robot(given)
-    report = Report(robot.name, robot)
+    report = HandReport(robot.name, robot)
     report.add([("Hands", palm_rows(robot))])
     for side, hand in robot.by_side.items():
         found = check_hand(str(hand.spec.file), has_motion=has_motion)
@@ -167,7 +167,7 @@ def _check_limits(hand: Hand) -> Found:
             yield warning(f"limits.{names[wide[0]]}", what, "give limits in rad and m")
 
 
-def check_speeds(hand: Hand) -> Iterator[Finding]:
+def check_speeds(hand: Hand) -> Iterator[HandFinding]:
     """Find joints of the fingers that are too slow for a fist in half a second."""
     travel = np.abs(hand.limits - hand.zero).max(axis=0)
     times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
@@ -236,7 +236,7 @@ def _check_points(hand: Hand) -> Found:
         yield advice("sets", what, "add points of the same links")
 
 
-def check_places(hand: Hand) -> Iterator[Finding]:
+def check_places(hand: Hand) -> Iterator[HandFinding]:
     """Find reference points far outside the shape of their body."""
     try:
         robot = Robot(urdf_path(hand.spec), hand.urdf_text, root=hand.spec.wrist.link)
@@ -278,7 +278,7 @@ def _check_tips(hand: Hand) -> Found:
             yield warning(f"points.{finger}", what, change)
 
 
-def check_shapes(hand: Hand) -> Iterator[Finding]:
+def check_shapes(hand: Hand) -> Iterator[HandFinding]:
     """Find links with malformed collision shapes, or such that end elsewhere than visual ones."""
     used = {
         shape.name.rpartition("_")[0]
@@ -402,7 +402,7 @@ def _check_collisions(hand: Hand) -> Found:
     yield _overlap(pairs, "open the hand or spread its fingers more")
 
 
-def _overlap(pairs: list[Links], change: str) -> Finding:
+def _overlap(pairs: list[Links], change: str) -> HandFinding:
     if pairs:
         shown = first_of([*map(" and ".join, pairs)], MOST_NAMES)
         return warning("rest", f"at rest {shown} overlap", change)

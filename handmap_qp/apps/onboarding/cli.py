@@ -1,53 +1,25 @@
 """The commands `handmap hands`, and of `handmap robots` list, show and check."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
-import numpy as np
-from msgspec.structs import replace
 from tyro.conf import Positional, arg
 
 from handmap_qp.apps.arguments import HandName, InputArguments, InputFlags, hinted
-from handmap_qp.apps.tables import (
-    print_result,
-    print_rows,
-    progress,
-    rows_of,
-)
+from handmap_qp.apps.tables import print_result, print_rows, progress
 from handmap_qp.errors import expect
-from handmap_qp.hands import (
-    BASE,
-    HUMAN_HANDS,
-    LONGEST_STOP,
-    Hand,
-    HandSpec,
-    Side,
-    Values,
-    hand_files,
-    load_hand,
-    load_robot,
-    parse_urdf,
-    read_hand_spec,
-    read_hands,
-    read_robot_spec,
-    robot_files,
-    urdf_path,
-    why_missing,
-)
+from handmap_qp.hands import HUMAN_HANDS, Hand, Names, Side, Values, load_hand
 from handmap_qp.output_files import check_output
 from .check import check_hand, check_robot
-from .detect import Detection, detect_hands
-from .edit import described
-from .findings import Rows
+from .describe import describe_hand, describe_robot, list_hands, list_robots
+from .findings import HandReport, Rows
+from .init import DescribedHand, InitResult, init_hands
 from .match import match_hand
-from .measure import palm_rows
 from .migrate import migrate
 from .picture import draw_hand, draw_match, draw_robot, picture_path
-from .speeds import with_speed
-from .write import RobotSource, check_free, open_source, write_hand, write_robot
+from .write import check_free, write_hand
 
 OwnName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
 """Name of the hand that is written."""
@@ -60,132 +32,79 @@ PictureFile = Annotated[
 """Picture of what is checked."""
 OutFile = Annotated[Path, arg(metavar="FILE.yaml")]
 """The hand.yaml to write."""
-# Links that stand on the base of a composed robot.
-_BASES = f"joint/parent[@link='{BASE}']/../child"
 _TITLES = {"points": "Reference points"}
 _WROTE = "wrote {0}; check it with: handmap {1} check {0}"
 
 
-def _print_found(hand: Hand, found: Detection, rows: Rows) -> None:
+def _print_found(hand: Hand, notes: Names, rows: Rows) -> None:
     """Print what was found of a hand."""
     followers = hand.all_joint_roles.count("follower")
     print_rows(
         f"{hand.name}: {len(hand.joint_names)} joints, {followers} followers", rows
     )
-    for note in found.notes:
+    for note in notes:
         print(f"note: {note}")
 
 
-def list_hands() -> Rows:
-    """List all hands that have a name, and what installs them; those of others come last."""
+def _evidence(hand: DescribedHand) -> Rows:
+    """Return a row for each part of a hand: what was found, how, and how certain it is."""
     return [
-        {
-            "name": spec.name,
-            "side": spec.side,
-            "joints": len(spec.joints),
-            "wrist": spec.wrist.mount,
-            "point sets": ", ".join(spec.sets),
-            "available": _available(spec),
-        }
-        for spec in map(read_hand_spec, hand_files().values())
+        {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}
+        for c in hand.clues
     ]
 
 
-def list_robots() -> Rows:
-    """List the robots of the package with their hands, and what installs a missing one."""
-    rows = []
-    for name, file in robot_files().items():
-        hands = read_hands(read_robot_spec(file)).values()
-        names = ", ".join(hand.name for hand in hands)
-        rows.append({"name": name, "hands": names, "available": _available(*hands)})
-    return rows
+def _init_document(result: InitResult) -> Values:
+    """Return what `hands init` found and wrote, in plain values for JSON."""
+    hands = [
+        {
+            "name": hand.hand.name,
+            "out": str(hand.file),
+            "found": _evidence(hand),
+            "notes": hand.notes,
+        }
+        for hand in result.hands
+    ]
+    if not result.is_robot:
+        return hands[0]
+    return {"name": result.name, "out": str(result.file), "hands": hands}
 
 
-def _available(*hands: HandSpec) -> str:
-    """Return whether hands are installed, or what installs the first that is missing."""
-    missing = [*filter(None, map(why_missing, hands))]
-    return f"no: {missing[0]}" if missing else "yes"
+def print_report(report: HandReport, picture: Path | None, *, as_json: bool) -> None:
+    """Print all findings and tables of a check, and the name of a picture that was drawn.
 
-
-def describe_hand(given: str | Path) -> Values:
-    """Describe one hand in plain values for JSON: frames, joints with limits, reference points.
-
-    Args and errors are those of `load_hand`.
+    Raises:
+        HandError: If the hand cannot be built.
+        SystemExit: With the code 1 if there is a warning.
     """
-    found = load_hand(given)
-    return {
-        "name": found.name,
-        "side": found.side,
-        "urdf": str(urdf_path(found.spec)),
-        "wrist": f"{found.mount}, link {found.spec.wrist.link}",
-        "palm": f"link {found.spec.palm.link}",
-        "stops within": f"{LONGEST_STOP:g} s",
-        "speeds from": found.spec.speeds or "not said",
-        "joints": _joint_rows(found),
-        "points": [
-            {
-                "point": point.name,
-                "link": point.link,
-                "finger": point.finger or "",
-                "weight": point.weight,
-                "in use": "yes" if point in found.reference_points else "",
-            }
-            for point in found.spec.points
-        ],
+    rows = [finding._asdict() for finding in report.findings]
+    document = {
+        "name": report.name,
+        **report.measured,
+        "findings": rows,
+        "picture": picture and str(picture),
     }
+    tables = {f"{report.name}: findings": rows, **report.measured}
+    # A table of one error would say it twice.
+    if as_json or not report.error:
+        files = filter(None, [picture])
+        print_result(document, tables, files, as_json=as_json)
+    if report.error:
+        raise report.error
+    if not report.is_usable:
+        raise SystemExit(1)
 
 
-def describe_robot(given: str | Path) -> Values:
-    """Describe a robot in plain values for JSON: its hands, and its joints by part.
-
-    Args and errors are those of `load_robot`.
-    """
-    found = load_robot(given)
-    first = found.hands[0]
-    bases = parse_urdf(first.urdf_text).iterfind(_BASES)
-    return {
-        "name": found.name,
-        "base": ", ".join(child.get("link", "") for child in bases),
-        "hands": palm_rows(found),
-        "joints": _joint_rows(first, part=_parts(found)),
-    }
-
-
-def _parts(robot: Hand) -> list[str]:
-    """Return what each joint is part of: `left arm`, `left hand`, ..., or `shared` by both."""
-    hands = robot.hands
-    arms = np.array([hand.moves_wrist for hand in hands])
-    parts = np.full(arms.shape[1], "other", dtype=object)
-    for hand, arm, own in zip(hands, arms, robot.finger_joints, strict=True):
-        parts[own] = f"{hand.side} hand"
-        parts[arm] = f"{hand.side} arm"
-    parts[arms.sum(axis=0) > 1] = "shared"
-    return parts.tolist()
-
-
-def _joint_rows(hand: Hand, **more: Sequence[str]) -> Rows:
-    """Return a row for each joint with its limits; `more` are further columns."""
-    columns = {
-        "joint": hand.joint_names,
-        **more,
-        "lower rad": hand.lower_limits,
-        "upper rad": hand.upper_limits,
-        "speed rad/s": hand.velocity_limits,
-        "stop": hand.stop_distances,
-        "rest rad": hand.rest,
-    }
-    return rows_of(columns)
-
-
-def print_description(said: Values, *, as_json: bool) -> None:
+def print_description(description: Values, *, as_json: bool) -> None:
     """Print a description: its single values as a table, and each list of rows as another."""
     tables = {
         _TITLES.get(key, key.capitalize()): rows
-        for key, rows in said.items()
+        for key, rows in description.items()
         if isinstance(rows, list)
     }
-    facts = {key: fact for key, fact in said.items() if not isinstance(fact, list)}
-    print_result(said, {said["name"]: facts} | tables, as_json=as_json)
+    facts = {k: fact for k, fact in description.items() if not isinstance(fact, list)}
+    name = description["name"]
+    print_result(description, {name: facts} | tables, as_json=as_json)
 
 
 @dataclass(frozen=True)
@@ -200,13 +119,11 @@ class HandsList:
     """
 
     json: bool = False
-    _list = staticmethod(list_hands)
-    _title = "Hands"
 
     def run(self) -> None:
         """Print the list."""
-        rows = self._list()
-        print_result(rows, {self._title: rows}, as_json=self.json)
+        rows = list_hands()
+        print_result(rows, {"Hands": rows}, as_json=self.json)
 
 
 @dataclass(frozen=True)
@@ -226,11 +143,10 @@ class HandsShow:
 
     hand: Positional[HandName]
     json: bool = False
-    _describe = staticmethod(describe_hand)
 
     def run(self) -> None:
         """Print the description."""
-        print_description(self._describe(self.hand), as_json=self.json)
+        print_description(describe_hand(self.hand), as_json=self.json)
 
 
 @dataclass(frozen=True)
@@ -281,72 +197,35 @@ class HandsInit:
         None
     )
     name: OwnName = None
-    out: OutFile = Path("hand.yaml")
+    out: Annotated[Path | None, hinted("FILE.yaml", "(default: hand.yaml)")] = None
     overwrite: bool = False
     json: bool = False
 
     def run(self) -> None:
-        """Find the hands, write and load their descriptions, and print how each part was found."""
-        # Two hands are written to other files than that of the default.
-        check_free(self.out, overwrite=self.overwrite or self.out == HandsInit.out)
-        source = open_source(self.urdf, self.out.parent, overwrite=self.overwrite)
-        urdf, reference, _ = source
-        hands = detect_hands(
-            urdf,
+        """Find the hands, write their descriptions, and print how each part was found."""
+        result = init_hands(
+            self.urdf,
+            out=self.out,
             root=self.root,
             base=self.base,
             side=self.side,
             thumb=self.thumb,
+            speed=self.speed,
             name=self.name,
+            overwrite=self.overwrite,
         )
-        if len(hands) == 1:
-            result = self._write(source, hands[0], self.out, hands[0].spec.name)
-        else:
-            result = self._write_robot(source, hands)
         if self.json:
-            print(json.dumps(result))
+            print(json.dumps(_init_document(result)))
             return
-        # What lies beside the hand.yaml is a file, and not that which was given.
-        if reference == str(urdf) != str(self.urdf):
-            print(f"wrote {urdf}, with the kinematics of {self.urdf}")
-        for hand in result.get("hands", ()):
-            print(f"wrote {hand['out']}")
-        kind = "robots" if "hands" in result else "hands"
-        print(_WROTE.format(result["out"], kind))
-
-    def _write_robot(self, source: RobotSource, hands: list[Detection]) -> Values:
-        """Write the left and the right hand of a robot, and its `robot.yaml`."""
-        out = self.out.with_name("robot.yaml")
-        files = [out.with_name(f"{hand.spec.side}.yaml") for hand in hands]
-        for file in (out, *files):
-            check_free(file, overwrite=self.overwrite)
-        name = self.name or hands[0].spec.name.removesuffix("_left")
-        said = [
-            self._write(source, hand, file, f"{name}_{hand.spec.side}")
-            for hand, file in zip(hands, files, strict=True)
-        ]
-        write_robot(name, out)
-        load_robot(out)
-        return {"name": name, "out": str(out), "hands": said}
-
-    def _write(
-        self, source: RobotSource, found: Detection, out: Path, name: str
-    ) -> Values:
-        """Write a hand, and print what was found unless JSON is to be printed; return that."""
-        spec = replace(found.spec, name=name)
-        if (speed := self.speed) is not None:
-            expect(speed > 0.0, "--speed", "a speed > 0", value=speed)
-            spec = with_speed(spec, speed)
-        check_free(out, overwrite=self.overwrite)
-        found = described(found._replace(spec=spec), source)
-        write_hand(found, out)
-        rows = [
-            {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}
-            for c in found.clues
-        ]
-        if not self.json:
-            _print_found(load_hand(found.spec), found, rows)
-        return {"name": name, "out": str(out), "found": rows, "notes": found.notes}
+        for hand in result.hands:
+            _print_found(hand.hand, hand.notes, _evidence(hand))
+        if result.converted:
+            print(f"wrote {result.converted}, with the kinematics of {self.urdf}")
+        if result.is_robot:
+            for hand in result.hands:
+                print(f"wrote {hand.file}")
+        kind = "robots" if result.is_robot else "hands"
+        print(_WROTE.format(result.file, kind))
 
 
 @dataclass(frozen=True)
@@ -358,7 +237,7 @@ class HandsMigrate:
 
     Examples:
         handmap hands migrate allegro_hand_right.yml --urdf allegro_hand_right.urdf
-        handmap map recording.npz --robot hand.yaml
+        handmap retarget recording.npz --robot hand.yaml
 
     Attributes:
         config: YAML file of dex-retargeting, with the table `retargeting`.
@@ -387,7 +266,7 @@ class HandsMigrate:
             {"reference point": point.name, "link": point.link}
             for point in hand.spec.points
         ]
-        _print_found(hand, found, rows)
+        _print_found(hand, found.notes, rows)
         print(_WROTE.format(self.out, "hands"))
 
 
@@ -416,18 +295,15 @@ class HandsCheck:
     picture: PictureFile = None
     motion: bool = True
     json: bool = False
-    # What is checked, and how it is checked and drawn.
-    _steps: ClassVar[Any] = "hand", check_hand, draw_hand
 
     def run(self) -> None:
         """Check it, draw it, and print the findings."""
-        kind, check, draw = self._steps
         with progress("checking"):
-            report = check(self.hand, has_motion=self.motion)
-        picture = self.picture or picture_path(self.hand, kind)
+            report = check_hand(self.hand, has_motion=self.motion)
+        picture = self.picture or picture_path(self.hand, "hand")
         if picture and report.hand:
-            draw(report.hand, picture, *report.measured.get("Directions", []))
-        report.print(picture, as_json=self.json)
+            draw_hand(report.hand, picture, report.measured.get("Directions", []))
+        print_report(report, picture, as_json=self.json)
 
 
 @dataclass(frozen=True)
@@ -445,7 +321,7 @@ class HandsMatch:
     Attributes:
         hand: Path of a hand.yaml, or name of a hand of the package.
         human_length: Length of the person's hand from wrist crease to middle fingertip [m].
-        recording: Recording in which the person's hand is measured, as for `handmap map`.
+        recording: Recording in which the person's hand is measured, as for `handmap retarget`.
         picture: Picture to draw: the human at rest, the robot at rest, the robot matched. PNG.
         json: Print one JSON object instead of a table.
         inputs: How the recording is to be read.
@@ -475,16 +351,16 @@ class HandsMatch:
         if self.picture:
             draw_match(match, self.picture)
             written = [str(self.picture)]
-        said = {"name": robot.name, "joints": match.rows, "written": written}
+        document = {"name": robot.name, "joints": match.rows, "written": written}
         title = f"{robot.name}: the posture that matches the resting human's"
-        print_result(said, {title: match.rows}, written, as_json=self.json)
+        print_result(document, {title: match.rows}, written, as_json=self.json)
         if not self.json:
             advice = "to use this posture for everyone, paste into hand.yaml:"
             print(f"{advice}\n{match.text}", end="")
 
 
 @dataclass(frozen=True)
-class RobotsList(HandsList):
+class RobotsList:
     """List the robots of the package: a left and a right hand in one model.
 
     Examples:
@@ -494,12 +370,16 @@ class RobotsList(HandsList):
         json: Print JSON instead of a table.
     """
 
-    _list = staticmethod(list_robots)
-    _title = "Robots"
+    json: bool = False
+
+    def run(self) -> None:
+        """Print the list."""
+        rows = list_robots()
+        print_result(rows, {"Robots": rows}, as_json=self.json)
 
 
 @dataclass(frozen=True)
-class RobotsShow(HandsShow):
+class RobotsShow:
     """Describe a robot: its hands, and its joints with their limits, by part.
 
     Shows where each palm is at rest, how far the wrist moves from there, and which joints move both
@@ -515,11 +395,15 @@ class RobotsShow(HandsShow):
     """
 
     hand: Positional[RobotName]
-    _describe = staticmethod(describe_robot)
+    json: bool = False
+
+    def run(self) -> None:
+        """Print the description."""
+        print_description(describe_robot(self.hand), as_json=self.json)
 
 
 @dataclass(frozen=True)
-class RobotsCheck(HandsCheck):
+class RobotsCheck:
     """Check a robot.yaml and both of its hands, and draw the robot.
 
     Checks each hand as `handmap hands check` does, and looks for links of arms, hands and body that
@@ -538,4 +422,15 @@ class RobotsCheck(HandsCheck):
     """
 
     hand: Positional[RobotName]
-    _steps = "robot", check_robot, draw_robot
+    picture: PictureFile = None
+    motion: bool = True
+    json: bool = False
+
+    def run(self) -> None:
+        """Check it, draw it, and print the findings."""
+        with progress("checking"):
+            report = check_robot(self.hand, has_motion=self.motion)
+        picture = self.picture or picture_path(self.hand, "robot")
+        if picture and report.hand:
+            draw_robot(report.hand, picture)
+        print_report(report, picture, as_json=self.json)

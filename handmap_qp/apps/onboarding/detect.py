@@ -75,33 +75,41 @@ class Detection(NamedTuple):
 
 
 def detect_hands(
-    urdf: Path, *, base: str | None, name: str | None, **choice: Any
+    urdf: Path,
+    *,
+    root: str | None = None,
+    base: str | None = None,
+    side: Side | None = None,
+    thumb: str | None = None,
+    name: str | None = None,
 ) -> list[Detection]:
     """Find the hand in a URDF file, or the left and the right hand of a robot with their arms.
 
     Args:
         urdf: The file.
+        root: As in `detect`. If `root`, `side` or `thumb` is given, one hand is looked for.
         base: As in `detect`; that of two hands is the robot's root if omitted.
+        side: As in `detect`.
+        thumb: As in `detect`.
         name: Name of a single hand; that of the robot if omitted.
-        choice: `root`, `side` and `thumb`; if any is given, one hand is looked for.
 
     Raises:
         HandError: If the URDF cannot be used, or contains no hand, or others than these.
     """
-    if not any(choice.values()):
+    if not (root or side or thumb):
         robot = Robot(urdf)
         palms = find_palms(robot)
-        root = base or robot.root
         if len(palms) == 2:
-            found = [detect(urdf, root=palm, base=root) for palm in palms]
+            shared = base or robot.root
+            found = [detect(urdf, root=palm, base=shared) for palm in palms]
             found.sort(key=lambda one: one.spec.side)
-            side = found[0].spec.side
-            if side == found[1].spec.side:
-                both = f"{' and '.join(palms)} both look like {side} hands"
+            first = found[0].spec.side
+            if first == found[1].spec.side:
+                both = f"{' and '.join(palms)} both look like {first} hands"
                 advice = "describe each with --root and --side"
                 raise robot.error(f"{both}; {advice}", palms)
             return found
-    return [detect(urdf, base=base, name=name, **choice)]
+    return [detect(urdf, root=root, base=base, side=side, thumb=thumb, name=name)]
 
 
 def detect(

@@ -24,7 +24,7 @@ from handmap_qp.se3 import Array
 from .check import check_places, check_shapes, check_speeds
 from .collision_pairs import colliding_links, with_collision_pairs
 from .detect import Detection, detect
-from .findings import Report, warning
+from .findings import HandReport, warning
 from .measure import check_fist
 from .speeds import with_origin
 from .write import FOUND, RobotSource
@@ -46,9 +46,8 @@ def open_description(hand: str | Path) -> Detection:
 
 def described(found: Detection, source: RobotSource) -> Detection:
     """Complete a hand found in a file: a free thumb at rest, pairs of links, doubts, and notes."""
-    _, reference, told = source
-    spec = replace(found.spec, urdf=reference)
-    spec = with_origin(spec, is_given=not told)
+    spec = replace(found.spec, urdf=source.reference)
+    spec = with_origin(spec, is_given=not source.notes)
     hand = load_hand(spec)
     way = ~hand.moves_wrist * (hand.zero - hand.rest)
     postures = hand.rest + np.linspace(0.0, 1.0, 5)[:, None] * way
@@ -65,11 +64,11 @@ def described(found: Detection, source: RobotSource) -> Detection:
             doubts.append(warning("rest", what, "look at it"))
             hand = load_hand(with_rest(hand, q))
     found = with_collision_pairs(found._replace(spec=hand.spec), hand)
-    report = Report("")
+    report = HandReport("")
     for check in (check_speeds, check_shapes):
         report.add(check(hand))
     wrong = [f"{f.key}: {f.found}: {f.change}" for f in report.findings if f.change]
-    notes = (*told, *found.notes, *wrong)
+    notes = (*source.notes, *found.notes, *wrong)
     return found.doubted(doubts)._replace(notes=notes)
 
 

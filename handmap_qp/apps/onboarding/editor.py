@@ -70,7 +70,7 @@ class HandsEdit:
         check_free(out, overwrite=self.overwrite or out == given)
         if given.suffix.lower() in ROBOT_FILES:
             source = open_source(given)
-            found = edit.described(detect(source[0]), source)
+            found = edit.described(detect(source.urdf), source)
         else:
             found = edit.open_description(given)
         with showing("127.0.0.1", 8080, opens=self.open) as server:

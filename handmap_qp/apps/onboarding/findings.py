@@ -3,10 +3,8 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
-from handmap_qp.apps.tables import print_result
 from handmap_qp.errors import HandError, HandmapError
 from handmap_qp.hands import Hand, Values
 
@@ -19,7 +17,7 @@ Rows = list[Values]
 """Rows of a table: values by column."""
 
 
-class Finding(NamedTuple):
+class HandFinding(NamedTuple):
     """One finding about a description.
 
     Attributes:
@@ -36,19 +34,19 @@ class Finding(NamedTuple):
     change: str = ""
 
 
-Found = Iterator[Finding | tuple[str, Rows]]
+Found = Iterator[HandFinding | tuple[str, Rows]]
 """What a check yields: findings, and tables as title and rows."""
-warning, advice, fine = (partial(Finding, level) for level in LEVELS[1:])
+warning, advice, fine = (partial(HandFinding, level) for level in LEVELS[1:])
 
 
 @dataclass(eq=False)
-class Report:
-    """All findings about a hand.
+class HandReport:
+    """What a check found about a hand or a robot.
 
     Attributes:
-        name: Name of the hand.
+        name: Its name.
         hand: The hand; None if it cannot be built.
-        error: Why it cannot be built.
+        error: Why it cannot be built; None if it can.
         findings: All findings, the worst first.
         measured: Tables of what was measured: rows by title.
     """
@@ -56,14 +54,24 @@ class Report:
     name: str
     hand: Hand | None = None
     error: HandError | None = None
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[HandFinding] = field(default_factory=list)
     measured: dict[str, Rows] = field(default_factory=dict)
 
-    def add(self, found: Iterable[Finding | tuple[str, Rows]]) -> None:
+    @property
+    def worst(self) -> Level:
+        """Level of the worst finding; `fine` if there is none."""
+        return self.findings[0].level if self.findings else "fine"
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the hand can be built, and nothing in its description is probably wrong."""
+        return self.worst in ("advice", "fine")
+
+    def add(self, found: Iterable[HandFinding | tuple[str, Rows]]) -> None:
         """Add what a check yields; a finding instead if it cannot be made."""
         try:
             for each in found:
-                if isinstance(each, Finding):
+                if isinstance(each, HandFinding):
                     self.findings.append(each)
                 elif each[1]:
                     self.measured |= [each]
@@ -71,28 +79,3 @@ class Report:
             key = getattr(error, "key", None) or "hand"
             self.findings.append(advice(key, f"not checked: {error}"))
         self.findings.sort(key=lambda finding: LEVELS.index(finding.level))
-
-    def print(self, picture: Path | None, *, as_json: bool) -> None:
-        """Print all findings and tables, and the name of a picture that was drawn.
-
-        Raises:
-            HandError: If the hand cannot be built.
-            SystemExit: With the code 1 if there is a warning.
-        """
-        rows = [finding._asdict() for finding in self.findings]
-        said = {
-            "name": self.name,
-            **self.measured,
-            "findings": rows,
-            "picture": picture and str(picture),
-        }
-        tables = {f"{self.name}: findings": rows, **self.measured}
-        # A table of one error would say it twice.
-        if as_json or not self.error:
-            files = filter(None, [picture])
-            print_result(said, tables, files, as_json=as_json)
-        if self.error:
-            raise self.error
-        # The worst is first.
-        if self.findings[0].level == "warning":
-            raise SystemExit(1)

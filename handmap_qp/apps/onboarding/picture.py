@@ -1,8 +1,8 @@
 """Pictures to check a description: a hand with its labels, and its matched posture."""
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from handmap_qp.apps.drawing.contact_sheet import (
     SheetRow,
     contact_sheet,
 )
-from handmap_qp.hands import Hand
+from handmap_qp.hands import Hand, Values
 from handmap_qp.mapping import resting_posture
 from handmap_qp.se3 import inverse_pose, lengths, transform_points, unit
 from .match import Match
@@ -48,13 +48,13 @@ def picture_path(given: str, kind: str) -> Path | None:
     return path / f"{kind}.png" if (path / f"{kind}.yaml").is_file() else None
 
 
-def draw_hand(hand: Hand, path: Path, *directions: Any) -> None:
+def draw_hand(hand: Hand, path: Path, directions: Sequence[Values] = ()) -> None:
     """Draw a hand at rest from the back and from the side, fingers up, with all its points.
 
     Args:
         hand: The hand.
         path: Picture to write; its suffix sets the format.
-        *directions: Where an arm takes the hand: rows of the table of `check_directions`.
+        directions: Where an arm takes the hand: rows of the table of `check_directions`.
 
     Raises:
         InvalidInputError: If the file cannot be written.
@@ -62,7 +62,7 @@ def draw_hand(hand: Hand, path: Path, *directions: Any) -> None:
     """
     require_matplotlib()
     points = [point.name for point in hand.spec.points]
-    scene = hand_scene(hand.with_points(points), *directions)
+    scene = hand_scene(hand.with_points(points), directions)
     turn = 1.0 if hand.side == "right" else -1.0
     panels = {
         caption: partial(scene.draw, azimuth=90.0 + turn * angle)
@@ -110,12 +110,12 @@ def draw_match(match: Match, path: Path) -> None:
     save_picture(figure, path)
 
 
-def hand_scene(hand: Hand, *directions: Any) -> Scene:
+def hand_scene(hand: Hand, directions: Sequence[Values] = ()) -> Scene:
     """Return a hand at rest, with its palm's distal axis up and its back towards +y.
 
     Args:
         hand: The hand.
-        *directions: As of `draw_hand`.
+        directions: As for `draw_hand`.
     """
     pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", hand.rest))
     points = transform_points(pose, hand.points(hand.rest))

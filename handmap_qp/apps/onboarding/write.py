@@ -8,12 +8,11 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import yaml
 
-from handmap_qp import hands
 from handmap_qp.errors import (
     HandError,
     MissingExtraError,
@@ -77,8 +76,18 @@ FOUND = {
 }
 
 
-RobotSource = tuple[Path, str, Names]
-"""A URDF, how `hand.yaml` refers to it, and what a conversion from MJCF left out, in sentences."""
+class RobotSource(NamedTuple):
+    """The URDF of a robot.
+
+    Attributes:
+        urdf: The file.
+        reference: How `hand.yaml` refers to it.
+        notes: What a conversion from MJCF left out or assumed, in sentences.
+    """
+
+    urdf: Path
+    reference: str
+    notes: Names = ()
 
 
 def open_source(
@@ -103,20 +112,23 @@ def open_source(
     path = source or robot
     named = given if source else str(path)
     if not is_mjcf(path):
-        return path, named, ()
-    mjcf = hands.mjcf
+        return RobotSource(path, named)
+    # MuJoCo takes longer to import than most hands take to load.
+    from handmap_qp.hands import mjcf
+
     if source or not folder:
-        return mjcf.cached_urdf(path), named, mjcf.ConvertedMjcf(path).notes
+        notes = mjcf.ConvertedMjcf(path).notes
+        return RobotSource(mjcf.cached_urdf(path), named, notes)
     urdf = folder / f"{path.stem}.urdf"
-    check_new("--out", urdf, overwrite=overwrite)
+    _check_new(urdf, overwrite=overwrite)
     converted = mjcf.ConvertedMjcf(path, f"{path.stem}_meshes")
     difference = mjcf.kinematics_difference(converted)
     if not difference < _MOST_DIFFERENCE:
         problem = f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m"
         raise HandError(f"{problem}: please report it", file=path)
-    with writing(urdf, "--out"):
+    with writing(urdf, "out"):
         mjcf.write_converted(converted, urdf)
-    return urdf, str(urdf), converted.notes
+    return RobotSource(urdf, str(urdf), converted.notes)
 
 
 def write_hand(detection: Detection, path: Path, by: str = _EDITORS) -> None:
@@ -138,8 +150,8 @@ def write_robot(name: str, path: Path) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    make_folder(path.parent, "--out")
-    with writing(path, "--out"):
+    make_folder(path.parent, "out")
+    with writing(path, "out"):
         path.write_text(text, encoding="utf-8")
 
 
@@ -154,8 +166,13 @@ def check_free(path: Path, *, overwrite: bool) -> None:
         InvalidInputError: If it has another suffix, or exists.
     """
     is_yaml = path.suffix in (".yaml", ".yml")
-    expect(is_yaml, "--out", "a file that ends in .yaml", value=str(path))
-    check_new("--out", path, overwrite=overwrite)
+    expect(is_yaml, "out", "a file that ends in .yaml", value=str(path))
+    _check_new(path, overwrite=overwrite)
+
+
+def _check_new(path: Path, *, overwrite: bool) -> None:
+    advice = "overwrite=True, or --overwrite, replaces it"
+    check_new("out", path, overwrite=overwrite, advice=advice)
 
 
 def hand_text(detection: Detection, folder: Path, by: str = _EDITORS) -> str:

@@ -5,10 +5,4 @@ Its messages are the types of `handmap_qp.client.messages`.
 One session, without sockets: `session`, `safety`, and `opening` from a request. All sessions:
 `dispatch` reads and answers messages; `sessions`, `store`, `settings`. Transports: `server` and
 `connection_gate` (ZeroMQ), `websocket` and `pages`, `keys`. What operators see: `cli`, `logs`.
-
-Modules of `__init__.pyi` need ZeroMQ, and are imported at their first use.
 """
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

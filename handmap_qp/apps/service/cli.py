@@ -2,13 +2,14 @@
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from tyro.conf import Positional
 
-from handmap_qp.apps import service
 from handmap_qp.errors import MissingExtraError
 from .settings import Settings
 
@@ -43,7 +44,9 @@ class Serve(Settings):
             if getattr(self, option):
                 print(file.read_text(encoding="utf-8"), end="")
                 return
-        _needing_extra("server").run_server(self, self.log_level)
+        with _needing_extra():
+            from .server import run_server
+        run_server(self, self.log_level)
         # All is closed. Python would wait for a thread that loads a hand, maybe for seconds.
         sys.stdout.flush()
         os._exit(0)
@@ -67,7 +70,9 @@ class Keys:
 
     def run(self) -> None:
         """Make the keys, and print the files written."""
-        written = _needing_extra("keys").make_keys(self.folder, self.client)
+        with _needing_extra():
+            from .keys import make_keys
+        written = make_keys(self.folder, self.client)
         for file in written:
             is_back = (
                 file.parent.name == "clients" and self.folder / file.name not in written
@@ -78,9 +83,10 @@ class Keys:
             print("wrote nothing: all keys exist")
 
 
-def _needing_extra(name: str) -> Any:
-    """Return a module of the service."""
+@contextmanager
+def _needing_extra() -> Iterator[None]:
+    """Say what to install where an import in the block lacks a package of the extra."""
     try:
-        return getattr(service, name)
+        yield
     except ModuleNotFoundError as error:
         raise MissingExtraError(str(error.name), "service") from error

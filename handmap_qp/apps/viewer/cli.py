@@ -8,7 +8,6 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
-from handmap_qp.apps import viewer
 from handmap_qp.apps.addresses import check_port
 from handmap_qp.apps.arguments import (
     InputArguments,
@@ -49,8 +48,8 @@ class View:
         handmap view --live 127.0.0.1      (beside a running handmap serve)
 
     Attributes:
-        recording: Recording of a human hand, as for `handmap map`; for a robot with both hands, of
-            one of them or of both.
+        recording: Recording of a human hand, as for `handmap retarget`; for a robot with both
+            hands, of one of them or of both.
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
             is the Allegro of the recording's side. Or a robot with both hands: a name of
             `handmap robots list`, or the path of its robot.yaml.
@@ -145,10 +144,11 @@ class View:
                 raise InvalidInputError(problem, argument=option)
 
     def _show_live(self, live: str) -> None:
+        # It needs the extra `service`, as the view of a recording does not.
+        from .remote import ServiceSession
+
         # Connect before serving, so that a missing session is reported at once.
-        connect = partial(
-            viewer.remote.ServiceSession, live, robot=self.robot, keys=self.keys
-        )
+        connect = partial(ServiceSession, live, robot=self.robot, keys=self.keys)
         source = connect(session=self.session)
         try:
             with showing(self.host, self.port, opens=self.open) as server:

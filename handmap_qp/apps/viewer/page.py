@@ -9,8 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from handmap_qp import __version__
 from handmap_qp.hands import Hand
+from handmap_qp.version import __version__
 from .gauges import SCENE_LEGEND, InstantGauges, error_plot
 from .sample import Variant, ViewSample
 from .scene import Display, HandScene

@@ -365,7 +365,7 @@ class Teleoperation(AlignedOptions, frozen=True):
             wider gaps on, the hand opens farther, and a pinch stays closed while the person's gap
             drifts.
         contact_gap: Distance between the tracker's thumb and finger landmarks at skin contact [m]:
-            1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.
+            1 to 5 mm for gloves, 10 to 20 mm for cameras. `handmap retarget` measures it.
         ridge: Pull of T towards a rotation.
         scale: Factor on the palm's translation, for arms that reach less far than a person's.
         avoids_contact: Whether links of the robot are kept apart.

@@ -16,12 +16,8 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
-from msgspec.structs import replace
 
-from handmap_qp.apps.onboarding.detect import detect_hands
-from handmap_qp.apps.onboarding.edit import described
-from handmap_qp.apps.onboarding.speeds import with_speed
-from handmap_qp.apps.onboarding.write import open_source, write_hand
+from handmap_qp import init_hands
 from handmap_qp.apps.simulation.losses import AWAY
 from handmap_qp.errors import HandmapError, expect
 from handmap_qp.hands import FINGERS, Hand, load_hand
@@ -112,16 +108,15 @@ def describe_hand(name: str, folder: Path) -> Path:
     known = f"{', '.join(SPEEDS)}, or the path of a hand.yaml with the same joints"
     expect(name in SPEEDS, "--hands", known, got=name)
     file = folder / name / "hand.yaml"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    source = open_source(scene_file(RELOCATE), file.parent, overwrite=True)
-    found, *others = detect_hands(
-        source[0], root="palm", base=None, side="right", thumb=None, name=name
+    init_hands(
+        scene_file(RELOCATE),
+        out=file,
+        root="palm",
+        side="right",
+        speed=SPEEDS[name],
+        name=name,
+        overwrite=True,
     )
-    expect(not others, "scene", "one hand", value=len(others) + 1)
-    speed = SPEEDS[name]
-    spec = found.spec if speed is None else with_speed(found.spec, speed)
-    spec = replace(spec, name=name)
-    write_hand(described(found._replace(spec=spec), source), file)
     return file
 
 

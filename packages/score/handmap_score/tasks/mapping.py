@@ -12,7 +12,7 @@
                         end, clipped by the robot's limits of position and speed
     FILE.py:NAME        of a user: a method (it has `bind`), or a callable that takes the person's
                         hand and the robot and returns a mapping (it has `reset` and `map`)
-    FILE.npz            a trajectory, as `handmap map --out` writes it, whatever the person does
+    FILE.npz            a trajectory, as `handmap retarget --out` writes, whatever the person does
 
 Mappings run live in the loop: what the robot does with a command is what the operator sees next.
 """
@@ -361,7 +361,7 @@ def _of_one_hand(name: str, calibrate: Callable[[], Recording], robot: Hand) -> 
 
 
 def _trajectory(file: Path) -> Replayed:
-    """Read a trajectory that `handmap map` wrote."""
+    """Read a trajectory that `handmap retarget` wrote."""
     with np.load(file) as archive:
         missing = {"time", "q", "joint_names"} - {*archive.files}
         expect(

@@ -1,3 +1,0 @@
-from . import (
-    service as service,
-)

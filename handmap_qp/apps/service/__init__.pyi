@@ -1,2 +1,0 @@
-from . import keys as keys
-from . import server as server

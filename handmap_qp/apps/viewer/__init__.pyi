@@ -1,1 +1,0 @@
-from . import remote as remote

@@ -1,0 +1,97 @@
+"""The public names: one list, found where it says, at their first use and in any order."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import handmap_qp
+
+FILE = Path(handmap_qp.__file__)
+PACKAGES = (
+    *("hands", "human", "ik", "mapping", "stream", "trackers", "client"),
+    *("apps.drawing", "apps.onboarding"),
+)
+HEAVY = {"numpy", "pinocchio", "coal", "daqp", "mujoco", "scipy", "yaml", "msgspec"}
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Return the modules of a fresh interpreter after a statement."""
+    code = f"import json, sys; {statement}; print(json.dumps([*sys.modules]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    return set(json.loads(done.stdout))
+
+
+def imported_names() -> dict[str, str]:
+    """Return the names that checkers read, by the file's imports, and their modules."""
+    return {
+        alias.asname or alias.name: node.module or ""
+        for node in ast.walk(ast.parse(FILE.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.level
+        for alias in node.names
+    }
+
+
+def test_checkers_and_python_read_the_same_names() -> None:
+    homes = {n: module for module, names in handmap_qp._HOMES.items() for n in names}
+    assert imported_names() == homes
+    assert {*handmap_qp.__all__} == homes.keys()
+    assert {*homes} <= {*dir(handmap_qp)}
+
+
+@pytest.mark.parametrize("name", handmap_qp.__all__)
+def test_a_public_name_is_what_its_module_has(name: str) -> None:
+    home = import_module(f"handmap_qp.{imported_names()[name]}")
+    assert getattr(handmap_qp, name) is vars(home)[name]
+    # Packages have lists of their own.
+    assert name in vars(home).get("__all__", [name])
+
+
+def test_a_name_that_does_not_exist_is_an_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'HandMaper'"):
+        handmap_qp.HandMaper  # noqa: B018  # ty: ignore[missing-attribute]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_lists_what_it_has(package: str) -> None:
+    module = import_module(f"handmap_qp.{package}")
+    assert len({*module.__all__}) == len(module.__all__)
+    assert {*module.__all__} <= vars(module).keys()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_may_be_imported_first(package: str) -> None:
+    # A circle would show as a name that is missing from a module half read.
+    assert f"handmap_qp.{package}" in loaded_by(f"import handmap_qp.{package}")
+
+
+def test_the_package_and_the_client_load_no_more_than_they_need() -> None:
+    own = {n for n in loaded_by("import handmap_qp") if n.startswith("handmap_qp")}
+    assert own == {"handmap_qp"}
+    assert not loaded_by("import handmap_qp") & HEAVY
+    client = loaded_by("import handmap_qp.client") & HEAVY
+    assert client <= {"numpy", "msgspec"}
+    command = loaded_by("import handmap_qp.cli") & HEAVY
+    assert command <= {"numpy", "msgspec"}
+
+
+@pytest.mark.slow
+def test_a_mapping_loads_neither_simulation_nor_other_solvers() -> None:
+    loaded = loaded_by("from handmap_qp import HandMapper, load_hand; load_hand")
+    assert not loaded & {
+        "mujoco",
+        "mink",
+        "qpsolvers",
+        "scipy",
+        "matplotlib",
+        "trimesh",
+    }
