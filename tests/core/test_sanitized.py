@@ -1,6 +1,7 @@
 """The parts of the core that need no Python, with hostile numbers, under the sanitizers.
 
-`make sanitize` runs the tests of the whole core so, which takes a quarter of an hour.
+Compiling them takes half a minute, so `make full` does it, and `make sanitize`, which so runs the
+tests of the whole core.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
+pytestmark = pytest.mark.full
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = Path(__file__).with_name("sanitized.cpp")
