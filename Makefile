@@ -49,7 +49,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test fast lint docs wheel lowest paths bench judges peers lock clean
+.PHONY: help demo test full fast lint docs wheel lowest paths bench judges peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -66,8 +66,11 @@ demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a hum
 	@echo "Look at the pictures. For the command in this shell:  . $(BIN)/activate"
 	@echo "Then see it move:  handmap view demo --robot three_finger"
 
-test: lint ## Run the checks of `make lint`, then all tests
+test: lint ## Run the checks of `make lint`, then the suite: 5 minutes on two cores
 	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
+
+full: $(INSTALLED) ## Run all tests: every hand by every preset, and builds of all packages
+	@$(BIN)/python -m pytest $(PARALLEL) --full $(ARGS)
 
 fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute
 	@$(BIN)/python -m pytest -m 'not slow' $(ARGS)
@@ -87,7 +90,7 @@ wheel: $(INSTALLED) ## Build the wheels of all packages and the sdist in dist, w
 	@PATH="$(CURDIR)/$(BIN):$$PATH" .ci/wheel --no-isolation
 	@echo "pip install \"$$(ls $(CURDIR)/dist/handmap_qp-*.whl)[plot,view]\""
 
-lowest: ## Run all tests with the lowest versions that pyproject.toml allows; needs uv
+lowest: ## Run the suite with the lowest versions that pyproject.toml allows; needs uv
 	@$(FIND_PYTHON); \
 	export PATH="$$PATH:$(CURDIR)/$(BIN)"; \
 	uv venv --quiet --clear --seed --python "$$python" $(LOWEST) && \

@@ -39,6 +39,14 @@ TESTS = Path(__file__).resolve().parent
 gc.disable()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--full",
+        action="store_true",
+        help="also run tests marked `full`: all cases of matrices, and builds of packages",
+    )
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Load the profile of the fast suite, unless the command line names one."""
     if (
@@ -46,6 +54,18 @@ def pytest_configure(config: pytest.Config) -> None:
         and config.option.hypothesis_profile is None
     ):
         settings.load_profile("fast")
+
+
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
+    """Leave out tests marked `full`, unless `--full` asks for them."""
+    if config.option.full:
+        return
+    left_out = [item for item in items if item.get_closest_marker("full")]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not item.get_closest_marker("full")]
 
 
 def pytest_collection_finish() -> None:

@@ -44,6 +44,7 @@ def check_syntax(compiler: str, unit: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.full
 @pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
 def test_each_compiler_takes_each_part_without_a_warning(
@@ -269,6 +270,7 @@ def without_rights_of_root() -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.full
 def test_a_read_only_source_gives_a_wheel_with_the_core(
     read_only_source: Path, tmp_path: Path
 ) -> None:

@@ -1,6 +1,7 @@
 """All that the README tells a reader to type works, in its order, after its own install line.
 
 The environment is fresh: the package's wheel with the extras that the line names, and nothing else.
+That installs half a gigabyte of packages, so `make full` does it.
 `make demo` and `make test` make the environment that these tests run in.
 """
 
@@ -14,9 +15,6 @@ from pathlib import Path
 import pytest
 from paths.fresh import wheel
 from readme_steps import README, count_steps, environment_of, run, run_steps, steps
-
-# Half a gigabyte of packages is installed.
-pytestmark = pytest.mark.slow
 
 MOST_WORDS = 700
 COMMANDS = [step.command for step in steps() if step.command]
@@ -40,6 +38,8 @@ def environment(
     return variables
 
 
+@pytest.mark.slow
+@pytest.mark.full
 def test_every_step_works_in_the_order_of_the_page(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -52,6 +52,8 @@ def test_the_page_is_short() -> None:
     assert len(README.split()) <= MOST_WORDS
 
 
+@pytest.mark.slow
+@pytest.mark.full
 def test_commands_outside_of_blocks_exist(environment: dict[str, str]) -> None:
     for words in set(re.findall(r"`handmap ([a-z ]+)`", README)):
         run(["handmap", *words.split(), "--help"], Path.cwd(), environment)

@@ -57,7 +57,8 @@ NEIGHBOURS = {
     ),
 }
 
-pytestmark = pytest.mark.slow
+# uv asks the registry for hundreds of packages, so `make full` runs the whole module.
+pytestmark = [pytest.mark.slow, pytest.mark.full]
 
 
 def resolved(

@@ -1,13 +1,17 @@
 """The parts of the core that need no Python, with hostile numbers, under the sanitizers.
 
-`make sanitize` runs the tests of the whole core so, which takes a quarter of an hour.
+Compiling them takes half a minute, so `make full` does it, and `make sanitize`, which so runs the
+tests of the whole core.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from cpp_programs import compiled, run_counted
+
+pytestmark = pytest.mark.full
 
 PROGRAM = Path(__file__).with_name("sanitized.cpp")
 CHECKS = "address,undefined,float-cast-overflow"

@@ -26,8 +26,8 @@ ADDED = (
     "tune",
     "videos",
 )
-# The build and the environment take several seconds, so the whole module is slow.
-pytestmark = pytest.mark.slow
+# The builds compile the core twice and take minutes, so `make full` runs the whole module.
+pytestmark = [pytest.mark.slow, pytest.mark.full]
 
 
 def run(*command: str | Path, cwd: Path, **more: str) -> str:
