@@ -10,6 +10,8 @@ from handmap_score.tasks import person as model
 from handmap_score.tasks.person import (
     Closing,
     Eyes,
+    Look,
+    Observer,
     PadModel,
     PadPlace,
     PalmMotion,
@@ -22,6 +24,7 @@ from handmap_score.tasks.person import (
 from handmap_score.tasks.task import Scene, Signals
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from handmap_qp.hands import Hand, load_hand
 from handmap_qp.se3 import Array, affine, unit
@@ -319,3 +322,111 @@ def test_two_people_of_one_seed_do_the_same(robot: Hand) -> None:
             world.follow(hand.landmarks, hand.wrist)
         hands.append(np.array(shown))
     assert np.array_equal(hands[0], hands[1])
+
+
+def test_noise_alone_moves_no_palm_that_is_right() -> None:
+    """The dead zones are larger than what noise makes of the aim after some looks."""
+    line = np.array([0.0, 1.0, 0.0])
+    random = np.random.default_rng(11)
+    moves = []
+    for _ in range(300):
+        observer = Observer()
+        looks = [
+            observer.update(noisy_look(random, line), np.zeros(3)) for _ in range(7)
+        ]
+        aimed, later = looks[2], looks[3:]
+        for look in later:
+            off = (look.middle - look.palm) - (aimed.middle - aimed.palm)
+            turn = math.acos(min(float(look.line @ aimed.line), 1.0))
+            is_off = float(np.linalg.norm(off)) > model.DEAD_ZONE
+            moves.append(is_off or turn > model.TURN_DEAD_ZONE)
+    assert np.mean(moves) < 0.05
+
+
+def noisy_look(
+    random: np.random.Generator,
+    line: Array,
+    middle: Array | None = None,
+    palm: Array | None = None,
+) -> Look:
+    """Return a look with the noise of seeing, of an object and a palm at the origin by default."""
+    noise = model.VISUAL_NOISE * random.normal(size=(2, 3))
+    angle = model.ANGLE_NOISE * random.normal()
+    turned = Rotation.from_rotvec([0.0, 0.0, angle]).apply(line)
+    origin = np.zeros(3)
+    return Look(
+        time=0.0,
+        middle=noise[0] + (origin if middle is None else middle),
+        line=turned,
+        width=0.03,
+        bottom=origin,
+        target=origin,
+        palm=noise[1] + (origin if palm is None else palm),
+        rotation=np.eye(3),
+        pads=PadPlace(origin, line, 0.08),
+    )
+
+
+def test_looks_at_a_still_object_add_up() -> None:
+    """The mean of n looks is as good as statistics allow."""
+    random = np.random.default_rng(12)
+    line = np.array([1.0, 0.0, 0.0])
+    ends = []
+    for _ in range(200):
+        observer = Observer()
+        looks = [
+            observer.update(noisy_look(random, line), np.zeros(3)) for _ in range(8)
+        ]
+        ends.append(looks[-1].middle)
+    spread = np.std(ends, axis=0)
+    assert np.allclose(spread, model.VISUAL_NOISE / math.sqrt(8.0), rtol=0.15)
+
+
+def test_an_object_that_was_pushed_is_seen_where_it_is() -> None:
+    """A jump of 30 mm is taken as it is seen, whatever was seen before."""
+    random = np.random.default_rng(13)
+    line = np.array([0.0, 1.0, 0.0])
+    observer = Observer()
+    for _ in range(10):
+        observer.update(noisy_look(random, line), np.zeros(3))
+    pushed = np.array([0.03, 0.0, 0.0])
+    look = observer.update(noisy_look(random, line, pushed), np.zeros(3))
+    assert np.linalg.norm(look.middle - pushed) < 4.0 * model.VISUAL_NOISE
+
+
+def test_the_palms_error_grows_with_its_movements() -> None:
+    """After a long movement the palm is taken as it is seen; without one, looks are averaged."""
+    line = np.array([0.0, 1.0, 0.0])
+    error = np.array([0.004, 0.0, 0.0])
+    shares = []
+    for distance in (0.0, 0.3):
+        ends = []
+        for seed in range(200):
+            random = np.random.default_rng(seed)
+            observer = Observer()
+            for _ in range(8):
+                observer.update(noisy_look(random, line), np.zeros(3))
+            believed = np.array([distance, 0.0, 0.0])
+            seen = noisy_look(random, line, palm=believed + error)
+            ends.append(observer.update(seen, believed).palm - believed)
+        shares.append(float(np.mean(ends, axis=0)[0] / error[0]))
+    assert shares[0] < 0.3
+    assert shares[1] > 0.9
+
+
+def test_the_hand_closes_where_the_object_lies_between_the_pads(robot: Hand) -> None:
+    """When the hand closes, the palm is off its aim by less than the dead zone in most tries."""
+    off = []
+    for seed in range(20, 32):
+        world = World(robot, np.zeros(3), is_sticky=False)
+        person = Person(robot)
+        person.reset(seed)
+        while person.phase is not Phase.CLOSE and world.time < 12.0:
+            hand = person.see(world.scene())
+            world.follow(hand.landmarks, hand.wrist)
+        palm = world.wrist @ robot.wrist_to_palm
+        assert person._model is not None
+        lies = palm[:3, :3].T @ (world.object - palm[:3, 3])
+        off.append(np.linalg.norm(lies - person._model.entry(0.03)))
+    assert np.median(off) < model.DEAD_ZONE
+    assert np.max(off) < 2.0 * model.DEAD_ZONE

@@ -306,10 +306,14 @@ def test_a_bar_counts_when_the_giving_hand_has_left() -> None:
     assert judge_table.recount_hand_over(record)
     early = record._replace(qpos=record.qpos[:-20], times=record.times[:-20])
     assert not judge_table.recount_hand_over(early)
-    # Without the left hand's joints, the bar is never taken.
+    # Without the left hand's joints, the bar is never kept. Straight fingers may clamp it.
     alone = attempt(task, person, Unmapped(), 2)
     assert not alone.is_success
-    assert alone.cause in ("not taken", "dropped before it was taken")
+    assert alone.cause in (
+        "not taken",
+        "dropped before it was taken",
+        "taken, then lost",
+    )
     with pytest.raises(NoOtherHandError, match="robotiq_2f85"):
         HandOverTask(load_hand("robotiq_2f85"))
 

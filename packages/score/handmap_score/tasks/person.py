@@ -7,13 +7,17 @@ The model, in the order of a try:
 
 1. *Look.* Places of the object, the robot's palm and its pads are `DELAY` old and have noise. What
    the own hand was told to do since then is known (efference copy, as a Smith predictor).
-2. *Aim.* The palm is to stand where the object lies between the pads, by an internal model of where
+2. *Observe.* On the way to the object, looks of one try are combined (`Observer`), each by how
+   certain it is: the object stands still, and the palm errs by the noise of its own movements.
+3. *Aim.* The palm is to stand where the object lies between the pads, by an internal model of where
    the pads meet (`PadModel`), and to turn so that the line of the pads is level and along the
-   object's.
-3. *Move.* Not more often than every `REFRACTORY` seconds, a minimum-jerk sub-movement corrects what
-   is left, on top of those that still run. Corrections below `DEAD_ZONE` are not made.
-4. *Close* along a recorded closing, at its own speed and to its end.
-5. *Judge.* If the object is seen between the pads, lift, carry, lower, open, leave. Else learn from
+   object's. A place is aimed at for the orientation that the palm will have: a turn that is too
+   small to be made does not move the aim.
+4. *Move.* Not more often than every `REFRACTORY` seconds, a minimum-jerk sub-movement corrects what
+   is left, on top of those that still run. Corrections below `DEAD_ZONE` are not made. The person
+   goes on when the palm is seen to rest.
+5. *Close* along a recorded closing, at its own speed and to its end.
+6. *Judge.* If the object is seen between the pads, lift, carry, lower, open, leave. Else learn from
    where the pads were seen, open, back off, and try again, until `PATIENCE` is over.
 
 Before the first try the person closes the hand `PRACTICE` times in the air and learns from it.
@@ -29,6 +33,14 @@ or in a quotation of its data; *memory* that it was not.
   Gawthrop 2012, J. R. Soc. Interface 9:2070; values checked, issue by memory). Event-driven
   intermittent control with a predictor: Gawthrop, Loram, Lakie and Gollee 2011, Biol. Cybern.
   104:31 (abstract checked).
+- `Observer`: intermittent control has an observer before its predictor, and moves when the
+  *estimated* state exceeds a threshold (Gawthrop et al. 2011, as above; Gawthrop, Gollee and Loram
+  2014, arXiv:1407.3543; abstracts and summaries checked). Where a movement is corrected depends on
+  the uncertainty of the prediction (Sakaguchi, Tanaka and Inoue 2015, Neural Netw. 67:92; abstract
+  checked). Estimates of the own hand's place are those of optimal state estimation (Wolpert,
+  Ghahramani and Jordan 1995, Science 269:1880; abstract checked). A dead zone must therefore be
+  larger than what noise makes of the estimate; that of a single look is not (see `DEAD_ZONE`).
+  `SURPRISE`: chosen so that noise alone exceeds it in less than one of 500 looks.
 - Minimum jerk: Flash and Hogan 1985, J. Neurosci. 5:1688 (abstract checked). Sub-movements that
   overlap and add up: Novak, Miller and Houk 2002, Exp. Brain Res. 144:351 (abstract checked).
 - `FITTS_INTERCEPT`, `FITTS_SLOPE`: a line through the 16 conditions of Fitts' tapping experiment
@@ -40,8 +52,9 @@ or in a quotation of its data; *memory* that it was not.
 - `LEARNING`: the next movement corrects a fixed share of the error (van Beers 2012, PLoS ONE
   7:e49373; abstract checked). The share of one half is chosen in the range of .2 to .7 (memory).
 - `VISUAL_NOISE`: 2 mm an axis, the figure that the operator was specified with. `ANGLE_NOISE`,
-  `DEAD_ZONE` (the length of an error of aim by that noise), `PRACTICE`, `PATIENCE`, and all
-  distances: chosen, without a source.
+  `DEAD_ZONE` (the length of an error of aim by the noise of one look at object and palm; more than
+  twice that of the `Observer` after six looks), `PRACTICE`, `PATIENCE`, and all distances: chosen,
+  without a source.
 """
 
 import math
@@ -87,6 +100,8 @@ PACE = 1.5
 """Time of a movement over that of Fitts' law."""
 MOTOR_NOISE = 0.04
 """Standard deviation of where a sub-movement ends, over its amplitude, along each axis."""
+SURPRISE = 4.0
+"""What is seen farther than this from its estimate has moved, in standard deviations."""
 LEARNING = 0.5
 """Share of an error of the internal model that one closing corrects."""
 PRACTICE = 3
@@ -374,9 +389,18 @@ class PalmMotion:
     def turn_to(self, rotation: Array) -> Array:
         """Return the turn that is left to an orientation when all sub-movements have ended."""
         wanted = Rotation.from_matrix(rotation @ self._pose[:3, :3].T).as_rotvec()
-        return wanted - np.sum(
-            [np.zeros(3), *(one.turn for one in self._submovements)], axis=0
-        )
+        return wanted - self._turned
+
+    def rotation_after(self, turn: Array) -> Array:
+        """Return the orientation when all sub-movements and a further turn have ended, (3, 3)."""
+        turned = Rotation.from_rotvec(self._turned + turn).as_matrix()
+        return turned @ self._pose[:3, :3]
+
+    @property
+    def _turned(self) -> Array:
+        """Sum of the turns of all sub-movements [rad], shape (3,)."""
+        turns = [one.turn for one in self._submovements]
+        return np.sum([np.zeros(3), *turns], axis=0)
 
 
 class Look(NamedTuple):
@@ -473,6 +497,70 @@ class Eyes:
     def _direction(self, line: Array) -> Array:
         angle = ANGLE_NOISE * self._random.normal()
         return Rotation.from_rotvec([0.0, 0.0, angle]).apply(line)
+
+
+class Estimate:
+    """A point that is seen again and again with noise: a Kalman filter, alike along each axis.
+
+    Args:
+        noise: Standard deviation of one look along each axis.
+    """
+
+    def __init__(self, noise: float) -> None:
+        self._noise = noise
+        self._point = np.zeros(3)
+        self._variance = math.inf
+
+    def update(self, seen: Array, drift: float = 0.0) -> Array:
+        """Take a look in, and return the estimate, shape (3,).
+
+        Args:
+            seen: The point as it is seen, shape (3,).
+            drift: Standard deviation of its motion since the look before, along each axis.
+        """
+        # Parts of one movement err alike, so their deviations add up, not their variances.
+        variance = (math.sqrt(self._variance) + drift) ** 2
+        innovation = seen - self._point
+        expected = math.sqrt(variance + self._noise**2)
+        if float(np.linalg.norm(innovation)) > SURPRISE * expected:
+            variance = math.inf
+        gain = variance / (variance + self._noise**2) if variance < math.inf else 1.0
+        self._point = self._point + gain * innovation
+        self._variance = gain * self._noise**2
+        return self._point
+
+
+class Observer:
+    """Combines the looks of one try, while the palm comes to the object.
+
+    The object stands still; what has moved farther than noise explains (`SURPRISE`) is taken as it
+    is seen. The palm is where the person believes it to be, but for an error that grows with
+    each movement by `MOTOR_NOISE`.
+    """
+
+    def __init__(self) -> None:
+        self._middle = Estimate(VISUAL_NOISE)
+        self._line = Estimate(ANGLE_NOISE)
+        self._error = Estimate(VISUAL_NOISE)
+        self._believed: Array | None = None
+
+    def update(self, look: Look, believed: Array) -> Look:
+        """Return a look with estimates of the object's middle and line, and of the palm's place.
+
+        Args:
+            look: What is seen.
+            believed: Where the person believed the palm to be at that instant [m], shape (3,).
+        """
+        moved = 0.0
+        if self._believed is not None:
+            moved = float(np.linalg.norm(believed - self._believed))
+        self._believed = believed
+        error = self._error.update(look.palm - believed, MOTOR_NOISE * moved)
+        return look._replace(
+            middle=self._middle.update(look.middle),
+            line=unit(self._line.update(look.line)),
+            palm=believed + error,
+        )
 
 
 def levelled(line: Array, wanted: Array) -> Array:
@@ -591,6 +679,7 @@ class Person:
         """Begin an attempt: forget all that was seen and learned."""
         self._random = np.random.default_rng(seed)
         self._eyes = Eyes(self._wrist_to_palm, self._random)
+        self._observer = Observer()
         self._motion: PalmMotion | None = None
         self._model: PadModel | None = None
         self._opened: PadPlace | None = None
@@ -650,6 +739,8 @@ class Person:
 
     def _start(self, phase: Phase, *, closes: bool) -> None:
         self._phase = phase
+        if phase is Phase.APPROACH:  # the try before may have moved the object
+            self._observer = Observer()
         self._since = self._time
         self._is_closing = closes
 
@@ -677,7 +768,8 @@ class Person:
             case Phase.PRACTISE:
                 self._practise(look)
             case Phase.APPROACH | Phase.ENTER:
-                self._reach(look, self._model, motion)
+                seen = self._observer.update(look, motion.believed(look.time))
+                self._reach(seen, self._model, motion)
             case Phase.CLOSE:
                 self._judge(look, motion)
             case Phase.USE:
@@ -726,7 +818,10 @@ class Person:
 
     def _reach(self, look: Look, model: PadModel, motion: PalmMotion) -> None:
         """Move the palm to where the object lies between the open pads, or stand off before."""
-        rotation = levelled(model.met.line, look.line)
+        turn = motion.turn_to(levelled(model.met.line, look.line))
+        if float(np.linalg.norm(turn)) <= TURN_DEAD_ZONE:
+            turn = np.zeros(3)
+        rotation = motion.rotation_after(turn)
         entry = model.entry(look.width)
         goal = look.middle - rotation @ entry
         is_entering = self._phase is Phase.ENTER
@@ -736,7 +831,7 @@ class Person:
         bias = look.palm - motion.believed(look.time)
         shift = goal - motion.believed_end - bias
         tolerance = DEAD_ZONE if is_entering else ROUGH
-        if not self._correct(motion, shift, tolerance, rotation):
+        if not self._correct(look, motion, shift, tolerance, turn):
             if is_entering and self._time > self._since + _ENTERS:
                 self._start(Phase.REOPEN, closes=False)
             return
@@ -752,19 +847,29 @@ class Person:
 
     def _correct(
         self,
+        look: Look,
         motion: PalmMotion,
         shift: Array,
         tolerance: float,
-        rotation: Array | None = None,
+        turn: Array | None = None,
     ) -> bool:
-        """Begin a sub-movement if one is needed; return whether the palm rests where it should."""
-        turn = np.zeros(3) if rotation is None else motion.turn_to(rotation)
+        """Begin a sub-movement if one is needed; return whether the palm rests where it should.
+
+        It must be seen to rest: the noise of a movement that has just ended was not seen yet.
+
+        Args:
+            look: What is seen.
+            motion: The palm's motion.
+            shift: Error of place [m], shape (3,).
+            tolerance: Length below which it is not corrected [m].
+            turn: Turn that is needed [rad], shape (3,); none if omitted.
+        """
         is_off = float(np.linalg.norm(shift)) > tolerance
-        is_turned = float(np.linalg.norm(turn)) > TURN_DEAD_ZONE
-        if is_off or is_turned:
+        turn = np.zeros(3) if turn is None else turn
+        if is_off or turn.any():
             motion.begin(self._time, shift, turn)
             return False
-        return not motion.is_moving(self._time)
+        return not motion.is_moving(look.time)
 
     def _judge(self, look: Look, motion: PalmMotion) -> None:
         """Use what is seen between the pads; else learn and open."""
@@ -792,7 +897,9 @@ class Person:
         is_rough = self._phase is not Phase.LOWER and self._hover == LIFT
         tolerance = ROUGH if is_rough else DEAD_ZONE
         is_down = self._phase is Phase.LOWER and self._is_down(look)
-        if not is_down and not self._correct(motion, shift - since_then, tolerance):
+        if not is_down and not self._correct(
+            look, motion, shift - since_then, tolerance
+        ):
             return
         match self._phase:
             case Phase.LIFT:

@@ -197,7 +197,7 @@ class Presser(Person):
         bias = look.palm - motion.believed(look.time)
         shift = goal + height * _UP - motion.believed_end - bias
         tolerance = ROUGH if self._phase is Phase.APPROACH else DEAD_ZONE
-        if not self._correct(motion, shift, tolerance):
+        if not self._correct(look, motion, shift, tolerance):
             return
         if self._phase is Phase.APPROACH:
             self._start(Phase.ENTER, closes=True)
