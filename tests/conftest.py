@@ -43,7 +43,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--full",
         action="store_true",
-        help="also run tests marked `full`: all cases of matrices, and builds of packages",
+        help="also run tests marked `full`: all cases of matrices, and builds of packages. "
+        "A file that is named runs with them, too",
     )
 
 
@@ -59,13 +60,19 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
 ) -> None:
-    """Leave out tests marked `full`, unless `--full` asks for them."""
+    """Leave out tests marked `full`, unless `--full` asks for them or their file is named."""
     if config.option.full:
         return
-    left_out = [item for item in items if item.get_closest_marker("full")]
-    if left_out:
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if not item.get_closest_marker("full")]
+    named = {
+        (config.invocation_params.dir / argument.partition("::")[0]).resolve()
+        for argument in config.args
+    }
+    kept, left_out = list[pytest.Item](), list[pytest.Item]()
+    for item in items:
+        is_left_out = item.get_closest_marker("full") and item.path not in named
+        (left_out if is_left_out else kept).append(item)
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = kept
 
 
 def pytest_collection_finish() -> None:

@@ -34,6 +34,17 @@ FLAGS = (
     "--remote-debugging-port=0",
 )
 
+FRAME = 0.25
+"""Time between two frames of a page [s].
+
+Software draws a frame of hands in tens of milliseconds on all cores, and a page asks for the next
+one at once.
+"""
+_SELDOM = f"""
+window.requestAnimationFrame = (draw) =>
+    setTimeout(() => draw(performance.now()), {1e3 * FRAME:g});
+window.cancelAnimationFrame = clearTimeout;
+"""
 DRAWING = 180.0
 """Timeout for a page rendered in software on a busy machine [s]."""
 
@@ -120,6 +131,7 @@ class Browser:
         self._session = attached["sessionId"]
         for domain in ("Runtime", "Page", "Network"):
             self.call(f"{domain}.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=_SELDOM)
         self.resize(*self._size)
 
     def resize(self, width: int, height: int) -> None:

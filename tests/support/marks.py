@@ -1,7 +1,7 @@
 """Marks of parameters: what the quick tests leave out, and what the suite leaves out.
 
 The suite samples large matrices, such as every hand by every preset, by a fixed rotation. Its other
-cases bear the mark `full` and run with `pytest --full`, which `make full` does.
+cases bear the mark `full`. `pytest --full` runs them, and so does `pytest` if their file is named.
 """
 
 from __future__ import annotations
