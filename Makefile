@@ -33,9 +33,9 @@ LOWEST := build/lowest
 # The interpreters to make .venv from, the first that will do; `make PYTHON=...` names another.
 PYTHONS := $(or $(PYTHON),python3.11 python3 python3.12 python3.13)
 
-# Four at a time on two cores too: tests that wait for processes and browsers leave a core idle. The
-# tests of a file stay together, for they share what is slow to make.
-PARALLEL := --numprocesses 4 --dist loadfile
+# Four at a time on two cores too: tests that wait for processes and browsers leave a core idle. Each
+# process takes neighbouring tests, which share what is slow to make, and at the end those of others.
+PARALLEL := --numprocesses 4 --dist worksteal
 
 # One thread: our matrices are small, so that more threads only wait for each other, and timings scatter.
 export OMP_NUM_THREADS := 1

@@ -15,6 +15,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from marks import rotated
 from section_four.experiment import HandMotion
 
 from handmap_qp.apps.offline.comparison import own_method
@@ -48,7 +49,7 @@ def shared(benchmark: Callable[[str], Any]) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+@pytest.mark.parametrize("script", rotated(SCRIPTS, 8), ids=lambda script: script.stem)
 def test_every_benchmark_runs_and_writes_its_numbers(
     script: Path,
     benchmark: Callable[[str], Any],

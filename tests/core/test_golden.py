@@ -5,6 +5,7 @@ from __future__ import annotations
 import golden
 import numpy as np
 import pytest
+from marks import crossed, rotated
 
 from handmap_qp.mapping.presets import PRESETS
 
@@ -13,6 +14,8 @@ HANDS = list(dict.fromkeys(name.split("/")[0] for name in GOLDEN["hands"]))
 OTHERS = [
     (file, name) for file in ("robots", "streams", "problems") for name in GOLDEN[file]
 ]
+PARTS = 3
+"""Parts of the presets. The suite moves each hand by one of them, and meets every preset."""
 
 
 def expect_as_before(file: str, name: str) -> None:
@@ -26,17 +29,18 @@ def expect_as_before(file: str, name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hand", HANDS)
-def test_a_hand_moves_as_before_by_every_preset(hand: str) -> None:
+@pytest.mark.parametrize(("hand", "first"), crossed(HANDS, range(PARTS), every=PARTS))
+def test_a_hand_moves_as_before_by_every_preset(hand: str, first: int) -> None:
     if f"{hand}/paper" not in golden.case_names("hands"):
         pytest.skip(f"{hand} is not installed")
-    for preset in PRESETS:
+    for preset in [*PRESETS][first::PARTS]:
         expect_as_before("hands", f"{hand}/{preset}")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("file", "name"), OTHERS)
-def test_robots_streams_and_problems_are_as_before(file: str, name: str) -> None:
+@pytest.mark.parametrize("case", rotated(OTHERS, 2), ids="/".join)
+def test_robots_streams_and_problems_are_as_before(case: tuple[str, str]) -> None:
+    file, name = case
     if name not in golden.case_names(file):
         pytest.skip(f"{name} is not installed")
     expect_as_before(file, name)

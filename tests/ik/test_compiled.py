@@ -11,6 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import crossed
 from scipy.optimize import nnls
 
 from handmap_qp import (
@@ -41,8 +42,7 @@ PRESETS = ("teleoperation", "object", "paper", "fixed_wrist", "joint-to-joint")
 robot_of = lru_cache(maxsize=1)(load_hand)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize(("name", "preset"), crossed(HANDS, PRESETS, every=3))
 def test_a_sample_of_both_paths_from_one_state_has_one_command(
     name: str, preset: str
 ) -> None:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from marks import crossed
 
 STEPS = 250
 RUNS = (("three_finger", 14), ("allegro_right", 8), ("shadow_right", 9))
@@ -173,8 +174,7 @@ def test_a_stream_within_its_limits_has_no_violation(
     assert one_by_one[2]["acceleration"] > 0.999
 
 
-@pytest.mark.parametrize("run", PAUSED, ids=lambda run: run[0])
-@pytest.mark.parametrize("known", [0.0, 1.0])
+@pytest.mark.parametrize(("run", "known"), crossed(PAUSED, [0.0, 1.0], every=2))
 def test_a_robot_keeps_its_limits_after_a_pause_that_a_new_hand_ends(
     streams: ModuleType, run: tuple[str, int], known: float
 ) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from marks import slow
+from marks import crossed
 
 from handmap_qp import (
     METHODS,
@@ -63,8 +63,10 @@ def check_copy(mapper: Follower, way: Callable[[Any], Any]) -> None:
 
 
 # All ways read and write the same state, so that one of them shows what is part of it.
-@pytest.mark.parametrize("name", PRESETS)
-@pytest.mark.parametrize("kind", ["plain", slow("smoothed"), slow("accelerating")])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    crossed([*PRESETS], ["plain", "smoothed", "accelerating"], every=3),
+)
 def test_every_preset_goes_on_the_same(name: str, kind: str) -> None:
     ik = PRESETS[name].ik
     ik = ik.replaced(max_acceleration=20.0) if kind == "accelerating" else ik

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
+from marks import rotated
 
 from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
 from handmap_qp.apps.drawing import scene
@@ -160,7 +161,7 @@ OWN -= {name.replace("_right", "_left") for name in OWN if name.endswith("_right
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(OWN - set(HUMAN_HANDS)))
+@pytest.mark.parametrize("name", rotated(sorted(OWN - set(HUMAN_HANDS)), 3))
 def test_the_hands_of_the_package_pass_their_check(name: str) -> None:
     report = check_hand(name, has_motion=False)
     assert "error" not in levels(report)

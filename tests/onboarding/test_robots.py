@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from made_hands import two_hands_mjcf
+from marks import rotated
 from PIL import Image
 
 from handmap_qp import HandError, load_hand
@@ -195,7 +196,7 @@ def test_check_draws_the_robot(
         assert len(set(picture.convert("L").tobytes())) > 50
 
 
-@pytest.mark.parametrize("name", INSTALLED)
+@pytest.mark.parametrize("name", rotated(INSTALLED, 3))
 def test_the_robots_of_the_package_pass_their_check(name: str) -> None:
     report = check_robot(name, has_motion=False)
     assert report.findings[0].level in ("advice", "fine"), report.findings
