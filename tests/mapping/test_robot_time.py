@@ -235,6 +235,57 @@ def test_a_robot_stands_still_for_a_pause_that_may_be_another_clock(
     assert passed == pytest.approx(5e3 + 1.0 / 60.0, rel=1e-9)
 
 
+@pytest.mark.parametrize(("pause", "moves"), [(9.9, True), (10.1, False)])
+def test_a_pause_of_more_than_10_s_may_be_another_clock(
+    fresh: RobotFollower, pause: float, moves: bool
+) -> None:
+    follower = copy.deepcopy(fresh)
+    events = [Event(k / 60.0, ("right",)) for k in range(10)]
+    for samples in samples_of(events):
+        follower.map_samples(samples)
+    before = follower.mapper.motion.q
+    (later,) = samples_of([Event(9.0 / 60.0 + pause, ("right",))])
+    follower.map_samples(later)
+    moved = np.abs(follower.mapper.motion.q - before).max()
+    # No joint is faster than 100 rad/s.
+    assert bool(moved > 100.0 * SHORTEST_DT) is moves
+
+
+def test_a_hand_holds_after_a_quarter_of_a_second_without_a_sample(
+    fresh: RobotFollower,
+) -> None:
+    follower = copy.deepcopy(fresh)
+    rules = {}
+    for k in range(100):
+        time = 0.01 * k
+        sides = SIDES if k <= 40 else ("right",)
+        (samples,) = samples_of([Event(time, sides)])
+        step = follower.map_samples(samples)
+        rules[round(time - 0.4, 2)] = step.hands["left"].rule
+    assert {gap for gap, rule in rules.items() if rule == "missing"} == {
+        gap for gap in rules if gap > 0.255
+    }
+
+
+def test_a_refused_sample_leaves_the_other_hand_as_it_was(fresh: RobotFollower) -> None:
+    calm, disturbed = copy.deepcopy(fresh), copy.deepcopy(fresh)
+    events = [Event(k / 60.0, SIDES) for k in range(40)]
+    for k, samples in enumerate(samples_of(events)):
+        expected = calm.map_samples(samples)
+        if k % 10 == 9:
+            wrong = HumanSample(
+                samples["left"].time, "right", samples["left"].landmarks
+            )
+            for order in (("right", "left"), ("left", "right")):
+                refused = {"left": wrong, "right": samples["right"]}
+                with pytest.raises(InvalidInputError, match="side"):
+                    disturbed.map_samples({side: refused[side] for side in order})
+        step = disturbed.map_samples(samples)
+        np.testing.assert_array_equal(step.command.q, expected.command.q)
+        for side in SIDES:
+            assert step.hands[side].rule == expected.hands[side].rule
+
+
 def test_a_pause_is_that_of_the_stamps_where_arrivals_agree(
     fresh: RobotFollower,
 ) -> None:

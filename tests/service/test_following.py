@@ -142,6 +142,16 @@ def test_late_encoders_are_found_within_200_ms() -> None:
     assert 0.1 < since <= 0.2
 
 
+def test_joints_may_be_where_they_were_commanded_50_ms_ago_at_1_khz() -> None:
+    hand = load_hand("three_finger")
+    check = FollowingCheck(hand, error=ALLOWED)
+    path = hand.rest + np.linspace(0.0, 0.2, 200)[:, None]
+    for k, command in enumerate(path):
+        check.command(command, 1e-3 * k)
+        check.measure(path[max(k - 48, 0)], 1e-3 * k)
+        np.testing.assert_allclose(check.error, 0.0, atol=1e-12)
+
+
 def test_motors_that_lag_are_not_taken_for_lost() -> None:
     session, motors = watched()
     since, _, _ = run(session, motors, sound, 0.6, 4.0)

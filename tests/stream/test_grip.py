@@ -17,7 +17,7 @@ from handmap_qp import Hand, HandMapper, load_hand, read_recording
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.human.recording import sample_columns
-from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.ik.tasks import AttachedPoints, JointPositions, PointDistances
 from handmap_qp.mapping.hand_pair import robot_fingers
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
@@ -244,6 +244,31 @@ def test_it_opens_from_the_smallest_gap_of_the_grip(allegro: Hand) -> None:
     assert grip.hand_grip._held(at, np.array([0.02]), 0.02).opening == pytest.approx(
         0.2
     )
+
+
+def test_a_grip_that_opens_fades_without_a_jump(allegro: Hand) -> None:
+    """What holds the joints is a small part of what it was when the robot lets go."""
+    grip = grip_follower(allegro)
+    weights = [
+        float(np.max(term.weight))
+        for _ in run(grip, opens=True)
+        for term in grip.hand_grip.terms
+        if isinstance(term, JointPositions)
+    ]
+    assert weights[-1] < 0.05 * max(weights)
+    falling = weights[weights.index(max(weights)) :]
+    assert falling == sorted(falling, reverse=True)
+
+
+@pytest.mark.parametrize(("speed", "lets_go"), [(0.015, False), (0.03, True)])
+def test_fingers_that_drift_apart_slower_than_20_mm_a_second_let_nothing_go(
+    allegro: Hand, speed: float, lets_go: bool
+) -> None:
+    grip = grip_follower(allegro)
+    at = _Grip(0, np.array([0]), allegro.rest, allegro.rest, 1.0, 0.01)
+    for k in range(300):
+        at = grip.hand_grip._held(at, np.array([0.01 + speed * 0.01 * k]), 0.01)
+    assert (at.opening > 0.0) is lets_go
 
 
 def test_terms_of_the_user_stay(allegro: Hand) -> None:

@@ -74,3 +74,17 @@ def test_a_correction_stays_with_its_object() -> None:
     otherwise = place.at(CENTRE, 0.005)
     for each in (another, otherwise):
         np.testing.assert_array_equal(each.correction, np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("deviation", "farthest"), [(0.0, 0.02), (0.005, 0.02), (0.01, 0.03)]
+)
+def test_a_place_beyond_20_mm_and_three_deviations_is_of_another_object(
+    deviation: float, farthest: float
+) -> None:
+    correction = np.array([0.0, 0.002, -0.001])
+    place = ObjectPlace.first(CENTRE, deviation)._replace(correction=correction)
+    same = place.at(CENTRE + 0.99 * farthest * X, deviation)
+    np.testing.assert_array_equal(same.correction, correction)
+    another = place.at(CENTRE + 1.01 * farthest * X, deviation)
+    np.testing.assert_array_equal(another.correction, np.zeros(3))

@@ -144,6 +144,15 @@ def test_a_glide_sets_out_and_arrives_gently() -> None:
     assert speeds.max() == pytest.approx(PALM_SPEED, rel=0.01)
 
 
+def test_a_step_of_the_hand_takes_50_ms_however_small_or_brief() -> None:
+    points = HUMAN.points(HUMAN.rest)
+    pose = HumanPose(points, np.eye(4))
+    near = HumanPose(points + 1e-4, affine(np.eye(3), np.full(3, 1e-4)))
+    far = HumanPose(points + 0.2, affine(np.eye(3), np.full(3, 0.2)))
+    for seen, lost in ((near, np.inf), (far, 0.01)):
+        assert Rejoin(seen=seen).start(pose, lost).duration == 0.05
+
+
 def test_a_second_hold_during_the_glide_goes_on_from_there() -> None:
     samples = list(
         inject(still(300, 0.2), parse_faults("dropout@2.2+0.5,dropout@3.0+0.3"))
