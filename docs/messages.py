@@ -2,7 +2,8 @@
 
     python docs/messages.py
 
-A test compares the files, handmap_qp/apps/service/messages.md and .json, with the types.
+A test compares the files, handmap_qp/apps/service/messages.md and .json, with the types. The table
+of what stops a robot is written into docs/safety.md, too.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import docstring_parser
 import msgspec
@@ -37,6 +38,76 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.options import Options, options_of
 
+
+class Stopping(NamedTuple):
+    """One of the four words for what stops a robot and lets it follow.
+
+    Attributes:
+        word: The word.
+        by: Who does it.
+        robot: What the robot does.
+        until: What ends it.
+        requests: Requests that do it, by their types.
+        former: Former names of requests, which still work.
+        modes: Values of `mode` in `state`.
+        marks: Values of `status`, and flags, in commands.
+    """
+
+    word: str
+    by: str
+    robot: str
+    until: str
+    requests: tuple[str, ...]
+    former: tuple[str, ...]
+    modes: tuple[str, ...]
+    marks: tuple[str, ...]
+
+
+STOPPING = (
+    Stopping(
+        "hold",
+        "the software, where samples stay away or make no sense, or joints do not follow",
+        "keeps its posture; with `return_after` it goes to rest",
+        "the next sample that makes sense; after joints that did not follow, and with "
+        "`resume=engage`, engage",
+        (),
+        (),
+        ("hold", "returning", "not_following"),
+        ("held", "hold", "returning", "not_following", "gliding"),
+    ),
+    Stopping(
+        "disengage",
+        "the session's owner; in a shared session everyone who is admitted",
+        "keeps its posture, whatever samples say",
+        "engage",
+        ("disengage",),
+        ("release",),
+        ("released",),
+        ("released",),
+    ),
+    Stopping(
+        "emergency stop",
+        "everyone who is admitted, for every session",
+        "brakes and keeps its posture, whatever comes",
+        "`clear` with the number of the stop, which disengages",
+        ("stop", "clear"),
+        (),
+        ("stopped",),
+        ("stopped",),
+    ),
+    Stopping(
+        "engage",
+        "the session's owner; in a shared session everyone who is admitted",
+        "follows from where it is; after `reset` from rest, or from a given posture",
+        "one of the three above",
+        ("engage", "reset"),
+        ("clutch",),
+        ("waiting", "following"),
+        ("converged", "limited", "unreachable", "unsettled"),
+    ),
+)
+"""All that stops a robot of the service, and what lets it follow again."""
+
 FLAGS = {
     "dt_clamped": "more time than `max_dt` has passed since the last command",
     "time_backwards": "the time stamp is not later than the last one",
@@ -46,7 +117,7 @@ FLAGS = {
     "watchdog": "no sample arrived in time: `status` is `hold` or `returning`",
     "at_rest": "the robot is at its rest posture",
     "resumed": "the first command after a hold",
-    "released": "the robot is released and holds until `clutch`, whatever `status` says",
+    "released": "the robot is disengaged and holds until `engage`, whatever `status` says",
     "stopped": "an emergency stop is in force, until `clear`",
 }
 """Flags of a command, besides the rule that a sample broke."""
@@ -65,6 +136,10 @@ CODES = {
     "internal": "the server failed and logged the reason",
 }
 """Codes of an error."""
+
+SAFETY = Path(__file__).with_name("safety.md")
+_BEGIN, _END = "<!-- stopping: by docs/messages.py -->", "<!-- end -->"
+"""What the table of `STOPPING` is between."""
 
 _NARROWED = {
     "solver": f"`{'` or `'.join(SOLVERS)}`, because the time of other solvers has no bound.",
@@ -119,6 +194,8 @@ def schema_text() -> str:
                 [*(type(each.method) for each in PRESETS.values()), IkOptions]
             ),
         ),
+        "## What stops the robot",
+        stopping_table(),
         "## Flags of a command",
         "\n".join(f"- `{flag}`: {text}" for flag, text in FLAGS.items()),
         "## Rules for landmarks",
@@ -129,6 +206,41 @@ def schema_text() -> str:
         "\n".join(f"- `{code}`: {text}" for code, text in CODES.items()),
     ]
     return "\n\n".join(parts)
+
+
+def stopping_table() -> str:
+    """Return the table of `STOPPING`."""
+    head = (
+        "| word | who | the robot | until | requests | `mode` | `status` and flags |",
+        "|---|---|---|---|---|---|---|",
+    )
+    return "\n".join([*head, *map(_stopping_row, STOPPING)])
+
+
+def _stopping_row(one: Stopping) -> str:
+    requests = _named(one.requests)
+    if one.former:
+        requests += f"; formerly {_named(one.former)}"
+    cells = (
+        one.by,
+        one.robot,
+        one.until,
+        requests,
+        _named(one.modes),
+        _named(one.marks),
+    )
+    return f"| **{one.word}** | {' | '.join(cells)} |"
+
+
+def _named(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def safety_text() -> str:
+    """Return docs/safety.md with the table between its marks."""
+    before, rest = SAFETY.read_text(encoding="utf-8").split(_BEGIN)
+    _, after = rest.split(_END)
+    return f"{before}{_BEGIN}\n\n{stopping_table()}\n\n{_END}{after.rstrip()}"
 
 
 def json_schema() -> str:
@@ -245,7 +357,11 @@ def _bounds(schema: dict[str, Any]) -> str:
 
 def files() -> dict[Path, str]:
     """Return the texts of the files to write."""
-    return {SCHEMAS["schema"]: schema_text(), SCHEMAS["json_schema"]: json_schema()}
+    return {
+        SCHEMAS["schema"]: schema_text(),
+        SCHEMAS["json_schema"]: json_schema(),
+        SAFETY: safety_text(),
+    }
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def main(urdf: Path) -> None:
             print(f"{clue.what:14} {clue.certainty}: {clue.how}")
         report = check_hand(result.file)
         for finding in report.findings:
-            print(f"{finding.level:8} {finding.key}: {finding.found}")
+            print(f"{finding.level:8} {finding.key}: {finding.text}")
         assert report.is_usable
 
     human, robot = load_hand("human"), result.hands[0].hand

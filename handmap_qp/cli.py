@@ -118,18 +118,32 @@ COMMANDS: dict[str, Any] = {
     for kind in [name.title().replace(" ", "")]
 }
 """Commands of the package by name, in that order."""
-_FORMER_NAMES = {"map": "retarget"}
+_FORMER_NAMES = {"map": "retarget", "tune": "calibrate-actuators"}
 """Former names of commands that still work, and the names that they have now."""
-COMMANDS |= {former: COMMANDS[name] for former, name in _FORMER_NAMES.items()}
+
+
+def _by_both_names(commands: dict[str, Any]) -> dict[str, Any]:
+    """Add the other name of each command that has a former one."""
+    pairs = [
+        *_FORMER_NAMES.items(),
+        *((new, old) for old, new in _FORMER_NAMES.items()),
+    ]
+    return commands | {
+        other: commands[name]
+        for other, name in pairs
+        if name in commands and other not in commands
+    }
+
+
+COMMANDS = _by_both_names(COMMANDS)
 
 
 @cache
 def all_commands() -> dict[str, Any]:
     """Return ours, then those of other packages, which takes 30 ms to look up."""
     others = entry_points(group=_GROUP)
-    return COMMANDS | {
-        point.name: _Added(point) for point in others if point.name not in COMMANDS
-    }
+    added = {point.name: _Added(point) for point in others}
+    return _by_both_names(added | COMMANDS)
 
 
 _GROUPS = {
@@ -140,6 +154,7 @@ _GROUPS = {
 """First words of commands of two words, and what these commands are for."""
 
 _FOLDERS = {
+    "calibrate-actuators": "packages/drive",
     "drive": "packages/drive",
     "hands save": "examples/run",
     "ros2": "packages/ros2[dds]",

@@ -132,7 +132,7 @@ def main() -> None:
     if preset.startswith("teleoperation"):
         # Solving it anew would compare two solutions of another problem.
         matched = dict(zip(robot.joint_names, inputs["matched"].tolist(), strict=True))
-        robot = load_hand(msgspec.structs.replace(robot.spec, matched=matched))
+        robot = load_hand(msgspec.structs.replace(robot.spec, neutral_match=matched))
     mapper = make_mapper(inputs, robot, preset)
     samples = arguments_of(call, inputs, mapper.human, preset)
     serve(mapper, call, samples, inputs["dt"].tolist(), preset)

@@ -68,7 +68,7 @@ class AsyncClient(Calls):
         watchdog: float | None = None,
         return_after: float | None = None,
         return_speed: float | None = None,
-        resume: Literal["follow", "clutch"] | None = None,
+        resume: Literal["follow", "engage", "clutch"] | None = None,
         has_detail: bool | None = None,
         is_shared: bool | None = None,
         following_error: float | None = None,
@@ -112,19 +112,20 @@ class AsyncClient(Calls):
             robot_wrist: Pose of its wrist; at the palm of the first sample if omitted.
             restore: Continue where the last session of this name left the robot: its owner in the
                 same epoch, without keys others too, in a new one, when the owner is silent for 2 s.
-            is_released: Start released: the robot holds still until `clutch`.
+            is_released: Start disengaged: the robot holds still until `engage`.
             max_dt: Longest time that one command may account for [s]; about two samples.
             time_from: Clock for speed limits; `client` needs --simulated-time.
             watchdog: Time without a sample after which the robot holds [s].
             return_after: Time of a hold after which the robot returns to rest [s]; never if
                 omitted.
             return_speed: Share of its speed limits that it returns at.
-            resume: After a hold: follow the human, or take a new reference.
+            resume: After a hold: follow the human, or `engage` again, which takes a new reference;
+                `clutch` is its former name.
             has_detail: Whether commands carry every stage of the mapping.
-            is_shared: Whether others may release, clutch, configure and clear it by its name.
+            is_shared: Whether others may engage, disengage, configure and clear it by its name.
             following_error: Distance from all commands of the last 50 ms at which a measured joint
                 does not follow [rad], at most half of its range. The robot then holds where it is
-                (`not_following`) until `clutch` or `reset`, as where measurements stay away for 150
+                (`not_following`) until `engage` or `reset`, as where measurements stay away for 150
                 ms. If omitted, errors are only reported. An object in the hand stops joints, too.
             following_time: How long it must last [s].
             grip: Fields of GripOptions: thumb and finger hold what they meet, by `measured_q` of

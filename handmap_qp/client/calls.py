@@ -122,6 +122,9 @@ def request_fields(given: Mapping[str, Any]) -> Request:
 def open_request(given: Mapping[str, Any]) -> Request:
     """Return the request that opens a session, with a new secret; errors of `request_fields`."""
     own = {"type": "open", "session": secrets.token_urlsafe(24)}
+    if given.get("resume") == "engage":
+        # Servers of earlier versions know the former name alone.
+        own["resume"] = "clutch"
     return request_fields(given) | own
 
 

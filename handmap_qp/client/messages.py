@@ -201,7 +201,9 @@ Former = Annotated[Options, Meta()]
 
 
 def _rename_options(request: "Open | Configure") -> None:
-    """Move options of former names to their present one."""
+    """Replace former names of options, and of what they are set to, by their present ones."""
+    if isinstance(request, Open) and request.resume == "clutch":
+        force_setattr(request, "resume", "engage")
     for former in FORMER:
         if given := getattr(request, former):
             force_setattr(request, "options", given | request.options)
@@ -244,18 +246,19 @@ class Open(Request):
         robot_wrist: Pose of its wrist; at the palm of the first sample if omitted.
         restore: Continue where the last session of this name left the robot: its owner in the same
             epoch, without keys others too, in a new one, when the owner is silent for 2 s.
-        is_released: Start released: the robot holds still until `clutch`.
+        is_released: Start disengaged: the robot holds still until `engage`.
         max_dt: Longest time that one command may account for [s]; about two samples.
         time_from: Clock for speed limits; `client` needs --simulated-time.
         watchdog: Time without a sample after which the robot holds [s].
         return_after: Time of a hold after which the robot returns to rest [s]; never if omitted.
         return_speed: Share of its speed limits that it returns at.
-        resume: After a hold: follow the human, or take a new reference.
+        resume: After a hold: follow the human, or `engage` again, which takes a new reference;
+            `clutch` is its former name.
         has_detail: Whether commands carry every stage of the mapping.
-        is_shared: Whether others may release, clutch, configure and clear it by its name.
+        is_shared: Whether others may engage, disengage, configure and clear it by its name.
         following_error: Distance from all commands of the last 50 ms at which a measured joint does
             not follow [rad], at most half of its range. The robot then holds where it is
-            (`not_following`) until `clutch` or `reset`, as where measurements stay away for 150 ms.
+            (`not_following`) until `engage` or `reset`, as where measurements stay away for 150 ms.
             If omitted, errors are only reported. An object in the hand stops joints, too.
         following_time: How long it must last [s].
         grip: Fields of GripOptions: thumb and finger hold what they meet, by `measured_q` of
@@ -292,7 +295,7 @@ class Open(Request):
     watchdog: Annotated[float, Meta(ge=0.01, le=10.0)] = 0.25
     return_after: Duration | None = None
     return_speed: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
-    resume: Literal["follow", "clutch"] = "follow"
+    resume: Literal["follow", "engage", "clutch"] = "follow"
     has_detail: bool = False
     is_shared: bool = False
     following_error: Annotated[float, Meta(gt=0.0)] | None = None
@@ -410,7 +413,7 @@ class Named(Request, kw_only=True):
     name: Name | None = None
 
 
-class Clutch(Named):
+class Engage(Named):
     """Engage, or engage again: the next sample is the reference.
 
     The robot continues from where it is. With the presets teleoperation and object only the palm
@@ -418,8 +421,16 @@ class Clutch(Named):
     """
 
 
-class Release(Named):
-    """Disengage: the robot holds its posture until `clutch`."""
+class Clutch(Engage):
+    """Former name of `engage`, which servers of earlier versions know alone."""
+
+
+class Disengage(Named):
+    """Disengage: the robot holds its posture until `engage`."""
+
+
+class Release(Disengage):
+    """Former name of `disengage`, which servers of earlier versions know alone."""
 
 
 class Stop(Named):
@@ -437,7 +448,7 @@ class Stop(Named):
 
 
 class Clear(Named):
-    """Clear an emergency stop on purpose. The robot is then released: `clutch` engages it.
+    """Clear an emergency stop on purpose. The robot is then disengaged until `engage`.
 
     Attributes:
         stop: Number of the stop, as `status` reports it.
@@ -693,7 +704,7 @@ class About(Struct, frozen=True, kw_only=True):
         teleoperation: Former name of `options`, empty in other presets.
         ik: All of IkOptions.
         has_detail: Whether commands carry every stage of the mapping.
-        is_shared: Whether others may release, clutch, configure and clear the session.
+        is_shared: Whether others may engage, disengage, configure and clear the session.
     """
 
     robot: str
@@ -732,7 +743,7 @@ class State(Reply):
         robots: Robot hands that clients may open; only of the server.
         missing: Robot hands that are not installed, and what installs each; only of the server.
         two_handed: Robots with two hands that clients may open; only of the server.
-        is_released: Whether the robot is released, also while the watchdog holds it.
+        is_released: Whether the robot is disengaged, also while the watchdog holds it.
         stop: Number of the emergency stop in force, which `clear` takes; 0 for none.
         protocols: Versions of the messages that the server answers.
         q: Joint angles of the last command [rad].
@@ -781,6 +792,8 @@ AnyRequest = (
     Open
     | Step
     | Sample
+    | Engage
+    | Disengage
     | Clutch
     | Release
     | Stop

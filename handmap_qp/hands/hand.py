@@ -97,7 +97,8 @@ class Hand:
         velocity_limits: Speed limits [rad/s or m/s], shape (n,).
         zero: Zero, or the limit next to it, of every joint [rad or m], shape (n,).
         rest: Rest posture [rad or m], shape (n,).
-        matched: The spec's posture for the resting human hand [rad or m], shape (n,), or None.
+        neutral_match: The spec's posture for the resting human hand [rad or m], shape (n,); None
+            if it has none.
         spread: From the k active tangent coordinates (wrist and `joint_names`, in the model's
             order) to the model's: S, shape (nv, k).
         joint_motion: Motion of the model per unit of every joint: columns of S, shape (nv, n).
@@ -175,12 +176,13 @@ class Hand:
             return _frozen([(arm | own)[name] for name in self.joint_names])
 
         self.rest = posture(spec.rest)
-        self.matched = None if spec.matched is None else posture(spec.matched)
+        match = spec.neutral_match
+        self.neutral_match = None if match is None else posture(match)
         spec.reject(self._limit_problems())
 
     def _limit_problems(self) -> Problems:
         """Check that limits are finite and that the description's postures lie inside them."""
-        postures = {"rest": self.rest, "matched": self.matched}
+        postures = {"rest": self.rest, "neutral_match": self.neutral_match}
         rows = zip(self.joint_names, *self.limits, self.velocity_limits, strict=True)
         for i, (name, lower, upper, speed) in enumerate(rows):
             interval = f"[{lower:.6g}, {upper:.6g}]"

@@ -210,7 +210,7 @@ def _merged(specs: Sequence[HandSpec]) -> HandSpec:
     # One hand holds still what is the other's: its joints, and those that follow them.
     own = whole["rest"] | whole["mimic"]
     whole["locked"] = {j: at for j, at in whole["locked"].items() if j not in own}
-    return replace(specs[0], joints=(*whole["rest"],), matched=None, **whole)
+    return replace(specs[0], joints=(*whole["rest"],), neutral_match=None, **whole)
 
 
 def _stand(
@@ -233,9 +233,9 @@ def _on_robot(spec: HandSpec, name: str, prefix: str, rest: Positions) -> HandSp
     def renamed(value: Any) -> Any:
         return replace(value, link=f"{prefix}{value.link}")
 
-    matched = spec.matched
-    if matched:
-        matched = rest | {f"{prefix}{joint}": at for joint, at in matched.items()}
+    match = spec.neutral_match
+    if match:
+        match = rest | {f"{prefix}{joint}": at for joint, at in match.items()}
     collision = spec.collision
     if collision:
         pairs = tuple((f"{prefix}{a}", f"{prefix}{b}") for a, b in collision.pairs)
@@ -245,7 +245,7 @@ def _on_robot(spec: HandSpec, name: str, prefix: str, rest: Positions) -> HandSp
         name=f"{name}_{spec.side}",
         joints=(*rest,),
         rest=rest,
-        matched=matched,
+        neutral_match=match,
         palm=renamed(spec.palm),
         wrist=replace(renamed(spec.wrist), mount="fixed"),
         points=tuple(map(renamed, spec.points)),

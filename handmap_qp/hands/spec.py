@@ -228,7 +228,7 @@ class _HandFields(Document, frozen=True):
     mimic: dict[str, MimicSpec | None] = {}
     shapes: dict[str, Vector] = {}
     arm: ArmSpec | None = None
-    matched: Positions | None = None
+    neutral_match: Positions | None = None
     upright: Upright = "+z up, +x forward"
     tuning: Values = {}
     directory: Path | None = None
@@ -267,12 +267,13 @@ class HandSpec(_HandFields, frozen=True):
         shapes: Displacement in its link of each shape that the URDF or MJCF has in a wrong place,
             by its name there [m].
         arm: The arm that the hand is mounted on; None without one.
-        matched: Position of every joint in the posture that corresponds to the resting human hand
-            [rad or m], inside its limits. Teleoperation starts there. If omitted, it is solved for
-            each pair of hands; `handmap hands match` prints it.
+        neutral_match: Position of every joint in the posture that corresponds to the resting human
+            hand [rad or m], inside its limits. Teleoperation starts there. If omitted, it is solved
+            for each pair of hands; `handmap hands match` prints it.
         upright: Which axes of the world of a hand on an arm are up and forward, of its root link
             without `arm`; those of REP 103 if omitted.
-        tuning: What `handmap tune` found of one hand and its motors, for `handmap drive`.
+        tuning: What `handmap calibrate-actuators` found of one hand and its motors, for
+            `handmap drive`.
         directory: Folder at which relative paths start; that of `hand.yaml` if it was read from
             one.
         file: The file that the description was read from, for messages; None if built in code.
@@ -312,6 +313,10 @@ class HandSpec(_HandFields, frozen=True):
             raise self.error(message, key, value)
 
 
+_FORMER_KEYS = {"matched": "neutral_match"}
+"""Former names of keys of a `hand.yaml`, which are read as what they are called now."""
+
+
 def read_hand_spec(path: Path) -> HandSpec:
     """Read and check a `hand.yaml`; its folder becomes the spec's `directory`.
 
@@ -326,6 +331,7 @@ def read_hand_spec(path: Path) -> HandSpec:
         advice = "give one of the hands that this file names, or a command that takes a robot: "
         commands = "`handmap robots`, map, view, simulate or batch"
         raise HandError(f"{problem}: {advice}{commands}", file=file)
+    document = {_FORMER_KEYS.get(key, key): value for key, value in document.items()}
     fields = typed(document | {"file": str(file)}, _HandFields, file)
     return HandSpec(**msgspec.structs.asdict(fields))
 
@@ -484,8 +490,8 @@ def _joint_problems(spec: HandSpec) -> Problems:
             message = f"{joint!r} is one of `joints`, and cannot be locked"
             yield message, f"{prefix}locked", joint
         yield from _posture_problems(part.joints, part.rest, f"{prefix}rest")
-    matched = spec.rest if spec.matched is None else spec.matched
-    yield from _posture_problems(spec.joints, matched, "matched")
+    match = spec.rest if spec.neutral_match is None else spec.neutral_match
+    yield from _posture_problems(spec.joints, match, "neutral_match")
 
 
 def _posture_problems(

@@ -196,7 +196,7 @@ class HandPair:
         # With the package's own person, near whose matched posture all others' are.
         usual = human.unscaled
         self._usual = hand_pair(usual, robot) if usual else None
-        given = robot.matched
+        given = robot.neutral_match
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
         self.finger_likeness = frozen(self._measure_likeness())
@@ -231,7 +231,7 @@ class HandPair:
         `finger_likeness`.
         """
         like = np.full(len(self.fingers), self.palms.likeness)
-        is_given = self.robot.matched is not None
+        is_given = self.robot.neutral_match is not None
         if THUMB not in self.fingers or self.has_jaws or is_given:
             return like
         human = self.human

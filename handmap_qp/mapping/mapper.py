@@ -180,9 +180,21 @@ class Mover:
     def _was_moved(self) -> None:
         """Go on from where something else has moved the robot."""
 
+    def engage(self) -> None:
+        """Engage the robot: the next sample is the reference; it continues from where it is."""
+        self.clutch()
+
+    def disengage(self) -> None:
+        """Disengage the robot: it brakes and holds still until `engage`, whatever comes."""
+        self.release()
+
+    def clutch(self) -> None:
+        """Engage the robot: the former name of `engage`."""
+        raise NotImplementedError
+
     @exclusively
     def release(self) -> None:
-        """Release the robot: it brakes and holds still until `clutch`, whatever the human does."""
+        """Disengage the robot: the former name of `disengage`."""
         self._is_released = True
         self.core = None
 
@@ -589,7 +601,7 @@ class HandMapper(Mover):
 
     @exclusively
     def clutch(self) -> None:
-        """Make the next sample the reference; the robot continues from its present posture."""
+        """Engage the robot: the former name of `engage`."""
         self._is_released = False
         self._reference = self.core = None
 

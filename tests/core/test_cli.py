@@ -393,6 +393,20 @@ def test_a_former_name_is_the_same_command(capsys: pytest.CaptureFixture[str]) -
     assert re.search(r"^  retarget +Map a recording", listed, re.MULTILINE)
 
 
+def test_a_command_of_another_package_has_both_names(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    point = importlib.metadata.EntryPoint("tune", "a:B", "handmap_qp.commands")
+    monkeypatch.setattr(cli, "entry_points", lambda *, group: [point])
+    cli.all_commands.cache_clear()
+    try:
+        commands = cli.all_commands()
+        assert commands["calibrate-actuators"] is commands["tune"]
+        assert commands["tune"].point is point
+    finally:
+        cli.all_commands.cache_clear()
+
+
 def test_other_packages_are_looked_up_only_when_asked(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,19 @@ def test_a_hand() -> None:
     np.testing.assert_array_equal(hand.lower_limits, expected["lower"])
     np.testing.assert_array_equal(hand.upper_limits, expected["upper"])
     np.testing.assert_allclose(hand.points(hand.rest), expected["points"], atol=1e-12)
+
+
+def test_a_former_key_of_a_hand_is_read(tmp_path: Path) -> None:
+    hand = load_hand(FOLDER / "hand" / "hand.yaml")
+    match = dict(zip(hand.joint_names, hand.rest.tolist(), strict=True))
+    urdf = json.dumps(str(FOLDER / "hand" / hand.spec.urdf))
+    text = (FOLDER / "hand" / "hand.yaml").read_text(encoding="utf-8")
+    text = re.sub(r"^urdf: .*$", f"urdf: {urdf}", text, flags=re.MULTILINE)
+    file = tmp_path / "hand.yaml"
+    file.write_text(f"{text}matched: {json.dumps(match)}\n", encoding="utf-8")
+    found = load_hand(file).neutral_match
+    assert found is not None
+    np.testing.assert_allclose(found, hand.rest, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["unity26", "manus25", "markers13", "angles20"])

@@ -1,4 +1,4 @@
-"""`handmap tune`: what is found of joints, and commands that make up for it."""
+"""`handmap calibrate-actuators`: what is found of joints, and commands that make up for it."""
 
 from __future__ import annotations
 
@@ -586,7 +586,7 @@ def test_the_hand_is_written_and_read_again(
     assert picture.stat().st_size > 10_000
     assert read_tuning(out) == found[2]
     text = out.read_text()
-    assert text.startswith("# mine: written by `handmap tune`.")
+    assert text.startswith("# mine: written by `handmap calibrate-actuators`.")
     # Four decimals at most, as in the tables.
     assert not re.search(r"\d\.\d{5}", text[text.index("limits:") :])
     hand = load_hand(out)
@@ -621,7 +621,9 @@ def test_the_hand_is_written_and_read_again(
 def test_a_hand_that_is_not_tuned_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "hand.yaml"
     write_hand(open_description(Path(HAND)), file)
-    with pytest.raises(HandError, match=r"tuning: .*joints.*: run `handmap tune`"):
+    with pytest.raises(
+        HandError, match=r"tuning: .*joints.*: run `handmap calibrate-actuators`"
+    ):
         read_tuning(file)
 
 

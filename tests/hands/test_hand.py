@@ -239,14 +239,22 @@ BROKEN = {
     "rest outside limits": ({"rest": {**SPEC.rest, FIRST: 9.0}}, None, f"rest.{FIRST}"),
     "rest of no joint": ({"rest": {**SPEC.rest, "elbow": 0.0}}, None, "rest"),
     "matched outside limits": (
-        {"matched": {**SPEC.rest, FIRST: 9.0}},
+        {"neutral_match": {**SPEC.rest, FIRST: 9.0}},
         None,
-        f"matched.{FIRST}",
+        f"neutral_match.{FIRST}",
     ),
-    "matched of no joint": ({"matched": {**SPEC.rest, "elbow": 0.0}}, None, "matched"),
-    "matched of some joints": ({"matched": {FIRST: 0.5}}, None, "matched"),
-    "matched of no joints": ({"matched": {}}, None, "matched"),
-    "matched of text": ({"matched": {**SPEC.rest, FIRST: "open"}}, None, "matched"),
+    "matched of no joint": (
+        {"neutral_match": {**SPEC.rest, "elbow": 0.0}},
+        None,
+        "neutral_match",
+    ),
+    "matched of some joints": ({"neutral_match": {FIRST: 0.5}}, None, "neutral_match"),
+    "matched of no joints": ({"neutral_match": {}}, None, "neutral_match"),
+    "matched of text": (
+        {"neutral_match": {**SPEC.rest, FIRST: "open"}},
+        None,
+        "neutral_match",
+    ),
     "unknown joint": (
         {"joints": [*SPEC.joints, "elbow"], "rest": {**SPEC.rest, "elbow": 0.0}},
         None,

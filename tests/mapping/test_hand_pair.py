@@ -26,7 +26,7 @@ HUMAN_TIPS = [point.name for point in HUMAN.reference_points]
 def with_matched(robot: Hand, q: np.ndarray) -> Hand:
     named = dict(zip(robot.joint_names, q.tolist(), strict=True))
     matched = {joint: named[joint] for joint in robot.spec.joints}
-    return load_hand(msgspec.structs.replace(robot.spec, matched=matched))
+    return load_hand(msgspec.structs.replace(robot.spec, neutral_match=matched))
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,7 @@ def warnings_of(report: HandReport) -> dict[str, str]:
     found: dict[str, str] = {}
     for f in report.findings:
         if f.level == "warning":
-            found[f.key] = f"{found.get(f.key, '')}{f.found}; {f.change}\n"
+            found[f.key] = f"{found.get(f.key, '')}{f.text}; {f.change}\n"
     return found
 
 
@@ -100,7 +100,7 @@ def test_a_right_description_has_no_warning(made: MadeHand, tmp_path: Path) -> N
     report = check(described(tmp_path, made.urdf))
     assert warnings_of(report) == {}
     assert report.measured["Pinches"]
-    assert any("thumb can touch" in f.found for f in report.findings)
+    assert any("thumb can touch" in f.text for f in report.findings)
     assert {"Pads", "Pinches", "Fingers", "Size"} <= report.measured.keys()
 
 
@@ -125,7 +125,7 @@ def test_a_palm_turned_about_distal_is_found(
     (fist,) = found_by(
         check_fist(load_hand(described(tmp_path, made.urdf, palm=palm)))
     ).findings
-    (across,) = re.findall(r"(\d+) degrees off (?:its|the palm's) x axis", fist.found)
+    (across,) = re.findall(r"(\d+) degrees off (?:its|the palm's) x axis", fist.text)
     assert float(across) == pytest.approx(angle, abs=8.0)
     found = warnings_of(check(tmp_path / "hand.yaml"))
     assert ("palm.dorsal" in found) == is_wrong
@@ -193,8 +193,8 @@ def test_speeds_that_nobody_knows_are_said_and_may_be_given(
         hand = load_hand(file)
         assert (hand.velocity_limits == speed).all()
         assert hand.spec.speeds == name
-        said[name] = [f for f in check(file).findings if "too slow" in f.found]
-    assert "the same speed: a placeholder?" in said["urdf"][0].found
+        said[name] = [f for f in check(file).findings if "too slow" in f.text]
+    assert "the same speed: a placeholder?" in said["urdf"][0].text
     # The maker's figure is proposed by the name of the file, by init too.
     assert "8.48 by the LEAP hand's URDF" in said["urdf"][0].change
     assert "8.48 by the LEAP" in capsys.readouterr().out.replace("\n", " ")
@@ -226,8 +226,8 @@ def test_followers_do_not_hide_placeholders() -> None:
         hand = load_hand(given)
         assert np.ptp(hand.velocity_limits) > 0.1
         (found[speeds],) = check_speeds(hand)
-    assert "a placeholder?" in found[None].found
-    assert "these speeds are assumed" in found["assumed"].found
+    assert "a placeholder?" in found[None].text
+    assert "these speeds are assumed" in found["assumed"].text
     assert (found["maker"].level, found["maker"].change) == ("fine", "")
 
 
@@ -235,14 +235,14 @@ def test_slow_joints_follow_less() -> None:
     spec = load_hand("three_finger").spec
     report = found_by(check_following(load_hand(with_speed(spec, 0.5))))
     (finding,) = report.findings
-    own, fast, _ = re.findall(r"[\d.]+", finding.found)
+    own, fast, _ = re.findall(r"[\d.]+", finding.text)
     assert finding.level == "advice"
     assert float(own) < 0.8 < float(fast)
-    assert f"{fast} if the joints could do 4 rad/s" in finding.found
+    assert f"{fast} if the joints could do 4 rad/s" in finding.text
     # The hand has 4 rad/s itself.
     (whole,) = found_by(check_following(load_hand(spec))).findings
     assert whole.level == "fine"
-    assert f"follows {fast} of your fingers" in whole.found
+    assert f"follows {fast} of your fingers" in whole.text
 
 
 def test_a_joint_that_is_faster_stays_so() -> None:
@@ -252,7 +252,7 @@ def test_a_joint_that_is_faster_stays_so() -> None:
     found = {}
     for speeds in (mixed, mixed.clip(4.0)):
         report = found_by(check_following(load_hand(with_speed(spec, speeds))))
-        found[report.findings[0].level] = re.findall(r"\.\d+", report.findings[0].found)
+        found[report.findings[0].level] = re.findall(r"\.\d+", report.findings[0].text)
     assert found["advice"][1] == found["fine"][0]
 
 
@@ -436,7 +436,7 @@ def test_a_xacro_file_is_named_as_such(tmp_path: Path) -> None:
 def test_wrist_joints_above_the_root_are_advice() -> None:
     (found,) = found_by(_check_wrist(load_hand("g1_right"))).findings
     assert found.key == "root"
-    assert "right_wrist_yaw_joint" in found.found
+    assert "right_wrist_yaw_joint" in found.text
     assert "--base" in found.change
 
 
@@ -617,7 +617,7 @@ def test_the_reach_of_an_arm_is_a_line_with_a_scale() -> None:
     assert np.median(short) < np.median(reach)
     (line,) = found_by(check_arm(load_hand("g1_arm_left"))).findings
     assert line.level == "advice"
-    assert "directions from rest" in line.found
+    assert "directions from rest" in line.text
 
 
 def test_a_fingertip_outside_its_shapes_is_found() -> None:
@@ -634,6 +634,6 @@ def test_a_fingertip_outside_its_shapes_is_found() -> None:
     (found,) = _check_tips(Hand(hand.spec, urdf_text=text))
     assert isinstance(found, HandFinding)
     assert found.key == "points.index"
-    assert re.match(r"the fingertip is \d+ mm outside the shapes", found.found)
+    assert re.match(r"the fingertip is \d+ mm outside the shapes", found.text)
     assert "`shapes`" in found.change
     assert list(_check_tips(hand)) == []

@@ -103,7 +103,10 @@ def test_a_description_that_was_read_keeps_all_its_keys(
     """An arm, a mirrored hand, a path from the description's folder; and all optional keys."""
     spec = load_hand(name).spec
     spec = msgspec.structs.replace(
-        spec, matched=spec.rest, upright="+y up, -z forward", shapes={"a": (0, 0, 1)}
+        spec,
+        neutral_match=spec.rest,
+        upright="+y up, -z forward",
+        shapes={"a": (0, 0, 1)},
     )
     clues = chained_mimics().clues
     write_hand(Detection(spec, clues, (), {}), tmp_path / "hand.yaml")
@@ -251,7 +254,7 @@ def test_a_point_in_the_air_is_found(tmp_path: Path) -> None:
     report = check_hand(str(described(tmp_path, {"points": points})), has_motion=False)
     (found,) = (finding for finding in report.findings if finding.level == "warning")
     # The bone is 14 mm thick: 100 - 7 mm.
-    assert (found.key, "93 mm outside" in found.found) == ("points.index_tip", True)
+    assert (found.key, "93 mm outside" in found.text) == ("points.index_tip", True)
 
 
 @pytest.mark.parametrize(("speed", "count"), [(0.5, 8), (2.95, 3), (3.05, 0)])
@@ -274,8 +277,8 @@ def test_joints_too_slow_for_a_fist_are_found(speed: float, count: int) -> None:
     (found,) = report.findings
     assert found.level == "advice"
     assert found.key.removeprefix("limits.") in spec.joints
-    assert f"at {speed:g} per second" in found.found
-    assert found.found.startswith(f"{count} joints are too slow")
+    assert f"at {speed:g} per second" in found.text
+    assert found.text.startswith(f"{count} joints are too slow")
 
 
 def test_a_description_that_cannot_be_used_is_an_error(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def test_positions_are_inside_the_limits_and_near_the_solution(name: str) -> Non
     assert (match.q >= robot.lower_limits).all()
     assert (match.q <= robot.upper_limits).all()
     assert [row["joint"] for row in match.rows] == list(robot.spec.joints)
-    given = yaml.safe_load(match.text)["matched"]
+    given = yaml.safe_load(match.text)["neutral_match"]
     assert list(given) == list(robot.spec.joints)
     indices = [robot.joint_names.index(joint) for joint in robot.spec.joints]
     np.testing.assert_array_equal(list(given.values()), match.q[indices])
@@ -48,7 +48,7 @@ def test_positions_are_inside_the_limits_and_near_the_solution(name: str) -> Non
 def test_a_pasted_posture_is_read_again(own: Path) -> None:
     match = match_hand(load_hand(own))
     own.write_text(own.read_text() + match.text)
-    matched = load_hand(own).matched
+    matched = load_hand(own).neutral_match
     assert matched is not None
     np.testing.assert_array_equal(matched, match.q)
 
@@ -84,4 +84,7 @@ def test_the_command_prints_and_draws(
     assert document["written"] == [str(picture)]
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert cli.main(command[:-1]) == 0
-    assert "paste into hand.yaml:\nmatched:\n  f1_proximal: " in capsys.readouterr().out
+    assert (
+        "paste into hand.yaml:\nneutral_match:\n  f1_proximal: "
+        in capsys.readouterr().out
+    )

@@ -246,6 +246,24 @@ def test_other_commands_too_find_the_new_server(free_port: int) -> None:
         assert client.reopened == 1
 
 
+def test_words_and_their_former_names_do_the_same(server: Server) -> None:
+    with connected(server) as client:
+        client.step(q=human_q(), wrist=WRIST)
+        for disengage, engage in (
+            (client.disengage, client.engage),
+            (client.release, client.clutch),
+            # By a client of one's own, in today's words.
+            (
+                lambda: client._run(client._do("disengage")),
+                lambda: client._run(client._do("engage")),
+            ),
+        ):
+            disengage()
+            assert client.status().is_released
+            engage()
+            assert not client.status().is_released
+
+
 def test_closing_twice_is_closing_once(server: Server) -> None:
     with connected(server) as client:
         client.step(q=human_q(), wrist=WRIST)

@@ -17,13 +17,17 @@ from msgspec.structs import fields
 from strategies import motion_of, rotations, translations
 
 from handmap_qp.apps.service.dispatch import decode_request, encode_reply
+from handmap_qp.apps.service.safety import SessionState
 from handmap_qp.apps.service.session import to_pose
 from handmap_qp.apps.service.websocket import _from_json
 from handmap_qp.client.messages import (
     PROTOCOL,
     AnyReply,
     AnyRequest,
+    Disengage,
+    Engage,
     Error,
+    Open,
     Pose,
     Sample,
     Step,
@@ -189,6 +193,25 @@ def test_the_schema_describes_every_field_and_option() -> None:
     ]
     for option in known_options():
         assert any(row.startswith(f"| `{option}` |") for row in rows)
+
+
+def test_the_table_of_what_stops_a_robot_has_all_states_and_requests() -> None:
+    requests = {kind.__struct_config__.tag for kind in get_args(AnyRequest)}
+    named = [name for row in messages.STOPPING for name in (*row.requests, *row.former)]
+    assert {*named} <= requests
+    assert len({*named}) == len(named)
+    modes = [mode for row in messages.STOPPING for mode in row.modes]
+    assert sorted(modes) == sorted({state.mode for state in SessionState})
+
+
+def test_a_former_name_is_read_as_what_it_is_called_now() -> None:
+    for former, kind in (("clutch", Engage), ("release", Disengage)):
+        head = {"protocol": 1, "seq": 1, "session": "x" * 16}
+        request = decode_request(msgspec.msgpack.encode(head | {"type": former}))
+        assert isinstance(request, kind)
+    opened = decode_request(msgspec.msgpack.encode(OPEN | {"resume": "clutch"}))
+    assert isinstance(opened, Open)
+    assert opened.resume == "engage"
 
 
 def test_the_files_that_the_command_prints_are_those_of_today() -> None:

@@ -380,9 +380,9 @@ def test_the_page_of_a_service_draws_both_hands_and_releases(
                 "[...document.querySelectorAll('button')]"
                 ".find(e => e.innerText.trim() == '{}' && !e.disabled)"
             )
-            browser.wait_for(f"!!{button.format('Release')}")
-            browser.evaluate(f"{button.format('Release')}.click()")
-            browser.wait_for(f"!!{button.format('Clutch')}")
+            browser.wait_for(f"!!{button.format('Disengage')}")
+            browser.evaluate(f"{button.format('Disengage')}.click()")
+            browser.wait_for(f"!!{button.format('Engage')}")
         viewer.close()
     assert not browser.errors
 

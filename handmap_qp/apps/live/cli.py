@@ -44,7 +44,7 @@ class Target:
         session: Public name of the session.
         preset: What the mapping is for, as in `handmap retarget`.
         person: File of the person's hand, of `handmap calibrate`.
-        shared: Let other clients clutch and configure the session, clear its stops, and say where
+        shared: Let other clients engage and configure the session, clear its stops, and say where
             the robot's joints are, so that it grips.
         keys: For an encrypted service, the files NAME.key_secret and server.key.
         json: Print the summary as one JSON object instead of a table.

@@ -77,7 +77,10 @@ def print_report(report: HandReport, picture: Path | None, *, as_json: bool) -> 
         HandError: If the hand cannot be built.
         SystemExit: With the code 1 if there is a warning.
     """
-    rows = [finding._asdict() for finding in report.findings]
+    rows = [
+        {"level": one.level, "key": one.key, "found": one.text, "change": one.change}
+        for one in report.findings
+    ]
     document = {
         "name": report.name,
         **report.measured,
@@ -311,7 +314,7 @@ class HandsMatch:
     """Find the robot posture that corresponds to the resting human hand.
 
     Teleoperation starts from this pair of postures. It is solved for each person and robot unless
-    the hand.yaml has a key `matched`. Look at the posture with --picture. Correct it in the
+    the hand.yaml has a key `neutral_match`. Look at the posture with --picture. Correct it in the
     hand.yaml if the fingers of both hands do not show the same.
 
     Examples:

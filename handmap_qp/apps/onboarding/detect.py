@@ -64,7 +64,7 @@ class Detection(NamedTuple):
 
     def doubted(self, findings: Iterable[Any]) -> "Detection":
         """Return the detection with clues that are guesses where a finding contradicts them."""
-        wrong = {f.key.removeprefix("palm."): f.found for f in findings if f.change}
+        wrong = {f.key.removeprefix("palm."): f.text for f in findings if f.change}
         clues = (
             clue._replace(confidence=_DOUBT, how=f"{clue.how}; but {wrong[clue.what]}")
             if clue.what in wrong

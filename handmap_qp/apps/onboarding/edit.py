@@ -67,7 +67,7 @@ def described(found: Detection, source: RobotSource) -> Detection:
     report = HandReport("")
     for check in (check_speeds, check_shapes):
         report.add(check(hand))
-    wrong = [f"{f.key}: {f.found}: {f.change}" for f in report.findings if f.change]
+    wrong = [f"{f.key}: {f.text}: {f.change}" for f in report.findings if f.change]
     notes = (*source.notes, *found.notes, *wrong)
     return found.doubted(doubts)._replace(notes=notes)
 
@@ -165,7 +165,7 @@ def with_tip(hand: Hand, finger: str, xyz: Array) -> HandSpec:
     ]
     spec = replace(hand.spec, points=points)
     for wrong in check_places(load_hand(spec, points=[tip.name])):
-        raise spec.error(wrong.found, wrong.key, place)
+        raise spec.error(wrong.text, wrong.key, place)
     return spec
 
 

@@ -24,13 +24,13 @@ class HandFinding(NamedTuple):
         level: `error`: cannot be used; `warning`: probably wrong; `advice`: could be better;
             `fine`: no problem.
         key: Key of the `hand.yaml`.
-        found: What was found.
+        text: What was found, a sentence without a full stop.
         change: What to change; empty if nothing.
     """
 
     level: Level
     key: str
-    found: str
+    text: str
     change: str = ""
 
 

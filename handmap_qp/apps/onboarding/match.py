@@ -41,15 +41,17 @@ class Match(NamedTuple):
             "rest": robot.rest,
             "matched": self.q.tolist(),
         }
-        if robot.matched is not None:
-            columns["in hand.yaml"] = robot.matched
+        if robot.neutral_match is not None:
+            columns["in hand.yaml"] = robot.neutral_match
         return [r for r in rows_of(columns) if r["joint"] in robot.spec.joints]
 
     @property
     def text(self) -> str:
-        """Return the key `matched` of a hand.yaml."""
+        """Return the key `neutral_match` of a hand.yaml."""
         matched = {row["joint"]: row["matched"] for row in self.rows}
-        return yaml.safe_dump({"matched": matched}, sort_keys=False, allow_unicode=True)
+        return yaml.safe_dump(
+            {"neutral_match": matched}, sort_keys=False, allow_unicode=True
+        )
 
 
 def match_hand(

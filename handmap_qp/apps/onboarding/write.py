@@ -40,7 +40,16 @@ _MOST_DIFFERENCE = 1e-9
 # Keys in their order, and those whose values are written on several lines.
 _KEYS = (
     *("name", "urdf", "mirror", "upright", "root", "side", "palm", "wrist", "arm"),
-    *("joints", "rest", "matched", "locked", "limits", "speeds", "mimic", "shapes"),
+    *(
+        "joints",
+        "rest",
+        "neutral_match",
+        "locked",
+        "limits",
+        "speeds",
+        "mimic",
+        "shapes",
+    ),
     *("points", "sets", "reference", "collision", "tuning"),
 )
 _BLOCKS = {*_KEYS[6:], "collision.pairs", "tuning.joints"} - {"speeds", "reference"}
@@ -62,7 +71,7 @@ _ABOVE = {
     "speeds": "Where the speed limits are from: urdf, maker or assumed.",
     "mimic": "Joints that mimic a joint outside this part of the robot: treated as independent.",
     "points": "Reference points on links [m]; `partner` names the corresponding human point.",
-    "tuning": "What `handmap tune` found of this hand and its motors [rad, s, m].",
+    "tuning": "What `handmap calibrate-actuators` found of this hand and its motors [rad, s, m].",
     "collision": "Links that self-collision avoidance keeps apart: thumb and fingers, thumb and "
     "palm, and neighbouring fingers.",
 }

@@ -23,16 +23,16 @@ from handmap_qp.client.messages import (
     AnyRequest,
     Clear,
     Close,
-    Clutch,
     Command,
     Configure,
+    Disengage,
     Done,
+    Engage,
     Error,
     Measured,
     Named,
     Open,
     Pose,
-    Release,
     Request,
     Reset,
     Sample,
@@ -466,9 +466,9 @@ class Dispatcher:
                 session.configure(request)
             case Reset():
                 session.reset(request, now)
-            case Clutch():
+            case Engage():
                 session.clutch()
-            case Release():
+            case Disengage():
                 session.release()
             case Clear():
                 session.clear(request.stop)

@@ -148,8 +148,9 @@ class AuditLog:
         Without a file, nothing is written. An emergency stop is never left out.
 
         Args:
-            event: `started`, `opened`, `configure`, `clutch`, `release`, `reset`, `stop`, `clear`,
-                `closed` or `ended`.
+            event: `started`, `opened`, `configure`, `engage`, `disengage`, `reset`, `stop`,
+                `clear`, `closed` or `ended`; `clutch` or `release` if a client asked for it by its
+                former name.
             by: Who caused it.
             session: Public name of the session; empty for the server as a whole.
             **data: What else is to be kept.

@@ -326,7 +326,7 @@ def prepare_hands(
     with suppress(HandmapError):
         for side in humans:
             hand_pair(humans[side], hands[side])
-    rejoin = "clutch" if request.resume == "clutch" else "glide"
+    rejoin = "clutch" if request.resume == "engage" else "glide"
     follower = _holding(following(mapper, rejoin=rejoin), request)
     calibration = None
     if has_landmarks and lengths is None and defer is not None:

@@ -738,7 +738,7 @@ class Session:
 
     def _prepare_mapper(self) -> None:
         """Let the mapper go on from the robot's motion."""
-        if self.request.resume == "clutch" and self._state.is_silent:
+        if self.request.resume == "engage" and self._state.is_silent:
             self._reset_mapper()
         if self._is_slewing:
             return

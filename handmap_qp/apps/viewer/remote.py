@@ -164,9 +164,9 @@ class ServiceSession:
             self._client.close()
 
     def request(self, name: str, *values: Any, **fields: Any) -> None:
-        """Request what a method of `Client` does, such as `release`, `stop` or `configure`.
+        """Request what a method of `Client` does, such as `disengage`, `stop` or `configure`.
 
-        A stop works also where nothing else can be steered. After `clear`, the robot is released.
+        A stop works also where nothing else can be steered. After `clear`, the robot is disengaged.
         """
         self._requests.append(partial(getattr(self._client, name), *values, **fields))
 

@@ -64,7 +64,7 @@ def held_key() -> Iterator[Callable[[], bool]]:
 
 
 def compensated(driver: Driver, file: Path, down: Vector | None) -> Compensated:
-    """Return goals that make up for what `handmap tune` found, and for weights if down is known.
+    """Return goals that compensate what `handmap calibrate-actuators` found, and weights.
 
     Raises:
         HandmapError: If the file is not that of a tuned hand with these motors.
@@ -117,7 +117,7 @@ class Drive:
         port: Port of the motors.
         source: Address of the service's requests.
         motors: Table of motors, in place of the driver's own.
-        tuning: A hand.yaml of `handmap tune`, whose joints are made to go where they are told.
+        tuning: A hand.yaml of `handmap calibrate-actuators`: joints go where they are commanded.
         down: Direction of gravity to the side, the fingertips and the back of the hand, as 0 0 1
             where it lies on its back: makes up for the weights of links.
         effort: Limit of the torque, a share of the motors' largest.

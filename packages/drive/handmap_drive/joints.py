@@ -1,4 +1,4 @@
-"""What joints make of their commands: the first part of the ritual of `handmap tune`."""
+"""How joints respond to commands: the first part of `handmap calibrate-actuators`."""
 
 from collections.abc import Callable
 from itertools import compress

@@ -1,4 +1,4 @@
-"""Where fingertips meet the thumb's: the second part of the ritual of `handmap tune`."""
+"""Where fingertips meet the thumb's: the second part of `handmap calibrate-actuators`."""
 
 from collections.abc import Iterator
 from functools import partial

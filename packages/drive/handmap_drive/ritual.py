@@ -1,4 +1,4 @@
-"""Finds what a hand makes of its commands, by moving it: the ritual of `handmap tune`."""
+"""Move a hand to measure how it responds to commands: `handmap calibrate-actuators`."""
 
 import numpy as np
 

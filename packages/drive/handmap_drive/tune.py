@@ -1,4 +1,4 @@
-"""`handmap tune`: what a hand makes of its commands, found by its encoders and written down."""
+"""`handmap calibrate-actuators`: measure how a hand responds to commands, and write it down."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +27,9 @@ from .tuning import Tuning, tuned
 
 @dataclass(frozen=True)
 class Tune:
-    """Find what a hand makes of its commands, by moving it for two minutes; it needs no camera.
+    """Measure how a hand responds to commands, by its encoders, in two minutes; without a camera.
+
+    `handmap tune` is the same command by its former name.
 
     Lay the hand on its back with nothing between its fingers, and keep your own away. It opens,
     moves each joint a little, then over its range, and closes each pinch. That finds of each joint
@@ -37,9 +39,9 @@ class Tune:
     and nothing is written.
 
     Examples:
-        handmap tune leap_right --driver leap --port /dev/ttyUSB0 --out my_leap.yaml
-        handmap tune a.yaml --driver servos --motors motors.yaml --port /dev/ttyACM0 --out b.yaml
-        handmap tune allegro_right --driver simulated --port allegro_right:1 --out try.yaml
+        handmap calibrate-actuators leap_right --driver leap --port /dev/ttyUSB0 --out mine.yaml
+        handmap calibrate-actuators a.yaml --driver servos --motors m.yaml --port COM3 --out b.yaml
+        handmap calibrate-actuators leap_right --driver simulated --port leap_right:1 --out try.yaml
 
     Attributes:
         hand: Name of a hand of the package, or path of a hand.yaml.
@@ -80,7 +82,7 @@ class Tune:
                 tuning = find_tuning(motion, hand, tell)
         spec = replace(tuned(hand.spec, tuning), name=self.out.stem)
         origin = Detection(spec, (), (f"tuned from {hand.name}",), {})
-        write_hand(origin, self.out, by="`handmap tune`")
+        write_hand(origin, self.out, by="`handmap calibrate-actuators`")
         if self.picture:
             draw(self.picture, tuning, motion.log())
         files = filter(None, (self.out, self.picture))

@@ -144,7 +144,7 @@ class Joints(NamedTuple):
 
 
 class Tuning(Document, frozen=True):
-    """What `handmap tune` finds of one hand: `tuning` of its hand.yaml.
+    """What `handmap calibrate-actuators` finds of one hand: `tuning` of its hand.yaml.
 
     Attributes:
         joints: Its joints with a motor.
@@ -194,7 +194,7 @@ class Tuning(Document, frozen=True):
 
 
 def read_tuning(file: Path) -> Tuning:
-    """Read what `handmap tune` found from a hand.yaml.
+    """Read what `handmap calibrate-actuators` found from a hand.yaml.
 
     Raises:
         HandError: If it is no hand.yaml, or the hand is not tuned.
@@ -203,7 +203,7 @@ def read_tuning(file: Path) -> Tuning:
     try:
         return msgspec.convert(spec.tuning, Tuning)
     except msgspec.ValidationError as error:
-        problem = f"{reason_of(error)}: run `handmap tune`"
+        problem = f"{reason_of(error)}: run `handmap calibrate-actuators`"
         raise HandError(problem, file=file, key="tuning") from error
 
 
@@ -238,7 +238,7 @@ def tuned(spec: HandSpec, tuning: Tuning, pushed: float = 0.0) -> HandSpec:
         spec,
         limits={**spec.limits, **limits},
         rest=inside(spec.rest),
-        matched=spec.matched and inside(spec.matched),
+        neutral_match=spec.neutral_match and inside(spec.neutral_match),
         tuning=msgspec.to_builtins(tuning),
     )
 
@@ -269,7 +269,7 @@ class Compensated:
             "--tuning",
             f"a hand with the motors {', '.join(driver.joint_names)}",
             got=", ".join(tuning.joints),
-            advice="`handmap tune` writes the file of each hand",
+            advice="`handmap calibrate-actuators` writes the file of each hand",
         )
         self.weights = weights
         self._limits = driver.range

@@ -16,8 +16,11 @@ Fields = tuple[Any, ...]
 Message = tuple[str, Fields]
 """Type, such as `sensor_msgs/msg/JointState`, and all its fields."""
 
-SERVICES = ("stop", "clear", "clutch", "release")
-"""Services of type `std_srvs/srv/Trigger`; `Client` has methods of the same names."""
+SERVICES = ("stop", "clear", "engage", "disengage", "clutch", "release")
+"""Services of type `std_srvs/srv/Trigger`; `Client` has methods of the same names.
+
+`clutch` and `release` are former names of `engage` and `disengage`.
+"""
 
 # Levels of diagnostic_msgs/msg/DiagnosticStatus.
 _OK, _WARN, _ERROR = 0, 1, 2

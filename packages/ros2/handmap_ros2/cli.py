@@ -15,7 +15,7 @@ from handmap_qp.errors import HandmapError, expect
 
 @dataclass(frozen=True)
 class Ros2:
-    """Publish the commands of a session in ROS 2, and stop, clear and clutch it from there.
+    """Publish the commands of a session in ROS 2, and stop, clear and engage it from there.
 
     Needs no ROS: it speaks DDS. Topics are joint_commands (JointState) and wrist_command
     (PoseStamped) in the namespace, /CONTROLLER/commands and /CONTROLLER/joint_trajectory for

@@ -22,7 +22,7 @@ from .bridge import Bridge, Message
 
 
 class HandmapNode(Node):
-    """Publishes the commands of a session, and offers stop, clear, clutch and release."""
+    """Publishes the commands of a session, and offers stop, clear, engage and disengage."""
 
     def __init__(self) -> None:
         super().__init__("handmap")
