@@ -51,7 +51,6 @@ from handmap_qp.apps.simulation.pinch import PinchScene, PinchTrial, random_tria
 from handmap_qp.apps.simulation.pinch_rows import success_rate
 from handmap_qp.apps.simulation.tried import REFUSED
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands import Vector
 from handmap_qp.mapping import PRESETS
 
 PEERS = common.ROOT / "benchmarks" / "peers"
@@ -64,8 +63,6 @@ GRIPS = (
 )
 """Mappings with a grip that run by default; `GripName` says what they know of the place."""
 OTHERS = ("dex-dexpilot", "dexi-dexpilot", "dex-vector", "dexi-vector", "dex-position")
-# Errors of places are drawn apart from the objects, so that these stay as they were.
-_PLACES = 1
 # Gravity points against y, as in the worlds of all recordings.
 _GRAVITY = (0.0, -9.81, 0.0)
 
@@ -79,7 +76,12 @@ def draw(objects: str, count: int, seed: int) -> list[tuple[str, PinchTrial]]:
     names = [list(HOUSEHOLD)[(seed + k) % len(HOUSEHOLD)] for k in range(count)]
     places = random_trials(count, seed, "nominal")
     return [
-        (name, HOUSEHOLD[name]._replace(offset=place.offset, yaw=place.yaw))
+        (
+            name,
+            HOUSEHOLD[name]._replace(
+                offset=place.offset, yaw=place.yaw, place_error=place.place_error
+            ),
+        )
         for name, place in zip(names, places, strict=True)
     ]
 
@@ -192,17 +194,8 @@ def is_fist(recording: Recording) -> bool:
     return False
 
 
-def draw_errors(count: int, seed: int) -> list[Vector]:
-    """Draw how far stated places are off, in standard deviations, for each object."""
-    random = np.random.default_rng((seed, _PLACES))
-    return [(x, y, z) for x, y, z in random.normal(size=(count, 3)).tolist()]
-
-
-def tried(scene: PinchScene, trial: PinchTrial, error: Vector) -> dict[str, Any]:
-    """Return what became of an object whose place is stated with an error; see `draw_errors`."""
-    if isinstance(scene, GripScene):
-        x, y, z = (scene.deviation * np.array(error)).tolist()
-        scene.place_error = (x, y, z)
+def tried(scene: PinchScene, trial: PinchTrial) -> dict[str, Any]:
+    """Return what became of an object."""
     try:
         outcome = scene.run(trial)
     except InvalidInputError as refusal:
@@ -282,14 +275,13 @@ def main(words: Sequence[str] | None = None) -> None:
             trials = draw(
                 arguments.objects, arguments.trials, 1000 * arguments.seed + k
             )
-            errors = draw_errors(arguments.trials, 1000 * arguments.seed + k)
             for robot in arguments.robots:
                 for name, scene in scenes(robot, recording, methods, problems):
                     where = {"robot": robot, "mapping": name}
                     where["recording"] = recording.name
                     found += [
-                        where | {"object": kind} | tried(scene, trial, error)
-                        for (kind, trial), error in zip(trials, errors, strict=True)
+                        where | {"object": kind} | tried(scene, trial)
+                        for kind, trial in trials
                     ]
                 done()
             results = {"seed": arguments.seed, "trials": found, "problems": problems}

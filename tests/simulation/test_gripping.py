@@ -44,5 +44,5 @@ def test_both_pads_press_with_the_force_that_is_told(name: str) -> None:
 def test_a_place_that_is_wrong_by_what_it_says_loses_nothing() -> None:
     deviation = 0.005
     scene = scene_of("allegro_right", deviation)
-    scene.place_error = (deviation, -deviation, deviation)
-    assert scene.run(PinchTrial()).is_held
+    assert scene.run(PinchTrial(place_error=(1.0, -1.0, 1.0))).is_held
+    assert scene.place_error == (deviation, -deviation, deviation)

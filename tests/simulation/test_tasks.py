@@ -522,9 +522,12 @@ def test_the_command_holds_what_it_meets(
     assert cli.main(words) == 0
     by_default = json.loads(capsys.readouterr().out)["rows"]
     slips = {}
-    for grip in ("grip", "grip+place"):
+    known = {}
+    for grip in ("grip", "grip+place", "grip+place5"):
         assert cli.main([*words, "--grip", grip]) == 0
-        plain, own = json.loads(capsys.readouterr().out)["rows"]
+        found = json.loads(capsys.readouterr().out)
+        plain, own = found["rows"]
+        known[grip] = found["assumed"].get("known place", "")
         assert own["mapping"] == f"{plain['mapping']}+{grip}"
         slips[grip] = own
     # A robot that is simulated has encoders: it grips by default.
@@ -535,6 +538,12 @@ def test_the_command_holds_what_it_meets(
     assert slips["grip+place"]["held"] == "yes"
     assert slips["grip+place"]["slip mm"] < 5.0
     assert slips["grip"] != slips["grip+place"]
+    # A place with an error is another one, and the command says how wrong it may be.
+    assert slips["grip+place5"] != slips["grip+place"]
+    assert not known["grip+place"]
+    assert known["grip+place5"].startswith("off by 5 mm along each axis")
+    assert cli.main([*words, "--grip", "place5"]) == 2
+    assert "expected grip, grip+place, grip+place5" in capsys.readouterr().err
     both = ["simulate", str(file), str(file), "--grip", "grip"]
     assert cli.main([*both, "--robot", "allegro_right"]) == 2
     assert "expected one recording of a hand" in capsys.readouterr().err

@@ -36,7 +36,14 @@ from .gripping import GripScene
 from .pad_motion import PersonPads, meeting_row
 from .physics import Physics, choose_gravity
 from .pictures import film, picture, write_page
-from .pinch import Objects, PinchOutcome, PinchScene, PinchTrial, random_trials
+from .pinch import (
+    Objects,
+    PinchOutcome,
+    PinchScene,
+    PinchTrial,
+    random_errors,
+    random_trials,
+)
 from .pinch_rows import describe_trial
 from .tried import (
     Tried,
@@ -82,7 +89,7 @@ class Simulate:
         handmap simulate left.npz right.npz --robot g1 --film pinch.gif
         handmap simulate pinch --robot allegro_right --trials 200 --methods teleoperation object
         handmap simulate pinch --robot allegro_right --stiffness 6 --html pinch.html
-        handmap simulate pinch --robot allegro_right --trials 50 --grip grip+place
+        handmap simulate pinch --robot allegro_right --trials 50 --grip grip+place5
 
     Attributes:
         recordings: Recording with a pinch of thumb and index finger; `demo` and `pinch` come with
@@ -93,8 +100,11 @@ class Simulate:
         methods: Mappings, as of `handmap compare`; peers by name too, such as dexi-dexpilot.
         peers: Folder of a program that runs further outside methods.
         grip: One mapping more: the first preset, and what thumb and finger meet is held with 5 N by
-            the measured joints alone (grip), or with the object's place known too (grip+place). If
-            omitted, `grip` where no --methods are named and the hand can; `off` for none.
+            the measured joints alone (grip), or with the object's place known too (grip+place), or
+            with that place known with an error (grip+place5): its standard deviation is 5 mm along
+            each axis, or another number of millimetres. The mapping knows that number, and --seed
+            draws the error. If omitted, `grip` where no --methods are named and the hand can; `off`
+            for none.
         object: box:SIDE, box:XxYxZ, sphere:DIAMETER, cylinder:DIAMETERxLENGTH [m], or a mesh file.
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
@@ -122,7 +132,12 @@ class Simulate:
     robot: HandName = "three_finger"
     methods: Annotated[Names, hinted("METHOD...", "(default: the first preset)")] = ()
     peers: Annotated[Path | None, hinted("FOLDER")] = None
-    grip: Literal["grip", "grip+place", "off"] | None = None
+    grip: Annotated[
+        str | None,
+        hinted(
+            "{grip,grip+place,grip+placeMM,off}", "(default: grip, if the hand can)"
+        ),
+    ] = None
     object: Annotated[str, arg(metavar="OBJECT")] = "box:0.03"
     mass: Annotated[float, arg(metavar="KG")] = 0.05
     friction: float = 0.8
@@ -149,7 +164,8 @@ class Simulate:
         shape = parse_object(self.object, is_centred=True)
         trial = PinchTrial(shape, self.mass, self.friction)
         self._check(trial)
-        trials = [trial]
+        (error,) = random_errors(1, self.seed)
+        trials = [trial._replace(place_error=error)]
         if self.trials:
             trials = random_trials(self.trials, self.seed, self.objects, trial)
         scenes, assumed, person = self._scenes()
@@ -190,8 +206,12 @@ class Simulate:
 
     def _check(self, trial: PinchTrial) -> None:
         """Reject options that contradict each other, before any work is done."""
-        is_whole = self.grip not in (None, "off") and is_robot(self.robot)
-        expect(not is_whole, "--grip", "a robot with one hand", value=self.robot)
+        if self.grip not in (None, "off"):
+            wanted = "grip, grip+place, grip+place5 (5 mm, or another number), or off"
+            is_known = GripName.parse(f"{own_methods()[0]}+{self.grip}") is not None
+            expect(is_known, "--grip", wanted, got=self.grip)
+            one_hand = "a robot with one hand"
+            expect(not is_robot(self.robot), "--grip", one_hand, value=self.robot)
         problem = advice = ""
         if self.objects == "varied" and trial != PinchTrial():
             problem = "draws object, mass and friction"
@@ -248,8 +268,9 @@ class Simulate:
         grip = self._grip_of(robot)
         name = f"{own_methods()[0]}+{grip}"
         gripped = GripName.parse(name)
+        deviation = (gripped and gripped.deviation) or 0.0
         if gripped and take:
-            gripping = GripScene(take, robot, window, physics, gripped.sees)
+            gripping = GripScene(take, robot, window, physics, gripped.sees, deviation)
             scenes[name] = gripping
             gripping.placing = placing
             gripping.least_clear = least_clear
@@ -258,6 +279,10 @@ class Simulate:
             "torque": torque_limits(robot, self.torque).source,
             "object": f"stands where the {self.place}'s pads meet",
         }
+        if deviation:
+            assumed["known place"] = (
+                f"off by {1e3 * deviation:g} mm along each axis (standard deviation)"
+            )
         return scenes, assumed, person
 
     def _grip_of(self, robot: Hand) -> str:

@@ -11,7 +11,7 @@ from handmap_qp.mapping import HandMapper, MapStep
 from handmap_qp.stream import Follower, GripFollower, GripOptions
 from .commands import PinchWindow
 from .physics import Physics
-from .pinch import PinchScene
+from .pinch import PinchOutcome, PinchScene, PinchTrial
 from .simulator import Simulator
 
 
@@ -28,7 +28,8 @@ class GripScene(PinchScene):
 
     Attributes:
         deviation: As given.
-        place_error: How far the stated place is from the object's middle [m], in world axes.
+        place_error: How far the stated place is from the object's middle [m], in world axes, in
+            the last trial.
 
     Raises:
         InvalidInputError: If the hand's default preset cannot grip.
@@ -65,6 +66,15 @@ class GripScene(PinchScene):
         time = take.recording.time[: window.end + 1]
         commands = trajectory_of(follower.mapper.robot, time, steps())
         super().__init__(commands, window, physics)
+
+    def run(self, trial: PinchTrial) -> PinchOutcome:
+        """Simulate one trial, whose known place is off by the trial's error.
+
+        See `PinchScene.run`.
+        """
+        x, y, z = (self.deviation * error for error in trial.place_error)
+        self.place_error = (x, y, z)
+        return super().run(trial)
 
     def _play(self, simulator: Simulator, start: int) -> Iterator[float]:
         """Follow the recording to the end of the pinch, and yield the time of each sample [s]."""

@@ -6,7 +6,7 @@ finger that is in its place, as after pointing, touches it once it has left: in 
 object where a finger is. The stand lets go when the thumb and
 another finger have pressed on it for a while, or when the pads should have met it long ago. From
 then until the human opens his hand, the object must stay between the pads. `random_trials` draws
-many objects and places.
+many objects and places, and how far mappings that know a place are wrong.
 """
 
 import math
@@ -69,6 +69,8 @@ _YAW = math.radians(20.0)
 _SIZES = (0.02, 0.045)
 _MASSES = (0.02, 0.2)
 _FRICTIONS = (0.5, 1.0)
+# Errors of known places are drawn apart from the objects, so that they change no object.
+_ERRORS = 1
 
 
 class PinchTrial(NamedTuple):
@@ -80,6 +82,8 @@ class PinchTrial(NamedTuple):
         friction: Coulomb coefficient.
         offset: Displacement of its place from where the pads meet [m], in world axes.
         yaw: Rotation about the vertical [rad].
+        place_error: Error of the place that a mapping knows, along each world axis, in standard
+            deviations of that error. A mapping that knows no place, or the exact one, has none.
     """
 
     shape: Shape = CUBE
@@ -87,6 +91,7 @@ class PinchTrial(NamedTuple):
     friction: float = 0.8
     offset: Vector = (0.0, 0.0, 0.0)
     yaw: float = 0.0
+    place_error: Vector = (0.0, 0.0, 0.0)
 
 
 class PinchOutcome(NamedTuple):
@@ -361,6 +366,17 @@ def _loss(course: tuple[Touch, ...], away: Array, freed: int, width: float) -> L
     return loss_in_try(course[:end]) or Loss.SLIPPED
 
 
+def random_errors(count: int, seed: int) -> list[Vector]:
+    """Draw errors of known places, in standard deviations along each axis.
+
+    Args:
+        count: Number of objects.
+        seed: Seed of the random numbers.
+    """
+    random = np.random.default_rng((seed, _ERRORS))
+    return [(x, y, z) for x, y, z in random.normal(size=(count, 3)).tolist()]
+
+
 def random_trials(
     count: int,
     seed: int,
@@ -383,9 +399,11 @@ def random_trials(
     expect(seed >= 0, "seed", "an integer >= 0", value=seed)
     random = np.random.default_rng(seed)
     trials = []
-    for _ in range(count):
+    for error in random_errors(count, seed):
         x, y, z = random.normal(0.0, _PLACE, 3).tolist()
-        trial = nominal._replace(offset=(x, y, z), yaw=random.uniform(-_YAW, _YAW))
+        trial = nominal._replace(
+            offset=(x, y, z), yaw=random.uniform(-_YAW, _YAW), place_error=error
+        )
         if objects == "varied":
             kind = random.choice(KINDS)
             trial = trial._replace(

@@ -58,11 +58,15 @@ def _shares(held: int, shares: Sequence[float]) -> Row:
 
 
 def describe_trial(trial: PinchTrial) -> Row:
-    """Describe an object and its place by plain values, in metres, kilograms and radians."""
+    """Describe an object and its place by plain values, in metres, kilograms and radians.
+
+    `place_error` is in standard deviations.
+    """
     return trial._asdict() | {
         "shape": type(trial.shape).__name__.lower(),
         "width": float(surface(trial.shape).extents[0]),
         "offset": list(trial.offset),
+        "place_error": list(trial.place_error),
     }
 
 
