@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from call_counts import count_calls
+from marks import rotated
 from verdict_cases import streams
 
 from handmap_qp import (
@@ -90,7 +91,7 @@ def bind_count(people: Iterator[Hand], robot: Hand, preset: str | None = None) -
     return count_calls(lambda: HandMapper(human, robot, preset))
 
 
-@pytest.mark.parametrize("name", hand_names())
+@pytest.mark.parametrize("name", rotated(hand_names(), 3, 2))
 def test_binding_a_mapper_to_a_new_person(people: Iterator[Hand], name: str) -> None:
     """Arms, jaws and hands whose joints follow others too; each has a matched posture to solve."""
     assert bind_count(people, load_hand(name)) <= 1_350

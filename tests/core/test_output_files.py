@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
 
 from handmap_qp import InvalidInputError
-from handmap_qp.output_files import remove_torn, replaced_file
+from handmap_qp.output_files import remove_torn, replaced_file, sync
 
 
 def test_a_complete_file_takes_the_place_of_an_earlier_one(tmp_path: Path) -> None:
@@ -31,6 +33,21 @@ def test_a_failure_keeps_the_earlier_file(
         raise error
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_cannot_be_synchronised_is_no_failure_but_a_broken_disk_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = errno.EINVAL
+
+    def fail(handle: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    sync(tmp_path)
+    code = errno.EIO
+    with pytest.raises(OSError, match="Input/output"):
+        sync(tmp_path)
 
 
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:

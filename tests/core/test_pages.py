@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Browser, find_chromium
+from marks import rotated
 from service_tools import address_of, serving
 
 import handmap_qp
@@ -31,10 +32,6 @@ EXAMPLES = sorted(
     file
     for file in (ROOT / "examples").glob("*.py")
     if "simulated_robot" not in file.stem
-)
-SLOW = (
-    *("04_onboarding", "08_tracker_service_driver", "03_compare_methods"),
-    *("02_two_hands", "07_recording_to_lerobot", "09_mujoco_object"),
 )
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
@@ -96,10 +93,7 @@ def test_pictures_exist(page: Path) -> None:
 
 @pytest.mark.parametrize(
     "example",
-    [
-        pytest.param(example, marks=pytest.mark.slow if example.stem in SLOW else ())
-        for example in EXAMPLES
-    ],
+    rotated(EXAMPLES, 2),
     ids=lambda example: example.stem,
 )
 def test_examples_run(

@@ -12,6 +12,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import rotated
 
 from handmap_qp import Hand, HandMapper, hand_names, load_hand, read_recording
 from handmap_qp.apps.onboarding.collision_pairs import find_collision_pairs
@@ -126,7 +127,7 @@ def lively_motion(side: str) -> tuple[Hand, np.ndarray, np.ndarray]:
     return human, q, wrist
 
 
-@every_hand
+@pytest.mark.parametrize("name", rotated([*ROBOTS, *OWN], 3))
 def test_it_follows_a_lively_hand_within_all_limits(name: str) -> None:
     robot = hand_of(name)
     human, q, wrist = lively_motion(robot.side)

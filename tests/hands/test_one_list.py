@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import rotated
 from service_tools import CACHE, client_of, connected, human_q, opening, serving
 
 from handmap_qp import Hand, HandError, HandSpec, hand_names, load_hand
@@ -73,7 +74,7 @@ def test_it_is_the_installed_hands_and_the_missing_ones() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", OF_URDFS)
+@pytest.mark.parametrize("name", rotated(OF_URDFS, 3, 1))
 def test_a_hand_of_every_urdf_loads_and_can_be_drawn(name: str) -> None:
     hand = load_hand(name)
     assert hand.name == name

@@ -215,6 +215,19 @@ def test_touches_correct_the_contact_gap_step_by_step_and_only_between_pinches(
     assert meter.gap == pytest.approx(expected, abs=1e-4)
 
 
+@pytest.mark.parametrize(("rise", "ends"), [(0.009, False), (0.011, True)])
+def test_a_touch_ends_where_the_gap_has_risen_by_10_mm(rise: float, ends: bool) -> None:
+    """Three touches move the contact gap; a hand that opens once has ended one."""
+    meter = ContactGapMeter(0.013)
+    gaps = [0.08, *[0.016, 0.016 + rise] * 4, 0.08]
+    for k, gap in enumerate(np.repeat(gaps, 12)):
+        landmarks = np.full((21, 3), 1.0)
+        landmarks[4] = 0.0
+        landmarks[8] = (gap, 0.0, 0.0)
+        meter.add(k / 60.0, landmarks)
+    assert (meter.gap > 0.013) is ends
+
+
 def test_a_hand_that_never_touches_keeps_the_contact_gap() -> None:
     meter = ContactGapMeter(0.013)
     record = worn(300, gap=0.05)

@@ -216,7 +216,7 @@ def test_the_command_reports_in_json() -> None:
         str(JUDGES),
         "exactness",
         "--steps",
-        "400",
+        "50",
         "--seed",
         "3",
         "--json",
@@ -226,7 +226,7 @@ def test_the_command_reports_in_json() -> None:
     assert done.returncode == 0, done.stderr
     results = json.loads(done.stdout)
     assert results["is_exact"]
-    assert results["steps"] == 400
+    assert results["steps"] == 50
     assert results["memory_last_mb"] > 10.0
 
 

@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from mapping_cases import little_pose, near_rest
+from marks import crossed
 from strategies import (
     affine_motions,
     generators,
@@ -171,9 +172,11 @@ def test_turning_the_robots_world_and_the_alignment_turns_the_robot(
 @pytest.mark.slow
 @rigid_froms
 @references
-@pytest.mark.parametrize("pivot", ["centroid", "palm", "point", "world"])
 @pytest.mark.parametrize(
-    "alignment", ["world", "palm", QUARTER], ids=["world", "palm", "rotation"]
+    ("pivot", "alignment"),
+    crossed(
+        ["centroid", "palm", "point", "world"], ["world", "palm", QUARTER], every=3
+    ),
 )
 @settings(max_examples=3)
 @given(start=poses, robot_start=poses, generator=generators)

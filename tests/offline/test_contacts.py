@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from holding import hold
+from marks import rotated
 
 from handmap_qp import Recording, load_hand
 from handmap_qp.apps.offline.comparison import (
@@ -105,7 +106,7 @@ def test_a_mapping_that_knows_the_object_touches_it_where_the_person_does() -> N
     assert aware["object_depth_mm"] < 2.0
 
 
-@pytest.mark.parametrize("ending", ["+look-ahead", "+smooth"])
+@pytest.mark.parametrize("ending", rotated(["+look-ahead", "+smooth"], 2))
 def test_smoother_mappings_touch_the_object_too(ending: str) -> None:
     method = own_method(f"teleoperation{ending}")
     (run,) = compare_methods([take()], ALLEGRO, [method]).runs

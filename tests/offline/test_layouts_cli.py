@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import rotated
 from PIL import Image
 
 from handmap_qp import HumanLengths, cli
@@ -72,7 +73,7 @@ def test_a_template_reads_what_the_original_reads(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["openxr26", "manus"])
+@pytest.mark.parametrize("name", rotated(["openxr26", "manus"], 2))
 def test_every_convention_is_drawn(name: str, tmp_path: Path) -> None:
     assert run("layouts", name, "--picture", tmp_path / "hand.png") == 0
     picture = np.asarray(Image.open(tmp_path / "hand.png").convert("RGB")).astype(int)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import shutil
 import time
@@ -18,7 +19,7 @@ pytest.importorskip(
     "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
 )
 
-from browser import Browser, find_chromium
+from browser import DRAWING, Browser, find_chromium
 from made_hands import make_hand
 from patience import kept_going, wait_until
 
@@ -257,6 +258,15 @@ def test_a_tip_is_dragged_and_one_that_is_too_far_goes_back(
         assert fingers[tip.link] == "little"
 
 
+def is_asked(browser: Browser, y: float) -> bool:
+    """Click in the middle of the scene; return whether the page asks for the thumb's name."""
+    browser.click(710, y)
+    time.sleep(1.0)
+    return browser.evaluate(
+        "document.body.innerText.includes('Name the finger that is called thumb')"
+    )
+
+
 def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:
     program = find_chromium()
     if program is None:
@@ -296,13 +306,12 @@ def test_the_page_corrects_a_hand_in_a_browser(tmp_path: Path) -> None:
             click("input", "e => e.value == 'thumb'")
             click("[role=option]", "e => e.innerText.trim() == 'little'")
             browser.wait_for(text.format("one that is the thumb"))
-            # The thumb points down in the middle, or up if the hand is turned over.
-            question = text.format("Name the finger that is called thumb")
-            for y in (510, 540, 570, 300, 270, 240):
-                browser.click(710, y)
-                time.sleep(1.0)
-                if browser.evaluate(question):
-                    break
+            # The thumb points down in the middle, or up if the hand is turned over. A page that is
+            # not drawn yet takes no click.
+            heights = itertools.cycle((510, 540, 570, 300, 270, 240))
+            wait_until(
+                lambda: is_asked(browser, next(heights)), "no thumb there", DRAWING
+            )
             press("index")
             index = found.spec.points[2].link
             wait_until(lambda: editor.names[index].value == "thumb", "no new name")

@@ -21,6 +21,7 @@ from grip_cases import (
     run,
     samples,
 )
+from marks import rotated
 
 from handmap_qp import HandMapper, HumanSample, load_hand
 from handmap_qp.errors import InvalidInputError
@@ -119,7 +120,7 @@ def test_a_copy_goes_on_with_the_grip(site: Path, tmp_path: Path) -> None:
     assert check_alike(*both, within=0.0)
 
 
-@pytest.mark.parametrize("name", ["g1", "ur5_pair"])
+@pytest.mark.parametrize("name", rotated(["g1", "ur5_pair"], 2))
 def test_a_saved_robot_grips_with_each_hand(
     site: Path, tmp_path: Path, name: str
 ) -> None:

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 import pytest
+from marks import rotated
 from service_tools import CACHE, Sampler, human_q, opening, run_now
 
 from handmap_qp.apps.service import sessions
@@ -378,7 +379,7 @@ SETTINGS = {
 }
 
 
-@pytest.mark.parametrize("name", SETTINGS)
+@pytest.mark.parametrize("name", rotated(SETTINGS, 2))
 def test_every_sequence_has_one_owner_no_stray_motion_and_stops(
     explore: Search, name: str
 ) -> None:

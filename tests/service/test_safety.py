@@ -242,6 +242,9 @@ def test_jumps_of_the_clients_clock_are_flagged() -> None:
     assert clock.grant(50.0, 0.03)[1] == ["time_backwards"]
     assert clock.grant(90.0, 0.04)[1] == ["time_jump"]
     assert clock.grant(90.5, 0.54)[1] == ["dt_clamped"]
+    # Clocks may differ by a second between two samples.
+    assert clock.grant(91.52, 0.57)[1] == []
+    assert clock.grant(92.56, 0.60)[1] == ["time_jump"]
 
 
 def test_simulated_time_counts_by_the_stamps() -> None:

@@ -43,7 +43,7 @@ from handmap_qp.apps.addresses import bare_host, service_address
 from handmap_qp.apps.service import logs
 from handmap_qp.apps.service import server as server_module
 from handmap_qp.apps.service.cli import SCHEMAS
-from handmap_qp.apps.service.connection_gate import cost_of, count_frames
+from handmap_qp.apps.service.connection_gate import _FRAME, cost_of, count_frames
 from handmap_qp.apps.service.dispatch import decode_request
 from handmap_qp.apps.service.keys import (
     ClientKeys,
@@ -419,6 +419,15 @@ def _has_ended(connection: socket.socket) -> bool:
         return False
     except ConnectionError:
         return True
+
+
+@pytest.mark.parametrize("size", [0, 1, 255, 256, 70_000])
+def test_a_frame_gives_back_what_it_costs_with_its_header_and_encryption(
+    size: int,
+) -> None:
+    # ZMTP 3: a header of 2 or 9 bytes; of CURVE, a command's name, a nonce, flags and a code.
+    header, curve = (9 if size > 200 else 2), 8 + 8 + 1 + 16
+    assert cost_of(zmq.Frame(bytes(size))) >= size + header + curve + _FRAME
 
 
 @pytest.mark.parametrize("has_keys", [False, True], ids=["open", "keys"])

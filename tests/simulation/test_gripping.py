@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from marks import rotated
 from picks import made_pick
 
 from handmap_qp import load_hand
@@ -27,7 +28,9 @@ def scene_of(name: str, deviation: float | None = None) -> GripScene:
     return GripScene(take, hand, window, physics, sees, deviation or 0.0)
 
 
-@pytest.mark.parametrize("name", ["allegro_right", "shadow_right", "panda_gripper"])
+@pytest.mark.parametrize(
+    "name", rotated(["allegro_right", "shadow_right", "panda_gripper"], 2)
+)
 def test_both_pads_press_with_the_force_that_is_told(name: str) -> None:
     """Fingers and jaws alike, with the actuators that they have if nobody says anything."""
     scene = scene_of(name)

@@ -195,6 +195,17 @@ def test_torques_are_the_makers_and_say_where_they_are_from() -> None:
     fingers = torque_limits(arm).values[~arm.moves_wrist]
     np.testing.assert_array_equal(fingers, 0.7)
     assert torque_limits(load_hand("panda_gripper")).source == "100 N, by the URDF"
+    # A limit of 10 N m is a placeholder, and one below is the maker's.
+    for effort, limit in ((9.99, 9.99), (10.0, 1.0)):
+        hand = load_hand("romeo_left")
+        hand.model.effortLimit[:] = effort
+        np.testing.assert_array_equal(torque_limits(hand).values, limit)
+    # An arm's own limit is nobody's placeholder.
+    hand = load_hand("tiago_arm")
+    hand.model.effortLimit[:] = 1000.0
+    values = torque_limits(hand).values
+    np.testing.assert_array_equal(values[hand.moves_wrist], 1000.0)
+    np.testing.assert_array_equal(values[~hand.moves_wrist], 1.0)
     asked = torque_limits(load_hand("allegro_right"), 1e3)
     np.testing.assert_array_equal(asked.values, 15.0)
 

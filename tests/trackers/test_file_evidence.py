@@ -114,6 +114,22 @@ def test_a_low_rate_alone_is_not_unusual(model: Recording) -> None:
     assert hints(recording_facts(model.part(slice(None, None, 6)))) == []
 
 
+def test_a_size_is_told_of_120_samples_or_more(model: Recording) -> None:
+    few, many = (recording_facts(model.part(slice(0, count))) for count in (119, 120))
+    assert math.isnan(few.growth)
+    assert math.isnan(few.trend)
+    assert math.isfinite(many.growth)
+
+
+@pytest.mark.parametrize(("share", "is_named"), [(0.04, False), (0.06, True)])
+def test_instants_rounded_to_more_than_a_twentieth_of_a_step_are_named(
+    model: Recording, share: float, is_named: bool
+) -> None:
+    facts = recording_facts(model)
+    found = hints(facts._replace(rounding=share / facts.rate))
+    assert any("rounded" in hint for hint in found) is is_named
+
+
 def test_wrist_poses_that_no_tracker_measured_are_named(real: list[Recording]) -> None:
     for recording in real:
         (hint,) = hints(recording_facts(with_constant_wrist(recording)))

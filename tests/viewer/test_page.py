@@ -402,6 +402,7 @@ def has_both_hands(pixels: np.ndarray) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.full
 def test_the_page_of_a_robot_with_two_hands_draws_all_hands(browser: Browser) -> None:
     replay = View().replay(Path("demo"), "g1")
     with serving() as server:
