@@ -72,7 +72,7 @@ def run(
     sinks: Sequence[Sink],
     report: Callable[[str], object] = lambda _: None,
 ) -> Values:
-    """Lead samples to sinks until the source ends or Ctrl-C.
+    """Send samples to sinks until the source ends or Ctrl-C.
 
     Args:
         source: The samples.

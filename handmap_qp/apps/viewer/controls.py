@@ -59,10 +59,18 @@ def add_controls(
     Returns:
         The viser controls in their order, a tuple with their names.
     """
+    add: dict[str, Callable[..., Any]] = {
+        "button": gui.add_button,
+        "checkbox": gui.add_checkbox,
+        "dropdown": gui.add_dropdown,
+        "html": gui.add_html,
+        "markdown": gui.add_markdown,
+    }
     handles = []
     for name, control in _GROUPS[group].items():
         ((kind, arguments),) = control.items()
-        handles.append(handle := getattr(gui, f"add_{kind}")(**arguments))
+        handle = add[kind](**arguments)
+        handles.append(handle)
         if kind == "button":
             handle.on_click(lambda event, name=name: press(name, event.client))
     return namedtuple(group, _GROUPS[group], rename=True)(*handles)

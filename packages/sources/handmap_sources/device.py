@@ -57,7 +57,7 @@ class DeviceSource(Source):
     def run(self) -> None:
         """Track until Ctrl-C."""
         self.target.check()
-        self.target.lead(self)
+        self.target.send(self)
 
     def summary(self) -> Values:
         """Return the troubles by kind."""
