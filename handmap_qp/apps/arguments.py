@@ -150,11 +150,11 @@ class InputArguments:
 
         Args:
             paths: One file with both hands, or two files; with a layout the left hand's first.
-            person: As of `read`.
+            person: See `read`.
             mirror: Whether the user asked for mirror images, which is refused.
 
         Raises:
-            HandmapError: As of `read`.
+            HandmapError: See `read`.
         """
         for option, given in (("--side", self.side), ("--mirror", mirror)):
             if given:

@@ -215,7 +215,7 @@ class AsyncClient(Calls):
             hands: One or both hands by side, in place of all fields above but `time`; for a robot
                 with two hands. Without one of them, its side of the robot goes on to what it was
                 asked for last, and holds after 0.25 s.
-            measured_q: Joint angles that the robot has now [rad], as of `measured`. With `grip`,
+            measured_q: Joint angles that the robot has now [rad], as in `measured`. With `grip`,
                 either is required.
             object_centre: Middle of what the robot is to grip, in its world [m], if it is known:
                 pads that close near it meet around it; only where joints are measured.
@@ -287,7 +287,7 @@ class AsyncClient(Calls):
             hands: One or both hands by side, in place of all fields above but `time`; for a robot
                 with two hands. Without one of them, its side of the robot goes on to what it was
                 asked for last, and holds after 0.25 s.
-            measured_q: Joint angles that the robot has now [rad], as of `measured`. With `grip`,
+            measured_q: Joint angles that the robot has now [rad], as in `measured`. With `grip`,
                 either is required.
             object_centre: Middle of what the robot is to grip, in its world [m], if it is known:
                 pads that close near it meet around it; only where joints are measured.

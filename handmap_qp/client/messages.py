@@ -371,7 +371,7 @@ class Step(Request):
         hands: One or both hands by side, in place of all fields above but `time`; for a robot with
             two hands. Without one of them, its side of the robot goes on to what it was asked for
             last, and holds after 0.25 s.
-        measured_q: Joint angles that the robot has now [rad], as of `measured`. With `grip`, either
+        measured_q: Joint angles that the robot has now [rad], as in `measured`. With `grip`, either
             is required.
         object_centre: Middle of what the robot is to grip, in its world [m], if it is known: pads
             that close near it meet around it; only where joints are measured.
@@ -607,7 +607,7 @@ class HandState(Struct, frozen=True):
     """One hand of a robot with two hands, as the mapping has it.
 
     Attributes:
-        status: As of `command`, for this hand; `released` if the whole robot brakes.
+        status: As in `command`, for this hand; `released` if the whole robot brakes.
         rule: What is wrong with its sample; empty if nothing.
         wrist: Its wrist frame in the robot's world [m].
         wrist_error: How far that is from its target [m, rad].

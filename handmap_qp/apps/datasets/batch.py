@@ -51,7 +51,7 @@ class Batch:
         handmap report mapped
 
     Attributes:
-        inputs: Files, data sets, or folders of them; forms as of `handmap convert --help`.
+        inputs: Files, data sets, or folders of them; forms as in `handmap convert --help`.
         robot: Robot hand; for both human hands a left and a right one (or `allegro` for the two of
             a family), or a robot with both
             (`handmap robots list`), which needs files with both. Recordings of a hand without a
@@ -343,7 +343,7 @@ def run_batch(
         engine: What runs the jobs.
         shard: Which part of how many.
         progress: Called with every line.
-        is_stopped: As of `Asked`.
+        is_stopped: See `Asked`.
 
     Raises:
         DiskFullError: If the disk is full. The episodes that have a line are done.

@@ -174,7 +174,7 @@ class ServiceSource(Source):
     Attributes:
         name: Public name of the session.
         side: The session's human hand.
-        upright: As of `Recording`.
+        upright: See `Recording`.
         rate: 0: only its client knows.
 
     Raises:

@@ -338,7 +338,7 @@ def prepare_hands(
 
 
 def read_grip(request: Open) -> GripOptions | None:
-    """Read how a session grips, if it may; errors are as of `read_choice`.
+    """Read how a session grips, if it may; errors are as in `read_choice`.
 
     It does so by default, but for an `object`, whose fingers press only where it is asked for.
     """
@@ -454,7 +454,7 @@ def reopened(request: Open, preset: str, changes: Configure) -> Open:
 class Calibration:
     """Measure the human hands from landmarks, and prepare the hands of the session with them.
 
-    Attributes are as of `prepare_hands`.
+    Attributes are as in `prepare_hands`.
     """
 
     request: Open

@@ -124,7 +124,7 @@ class SampleForm:
 
         Raises:
             RefusedError: If the hands are not those of the robot.
-            HandmapError: As of `work`; with the hand at fault if a robot has several.
+            HandmapError: As in `work`; with the hand at fault if a robot has several.
         """
         if not self._sides:
             side = self._request.side

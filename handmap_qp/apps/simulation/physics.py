@@ -31,7 +31,7 @@ class Physics(Options, frozen=True):
         joint_stiffness: Stiffness of the fingers' actuators [N m/rad].
         sliding_stiffness: The same of joints that slide, such as those of jaws [N/m].
         torque: Largest torque of the fingers' actuators [N m, N], beside the effort limits of the
-            URDF; the maker's if omitted, as of `torque_limits`.
+            URDF; the maker's if omitted, as in `torque_limits`.
         armature: Inertia of each motor at its joint [kg m^2].
         density: Density of links whose URDF gives no mass [kg/m^3].
         gravity: Acceleration [m/s^2], in world axes.

@@ -93,7 +93,7 @@ def reporting(handle: Any, said: str) -> Iterator[None]:
     """Show a message while the block runs, and afterwards only why it was not possible.
 
     Args:
-        handle: As of `say`.
+        handle: See `say`.
         said: The message.
     """
     say(handle, said)
@@ -390,7 +390,7 @@ class Window:
         gauges: Numbers, plots and joint bars.
         control: The tab for what moves the robots, which is empty.
         display: What the scene shows.
-        latest: Length of the plots' time axis, as of `draw_plot`.
+        latest: Length of the plots' time axis, as in `draw_plot`.
     """
 
     latest: float | None = None

@@ -274,12 +274,12 @@ class Layout(
             time: Instants [s], shape (T,).
             values: In one of `shapes`, for every sample; not finite where the hand was not seen.
             side: Which hand.
-            wrists: Wrist poses beside the values, as of `read`, shape (T, 4, 4) or (T, 7).
+            wrists: Wrist poses beside the values, as in `read`, shape (T, 4, 4) or (T, 7).
             valid: Samples in which the hand was seen, shape (T,); the finite ones if omitted.
             lengths: The person's lengths, for angles and markers.
 
         Raises:
-            InvalidInputError: As of `read` and of `Recording`.
+            InvalidInputError: As in `read` and of `Recording`.
         """
         landmarks, poses, seen = self._convert(values, side, wrists, valid, lengths)
         return Recording(
@@ -356,7 +356,7 @@ class Layout(
         """Put named numbers into the order of `columns`.
 
         Args:
-            given: Numbers or columns of equal length by name, as of `find_columns`.
+            given: Numbers or columns of equal length by name, as in `find_columns`.
             side: Which hand.
 
         Returns:

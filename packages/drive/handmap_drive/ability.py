@@ -66,7 +66,7 @@ def unstuffed(piece: bytes) -> bytes:
 
 
 class Ability(TableDriver):
-    """An Ability Hand; arguments and attributes as of `TableDriver`.
+    """An Ability Hand; arguments and attributes as in `TableDriver`.
 
     The hand itself has no limit of torque where it goes to positions. So a motor whose current is
     more than its share gets goals that are nearer and nearer to where it is, within some 0.1 s.

@@ -34,7 +34,7 @@ class JointMap(Protocol):
 
 
 class Direct:
-    """Joints that do what their motors are told; attributes as of `JointMap`.
+    """Joints that do what their motors are told; attributes as in `JointMap`.
 
     Args:
         driver: The motors.

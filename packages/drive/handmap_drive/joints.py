@@ -32,7 +32,7 @@ _INSIDE = 0.005
 _JAM = 0.2
 """Share of its range that a joint may lack at each end."""
 _PERFECT = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-"""As of `fit_joint`, of a joint that is not moved."""
+"""As in `fit_joint`, of a joint that is not moved."""
 
 Tell = Callable[[float, str], object]
 """Is told how much is done [%], and what is."""
@@ -46,8 +46,8 @@ def measure_joints(
     Args:
         motion: The motors.
         space: Where the hand can go.
-        spans: As of `free_spans`.
-        groups: As of `free_groups`.
+        spans: See `free_spans`.
+        groups: See `free_groups`.
         tell: Is told how much is done.
 
     Raises:

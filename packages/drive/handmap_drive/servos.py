@@ -36,7 +36,7 @@ FAMILIES = {
 
 
 class Servos(TableDriver):
-    """The servos of a table; arguments and attributes as of `TableDriver`."""
+    """The servos of a table; arguments and attributes as in `TableDriver`."""
 
     buses: ClassVar = dict.fromkeys(FAMILIES, 2.0 * np.pi / STEPS)
     numbers = range(253)

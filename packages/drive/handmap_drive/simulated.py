@@ -31,7 +31,7 @@ _NEAR = 0.02
 
 
 class Simulated:
-    """Joints with hidden parameters; attributes as of `Driver`, and arrays of each joint.
+    """Joints with hidden parameters; attributes as in `Driver`, and arrays of each joint.
 
     A turn of the drive, `goal = gain u(t - delay) + zero`, pulls its joint by a tendon with play:
     `effort = dead(goal - q, backlash / 2) / stretch`. The joint moves where that is more than its

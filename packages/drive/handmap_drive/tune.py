@@ -45,7 +45,7 @@ class Tune:
 
     Attributes:
         hand: Name of a hand of the package, or path of a hand.yaml.
-        driver: What motors they are, as of `handmap drive`; simulated without a hand.
+        driver: What motors they are, as in `handmap drive`; simulated without a hand.
         port: Port of the motors.
         out: The hand.yaml to write; the hand has its name.
         motors: Table of motors, in place of the driver's own.

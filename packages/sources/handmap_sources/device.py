@@ -51,7 +51,7 @@ class DeviceSource(Source):
 
     @cached_property
     def upright(self) -> str:
-        """Axes of the samples' world, as of the layout."""
+        """Axes of the samples' world, as in the layout."""
         return self._layout.upright
 
     def run(self) -> None:
@@ -73,7 +73,7 @@ class DeviceSource(Source):
         """Return the sample of values in the layout; None, after a note, if they are not.
 
         Args:
-            values: As of `Layout.read`.
+            values: See `Layout.read`.
             time: Instant [s].
             **more: Further arguments of `Layout.read`.
         """
