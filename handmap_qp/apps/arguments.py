@@ -217,20 +217,20 @@ def _flags(name: str, about: str, *, are_of_qp: bool) -> type:
     items: list[Any] = []
     for option, places in known_options().items():
         # Presets of one method share what they say.
-        said = {
+        presets = {
             item.about: (preset, item)
             for preset, item in reversed(places)
             if (preset == "ik") == are_of_qp
         }
-        if not said:
+        if not presets:
             continue
         texts = [
             f"{item.about} {_default(item)}"
-            if len(said) == 1
+            if len(presets) == 1
             else f"{preset}: {item.about}"
-            for preset, item in reversed(said.values())
+            for preset, item in reversed(presets.values())
         ]
-        kind = reduce(or_, [item.plain for _, item in said.values()]) | None
+        kind = reduce(or_, [item.plain for _, item in presets.values()]) | None
         # tyro would show a list's type in braces.
         metavar = "NAME ..." if kind == Names | None else None
         settings = arg(help=" ".join(texts), help_behavior_hint="", metavar=metavar)

@@ -72,17 +72,17 @@ class Physics(Options, frozen=True):
 
 
 def choose_gravity(
-    asked: str | None, upright: str, whose: str
+    given: str | None, upright: str, whose: str
 ) -> tuple[tuple[float, float, float], str]:
     """Return the acceleration of gravity [m/s^2] in world axes, and in words which way is up.
 
     Args:
-        asked: The axis against gravity that was asked for, such as `z` or `-y`; None if none was.
+        given: The axis against gravity that was asked for, such as `z` or `-y`; None if none was.
         upright: The axes of the world that are up and forward; empty if they are not known.
         whose: Whose world it is, for the words.
     """
-    if asked:
-        axis, text = f"{asked:+>2}", "as asked for"
+    if given:
+        axis, text = f"{given:+>2}", "as asked for"
     elif upright:
         axis, text = upright.split()[0], f"{whose}, which says so"
     else:

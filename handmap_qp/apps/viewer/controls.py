@@ -76,27 +76,31 @@ def add_controls(
     return namedtuple(group, _GROUPS[group], rename=True)(*handles)
 
 
-def say(handle: Any, said: str | HandmapError | None) -> None:
+def say(handle: Any, message: str | HandmapError | None) -> None:
     """Show a message in a text of viser; an error as why something is not possible.
 
     Args:
         handle: The text, which is hidden if there is nothing to say.
-        said: The message.
+        message: The message.
     """
-    text = f"**Not possible:** {said}" if isinstance(said, HandmapError) else said or ""
+    text = (
+        f"**Not possible:** {message}"
+        if isinstance(message, HandmapError)
+        else message or ""
+    )
     handle.visible = text != ""
     handle.content = text
 
 
 @contextmanager
-def reporting(handle: Any, said: str) -> Iterator[None]:
+def reporting(handle: Any, message: str) -> Iterator[None]:
     """Show a message while the block runs, and afterwards only why it was not possible.
 
     Args:
         handle: See `say`.
-        said: The message.
+        message: The message.
     """
-    say(handle, said)
+    say(handle, message)
     failure = None
     try:
         yield

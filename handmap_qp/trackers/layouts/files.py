@@ -68,8 +68,12 @@ def read_with_layout(
         is_table = suffix == ".csv"
         arrays = _read_columns(file, layout, side) if is_table else read_archive(file)
         hints = FileHints(side, fps)
-        said = arrays.get("handedness")
-        hand = hints.side_of_file() if said is None else side_of(said, "handedness")
+        handedness = arrays.get("handedness")
+        hand = (
+            hints.side_of_file()
+            if handedness is None
+            else side_of(handedness, "handedness")
+        )
         if side not in (None, hand):
             raise InvalidInputError(f"is of a {hand} hand, not of a {side} one")
         time = _time(arrays, layout) if fps is None else None

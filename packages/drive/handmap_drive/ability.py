@@ -88,7 +88,7 @@ class Ability(TableDriver):
         self._written = monotonic()
         self._answered = self._written
         self._is_missed = False
-        # No torque yet, by what the driver has told the hand.
+        # No torque yet, by what the driver has sent to the hand.
         self._is_off = True
         self._was_silent = False
         insisting(self._ask, TORQUE, NONE)

@@ -50,8 +50,8 @@ class Joint(Document, frozen=True):
     """What a joint makes of its commands, as in `Joints`; numbers are inside `BOUNDS`.
 
     Attributes:
-        gain: Angle by which it moves per angle that it is told.
-        zero: Where it is when it is told to be at 0 [rad].
+        gain: Angle by which it moves per angle that it is commanded.
+        zero: Where it is when it is commanded to be at 0 [rad].
         delay: Time from a command to its motion [s].
         backlash: Play between motor and joint [rad].
         stretch: How far it gives way to the largest torque [rad].
