@@ -30,7 +30,7 @@ from handmap_qp.human import Person, Recording, mirrored, read_person
 from handmap_qp.mapping import (
     PRESETS,
     Choice,
-    found_alignment,
+    find_alignment,
     get_preset,
     known_options,
     preset_choice,
@@ -316,7 +316,7 @@ class MappingArguments:
         calm = SMOOTH_IK if self.smooth else {}
         name = saved.pop("preset", preset_with(own, human, robot))
         chosen = preset_choice(self.preset or name, human)
-        saved = found_alignment(chosen.method, robot, upright) | saved
+        saved = find_alignment(chosen.method, robot, upright) | saved
         return chosen.with_changes(saved | own | calm | _given(self.ik))
 
     def load_robot(self, name: str, side: Side | None = None) -> Hand:

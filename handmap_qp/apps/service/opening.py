@@ -60,7 +60,7 @@ from handmap_qp.mapping import (
     LandmarkReader,
     MeshShape,
     RobotMapper,
-    found_alignment,
+    find_alignment,
     kept_options,
     known_options,
     parse_object,
@@ -402,7 +402,7 @@ def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
     name = request.preset or preset_with(request.options, human, robot)
     with naming_field("preset"):
         start = preset_choice(name, human)
-    found = found_alignment(start.method, robot, upright_of(request))
+    found = find_alignment(start.method, robot, upright_of(request))
     method = _changed("options", start.method, found | request.options)
     ik = _changed("ik", start.ik, request.ik)
     message = f"expected one of {', '.join(SOLVERS)}, got {ik.solver!r:.40}"

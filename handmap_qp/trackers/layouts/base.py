@@ -370,7 +370,7 @@ class Layout(
         ordered = [by_column[column] for column in self.columns]
         return np.stack(np.broadcast_arrays(*ordered), axis=-1)
 
-    def own_shape(self, shape: tuple[int, ...]) -> tuple[int, ...] | None:
+    def sample_shape(self, shape: tuple[int, ...]) -> tuple[int, ...] | None:
         """Return which of `shapes` a sample has that may be flat; None if it has another one."""
         for own in self.shapes:
             if shape in (own, (np.prod(own),)):
@@ -381,7 +381,7 @@ class Layout(
         """Return samples as floats in one of the shapes of this layout."""
         array = as_floats(values, "values")
         shape = array.shape[1:]
-        own = self.own_shape(shape)
+        own = self.sample_shape(shape)
         if own is not None:
             return array.reshape(-1, *own)
         others = layouts_of_shape(shape)

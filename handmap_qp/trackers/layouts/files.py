@@ -155,7 +155,7 @@ def _values_name(
         array = arrays[name]
         is_array = array.ndim > 1 and array.dtype.kind in "fiu"
         is_long = is_array and count in (None, len(array))
-        return is_long and layout.own_shape(array.shape[1:]) is not None
+        return is_long and layout.sample_shape(array.shape[1:]) is not None
 
     def is_of_side(name: str) -> bool:
         return name.startswith(side or "")
