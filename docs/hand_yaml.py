@@ -75,7 +75,7 @@ def attribute_texts(kind: type) -> dict[str, str]:
 
 
 def page() -> str:
-    """Return the page with the reference written anew."""
+    """Return the page with the reference written again."""
     text = PAGE.read_text(encoding="utf-8")
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)

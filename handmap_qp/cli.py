@@ -142,14 +142,16 @@ COMMANDS = _by_both_names(COMMANDS)
 def all_commands() -> dict[str, Any]:
     """Return ours, then those of other packages, which takes 30 ms to look up."""
     others = entry_points(group=_GROUP)
-    added = {point.name: _Added(point) for point in others}
-    return _by_both_names(added | COMMANDS)
+    added = {
+        point.name: _Added(point) for point in others if point.name not in COMMANDS
+    }
+    return _by_both_names(COMMANDS | added)
 
 
 _GROUPS = {
     "hands": "List, describe, write and check descriptions of robot hands.",
     "robots": "List, describe and check robots with two hands; `hands init` describes one.",
-    "track": "Lead live samples of a human hand to the mapping service, or into a file.",
+    "track": "Send live samples of a human hand to the mapping service, or record them.",
 }
 """First words of commands of two words, and what these commands are for."""
 
@@ -358,15 +360,15 @@ def _refuse(prefix: str, word: str) -> NoReturn:
 def _print_overview(prefix: str, about: str) -> None:
     """Print usage, explanation and list of a group of commands, fitting the terminal."""
     width = min(100, max(40, shutil.get_terminal_size().columns))
-    column = max(map(len, all_commands())) + 2
-    after = " " * (column + 2)
     print(f"usage: handmap {prefix or '[-h] '}COMMAND ...\n\n{about}\nCommands:")
-    for name, place in all_commands().items():
-        if name.startswith(prefix):
-            current = _FORMER_NAMES.get(name)
-            about = f"Former name of `{current}`." if current else place.about
-            line = f"  {name:<{column}}{about}"
-            print(textwrap.fill(line, width, subsequent_indent=after))
+    listed = {n: each for n, each in all_commands().items() if n.startswith(prefix)}
+    column = max(map(len, listed)) + 2
+    after = " " * (column + 2)
+    for name, place in listed.items():
+        current = _FORMER_NAMES.get(name)
+        about = f"Former name of `{current}`." if current else place.about
+        line = f"  {name:<{column}}{about}"
+        print(textwrap.fill(line, width, subsequent_indent=after))
 
 
 def _print_completion(shell: str) -> None:

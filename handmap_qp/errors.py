@@ -88,9 +88,9 @@ def expect(is_right: Any, argument: str, expected: str, **evidence: Any) -> None
 
     Args:
         is_right: Whether it is.
-        argument: As of `InvalidInputError`.
-        expected: As of `InvalidInputError`.
-        evidence: `value`, `got` and `advice`, as of `InvalidInputError`.
+        argument: See `InvalidInputError`.
+        expected: See `InvalidInputError`.
+        evidence: `value`, `got` and `advice`, as in `InvalidInputError`.
 
     Raises:
         InvalidInputError: If it is not.

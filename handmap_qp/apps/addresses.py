@@ -17,15 +17,15 @@ def is_loopback(host: str) -> bool:
     return host == "localhost" or getattr(_address(host), "is_loopback", False)
 
 
-def names_loopback(asked: str) -> bool:
+def names_loopback(address: str) -> bool:
     """Return whether the `Host` of an HTTP request names this machine.
 
     Any site can make its own name resolve to this machine (DNS rebinding).
 
     Args:
-        asked: `HOST` or `HOST:PORT`.
+        address: `HOST` or `HOST:PORT`.
     """
-    return is_loopback(_unbracketed(re.sub(r":\d*$", "", asked)))
+    return is_loopback(_unbracketed(re.sub(r":\d*$", "", address)))
 
 
 def bare_host(name: str, host: str) -> str:

@@ -30,7 +30,7 @@ from handmap_qp.human import Person, Recording, mirrored, read_person
 from handmap_qp.mapping import (
     PRESETS,
     Choice,
-    found_alignment,
+    find_alignment,
     get_preset,
     known_options,
     preset_choice,
@@ -150,11 +150,11 @@ class InputArguments:
 
         Args:
             paths: One file with both hands, or two files; with a layout the left hand's first.
-            person: As of `read`.
+            person: See `read`.
             mirror: Whether the user asked for mirror images, which is refused.
 
         Raises:
-            HandmapError: As of `read`.
+            HandmapError: See `read`.
         """
         for option, given in (("--side", self.side), ("--mirror", mirror)):
             if given:
@@ -217,20 +217,20 @@ def _flags(name: str, about: str, *, are_of_qp: bool) -> type:
     items: list[Any] = []
     for option, places in known_options().items():
         # Presets of one method share what they say.
-        said = {
+        presets = {
             item.about: (preset, item)
             for preset, item in reversed(places)
             if (preset == "ik") == are_of_qp
         }
-        if not said:
+        if not presets:
             continue
         texts = [
             f"{item.about} {_default(item)}"
-            if len(said) == 1
+            if len(presets) == 1
             else f"{preset}: {item.about}"
-            for preset, item in reversed(said.values())
+            for preset, item in reversed(presets.values())
         ]
-        kind = reduce(or_, [item.plain for _, item in said.values()]) | None
+        kind = reduce(or_, [item.plain for _, item in presets.values()]) | None
         # tyro would show a list's type in braces.
         metavar = "NAME ..." if kind == Names | None else None
         settings = arg(help=" ".join(texts), help_behavior_hint="", metavar=metavar)
@@ -316,7 +316,7 @@ class MappingArguments:
         calm = SMOOTH_IK if self.smooth else {}
         name = saved.pop("preset", preset_with(own, human, robot))
         chosen = preset_choice(self.preset or name, human)
-        saved = found_alignment(chosen.method, robot, upright) | saved
+        saved = find_alignment(chosen.method, robot, upright) | saved
         return chosen.with_changes(saved | own | calm | _given(self.ik))
 
     def load_robot(self, name: str, side: Side | None = None) -> Hand:

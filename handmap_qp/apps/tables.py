@@ -47,7 +47,7 @@ def print_result(
     *,
     as_json: bool,
 ) -> None:
-    """Print a result as JSON, or its tables: as of `print_rows`; and files that were written."""
+    """Print a result as JSON, or its tables: as in `print_rows`; and files that were written."""
     if as_json:
         print(json.dumps(document, allow_nan=False))
         return

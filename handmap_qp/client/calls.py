@@ -324,7 +324,7 @@ class Calls:
         return addressee | request | {"protocol": self._protocol, "seq": self._seq}
 
     async def _read(self, use: Use, until: float) -> Reply | None:
-        """Read a reply, as of `_io`, and remember the last command for `_reopen`."""
+        """Read a reply, as in `_io`, and remember the last command for `_reopen`."""
         payload = await self._io(use, None, until)
         if payload is None:
             return None

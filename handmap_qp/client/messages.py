@@ -214,19 +214,19 @@ def _rename_options(request: "Open | Configure") -> None:
 
 
 class Open(Request):
-    """Open a session: one human hand leads a robot hand, or both a robot. The answer is `opened`.
+    """Open a session: one human hand controls a robot hand, or both a robot; answered by `opened`.
 
     Attributes:
         robot: Name of a robot hand on the server, or of its family, such as `allegro`; then the
             hand of `side` is meant. Or of a robot with two hands; this one needs input=landmarks,
             and its samples have `hands`.
         name: Public name of the session and its stream; the server makes one if omitted.
-        input: What samples hold.
+        input: What samples hold; joint angles `q` if omitted.
         layout: Layout of the numbers in `values`, such as webxr25 (`handmap layouts` lists them);
             only with input=landmarks, whose 21 landmarks it replaces.
         upright: Axes of the samples' world that are up and forward; the layout's if omitted, else
             not known. For an arm, they set the option `alignment`.
-        side: The human hand that leads a robot hand.
+        side: The human hand that controls a robot hand; the right one if omitted.
         hand_length: From wrist crease to middle fingertip [m].
         lengths: The measured hand, or both. With neither, the first landmarks measure it: each hand
             by its own, and a hand that was not seen enough is taken to be as large as the other.
@@ -247,20 +247,22 @@ class Open(Request):
         restore: Continue where the last session of this name left the robot: its owner in the same
             epoch, without keys others too, in a new one, when the owner is silent for 2 s.
         is_released: Start disengaged: the robot holds still until `engage`.
-        max_dt: Longest time that one command may account for [s]; about two samples.
-        time_from: Clock for speed limits; `client` needs --simulated-time.
-        watchdog: Time without a sample after which the robot holds [s].
+        max_dt: Longest time that one command may account for [s], about two samples; 1/30 if
+            omitted.
+        time_from: Clock for speed limits; the server's if omitted, and `client` needs
+            --simulated-time.
+        watchdog: Time without a sample after which the robot holds [s]; 0.25 if omitted.
         return_after: Time of a hold after which the robot returns to rest [s]; never if omitted.
-        return_speed: Share of its speed limits that it returns at.
-        resume: After a hold: follow the human, or `engage` again, which takes a new reference;
-            `clutch` is its former name.
+        return_speed: Share of its speed limits that it returns at; 0.1 if omitted.
+        resume: After a hold: follow the human, as if omitted, or `engage` again, which takes a new
+            reference; `clutch` is its former name.
         has_detail: Whether commands carry every stage of the mapping.
         is_shared: Whether others may engage, disengage, configure and clear it by its name.
         following_error: Distance from all commands of the last 50 ms at which a measured joint does
             not follow [rad], at most half of its range. The robot then holds where it is
             (`not_following`) until `engage` or `reset`, as where measurements stay away for 150 ms.
             If omitted, errors are only reported. An object in the hand stops joints, too.
-        following_time: How long it must last [s].
+        following_time: How long it must last [s]; 0.05 if omitted.
         grip: Fields of GripOptions: thumb and finger hold what they meet, by `measured_q` of
             samples or a driver's `measured`, or all press on an `object`. If omitted, they do so
             wherever joints are measured and the hand can; false: never. Only with input=landmarks,
@@ -369,7 +371,7 @@ class Step(Request):
         hands: One or both hands by side, in place of all fields above but `time`; for a robot with
             two hands. Without one of them, its side of the robot goes on to what it was asked for
             last, and holds after 0.25 s.
-        measured_q: Joint angles that the robot has now [rad], as of `measured`. With `grip`, either
+        measured_q: Joint angles that the robot has now [rad], as in `measured`. With `grip`, either
             is required.
         object_centre: Middle of what the robot is to grip, in its world [m], if it is known: pads
             that close near it meet around it; only where joints are measured.
@@ -605,7 +607,7 @@ class HandState(Struct, frozen=True):
     """One hand of a robot with two hands, as the mapping has it.
 
     Attributes:
-        status: As of `command`, for this hand; `released` if the whole robot brakes.
+        status: As in `command`, for this hand; `released` if the whole robot brakes.
         rule: What is wrong with its sample; empty if nothing.
         wrist: Its wrist frame in the robot's world [m].
         wrist_error: How far that is from its target [m, rad].

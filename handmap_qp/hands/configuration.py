@@ -110,7 +110,7 @@ class Configuration:
         self.place(pin.neutral(self.model))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Build a copy anew, with data of its own."""
+        """Build a copy with data of its own."""
         return type(self), (self._hand,), self.q
 
     @property

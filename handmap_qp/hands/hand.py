@@ -319,7 +319,7 @@ class Hand:
                 value.setflags(write=False)
 
     def with_points(self, points: Points | None) -> Hand:
-        """Return the same hand, scaled as it is, with other reference points, as of `Hand`.
+        """Return the same hand, scaled as it is, with other reference points, as in `Hand`.
 
         Raises:
             HandError: If there is no such set or point.
@@ -427,8 +427,8 @@ class Hand:
         Args:
             frame: `"palm"`, `"wrist"`, the name of a reference point, of a link, or of a joint
                 (whose frame is its child link's), searched in this order.
-            q: As of `configuration_vector`.
-            wrist_pose: As of `configuration_vector`.
+            q: See `configuration_vector`.
+            wrist_pose: See `configuration_vector`.
 
         Raises:
             InvalidInputError: If there is no such frame, or as `configuration_vector`.

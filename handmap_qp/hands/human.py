@@ -240,7 +240,7 @@ def joint_moves(
 
 
 def shape_stretches(old: HumanLengths, new: HumanLengths) -> Arrays:
-    """Return factors on the shapes of the fingers' bones; arguments as of `joint_moves`.
+    """Return factors on the shapes of the fingers' bones; arguments as in `joint_moves`.
 
     Returns:
         Factors along the axes of the joint that carries a bone, x along the bone, shape (3,), by

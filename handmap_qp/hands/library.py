@@ -123,7 +123,7 @@ def load_hand(
         hand: Name of a hand (`hand_names()`), path of a `hand.yaml`, or a `HandSpec`. With `side`
             also the name of a family: `load_hand("allegro", side="left")` is `allegro_left`.
         side: Which hand of a family. A hand that exists once, such as a gripper, serves both.
-        points: Reference points, as of `Hand`; its default set if omitted.
+        points: Reference points, as in `Hand`; its default set if omitted.
         mount: `floating` or `fixed`, in place of the hand's own.
         lengths: For the human hand: measured segment lengths.
         hand_length: For the human hand: length from wrist crease to middle fingertip [m]; the

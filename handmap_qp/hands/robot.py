@@ -178,7 +178,7 @@ def load_whole(
         name: Name or path of a hand or of a robot; with `side` also the name of a family of hands.
         points: Set of reference points of a single hand; its own if omitted.
         side: Which hand of a family, such as `allegro`. Other names do not depend on it.
-        **options: Others of a single hand, as of `load_hand`.
+        **options: Others of a single hand, as in `load_hand`.
 
     Raises:
         HandError: If there is none, or its description cannot be used.

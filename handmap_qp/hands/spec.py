@@ -173,7 +173,7 @@ class ArmSpec(Document, frozen=True):
 
     Attributes:
         name: Short name of the arm.
-        urdf: Path of its URDF, as of `HandSpec.urdf`.
+        urdf: Path of its URDF, as in `HandSpec.urdf`.
         tip: URDF link that carries the hand.
         joints: Names of its movable joints; they come first in every `q`.
         rest: Rest position of every joint [rad or m].

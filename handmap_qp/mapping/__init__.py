@@ -4,7 +4,7 @@ from .alignment import (
     AlignedOptions,
     Row,
     alignment_from_gestures,
-    found_alignment,
+    find_alignment,
     rotation_of,
     rotation_onto,
 )
@@ -117,7 +117,7 @@ __all__ = [
     "distance",
     "distances_to",
     "estimate_motion",
-    "found_alignment",
+    "find_alignment",
     "gap_task",
     "geometry_of",
     "get_preset",

@@ -91,7 +91,7 @@ def rotation_onto(robot: Hand, upright: str) -> Array | None:
     return None
 
 
-def found_alignment(method: MethodOptions, robot: Hand, upright: str) -> Values:
+def find_alignment(method: MethodOptions, robot: Hand, upright: str) -> Values:
     """Return the change of options that lays a tracker's up and forward onto an arm's.
 
     Args:

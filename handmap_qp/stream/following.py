@@ -54,7 +54,7 @@ class FollowingCheck:
         self._sent.append((now, np.array(q)))
 
     def restart(self) -> None:
-        """Forget the commands and the joints that did not follow: the robot starts anew."""
+        """Forget the commands and the joints that did not follow: the robot starts again."""
         self._sent.clear()
         self._off_since[:] = np.inf
 

@@ -198,7 +198,7 @@ def test_the_ritual_keeps_all_limits_and_touches_with_tips_alone(
     motors, motion, _ = found
     log = motion.log()
     low, high = motors.range
-    assert ((low <= log.told) & (log.told <= high)).all()
+    assert ((low <= log.commanded) & (log.commanded <= high)).all()
     # A count of the encoder.
     assert ((low - 0.0016 < log.q) & (log.q < high + 0.0016)).all()
     true = log.q[::20] + motors.encoder
@@ -225,7 +225,7 @@ def test_a_hand_that_had_no_torque_goes_on_from_where_it_is(
 ) -> None:
     motors, motion, _ = found
     ((turn, q),) = sagged
-    goal = motors.gain * motion.log().told[turn] + motors.zero
+    goal = motors.gain * motion.log().commanded[turn] + motors.zero
     # What it goes in a turn, and what is not known of it.
     assert np.abs(goal - q).max() < 0.03
 
@@ -461,7 +461,7 @@ def spoil(fault: str, motors: Simulated) -> None:
         ("blocked", "joint_1.0: it does not move with the torque of --effort"),
         ("swapped", "joint_1.0: joint_5.0 moves in its place: ids are swapped"),
         ("reversed", "joint_1.0: it turns the other way"),
-        ("other", r"joint_1.0: it moves 0.4 times as far as it is told"),
+        ("other", r"joint_1.0: it moves 0.4 times as far as it is commanded"),
         ("mute", "joint_1.0: its torque is not measured"),
         ("jam", r"joint_1.0: it stops at 0.80. rad on its way to 1.61"),
     ],

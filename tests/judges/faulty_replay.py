@@ -98,7 +98,7 @@ def main(words: Sequence[str] | None = None) -> None:
     try:
         target.check()
         source = FaultyReplay(read_recording(recording), parse_faults(faults), **replay)
-        target.lead(source)
+        target.send(source)
     except HandmapError as error:
         common.stop(" ".join(str(error).split()))
 

@@ -165,7 +165,7 @@ def test_sessions_that_cannot_be_recorded_are_refused(server: Server) -> None:
         ServiceSource(address)
     with (
         connected(server, name="angles"),
-        pytest.raises(InvalidInputError, match="led by q"),
+        pytest.raises(InvalidInputError, match="one of q"),
     ):
         ServiceSource(address, session="angles")
     with (

@@ -267,7 +267,7 @@ def test_a_page_that_leads_nothing_stops_every_robot(
     browser.resize(*size)
     # A phone without a headset, beside a robot that others lead.
     open_page(browser, server, more="emulated.isSupported = false;")
-    wait_for_text(browser, "#scope", "No robot is led now")
+    wait_for_text(browser, "#scope", "No robot is controlled now")
     with (
         connected(server, name="lab", is_shared=True) as shared,
         connected(server, name="private") as private,
@@ -279,7 +279,7 @@ def test_a_page_that_leads_nothing_stops_every_robot(
         wait_until(lambda: shared.status().mode == private.status().mode == "stopped")
         wait_for_text(browser, "#advice", "lab, private")
         wait_for_text(
-            browser, "#advice", "Only who leads it, or a supervisor, may clear private"
+            browser, "#advice", "Only its owner or a supervisor may clear private"
         )
         # It does not offer what the service would refuse.
         assert browser.evaluate(
@@ -293,7 +293,7 @@ def test_a_page_that_leads_nothing_stops_every_robot(
         assert text(browser, "#state") == "EMERGENCY STOP"
         private.clear(private.status().stop)
         wait_for_text(browser, "#state", "This browser offers no headset")
-    wait_for_text(browser, "#scope", "No robot is led now")
+    wait_for_text(browser, "#scope", "No robot is controlled now")
     assert browser.errors == []
     browser.resize(1100, 1000)
 

@@ -20,7 +20,7 @@ from handmap_qp.apps.service.opening import read_choice
 from handmap_qp.client.messages import PROTOCOL, Open
 from handmap_qp.human.recording import axis_direction, mirrored, upright_axes
 from handmap_qp.mapping.alignment import (
-    found_alignment,
+    find_alignment,
     rotation_of,
     rotation_onto,
 )
@@ -57,7 +57,7 @@ def test_all_pairs_of_axes_are_laid_onto_each_other(standing: str) -> None:
 def test_y_up_is_a_headset_on_a_robot() -> None:
     expected = [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     np.testing.assert_array_equal(rotation_of("y-up"), expected)
-    assert found_alignment(get_preset("paper").method, ARM, HEADSET) == {
+    assert find_alignment(get_preset("paper").method, ARM, HEADSET) == {
         "alignment": "y-up"
     }
     assert rotation_onto(BARE, HEADSET) is None
@@ -103,13 +103,13 @@ def test_layouts_state_what_their_world_is() -> None:
 @pytest.mark.parametrize("preset", PRESETS)
 def test_the_alignment_is_found_for_arms_alone(preset: str) -> None:
     method = get_preset(preset).method
-    found = found_alignment(method, ARM, HEADSET)
+    found = find_alignment(method, ARM, HEADSET)
     # The preset for a fixed wrist lays palms on each other.
     own = {} if preset == "fixed_wrist" else {"alignment": "y-up"}
     assert found == own
-    assert found_alignment(method, ARM, "") == {}
-    assert found_alignment(method, BARE, HEADSET) == {}
-    method.replaced(**found_alignment(method, ARM, "-x up, +z forward")).check()
+    assert find_alignment(method, ARM, "") == {}
+    assert find_alignment(method, BARE, HEADSET) == {}
+    method.replaced(**find_alignment(method, ARM, "-x up, +z forward")).check()
 
 
 @pytest.mark.parametrize("chosen", ["world", "palm", "y-up"])

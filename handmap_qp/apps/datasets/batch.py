@@ -22,7 +22,7 @@ from handmap_qp.hands import Names, hand_sides, load_whole
 from handmap_qp.output_files import make_folder
 from handmap_qp.trackers import first_of
 from .assemble import assemble
-from .engines import SERIAL, Asked, Engine, pool_engine, ray_engine
+from .engines import SERIAL, Engine, IsStopped, pool_engine, ray_engine
 from .episodes import is_intact
 from .manifest import MOST_KILLS, WHOLE, Line, Shard, open_manifest, read_manifests
 from .sources import BOTH, Job, JobOptions, find_files, list_jobs
@@ -51,7 +51,7 @@ class Batch:
         handmap report mapped
 
     Attributes:
-        inputs: Files, data sets, or folders of them; forms as of `handmap convert --help`.
+        inputs: Files, data sets, or folders of them; forms as in `handmap convert --help`.
         robot: Robot hand; for both human hands a left and a right one (or `allegro` for the two of
             a family), or a robot with both
             (`handmap robots list`), which needs files with both. Recordings of a hand without a
@@ -333,7 +333,7 @@ def run_batch(
     engine: Engine,
     shard: Shard = WHOLE,
     progress: Callable[[Line], None] = lambda _: None,
-    is_stopped: Asked = lambda: False,
+    is_stopped: IsStopped = lambda: False,
 ) -> Tally:
     """Run the jobs of a plan; each episode is on the disk before its line in the manifest.
 
@@ -343,7 +343,7 @@ def run_batch(
         engine: What runs the jobs.
         shard: Which part of how many.
         progress: Called with every line.
-        is_stopped: As of `Asked`.
+        is_stopped: See `IsStopped`.
 
     Raises:
         DiskFullError: If the disk is full. The episodes that have a line are done.
@@ -360,7 +360,7 @@ def run_batch(
 
 
 @contextmanager
-def stopped_by_signals() -> Iterator[Asked]:
+def stopped_by_signals() -> Iterator[IsStopped]:
     """Note Ctrl-C, and SIGTERM, by which schedulers end jobs, inside the block.
 
     A second Ctrl-C interrupts at once.

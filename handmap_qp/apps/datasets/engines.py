@@ -40,8 +40,8 @@ Group = tuple[Job, ...]
 """Jobs that a worker runs one after the other."""
 Work = Future[Sequence[Line]]
 """Its result is the lines of a group, when they are on the disk."""
-Asked = Callable[[], bool]
-"""Asked now and then whether to stop: what is under way is finished, and nothing more begun."""
+IsStopped = Callable[[], bool]
+"""IsStopped now and then whether to stop: what is under way is finished, and nothing more begun."""
 
 
 Submit = Callable[[Group], Work]
@@ -61,7 +61,7 @@ class Engine(NamedTuple):
     count: int
     death: type[Exception] = BrokenProcessPool
 
-    def outcomes(self, jobs: Sequence[Job], is_stopped: Asked) -> Iterator[Line]:
+    def outcomes(self, jobs: Sequence[Job], is_stopped: IsStopped) -> Iterator[Line]:
         """Run jobs, the first ones first.
 
         Yields:
@@ -81,7 +81,7 @@ class Engine(NamedTuple):
                 yield from self._share(waiting, suspects, is_stopped)
 
     def _share(
-        self, waiting: deque[Job], suspects: deque[Job], is_stopped: Asked
+        self, waiting: deque[Job], suspects: deque[Job], is_stopped: IsStopped
     ) -> Iterator[Line]:
         """Run jobs until all are done, or a worker dies: what was under way is suspect then."""
         flying: dict[Work, Group] = {}
@@ -110,7 +110,7 @@ class Engine(NamedTuple):
                     except self.death:
                         suspects.extend(jobs)
 
-    def _try_alone(self, suspects: deque[Job], is_stopped: Asked) -> Iterator[Line]:
+    def _try_alone(self, suspects: deque[Job], is_stopped: IsStopped) -> Iterator[Line]:
         """Run jobs whose worker may have died over them one at a time, until one dies."""
         with self.start(1) as submit:
             while suspects and not is_stopped():

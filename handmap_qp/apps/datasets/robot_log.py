@@ -30,19 +30,19 @@ from .training_sets import Columns, Episode, write_lerobot, write_robomimic
 _OWN = {"time", "joint_names", "q", "action"}
 """Arrays that every log has."""
 _STATES, _COMMANDS = "joint_states", "joint_commands"
-"""Ends of the names of the topics of a bag: what a robot did, and what it was told."""
+"""Ends of the names of the topics of a bag: what a robot did, and what it was commanded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotLog:
-    """Measured joints of a robot, and what it was told, over time; its arrays are read-only.
+    """Measured joints of a robot, and what it was commanded, over time; its arrays are read-only.
 
     Attributes:
         name: Name of the file, without its suffix.
         time: Instants, strictly increasing [s], shape (T,), T >= 2.
         joint_names: Names of n joints.
         q: Where they were measured [rad or m], shape (T, n).
-        action: Where they were told to be [rad or m], shape (T, n).
+        action: Where they were commanded to be [rad or m], shape (T, n).
         effort: Their torques [N m], or forces where they slide [N], shape (T, n); NaN where they
             are not known. They are positive in the direction in which the joint's angle grows.
         episode: Number of the episode of each instant, which only grows, shape (T,).
@@ -147,8 +147,8 @@ def is_robot_log(path: Path) -> bool:
             return member_names(path) >= _OWN
         if _is_bag(path):
             topics = bag_topics(path)
-            is_told = any(name.endswith(_COMMANDS) for name in topics.joint_states)
-            return is_told and not topics.landmarks
+            has_commands = any(name.endswith(_COMMANDS) for name in topics.joint_states)
+            return has_commands and not topics.landmarks
     return False
 
 
@@ -211,21 +211,21 @@ def _effort_of(path: Path, arrays: Arrays) -> Array:
 def _of_bag(path: Path) -> RobotLog:
     topics = read_joint_states(path)
     states = _topic(path, topics, _STATES)
-    told = _topic(path, topics, _COMMANDS)
-    names = told.names
+    commands = _topic(path, topics, _COMMANDS)
+    names = commands.names
     if missing := [name for name in names if name not in states.names]:
         problem = f"its {_STATES} lack {', '.join(missing)}"
         raise RecordingError(problem, file=path)
     columns = [states.names.index(name) for name in names]
-    # The newest command at each instant; before the first one, the robot was told nothing.
-    newest = np.searchsorted(told.time, states.time, "right") - 1
+    # The newest command at each instant; before the first one, the robot had no command.
+    newest = np.searchsorted(commands.time, states.time, "right") - 1
     led = newest >= 0
     return RobotLog(
         name=path.stem,
         time=states.time[led],
         joint_names=names,
         q=states.position[led][:, columns],
-        action=told.position[newest[led]],
+        action=commands.position[newest[led]],
         effort=states.effort[led][:, columns],
         episode=np.zeros(led.sum()),
     )

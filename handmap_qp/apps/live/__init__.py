@@ -1,1 +1,1 @@
-"""Live input: sources of human samples, led to the mapping service or into a file."""
+"""Live input: sources of human samples, sent to the mapping service or recorded."""

@@ -1,4 +1,4 @@
-"""`handmap track`: lead live samples of a human hand to the service or into a file."""
+"""`handmap track`: send live samples of a human hand to the service, or record them."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -85,8 +85,8 @@ class Target:
                 advice="name a hand that `handmap hands` lists",
             )
 
-    def lead(self, source: Source) -> None:
-        """Lead the samples of a source here until it ends or Ctrl-C, and print a summary.
+    def send(self, source: Source) -> None:
+        """Send the samples of a source here until it ends or Ctrl-C, and print a summary.
 
         Raises:
             InvalidInputError: If the service cannot be reached, refuses the session or every
@@ -113,11 +113,15 @@ class Target:
                     upright=source.upright or None,
                 )
             )
-        summary = _lead(source, sinks, is_json=self.json)
+        summary = _send(source, sinks, is_json=self.json)
         if summary.get("refusals") and not summary["accepted"]:
             raise InvalidInputError(
                 f"the service refused every sample: {summary['last_refusal']}"
             )
+
+    def lead(self, source: Source) -> None:
+        """Send the samples of a source: the former name of `send`."""
+        self.send(source)
 
 
 TargetFlags = Annotated[Target, arg(name="")]
@@ -156,7 +160,7 @@ class TrackReplay:
         with suppress(HandmapError):  # the service may have hands that are not here
             side = load_hand(robot).side
         recording = read_recording(self.recording, self.side or side, fps=self.fps)
-        self.target.lead(Replay(recording, speed=self.speed, loop=self.loop))
+        self.target.send(Replay(recording, speed=self.speed, loop=self.loop))
 
 
 @dataclass(eq=False)
@@ -191,12 +195,12 @@ class TrackMediapipe(MediapipeSource):
         # Check it before a session is opened.
         environment_python()
         self.is_paced = self.target.to is not None
-        self.target.lead(self)
+        self.target.send(self)
 
 
 @dataclass(frozen=True)
 class TrackRecord:
-    """Record the human samples that lead a session of the service.
+    """Record the human samples of a session of the service.
 
     Works beside a headset's page, `handmap track` in another terminal, or a program of your own
     that opens its session with has_detail. Ends with the session or by Ctrl-C.
@@ -230,11 +234,11 @@ class TrackRecord:
 
         source = ServiceSource(self.source, session=self.session, keys=self.keys)
         recorder.upright = source.upright
-        _lead(source, [recorder], is_json=self.json)
+        _send(source, [recorder], is_json=self.json)
 
 
-def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> Values:
-    """Lead samples to sinks until the source ends or Ctrl-C; print and return a summary."""
+def _send(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> Values:
+    """Send samples to sinks until the source ends or Ctrl-C; print and return a summary."""
     # The state in one line on stderr, if stderr is a terminal.
     line = Console(stderr=True).status("waiting for the first sample")
     with ended_by_signals(), line:

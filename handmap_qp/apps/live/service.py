@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterator
 from time import monotonic
-from typing import Any
 
 import numpy as np
 
@@ -35,7 +34,10 @@ class ServiceSink(Sink):
         side: The human hand.
         person: The measured person; the service measures the first samples if omitted.
         keys: Files `NAME.key_secret` and `server.key` of an encrypted service.
-        **choices: Further arguments of `Client.open`, such as `name` and `preset`.
+        name: Public name of the session; the service makes one if omitted.
+        preset: What the mapping is for; the service's default for the hands if omitted.
+        is_shared: Whether other clients may engage, disengage, configure and clear the session.
+        upright: Axes of the samples' world that are up and forward, such as `+y up, -z forward`.
 
     Attributes:
         command: The newest command; None before the first.
@@ -52,7 +54,10 @@ class ServiceSink(Sink):
         *,
         person: Person | None = None,
         keys: KeyFiles | None = None,
-        **choices: Any,
+        name: str | None = None,
+        preset: str | None = None,
+        is_shared: bool | None = None,
+        upright: str | None = None,
     ) -> None:
         measured = person.session_fields() if person else {}
         with connected("--to", host, keys, refused="--to") as self._client:
@@ -61,8 +66,11 @@ class ServiceSink(Sink):
                 input="landmarks",
                 side=side,
                 has_detail=True,
+                name=name,
+                preset=preset,
+                is_shared=is_shared,
+                upright=upright,
                 **measured,
-                **choices,
             ).name
         self._robot = robot
         self._counts = Counter(
@@ -153,7 +161,7 @@ class ServiceSink(Sink):
 
 
 class ServiceSource(Source):
-    """Watches a session, whichever program or page leads it, and yields its landmarks.
+    """Watches a session, whichever program or page controls it, and yields its landmarks.
 
     Samples are those that the service mapped: at a rate above its own, the newest ones. Samples
     that it measures the hand from, the first 30, are missing. The source ends with the session.
@@ -166,7 +174,7 @@ class ServiceSource(Source):
     Attributes:
         name: Public name of the session.
         side: The session's human hand.
-        upright: As of `Recording`.
+        upright: See `Recording`.
         rate: 0: only its client knows.
 
     Raises:
@@ -195,8 +203,8 @@ class ServiceSource(Source):
             expect(
                 about["input"] == "landmarks",
                 "--session",
-                "a session led by landmarks",
-                got=f"one led by {about['input']}",
+                "a session of landmarks",
+                got=f"one of {about['input']}",
                 value=self.name,
             )
             expect(

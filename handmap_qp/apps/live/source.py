@@ -34,7 +34,7 @@ class Source(Protocol):
         name: Name to show.
         side: The hand that all samples are of.
         rate: Samples per second that it gives if nothing fails [Hz]; 0 if not known.
-        upright: Axes of the samples' world, as of `Recording`.
+        upright: Axes of the samples' world, as in `Recording`.
     """
 
     name: str
@@ -72,7 +72,7 @@ def run(
     sinks: Sequence[Sink],
     report: Callable[[str], object] = lambda _: None,
 ) -> Values:
-    """Lead samples to sinks until the source ends or Ctrl-C.
+    """Send samples to sinks until the source ends or Ctrl-C.
 
     Args:
         source: The samples.
@@ -159,7 +159,7 @@ class Recorder(Sink):
         file: The file to write, `.npz` or `.csv`; one that exists is replaced at the end. `handmap
             convert` makes other formats of it.
         argument: Argument or option that names it, for errors.
-        upright: Axes of the samples' world, as of `Recording`.
+        upright: Axes of the samples' world, as in `Recording`.
 
     Raises:
         InvalidInputError: If the file cannot be written there.

@@ -56,7 +56,7 @@ class Retarget:
         handmap retarget glove.csv --layout manus --side right --robot allegro_right
 
     Attributes:
-        recordings: Recording of a human hand, or one of each hand: files as of `handmap convert`.
+        recordings: Recording of a human hand, or one of each hand: files as in `handmap convert`.
             `FILE::NAME` is one recording of several in a file; `demo` comes with the package.
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`
             is the Allegro of the recording's side. Or a robot with both hands: a name of

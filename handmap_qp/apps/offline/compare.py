@@ -86,7 +86,7 @@ class Compare:
         handmap compare a.npz b.npz --robot my_hand.yaml --methods object paper
 
     Attributes:
-        recordings: Recordings of a human hand, as of `handmap retarget`. The tracker's wrist poses
+        recordings: Recordings of a human hand, as in `handmap retarget`. The tracker's wrist poses
             are used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion
             wxyz.
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml; `allegro`

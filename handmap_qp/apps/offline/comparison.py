@@ -131,8 +131,8 @@ class Run(NamedTuple):
         method: Name of the method.
         take: The take.
         values: Every metric by its key; NaN where a question does not arise or the method failed.
-        fingers: As of `Fidelity`; None if the method failed.
-        pinch_samples: As of `Fidelity`.
+        fingers: As in `Fidelity`; None if the method failed.
+        pinch_samples: See `Fidelity`.
         motion: What the method made of the take; None if it failed.
         problem: Why it failed; empty if it did not.
     """

@@ -18,7 +18,7 @@ from handmap_qp.stream import measure_person
 from handmap_qp.trackers import DEMO, read_recording, save_npz
 from .poses import find_poses
 from .summary import summarise, table_rows
-from .trajectory import Told, Trajectory, map_hands
+from .trajectory import Progress, Trajectory, map_hands
 
 FILES = ("errors.png", "gestures.png", "joints.png", "trajectory.npz")
 """What the demo writes."""
@@ -78,7 +78,7 @@ class Demo:
         for name in FILES:
             print(f"wrote {self.out / name}")
 
-    def write(self, progress: Told = None) -> Trajectory:
+    def write(self, progress: Progress = None) -> Trajectory:
         """Map the recording that comes with the package, and write all of `FILES`, or none.
 
         The robot's side decides which of the two recorded hands leads.

@@ -137,7 +137,7 @@ def rank_poses(recording: Recording) -> Ranked:
         recording: Landmarks of a hand.
 
     Returns:
-        For every name of `POSES`, the index of a sample as of `find_poses` and a number > 0 that
+        For every name of `POSES`, the index of a sample as in `find_poses` and a number > 0 that
         is larger the clearer the pose is, to compare recordings by. None where no sample shows it.
     """
     posture = measure_posture(recording.landmarks)

@@ -34,7 +34,7 @@ from handmap_qp.stream import (
     paired,
 )
 
-Told = Callable[[int], None] | None
+Progress = Callable[[int], None] | None
 """Called after each sample with the number of samples done."""
 
 
@@ -167,7 +167,7 @@ def package_versions() -> Names:
 def map_recording(
     mapper: HandMapper,
     recording: Recording,
-    progress: Told = None,
+    progress: Progress = None,
     *,
     wrist_poses: Array | None = None,
     is_guarded: bool = True,
@@ -210,7 +210,10 @@ def map_recording(
 
 
 def trajectory_of(
-    robot: Hand, time: Array, mapped: Iterator[MapStep | None], progress: Told = None
+    robot: Hand,
+    time: Array,
+    mapped: Iterator[MapStep | None],
+    progress: Progress = None,
 ) -> Trajectory:
     """Collect the steps of samples; None stands for one that is not valid.
 
@@ -286,7 +289,7 @@ def map_hands(
     robot: Hand,
     person: Person,
     arguments: MappingArguments,
-    progress: Told = None,
+    progress: Progress = None,
 ) -> tuple[Trajectory, Any, Array]:
     """Map recordings of a person with the options of a command.
 

@@ -31,7 +31,7 @@ from .write import FOUND, RobotSource
 
 
 def open_description(hand: str | Path) -> Detection:
-    """Load a description, and detect the same hand for its evidence; errors as of `load_hand`."""
+    """Load a description, and detect the same hand for its evidence; errors as in `load_hand`."""
     built = load_hand(hand)
     spec = built.spec
     if not finger_tips(built):

@@ -20,7 +20,7 @@ def maker_speed(spec: HandSpec) -> tuple[float, str] | None:
     """Return what a hand's maker says, by the name of the hand or of its model."""
     name = f"{spec.name} {Path(spec.urdf).name}".lower()
     return next(
-        (said for names, said in MAKERS.items() if re.search(names, name)), None
+        (speed for names, speed in MAKERS.items() if re.search(names, name)), None
     )
 
 

@@ -203,14 +203,14 @@ def hand_text(detection: Detection, folder: Path, by: str = _EDITORS) -> str:
 
 def _comments(detection: Detection) -> dict[str, str]:
     """Return the comments above keys by their paths: evidence, and each finger's first joint."""
-    said = {clue.what: f"{clue.how} ({clue.certainty})" for clue in detection.clues}
+    evidence = {clue.what: f"{clue.how} ({clue.certainty})" for clue in detection.clues}
     found = {
-        key: f"{what}{said.get(name, 'as given')}"
+        key: f"{what}{evidence.get(name, 'as given')}"
         for key, (name, what) in FOUND.items()
     }
     above = _ABOVE | found
     for i, point in enumerate(detection.spec.points):
-        above[f"points.{i}"] = said.get(point.name, "")
+        above[f"points.{i}"] = evidence.get(point.name, "")
     for finger, chain in detection.chains.items():
         moved = (i for i, joint in enumerate(detection.spec.joints) if joint in chain)
         # A fixed jaw has none.

@@ -60,7 +60,7 @@ from handmap_qp.mapping import (
     LandmarkReader,
     MeshShape,
     RobotMapper,
-    found_alignment,
+    find_alignment,
     kept_options,
     known_options,
     parse_object,
@@ -338,7 +338,7 @@ def prepare_hands(
 
 
 def read_grip(request: Open) -> GripOptions | None:
-    """Read how a session grips, if it may; errors are as of `read_choice`.
+    """Read how a session grips, if it may; errors are as in `read_choice`.
 
     It does so by default, but for an `object`, whose fingers press only where it is asked for.
     """
@@ -402,7 +402,7 @@ def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
     name = request.preset or preset_with(request.options, human, robot)
     with naming_field("preset"):
         start = preset_choice(name, human)
-    found = found_alignment(start.method, robot, upright_of(request))
+    found = find_alignment(start.method, robot, upright_of(request))
     method = _changed("options", start.method, found | request.options)
     ik = _changed("ik", start.ik, request.ik)
     message = f"expected one of {', '.join(SOLVERS)}, got {ik.solver!r:.40}"
@@ -454,7 +454,7 @@ def reopened(request: Open, preset: str, changes: Configure) -> Open:
 class Calibration:
     """Measure the human hands from landmarks, and prepare the hands of the session with them.
 
-    Attributes are as of `prepare_hands`.
+    Attributes are as in `prepare_hands`.
     """
 
     request: Open

@@ -329,7 +329,7 @@ class CommandedRobot(Gate):
 
     @property
     def posture(self) -> tuple[Array, Array | None]:
-        """Joint angles and wrist last commanded, as of `q` and `wrist`."""
+        """Joint angles and wrist last commanded, as in `q` and `wrist`."""
         if self._known is None or self._known[0] != self.core.stamp:
             vector = self.motion.q
             q = frozen(vector[self.hand.q_indices])

@@ -124,7 +124,7 @@ class SampleForm:
 
         Raises:
             RefusedError: If the hands are not those of the robot.
-            HandmapError: As of `work`; with the hand at fault if a robot has several.
+            HandmapError: As in `work`; with the hand at fault if a robot has several.
         """
         if not self._sides:
             side = self._request.side
@@ -448,8 +448,8 @@ class Session:
             if self._state.is_halted:
                 status = self._state.mode
         trust = self._trust(step, rule, humans)
-        said = {} if is_held else self._diagnostics(step, sample, humans)
-        return self._command(now, status, flags, sample, **trust, **said)
+        diagnostics = {} if is_held else self._diagnostics(step, sample, humans)
+        return self._command(now, status, flags, sample, **trust, **diagnostics)
 
     def tick(self, now: float) -> Command | None:
         """Let time pass.

@@ -109,11 +109,11 @@ class WebSocketTransport:
         """Return None to accept a handshake, else what rejects it, or the page for headsets."""
         if page := page_response(request):
             return page
-        asked = request.headers
+        headers = request.headers
         if self.token:
             # As a header, or among its subprotocols.
-            offered = ",".join(asked.get_all("Sec-WebSocket-Protocol")).split(",")
-            offered += asked.get_all("Authorization")
+            offered = ",".join(headers.get_all("Sec-WebSocket-Protocol")).split(",")
+            offered += headers.get_all("Authorization")
             given = [
                 each.strip().removeprefix("bearer.").removeprefix("Bearer ")
                 for each in offered
@@ -126,7 +126,7 @@ class WebSocketTransport:
         else:
             is_admitted = all(
                 _LOOPBACK_ORIGIN.fullmatch(origin) or origin in self.settings.web_origin
-                for origin in asked.get_all("Origin")
+                for origin in headers.get_all("Origin")
             )
             refusal = (
                 http.HTTPStatus.FORBIDDEN,

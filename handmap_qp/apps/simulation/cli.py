@@ -97,7 +97,7 @@ class Simulate:
         robot: Robot hand, by name or by the path of its hand.yaml; `allegro` is the Allegro of the
             recording's side. Or a robot with both hands: a
             name of `handmap robots list`, or the path of its robot.yaml.
-        methods: Mappings, as of `handmap compare`; peers by name too, such as dexi-dexpilot.
+        methods: Mappings, as in `handmap compare`; peers by name too, such as dexi-dexpilot.
         peers: Folder of a program that runs further outside methods.
         grip: One mapping more: the first preset, and what thumb and finger meet is held with 5 N by
             the measured joints alone (grip), or with the object's place known too (grip+place), or

@@ -46,7 +46,7 @@ _CLOSED, _OPEN = 0.022, 0.035
 _SHORTEST, _BEFORE = 0.5, 1.0
 # A hand is open from this gap on [m], and its palm turns less than that while it closes [deg].
 _WIDE, _TURN = 0.065, 25.0
-# Thumb and index finger of a pick face each other by more than this, as of `pads_facing`.
+# Thumb and index finger of a pick face each other by more than this, as in `pads_facing`.
 _FACING = -0.2
 # Samples of a closed hand that are looked at.
 _LOOKS = 9

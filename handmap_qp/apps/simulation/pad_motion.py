@@ -31,7 +31,7 @@ class PadMotion(NamedTuple):
 
     Attributes:
         time: Instants [s], shape (T,).
-        places: As of `Meeting`, at each instant, shape (T, 2, 3).
+        places: As in `Meeting`, at each instant, shape (T, 2, 3).
         pair: The pads; their radii count.
     """
 
@@ -120,6 +120,6 @@ def meeting_row(name: str, offset: Array) -> Row:
 
 
 def _size(robot: Hand) -> float:
-    """Return the size of a robot's hand, as of `HandTrace.size` [m]."""
+    """Return the size of a robot's hand, as in `HandTrace.size` [m]."""
     wrist = np.eye(4)[None] if robot.is_floating else None
     return trace_robot(robot, robot.rest[None], wrist).size

@@ -31,7 +31,7 @@ class Physics(Options, frozen=True):
         joint_stiffness: Stiffness of the fingers' actuators [N m/rad].
         sliding_stiffness: The same of joints that slide, such as those of jaws [N/m].
         torque: Largest torque of the fingers' actuators [N m, N], beside the effort limits of the
-            URDF; the maker's if omitted, as of `torque_limits`.
+            URDF; the maker's if omitted, as in `torque_limits`.
         armature: Inertia of each motor at its joint [kg m^2].
         density: Density of links whose URDF gives no mass [kg/m^3].
         gravity: Acceleration [m/s^2], in world axes.
@@ -72,17 +72,17 @@ class Physics(Options, frozen=True):
 
 
 def choose_gravity(
-    asked: str | None, upright: str, whose: str
+    given: str | None, upright: str, whose: str
 ) -> tuple[tuple[float, float, float], str]:
     """Return the acceleration of gravity [m/s^2] in world axes, and in words which way is up.
 
     Args:
-        asked: The axis against gravity that was asked for, such as `z` or `-y`; None if none was.
+        given: The axis against gravity that was asked for, such as `z` or `-y`; None if none was.
         upright: The axes of the world that are up and forward; empty if they are not known.
         whose: Whose world it is, for the words.
     """
-    if asked:
-        axis, text = f"{asked:+>2}", "as asked for"
+    if given:
+        axis, text = f"{given:+>2}", "as asked for"
     elif upright:
         axis, text = upright.split()[0], f"{whose}, which says so"
     else:

@@ -36,7 +36,7 @@ def frames(
     Args:
         episode: The simulation.
         instants: Indices of the instants.
-        supersampling: As of `render`.
+        supersampling: See `render`.
 
     Yields:
         Red, green and blue in 0..255, shape (height, width, 3), for each instant.

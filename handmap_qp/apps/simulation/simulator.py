@@ -164,7 +164,7 @@ class Simulator:
 
     @property
     def links(self) -> list[str]:
-        """Joints that carry links with shapes, named as of `body_pose`."""
+        """Joints that carry links with shapes, named as in `body_pose`."""
         model = self.model
         names = {model.body(body).name for body in model.geom_bodyid}
         return sorted(names - {OBJECT, TABLE})
@@ -237,7 +237,7 @@ class Simulator:
         """Let some links pass through the object; all others touch it.
 
         Args:
-            bodies: Joints whose links pass, named as of `body_pose`; a later call replaces them.
+            bodies: Joints whose links pass, named as in `body_pose`; a later call replaces them.
         """
         model = self.model
         names = (model.body(body).name for body in model.geom_bodyid)
@@ -276,7 +276,7 @@ class Simulator:
     def pressing(self) -> dict[str, float]:
         """Return the normal forces of the links on each joint that touch the object [N].
 
-        Joints are named as of `body_pose`.
+        Joints are named as in `body_pose`.
         """
         model = self.model
         held = model.geom(OBJECT).id
@@ -296,7 +296,7 @@ class Simulator:
         """Return how far the object is from the hand [m], < 0 where they overlap.
 
         Args:
-            bodies: Joints, named as of `body_pose`, whose links count; all if omitted.
+            bodies: Joints, named as in `body_pose`, whose links count; all if omitted.
         """
         model = self.model
         held = model.geom(OBJECT).id

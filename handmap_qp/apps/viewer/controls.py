@@ -59,36 +59,48 @@ def add_controls(
     Returns:
         The viser controls in their order, a tuple with their names.
     """
+    add: dict[str, Callable[..., Any]] = {
+        "button": gui.add_button,
+        "checkbox": gui.add_checkbox,
+        "dropdown": gui.add_dropdown,
+        "html": gui.add_html,
+        "markdown": gui.add_markdown,
+    }
     handles = []
     for name, control in _GROUPS[group].items():
         ((kind, arguments),) = control.items()
-        handles.append(handle := getattr(gui, f"add_{kind}")(**arguments))
+        handle = add[kind](**arguments)
+        handles.append(handle)
         if kind == "button":
             handle.on_click(lambda event, name=name: press(name, event.client))
     return namedtuple(group, _GROUPS[group], rename=True)(*handles)
 
 
-def say(handle: Any, said: str | HandmapError | None) -> None:
+def say(handle: Any, message: str | HandmapError | None) -> None:
     """Show a message in a text of viser; an error as why something is not possible.
 
     Args:
         handle: The text, which is hidden if there is nothing to say.
-        said: The message.
+        message: The message.
     """
-    text = f"**Not possible:** {said}" if isinstance(said, HandmapError) else said or ""
+    text = (
+        f"**Not possible:** {message}"
+        if isinstance(message, HandmapError)
+        else message or ""
+    )
     handle.visible = text != ""
     handle.content = text
 
 
 @contextmanager
-def reporting(handle: Any, said: str) -> Iterator[None]:
+def reporting(handle: Any, message: str) -> Iterator[None]:
     """Show a message while the block runs, and afterwards only why it was not possible.
 
     Args:
-        handle: As of `say`.
-        said: The message.
+        handle: See `say`.
+        message: The message.
     """
-    say(handle, said)
+    say(handle, message)
     failure = None
     try:
         yield
@@ -382,7 +394,7 @@ class Window:
         gauges: Numbers, plots and joint bars.
         control: The tab for what moves the robots, which is empty.
         display: What the scene shows.
-        latest: Length of the plots' time axis, as of `draw_plot`.
+        latest: Length of the plots' time axis, as in `draw_plot`.
     """
 
     latest: float | None = None

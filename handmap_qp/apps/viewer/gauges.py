@@ -314,8 +314,8 @@ def error_plot(
 
     Args:
         variants: The robots, with their samples.
-        index: As of `draw_plot`.
-        latest: As of `draw_plot`.
+        index: See `draw_plot`.
+        latest: See `draw_plot`.
     """
     columns = [variant.plotted for variant in variants]
     time, _, largest, _ = columns[0]
@@ -349,7 +349,7 @@ class Gauges:
         Args:
             variants: The robots, with their samples.
             index: Index of the instant's samples.
-            latest: As of `draw_plot`.
+            latest: See `draw_plot`.
         """
         self.error.content = error_plot(variants, index, latest=latest)
         time, _, _, step = variants[0].plotted

@@ -171,7 +171,7 @@ class ServiceSession:
         self._requests.append(partial(getattr(self._client, name), *values, **fields))
 
     def configure(self, changes: Values) -> None:
-        """Request another preset or other values of some options, as of `Choice`."""
+        """Request another preset or other values of some options, as in `Choice`."""
         rest = dict(changes)
         preset = rest.pop("preset", None)
         ik = {name: rest.pop(name) for name in rest.keys() & IK_NAMES}

@@ -13,7 +13,7 @@ from handmap_qp.mapping import (
     HandMapper,
     MapStep,
     RobotMapper,
-    found_alignment,
+    find_alignment,
     options_text,
     parse_object,
     possible_presets,
@@ -92,7 +92,7 @@ class Replay:
         human, robot = self._first
         choice = preset_choice(name, human)
         upright = self._recording.upright
-        return choice.with_changes(found_alignment(choice.method, robot, upright))
+        return choice.with_changes(find_alignment(choice.method, robot, upright))
 
     def options_text(self) -> str:
         """Return the text of a file with the options in force."""

@@ -107,16 +107,16 @@ def _own_pages_only(host: str) -> Iterator[None]:
         websocket_server.serve = serve
 
 
-def is_own_page(host: str, asked: str, origins: list[str]) -> bool:
+def is_own_page(host: str, requested: str, origins: list[str]) -> bool:
     """Return whether a request comes from the page of this server, or from no page at all.
 
     Args:
         host: Address that the server listens on.
-        asked: `Host` header; on loopback it must name loopback.
+        requested: `Host` header; on loopback it must name loopback.
         origins: `Origin` headers; browsers set them and pages cannot change them.
     """
-    return (names_loopback(asked) or not is_loopback(host)) and all(
-        urlsplit(origin).netloc == asked for origin in origins
+    return (names_loopback(requested) or not is_loopback(host)) and all(
+        urlsplit(origin).netloc == requested for origin in origins
     )
 
 

@@ -147,7 +147,7 @@ def read_hands(
     """Read a recording of the left and one of the right hand, from one file or from two.
 
     Args:
-        paths: Files, as of `list_sources`, in any order; of two that do not say which hand they
+        paths: Files, as in `list_sources`, in any order; of two that do not say which hand they
             are of, the left hand's is the first one.
         fps: Samples a second, in place of the time in the files; needed where they have none.
 
@@ -156,7 +156,7 @@ def read_hands(
 
     Raises:
         InvalidInputError: If the files have other recordings than one of each hand.
-        HandmapError: As of `list_sources`, and if a recording is damaged.
+        HandmapError: As in `list_sources`, and if a recording is damaged.
     """
     hints = SIDES if len(paths) == len(SIDES) else [None] * len(paths)
     sources = [

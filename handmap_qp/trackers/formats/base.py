@@ -167,7 +167,7 @@ class RecordingFormat(abc.ABC):
     is not installed.
 
     Attributes:
-        name: Short name, as of `handmap convert --format`.
+        name: Short name, as in `handmap convert --format`.
         suffixes: Suffixes of its files, the usual one first; empty for folders.
         named: Suffixes of files that are read where a user names them, and not looked for.
         lacks: What of a recording it cannot hold: names of `LOSSES`.
@@ -354,8 +354,8 @@ def build_recording(
         wrist_pose: Without `wrist`, position [m] and quaternion in the order w, x, y, z, shape
             (T, 7); it counts as none if one is not finite in a valid sample.
         object_pose: As `wrist`, of an object.
-        confidence: As of `Recording`; an array of NaN counts as none.
-        name: As of `Recording`; `entry_stem` if empty.
+        confidence: As in `Recording`; an array of NaN counts as none.
+        name: As in `Recording`; `entry_stem` if empty.
         words: Those of `WORDS`.
 
     Raises:

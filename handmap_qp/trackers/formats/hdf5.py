@@ -105,7 +105,7 @@ def stacked_numbers(group: Any, names: Sequence[str], shape: tuple[int, ...]) ->
         Shape (len(names), *shape).
 
     Raises:
-        InvalidInputError: As of `numbers`.
+        InvalidInputError: See `numbers`.
     """
     # Its size is checked before room for all of them is taken.
     first = numbers(group, names[0], shape)

@@ -274,12 +274,12 @@ class Layout(
             time: Instants [s], shape (T,).
             values: In one of `shapes`, for every sample; not finite where the hand was not seen.
             side: Which hand.
-            wrists: Wrist poses beside the values, as of `read`, shape (T, 4, 4) or (T, 7).
+            wrists: Wrist poses beside the values, as in `read`, shape (T, 4, 4) or (T, 7).
             valid: Samples in which the hand was seen, shape (T,); the finite ones if omitted.
             lengths: The person's lengths, for angles and markers.
 
         Raises:
-            InvalidInputError: As of `read` and of `Recording`.
+            InvalidInputError: As in `read` and of `Recording`.
         """
         landmarks, poses, seen = self._convert(values, side, wrists, valid, lengths)
         return Recording(
@@ -356,7 +356,7 @@ class Layout(
         """Put named numbers into the order of `columns`.
 
         Args:
-            given: Numbers or columns of equal length by name, as of `find_columns`.
+            given: Numbers or columns of equal length by name, as in `find_columns`.
             side: Which hand.
 
         Returns:
@@ -370,7 +370,7 @@ class Layout(
         ordered = [by_column[column] for column in self.columns]
         return np.stack(np.broadcast_arrays(*ordered), axis=-1)
 
-    def own_shape(self, shape: tuple[int, ...]) -> tuple[int, ...] | None:
+    def sample_shape(self, shape: tuple[int, ...]) -> tuple[int, ...] | None:
         """Return which of `shapes` a sample has that may be flat; None if it has another one."""
         for own in self.shapes:
             if shape in (own, (np.prod(own),)):
@@ -381,7 +381,7 @@ class Layout(
         """Return samples as floats in one of the shapes of this layout."""
         array = as_floats(values, "values")
         shape = array.shape[1:]
-        own = self.own_shape(shape)
+        own = self.sample_shape(shape)
         if own is not None:
             return array.reshape(-1, *own)
         others = layouts_of_shape(shape)

@@ -68,8 +68,12 @@ def read_with_layout(
         is_table = suffix == ".csv"
         arrays = _read_columns(file, layout, side) if is_table else read_archive(file)
         hints = FileHints(side, fps)
-        said = arrays.get("handedness")
-        hand = hints.side_of_file() if said is None else side_of(said, "handedness")
+        handedness = arrays.get("handedness")
+        hand = (
+            hints.side_of_file()
+            if handedness is None
+            else side_of(handedness, "handedness")
+        )
         if side not in (None, hand):
             raise InvalidInputError(f"is of a {hand} hand, not of a {side} one")
         time = _time(arrays, layout) if fps is None else None
@@ -151,7 +155,7 @@ def _values_name(
         array = arrays[name]
         is_array = array.ndim > 1 and array.dtype.kind in "fiu"
         is_long = is_array and count in (None, len(array))
-        return is_long and layout.own_shape(array.shape[1:]) is not None
+        return is_long and layout.sample_shape(array.shape[1:]) is not None
 
     def is_of_side(name: str) -> bool:
         return name.startswith(side or "")

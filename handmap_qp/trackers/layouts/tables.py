@@ -23,7 +23,7 @@ def table_text(layout: str | Path) -> str:
     """Return the text of a layout's table, with its comments if it is a file.
 
     Raises:
-        InvalidInputError: As of `load_layout`.
+        InvalidInputError: See `load_layout`.
     """
     found = load_layout(layout)
     file = _FOLDER / f"{found.name}.yaml" if str(layout) in LAYOUTS else Path(layout)

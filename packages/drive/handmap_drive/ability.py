@@ -66,7 +66,7 @@ def unstuffed(piece: bytes) -> bytes:
 
 
 class Ability(TableDriver):
-    """An Ability Hand; arguments and attributes as of `TableDriver`.
+    """An Ability Hand; arguments and attributes as in `TableDriver`.
 
     The hand itself has no limit of torque where it goes to positions. So a motor whose current is
     more than its share gets goals that are nearer and nearer to where it is, within some 0.1 s.
@@ -88,7 +88,7 @@ class Ability(TableDriver):
         self._written = monotonic()
         self._answered = self._written
         self._is_missed = False
-        # No torque yet, by what the driver has told the hand.
+        # No torque yet, by what the driver has sent to the hand.
         self._is_off = True
         self._was_silent = False
         insisting(self._ask, TORQUE, NONE)

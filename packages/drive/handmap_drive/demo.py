@@ -28,7 +28,7 @@ from handmap_qp.apps.drawing import require_matplotlib, save_contact_sheet
 from handmap_qp.apps.offline.fidelity import CLOSED
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.apps.offline.trajectory import Told
+from handmap_qp.apps.offline.trajectory import Progress
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.client import Client
 from handmap_qp.errors import HandmapError, expect
@@ -160,11 +160,11 @@ class Chain(NamedTuple):
             if end == np.inf and self.motors.order()["torque"].all():
                 end = time.monotonic() + APPROACH
 
-    def lead(self, told: Told = None) -> tuple[np.ndarray, np.ndarray]:
+    def lead(self, advance: Progress = None) -> tuple[np.ndarray, np.ndarray]:
         """Send the recording; return times [s], shape (T,), and commands [rad], shape (T, n).
 
         Args:
-            told: Called after each sample with the number of samples done.
+            advance: Called after each sample with the number of samples done.
         """
         recording, rows = self.recording, []
         start = time.monotonic() - recording.time[0]
@@ -172,8 +172,8 @@ class Chain(NamedTuple):
             time.sleep(max(0.0, start + at - time.monotonic()))
             command = self.client.step(landmarks=points, time=start + at)
             rows.append((command.server_time, *command.q))
-            if told:
-                told(len(rows))
+            if advance:
+                advance(len(rows))
         times, *q = np.array(rows).T
         return times, np.array(q).T
 
@@ -266,9 +266,9 @@ def drive_demo(robot: str | None, folder: Path) -> None:
     recording = read_recording(DEMO, "right")
     chained = started(robot or "leap_right", recording)
     with output_folder(folder) as writing, chained as chain:
-        with progress("driving", len(chain.recording)) as told:
+        with progress("driving", len(chain.recording)) as advance:
             chain.approach()
-            driven = chain.end(*chain.lead(told))
+            driven = chain.end(*chain.lead(advance))
         sys.stderr.write(driven.said)
         columns = [
             ("commanded", driven.robot, driven.q),

@@ -88,7 +88,7 @@ class Loop:
         command: The first command.
         effort: Limit of the torque, a share of the largest.
         hottest: Largest temperature of a motor [degrees Celsius].
-        joints: Maps joints to motors; joints do what motors are told if omitted.
+        joints: Maps joints to motors; joints do what motors are commanded if omitted.
         recorder: Keeps what joints do while they follow; nothing is kept if omitted.
 
     Attributes:
@@ -182,29 +182,32 @@ class Loop:
         angles = dict(zip(command.joint_names, command.q, strict=True))
         names = self._driver.joint_names
         expect(angles.keys() >= {*names}, "SESSION", "the robot that it had at first")
-        asked = np.array([angles[name] for name in names])
+        commanded = np.array([angles[name] for name in names])
         expect(
-            np.isfinite(asked).all(), "SESSION", "joint angles", value=asked.tolist()
+            np.isfinite(commanded).all(),
+            "SESSION",
+            "joint angles",
+            value=commanded.tolist(),
         )
         self._from = self._path(now)
-        self._goal = np.clip(asked, *self._joints.range)
-        self._report_clipping(asked)
+        self._goal = np.clip(commanded, *self._joints.range)
+        self._report_clipping(commanded)
         self._span = np.clip(now - self._heard, 1.0 / self._driver.rate, SILENCE)
         self._command = command
         self._angles = angles
         self._heard = now
         self._age = now - command.server_time
 
-    def _report_clipping(self, asked: np.ndarray) -> None:
+    def _report_clipping(self, commanded: np.ndarray) -> None:
         """Warn once of a command that is beyond the range of a joint."""
-        beyond = np.abs(asked - self._goal)
+        beyond = np.abs(commanded - self._goal)
         i = beyond.argmax()
         if self._is_clipped or beyond[i] <= _BEYOND:
             return
         self._is_clipped = True
         warn(
-            f"{self._driver.joint_names[i]}: a command of {asked[i]:.3g} rad is beyond the motor's "
-            f"range: it goes to {self._goal[i]:.3g}"
+            f"{self._driver.joint_names[i]}: a command of {commanded[i]:.3g} rad is beyond the "
+            f"motor's range: it goes to {self._goal[i]:.3g}"
         )
 
     def turn(self, now: float, *, is_held: bool = True) -> None:
@@ -317,11 +320,11 @@ class Loop:
     def _write(self, now: float) -> None:
         """Move the motors on towards the commands."""
         share = HOLDING if self.state is State.HOLDING else 1.0
-        asked = self._path(now)
+        commanded = self._path(now)
         if self._recorder and self.state is State.FOLLOWING:
             effort = self._joints.torques(self._torque)
-            self._recorder.add(now, self._q, asked, effort)
-        target = self._joints.command(asked)
+            self._recorder.add(now, self._q, commanded, effort)
+        target = self._joints.command(commanded)
         goal = self._gate.write(target, share * self._effort, now)
         self._expected = self._joints.reached(goal)
 

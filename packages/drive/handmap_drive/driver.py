@@ -94,7 +94,7 @@ class Driver(Protocol):
         joint_names: The joints that have a motor, in the order of all arrays.
         range: Least and largest angles of the joints [rad], shape (2, n).
         rate: How often motors can be written and read [Hz].
-        speed: Largest speed that they may be told [rad/s].
+        speed: Largest speed that they may be commanded [rad/s].
         effort: Limit of their torque unless the user gives another one.
     """
 

@@ -32,8 +32,8 @@ class InspireHand(EmulatedMotors):
 
     Args:
         framer: That of RTU or TCP.
-        numbers: As of `EmulatedMotors`.
-        angle: As of `EmulatedMotors`.
+        numbers: See `EmulatedMotors`.
+        angle: See `EmulatedMotors`.
     """
 
     own = MOTORS

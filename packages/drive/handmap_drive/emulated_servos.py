@@ -83,8 +83,8 @@ class EmulatedServos(EmulatedMotors):
             checksum = _number(buffer[end:size])
             del buffer[:size]
             if self.checksum(message) == checksum:
-                told, stuffed = self.stuffing
-                parameters = message[start + 1 :].replace(stuffed, told)
+                content, stuffed = self.stuffing
+                parameters = message[start + 1 :].replace(stuffed, content)
                 yield message[number], message[start], parameters
 
     def answer(self, i: int, error: int, data: bytes) -> bytes:
@@ -103,8 +103,8 @@ class EmulatedServos(EmulatedMotors):
     def obey(self, message: Message) -> Iterator[bytes]:
         """See `EmulatedMotors`."""
         self.measure()
-        motor, instruction, told = message
-        at, rest = self.split(told)
+        motor, instruction, content = message
+        at, rest = self.split(content)
         size, rows = self.split(rest)
         if instruction == PING:
             size = 3
@@ -121,9 +121,9 @@ class EmulatedServos(EmulatedMotors):
                 yield self.answer(i, error, data)
         self.take()
 
-    def split(self, told: bytes) -> tuple[int, bytes]:
+    def split(self, content: bytes) -> tuple[int, bytes]:
         """Return the number that parameters begin with, and the rest."""
-        return _number(told[: self.width]), told[self.width :]
+        return _number(content[: self.width]), content[self.width :]
 
     def indices(self, numbers: Iterable[int]) -> list[int]:
         """Return where those motors are that there are."""

@@ -45,7 +45,7 @@ def fit_joint(log: Log, i: int, limit: float, weights: Array) -> tuple[float, ..
         Gain, zero, delay, backlash, stretch, friction, and weight.
     """
     time = log.time
-    told = log.told[:, i]
+    commanded = log.commanded[:, i]
     raw = log.torque[:, i]
     is_able = np.abs(raw) < FULL * limit
     pulls = np.sign(raw) * (is_able & (np.abs(raw) > TORQUE))
@@ -67,7 +67,7 @@ def fit_joint(log: Log, i: int, limit: float, weights: Array) -> tuple[float, ..
     wanted = q[is_pulled]
 
     def solve(delay: float) -> tuple[float, ...]:
-        late = _smooth(np.interp(time - delay, time, told))
+        late = _smooth(np.interp(time - delay, time, commanded))
         columns = np.array([late, ones, -0.5 * pulls, -torque])
         rows = columns.T[is_pulled]
         found, *_ = np.linalg.lstsq(rows, wanted)

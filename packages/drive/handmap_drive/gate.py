@@ -24,8 +24,8 @@ class Gate:
     there each goal moves at most at `APPROACH` until it meets its target. Then the limit of its
     speed grows to that of the driver. The time between two writes counts, up to two turns.
 
-    All angles are those that motors are told and tell. A calibration that is wrong can only make
-    the targets wrong.
+    All angles are those that motors are commanded and report. A calibration that is wrong can only
+    make the targets wrong.
 
     Args:
         driver: The motors, connected.

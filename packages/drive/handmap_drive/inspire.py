@@ -53,7 +53,7 @@ class _NoAnswerError(DriverError):
 
 
 class Inspire(TableDriver):
-    """An RH56 hand; arguments and attributes as of `TableDriver`.
+    """An RH56 hand; arguments and attributes as in `TableDriver`.
 
     The port is that of a serial adapter, or HOST:PORT for Modbus TCP.
     """

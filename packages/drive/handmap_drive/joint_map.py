@@ -1,4 +1,4 @@
-"""The seam between the angles of joints and the angles that motors are told."""
+"""The seam between the angles of joints and the angles that motors are commanded."""
 
 from typing import Protocol
 
@@ -34,7 +34,7 @@ class JointMap(Protocol):
 
 
 class Direct:
-    """Joints that do what their motors are told; attributes as of `JointMap`.
+    """Joints that do what their motors are commanded; attributes as in `JointMap`.
 
     Args:
         driver: The motors.

@@ -32,23 +32,23 @@ _INSIDE = 0.005
 _JAM = 0.2
 """Share of its range that a joint may lack at each end."""
 _PERFECT = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-"""As of `fit_joint`, of a joint that is not moved."""
+"""As in `fit_joint`, of a joint that is not moved."""
 
-Tell = Callable[[float, str], object]
-"""Is told how much is done [%], and what is."""
+Progress = Callable[[float, str], object]
+"""Called with how much is done [%], and what is."""
 
 
 def measure_joints(
-    motion: Motion, space: Space, spans: Array, groups: list[Array], tell: Tell
+    motion: Motion, space: Space, spans: Array, groups: list[Array], progress: Progress
 ) -> Joints:
     """Move each joint a little, then groups of them over their ranges; return what they do.
 
     Args:
         motion: The motors.
         space: Where the hand can go.
-        spans: As of `free_spans`.
-        groups: As of `free_groups`.
-        tell: Is told how much is done.
+        spans: See `free_spans`.
+        groups: See `free_groups`.
+        progress: Called with how much is done.
 
     Raises:
         DriverError: If a joint does not do what joints do.
@@ -56,11 +56,11 @@ def measure_joints(
     names = motion.driver.joint_names
     motion.go(space.home, APPROACH)
     for i, name in enumerate(names):
-        tell(10.0 * i / len(names), name)
+        progress(10.0 * i / len(names), name)
         _check(motion, space, i)
     found = np.zeros((len(Joints._fields), len(names)))
     for k, group in enumerate(groups):
-        tell(10.0 + 60.0 * k / len(groups), ", ".join(compress(names, group)))
+        progress(10.0 + 60.0 * k / len(groups), ", ".join(compress(names, group)))
         found = np.where(group, _measure(motion, space, spans, group), found)
     return Joints(*found)
 
@@ -99,7 +99,7 @@ def _check(motion: Motion, space: Space, i: int) -> None:
     log = motion.log(start)
     moved = np.ptp(log.q, axis=0)
     pulled = np.abs(log.torque[:, i]).max()
-    follows = np.cov(log.told[:, i], log.q[:, i])[0, 1]
+    follows = np.cov(log.commanded[:, i], log.q[:, i])[0, 1]
     most = moved.argmax()
     is_still = moved[most] < _MOVES
     is_weak = pulled < TORQUE
@@ -137,8 +137,8 @@ def _measure(motion: Motion, space: Space, spans: Array, group: Array) -> Joints
     ends = []
     for span in _NEARLY * spans * group:
         goal = home + span
-        told = rough.command(goal, np.sign(span), space.weights(goal))
-        motion.go(np.clip(told, *space.limits), _WIDE)
+        commanded = rough.command(goal, np.sign(span), space.weights(goal))
+        motion.go(np.clip(commanded, *space.limits), _WIDE)
         ends.append(motion.rest())
         motion.go(home, _WIDE)
     final = _fit(motion, space, start, group)
@@ -169,7 +169,7 @@ def _fit(motion: Motion, space: Space, start: int, group: Array) -> Joints:
         gain, *_ = found[i] = fit_joint(log, i, motion.effort, weights[:, i])
         if not least <= gain <= most:
             name = motion.driver.joint_names[i]
-            problem = f"{name}: it moves {gain:.2g} times as far as it is told"
+            problem = f"{name}: it moves {gain:.2g} times as far as it is commanded"
             advice = "see its ratio, or whether this is another hand"
             raise DriverError(f"{problem}: {advice}")
     *first, weight = found.T

@@ -1,4 +1,4 @@
-"""Moves motors along straight lines, and logs what they were told and did."""
+"""Moves motors along straight lines, and logs what they were commanded and did."""
 
 from collections.abc import Callable, Iterator
 from math import ceil
@@ -19,17 +19,17 @@ _AT_REST = 9
 
 
 class Log(NamedTuple):
-    """What a hand was told and did in each turn.
+    """What a hand was commanded and did in each turn.
 
     Attributes:
         time: Of each turn [s], shape (T,).
-        told: What motors were told [rad], shape (T, n).
+        commanded: What motors were commanded [rad], shape (T, n).
         q: Where joints were [rad], shape (T, n).
         torque: Their torques, shares of the largest, shape (T, n).
     """
 
     time: Array
-    told: Array
+    commanded: Array
     q: Array
     torque: Array
 
@@ -60,7 +60,7 @@ class Motion:
 
         Args:
             joints: Maps joints to motors, as it was measured just before; joints do what motors are
-                told if omitted.
+                commanded if omitted.
 
         Raises:
             DriverError: If motors do not answer.
@@ -100,7 +100,7 @@ class Motion:
         # Motors that were not read keep their goals: they may have been reset.
         if not self._lost:
             self._gate.write(target, self.effort, now)
-        told = self._gate.goal
+        commanded = self._gate.goal
         try:
             q, torque, health = self._gate.read()
         except DriverError:
@@ -110,7 +110,7 @@ class Motion:
             return
         self._lost = 0
         health.check(self.driver.joint_names, HOTTEST)
-        self._rows.append((now, told, q, torque))
+        self._rows.append((now, commanded, q, torque))
 
     def go(
         self,

@@ -49,9 +49,9 @@ class Motors(Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         baud: Speed of the port [bit/s].
-        rate: As of `Driver`, 5 to 1000 Hz.
-        speed: As of `Driver`, at most 100 rad/s.
-        effort: As of `Driver`.
+        rate: As in `Driver`, 5 to 1000 Hz.
+        speed: As in `Driver`, at most 100 rad/s.
+        effort: See `Driver`.
         full: The largest torque, in units of the motors.
         motors: The motors.
         bus: Family of servos, or the hand.
@@ -90,7 +90,7 @@ def read_motors(file: Path) -> Motors:
 
 
 class TableDriver:
-    """What drivers with a table share; attributes as of `Driver`.
+    """What drivers with a table share; attributes as in `Driver`.
 
     Args:
         own: Name of the package's table; empty if there is none.

@@ -16,7 +16,7 @@ from handmap_qp.se3 import Array
 from handmap_qp.trackers import DEMO, read_recording
 from .fit import fit_encoders
 from .gate import APPROACH
-from .joints import Tell
+from .joints import Progress
 from .motion import Motion
 from .space import EXACT, TUNED, Space
 from .tuning import Joints, Tuning, tuned
@@ -121,7 +121,11 @@ def plan_pinches(space: Space, tuning: Tuning, effort: float) -> list[Pinch]:
 
 
 def meet(
-    motion: Motion, space: Space, joints: Joints, pinches: list[Pinch], tell: Tell
+    motion: Motion,
+    space: Space,
+    joints: Joints,
+    pinches: list[Pinch],
+    progress: Progress,
 ) -> list[tuple[str, Array]]:
     """Close pinches until both tips feel it; return which met, and all joints there [rad]."""
 
@@ -134,7 +138,7 @@ def meet(
     met = []
     motion.go(space.home, APPROACH)
     for k, (finger, opened, ways) in enumerate(pinches):
-        tell(70.0 + 30.0 * k / len(pinches), f"thumb and {finger}")
+        progress(70.0 + 30.0 * k / len(pinches), f"thumb and {finger}")
         motion.go(opened, _FREE)
         for first, near, beyond in ways:
             motion.go(first, _FREE)
@@ -152,7 +156,7 @@ def meet(
 def with_encoders(
     space: Space, joints: Joints, met: list[tuple[str, Array]]
 ) -> tuple[Joints, dict[str, float]]:
-    """Return the joints with their encoders' errors, and by finger the gap that they tell [m]."""
+    """Return the joints with their encoders' errors, and by finger the gap that they show [m]."""
     errors, gaps = fit_encoders(space.hand, met)
     error = errors[space.own]
     # In the limits by the encoder, and by its error too.

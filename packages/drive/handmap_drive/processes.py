@@ -15,7 +15,7 @@ class Process(Popen[str]):
     Args:
         module: The program.
         *words: Words of its command line.
-        stderr: As of `Popen`.
+        stderr: See `Popen`.
     """
 
     def __init__(self, module: str, *words: str, stderr: int | None = None) -> None:

@@ -34,7 +34,7 @@ class Recorder:
         Args:
             now: Its time [s, monotonic].
             q: Where the joints were measured [rad], shape (n,).
-            action: Where they are told to be [rad], shape (n,).
+            action: Where they are commanded to be [rad], shape (n,).
             effort: Their torques [N m], shape (n,); NaN where they are not known.
         """
         # A driver may write its next answers into the same arrays.

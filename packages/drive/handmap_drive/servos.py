@@ -36,7 +36,7 @@ FAMILIES = {
 
 
 class Servos(TableDriver):
-    """The servos of a table; arguments and attributes as of `TableDriver`."""
+    """The servos of a table; arguments and attributes as in `TableDriver`."""
 
     buses: ClassVar = dict.fromkeys(FAMILIES, 2.0 * np.pi / STEPS)
     numbers = range(253)
@@ -208,8 +208,12 @@ class Servos(TableDriver):
     def _check(self, motor: int, result: int, error: int = 0) -> None:
         """Raise `DriverError` for a result of the package, or an error in an answer."""
         if result or error & ~_ALERT:
-            said = self._packets
-            why = said.getTxRxResult(result) if result else said.getRxPacketError(error)
+            packets = self._packets
+            why = (
+                packets.getTxRxResult(result)
+                if result
+                else packets.getRxPacketError(error)
+            )
             # It begins with its kind, in brackets.
             _, _, reason = why.rpartition("] ")
             raise DriverError(f"motor {motor}: {reason}")

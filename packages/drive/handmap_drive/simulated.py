@@ -1,4 +1,4 @@
-"""A hand in this process that does not do what it is told: `--driver simulated`."""
+"""A hand in this process that does not do what it is commanded: `--driver simulated`."""
 
 from itertools import compress
 from pathlib import Path
@@ -31,7 +31,7 @@ _NEAR = 0.02
 
 
 class Simulated:
-    """Joints with hidden parameters; attributes as of `Driver`, and arrays of each joint.
+    """Joints with hidden parameters; attributes as in `Driver`, and arrays of each joint.
 
     A turn of the drive, `goal = gain u(t - delay) + zero`, pulls its joint by a tendon with play:
     `effort = dead(goal - q, backlash / 2) / stretch`. The joint moves where that is more than its
@@ -44,8 +44,8 @@ class Simulated:
         file: Not used.
 
     Attributes:
-        gain: Angle by which a joint moves per angle that it is told.
-        zero: Where it is when it is told to be at 0 [rad].
+        gain: Angle by which a joint moves per angle that it is commanded.
+        zero: Where it is when it is commanded to be at 0 [rad].
         delay: Time from a command to its turn [s].
         backlash: Play of the tendon [rad].
         stretch: Of the tendon, by the largest torque [rad].
@@ -129,7 +129,7 @@ class Simulated:
         self._torque = np.clip(torque, -effort, effort)
 
     def turned(self, q: Array) -> Array:
-        """Return where drives are that were told to go to q, in the joints' angles [rad]."""
+        """Return where drives are that were commanded to go to q, in the joints' angles [rad]."""
         return self.gain * self._delayed(q) + self.zero
 
     def load(self) -> Array:

@@ -45,12 +45,12 @@ class Tune:
 
     Attributes:
         hand: Name of a hand of the package, or path of a hand.yaml.
-        driver: What motors they are, as of `handmap drive`; simulated without a hand.
+        driver: What motors they are, as in `handmap drive`; simulated without a hand.
         port: Port of the motors.
         out: The hand.yaml to write; the hand has its name.
         motors: Table of motors, in place of the driver's own.
         effort: Limit of the torque, a share of the motors' largest.
-        picture: File of a picture of what joints were told and did (.png, .svg, .pdf).
+        picture: File of a picture of what joints were commanded and did (.png, .svg, .pdf).
         overwrite: Replace the file if it exists.
         json: Print what was found as one JSON object instead of a table.
     """
@@ -77,9 +77,9 @@ class Tune:
             driver = maker(self.port, hand.joint_names, self.motors)
             effort = effort_of(driver, self.effort)
             driver.connect()
-            with stopping(driver) as over, progress("tuning", 100) as tell:
+            with stopping(driver) as over, progress("tuning", 100) as advance:
                 motion = Motion(driver, effort, turns(driver.rate, over))
-                tuning = find_tuning(motion, hand, tell)
+                tuning = find_tuning(motion, hand, advance)
         spec = replace(tuned(hand.spec, tuning), name=self.out.stem)
         origin = Detection(spec, (), (f"tuned from {hand.name}",), {})
         write_hand(origin, self.out, by="`handmap calibrate-actuators`")
@@ -114,18 +114,18 @@ def tables(tuning: Tuning) -> dict[str, Any]:
 
 
 def draw(path: Path, tuning: Tuning, log: Log) -> None:
-    """Draw where joints were over what they were told, and a joint that does it exactly."""
+    """Draw where joints were over what they were commanded, and a joint that does it exactly."""
     columns = 4
     rows = -(-len(tuning.joints) // columns)
     figure = require("matplotlib.figure", "plot").Figure(
         (3.0 * columns, 2.2 * rows), layout="constrained"
     )
-    lines = zip(tuning.joints, log.told.T, log.q.T, strict=True)
-    for k, (name, told, q) in enumerate(lines, 1):
+    lines = zip(tuning.joints, log.commanded.T, log.q.T, strict=True)
+    for k, (name, commanded, q) in enumerate(lines, 1):
         axes = figure.add_subplot(rows, columns, k)
         axes.axline((0.0, 0.0), slope=1.0, color="0.8")
-        axes.plot(told, q, linewidth=0.6)
+        axes.plot(commanded, q, linewidth=0.6)
         axes.set_title(name, fontsize=9)
-    figure.supxlabel("told [rad]")
+    figure.supxlabel("commanded [rad]")
     figure.supylabel("encoder [rad]")
     save_picture(figure, path)

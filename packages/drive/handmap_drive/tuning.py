@@ -47,11 +47,11 @@ A gain outside is that of another hand. A delay outside would cost memory.
 
 
 class Joint(Document, frozen=True):
-    """What a joint makes of its commands, as of `Joints`; numbers are inside `BOUNDS`.
+    """What a joint makes of its commands, as in `Joints`; numbers are inside `BOUNDS`.
 
     Attributes:
-        gain: Angle by which it moves per angle that it is told.
-        zero: Where it is when it is told to be at 0 [rad].
+        gain: Angle by which it moves per angle that it is commanded.
+        zero: Where it is when it is commanded to be at 0 [rad].
         delay: Time from a command to its motion [s].
         backlash: Play between motor and joint [rad].
         stretch: How far it gives way to the largest torque [rad].
@@ -129,11 +129,11 @@ class Joints(NamedTuple):
         return 0.5 * self.backlash * pulled + self.stretch * torque
 
     def meet(self, torque: Array, load: Array) -> Array:
-        """Return which of them something is in the way of, by torques and loads as of `lag`."""
+        """Return which of them something is in the way of, by torques and loads as in `lag`."""
         return np.abs(torque - self.weight * load) > self.friction + _MEETS
 
     def command(self, q: Array, side: Array, load: Array) -> Array:
-        """Return the commands that bring them to angles [rad]; side and load as of `lag`."""
+        """Return the commands that bring them to angles [rad]; side and load as in `lag`."""
         lag = self.lag(side, load)
         return (q - self.encoder - self.zero + lag) / self.gain
 
@@ -244,7 +244,7 @@ def tuned(spec: HandSpec, tuning: Tuning, pushed: float = 0.0) -> HandSpec:
 
 
 class Compensated:
-    """Goals of motors that bring their joints where they should be; attributes as of `JointMap`.
+    """Goals of motors that bring their joints where they should be; attributes as in `JointMap`.
 
     Goals stay in the motors' range and joints in that of the tuning. Joints wait for the slowest
     one, so that fingers meet as they should. `Gate` limits the speed of the goals.

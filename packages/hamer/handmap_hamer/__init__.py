@@ -51,10 +51,10 @@ class HamerFormat(ManoFormat):
     axes [m], shape (T, 3) or (T, n, 3). Without `time (T,)` and `fps`, samples are numbered, for
     `--fps`.
 
-    Without keypoints, `global_orient`, `hand_pose` and `betas` are MANO's, as of the form `mano`;
+    Without keypoints, `global_orient`, `hand_pose` and `betas` are MANO's, as in the form `mano`;
     turns may be rotation matrices (T, n, 3, 3), of which the identity is the flat hand, and of
     `betas (T, 10)` the mean is taken.
-    A pickle is read as of `read_table`, which runs no code.
+    A pickle is read as in `read_table`, which runs no code.
     """
 
     name = "hamer"

@@ -70,7 +70,7 @@ class DdsNode:
         self._writers[topic].write(filled(*message))
 
     def serve(self, name: str, act: Callable[[], str]) -> None:
-        """Offer a service; arguments as of `bridge.Node.serve`."""
+        """Offer a service; arguments as in `bridge.Node.serve`."""
         asked, told = trigger_types()
         place = f"{self._namespace}/{name}"
         requests = self._end(DataReader, f"rq/{place}Request", asked)

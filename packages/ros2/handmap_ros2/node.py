@@ -45,14 +45,14 @@ class HandmapNode(Node):
         self.create_timer(0.005, self.spin_once)
 
     def publish(self, topic: str, message: Message) -> None:
-        """Publish a message, as of `bridge.Node`."""
+        """Publish a message, as in `bridge.Node`."""
         kind = get_message(message[0])
         if topic not in self._ends:
             self._ends[topic] = self.create_publisher(kind, topic, 10)
         self._ends[topic].publish(filled(kind, message[1]))
 
     def serve(self, name: str, act: Callable[[], str]) -> None:
-        """Offer a service, as of `bridge.Node`."""
+        """Offer a service, as in `bridge.Node`."""
 
         def answer(_: Any, response: Any) -> Any:
             response.message = act()

@@ -20,7 +20,7 @@ from .device import DeviceSource
 LARGEST = 32768
 """Largest message [byte]; one of 127 joints as matrices has less."""
 SILENCE = 1.0
-"""Time without samples after which a sender counts as silent, and may have started anew [s]."""
+"""Time without samples after which a sender counts as silent, and may have been restarted [s]."""
 LEAP = 5.0
 """Longest time by which a sender's clock may be ahead of ours, since it was first heard [s]."""
 _ADDRESS = re.compile(r"(udp|tcp)://[^:/]*:[1-9]\d{0,4}")

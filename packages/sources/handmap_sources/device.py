@@ -51,13 +51,13 @@ class DeviceSource(Source):
 
     @cached_property
     def upright(self) -> str:
-        """Axes of the samples' world, as of the layout."""
+        """Axes of the samples' world, as in the layout."""
         return self._layout.upright
 
     def run(self) -> None:
         """Track until Ctrl-C."""
         self.target.check()
-        self.target.lead(self)
+        self.target.send(self)
 
     def summary(self) -> Values:
         """Return the troubles by kind."""
@@ -73,7 +73,7 @@ class DeviceSource(Source):
         """Return the sample of values in the layout; None, after a note, if they are not.
 
         Args:
-            values: As of `Layout.read`.
+            values: See `Layout.read`.
             time: Instant [s].
             **more: Further arguments of `Layout.read`.
         """

@@ -175,11 +175,11 @@ function stopState() {
   if (!names.length) return null;
   const advice = [`Held until the stop is cleared: ${names.join(", ")}. To go on, make sure that it is safe.`];
   if (names.some(mayClear)) {
-    const where = names.every(isOwn) ? "" : " where it is led";
+    const where = names.every(isOwn) ? "" : " where it is controlled";
     advice.push(`Press Clear the stop below, then Engage${where}.`);
   }
   const others = names.filter((name) => !mayClear(name));
-  if (others.length) advice.push(`Only who leads it, or a supervisor, may clear ${others.join(", ")}.`);
+  if (others.length) advice.push(`Only its owner or a supervisor may clear ${others.join(", ")}.`);
   return ["stopped", "EMERGENCY STOP", advice.join(" ")];
 }
 
@@ -233,8 +233,8 @@ function refresh() {
 function describeScope() {
   const count = robots.states.size;
   if (!service.isConnected) return "Not connected: use the robot's own emergency stop.";
-  if (!count) return "No robot is led now.";
-  return `Stops ${count === 1 ? "the robot" : `all ${count} robots`} of this service, whoever leads.`;
+  if (!count) return "No robot is controlled now.";
+  return `Stops ${count === 1 ? "the robot" : `all ${count} robots`} of this service, whoever controls them.`;
 }
 
 /** List the robots, also those that others lead. */
@@ -262,7 +262,7 @@ function refreshRobot(item) {
   const [state, words] = MODES[mode] ?? ["off", mode];
   item.dataset.state = state;
   find(".model", item).textContent = about.robot;
-  find(".mode", item).textContent = isOwn(name) ? `${words} (led by this page)` : words;
+  find(".mode", item).textContent = isOwn(name) ? `${words} (controlled by this page)` : words;
   find(".clear", item).hidden = !stop || !mayClear(name);
 }
 
