@@ -16,6 +16,7 @@ NB_MODULE(_core, m) {
     }
   });
   // Classes come after their bases.
+  bind_models(m);
   bind_hands(m);
   bind_gate(m);
   bind_ik(m);
