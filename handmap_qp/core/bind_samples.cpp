@@ -35,7 +35,7 @@ void bind_samples(nb::module_& m) {
       .def("__init__", &make_landmark_reader)
       .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none());
   nb::class_<JointReader>(m, "JointReader")
-      .def("__init__", &make_joint_reader)
+      .def(nb::init<const Tree&>(), "tree"_a)
       .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
   nb::class_<Stages>(m, "Stages")
       .def("__reduce__", &reduced)

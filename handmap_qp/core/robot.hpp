@@ -244,7 +244,7 @@ class RobotMover {
         turn(*palm, k, smoothstep(times[k] / turns_in_));
       }
       for (size_t i = 0; i < rest_.size(); ++i)
-        if (ik_.fingers[k][i] != 0.0) {
+        if (ik_.tree.fingers[k][i] != 0.0) {
           wanted_rest_[i] = asks[k]->map->rest[i];
           if (asked.regularisation) regularisation_[i] = (*asked.regularisation)[i];
         }

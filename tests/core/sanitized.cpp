@@ -316,7 +316,7 @@ void solvers(Numbers& numbers) {
       for (int k = 0; k < count; ++k) ik.limits.coordinates.push_back(joint.q + k);
     }
     if (round % 3) ik.limits.acceleration = 40.0;
-    ik.fingers = {Vector(4, 1.0)};
+    ik.tree.fingers = {Vector(4, 1.0)};
     if (round % 4 < 2) {
       ik.pairs = std::make_unique<Pairs>(ik.tree, boxes_of(ik.tree));
       ik.pairs->margin = 1e-3;

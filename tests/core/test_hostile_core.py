@@ -14,7 +14,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
+
+from handmap_qp.models import encode, unpacked
 
 ROUNDS = 60  # hostile calls of each function
 
@@ -77,10 +80,33 @@ def hostile_array(rng: random.Random, array: np.ndarray) -> Any:
     )
 
 
+def hostile_bytes(rng: random.Random, content: bytes) -> bytes:
+    """Return the bytes of a model with a hostile field, or with damage."""
+    if rng.random() < 0.7:
+        model = msgspec.msgpack.decode(content, ext_hook=unpacked)
+        at = model
+        while True:
+            place = rng.choice([*at] if isinstance(at, dict) else [*range(len(at))])
+            if not isinstance(at[place], list | dict) or not at[place]:
+                break
+            at = at[place]
+        at[place] = hostile(rng, at[place], [])
+        try:
+            return encode(model)
+        except (TypeError, ValueError, OverflowError):
+            return b""
+    damaged = bytearray(content)
+    for _ in range(rng.choice([1, 3, 30])):
+        damaged[rng.randrange(len(damaged))] = rng.choice([0, 1, 0x80, 0xC0, 0xFF])
+    return bytes(damaged[: rng.choice([len(damaged), rng.randrange(len(damaged))])])
+
+
 def hostile(rng: random.Random, value: Any, others: list[Any]) -> Any:
     """Return something in the place of an argument or an attribute."""
     if isinstance(value, np.ndarray) and rng.random() < 0.85:
         return hostile_array(rng, value)
+    if isinstance(value, bytes) and value[:1] >= b"\x80" and rng.random() < 0.85:
+        return hostile_bytes(rng, value)
     if isinstance(value, list | tuple) and value and rng.random() < 0.7:
         items = list(value)
         place = rng.randrange(len(items))
@@ -109,6 +135,8 @@ def calls_of(core: Any) -> dict[str, Call]:
     from handmap_qp import Follower, HandMapper, load_hand, read_recording
     from handmap_qp.human.recording import sample_columns
     from handmap_qp.human.sample import landmarks_at_rest
+    from handmap_qp.ik import core_tree
+    from handmap_qp.ik.compiled import hand_model
     from handmap_qp.ik.tasks import Goal
     from handmap_qp.stream.step_table import StepTable
     from handmap_qp.trackers.plausibility import known_orders
@@ -126,7 +154,7 @@ def calls_of(core: Any) -> dict[str, Call]:
     joints = load_hand("human")
     ik = teleoperated.point_ik
     robot = ik.hand
-    gate, tree = ik.gate, core.Tree(robot)
+    gate, tree = ik.gate, core_tree(robot)
     assert gate.collisions is not None
     bounds = gate.collisions.bounds
     points = ik.configuration.points
@@ -168,6 +196,7 @@ def calls_of(core: Any) -> dict[str, Call]:
             core.measure_shape,
             (recording.landmarks, recording.landmarks[0, [0, 5, 9, 13, 17]], 0.8),
         ),
+        "model_fields": (core.model_fields, ()),
         "log3": (core.log3, (np.eye(3),)),
         "exp3": (core.exp3, (np.ones(3),)),
         "quat_xyzw": (core.quat_xyzw, (np.eye(3),)),
@@ -184,13 +213,25 @@ def calls_of(core: Any) -> dict[str, Call]:
             core.measure_shapes,
             (geometry[0].geometry, wrist, geometry[1].geometry, 2.0 * wrist),
         ),
-        "Tree": (core.Tree, (robot,)),
-        "Tree.moved": (tree.moved, ({},)),
-        "Tree.points": (tree.points, (robot.rest, robot.spec.points)),
-        "Tree.poses": (tree.poses, (motion.q, list(robot.point_frames))),
+        "Tree": (core.Tree, (encode(hand_model(robot)),)),
+        "Tree.moved": (
+            core_tree(human).moved,
+            (["index_MCP_abduction"], np.ones((1, 3)), np.ones(1)),
+        ),
+        "Tree.points": (tree.points, (robot.rest,)),
+        "Tree.points_on_links": (
+            tree.points_on_links,
+            (robot.rest, ["palm_link", "palm_link"], np.zeros((2, 3))),
+        ),
+        "Tree.points_on_joints": (
+            tree.points_on_joints,
+            (robot.rest, [0, 3], np.zeros((2, 3))),
+        ),
+        "Tree.joint_poses": (tree.joint_poses, (motion.q,)),
+        "Tree.posture": (tree.posture, (motion.q,)),
         "Tree.nearest_posture": (
             tree.nearest_posture,
-            (robot, points, np.ones(len(points)), 0.1, robot.rest),
+            (points, np.ones(len(points)), 0.1, robot.rest),
         ),
         "Tree.smallest_distances": (
             tree.smallest_distances,
@@ -198,7 +239,7 @@ def calls_of(core: Any) -> dict[str, Call]:
         ),
         "PairBounds": (core.PairBounds, (bounds,)),
         "PointDistances": (core.PointDistances, (teleoperation.method.distances,)),
-        "Gate": (core.Gate, (tree, ik.hand, gate.limits, gate.collisions)),
+        "Gate": (core.Gate, (tree, encode(gate.limits), gate.collisions)),
         "Gate.set_motion": (
             solver.set_motion,
             (motion.q, motion.displacement, dt, motion.stop_times),
@@ -227,7 +268,14 @@ def calls_of(core: Any) -> dict[str, Call]:
         "braking_displacement": (core.braking_displacement, (0.1, 1e-3)),
         "Ik": (
             core.Ik,
-            (tree, ik.hand, ik.options, gate.limits, gate.collisions, gate.links),
+            (
+                tree,
+                ik.hand,
+                ik.options,
+                encode(gate.limits),
+                gate.collisions,
+                gate.links,
+            ),
         ),
         "Ik.hold": (solver.hold, (dt,)),
         "Ik.solve": (solver.solve, (goal,)),
@@ -266,9 +314,9 @@ def calls_of(core: Any) -> dict[str, Call]:
             reader.read,
             (sample.landmarks, wrist),
         ),
-        "JointReader": (core.JointReader, (mapper._joints,)),
+        "JointReader": (core.JointReader, (core_tree(joints),)),
         "JointReader.read": (
-            core.JointReader(mapper._joints).read,
+            core.JointReader(core_tree(joints)).read,
             (joints.rest, wrist),
         ),
         "StreamGuard": (core.StreamGuard, ("right", rest, orders)),

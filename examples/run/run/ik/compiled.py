@@ -8,6 +8,6 @@ STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""
 
 
-def core_tree(hand: Any) -> None:
-    """Return nothing: landmarks at rest are saved."""
-    del hand
+def core_tree(hand: Any) -> Any:
+    """Return the core's kinematics of a hand."""
+    return hand.tree
