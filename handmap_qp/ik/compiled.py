@@ -4,15 +4,11 @@ The core (`handmap_qp/core`, C++) has kinematics, distances and a QP solver of i
 """
 
 from functools import lru_cache
-from typing import Any, get_args
+from typing import Any
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands import Hand
 from .core import core
-from .qp import Status
-
-STATUSES = get_args(Status)
-"""Outcomes in the order of the core's numbers."""
 
 
 @lru_cache(maxsize=16)
