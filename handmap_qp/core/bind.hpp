@@ -7,6 +7,7 @@ namespace nb = nanobind;
 
 namespace handmap {
 
+void bind_models(nb::module_& m);
 void bind_hands(nb::module_& m);
 void bind_gate(nb::module_& m);
 void bind_ik(nb::module_& m);

@@ -11,10 +11,10 @@ namespace handmap {
 namespace {
 
 // Of a hand and its tree, `BoxLimits`, and a `CollisionLimit` or None.
-void make_gate(Gate* self, const Tree& tree, const nb::object& hand, const nb::object& limits,
+void make_gate(Gate* self, const Tree& tree, const nb::object& hand, const nb::bytes& limits,
                const nb::object& collisions) {
   Gate& gate = *new (self) Gate(tree);
-  set_gate(gate, Fields(hand), Fields(limits), collisions);
+  set_gate(gate, Fields(hand), limits, collisions);
 }
 
 // What a `Motion` of Python is made of.

@@ -20,7 +20,6 @@ namespace nb = nanobind;
 namespace handmap {
 
 using Array = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
-using Indices = std::vector<int>;
 
 inline Vector vector_of(const Array& a) { return Vector(a.data(), a.data() + a.size()); }
 
@@ -267,24 +266,10 @@ inline void set_fingers(Gate& gate, const Fields& hand) {
     expect(own.size() == gate.tree.joint_columns.size(), "wrong size of finger_joints");
 }
 
-inline void set_limits(Gate& gate, const Fields& from) {
-  BoxLimits& limits = gate.limits;
-  limits.size = gate.tree.size;
-  limits.lowest = from.numbers("lowest");
-  limits.highest = from.numbers("highest");
-  limits.lower = from.numbers("lower");
-  limits.upper = from.numbers("upper");
-  limits.speeds = from.numbers("speeds");
-  limits.coordinates = from.indices("coordinates");
-  for (const int is_together : from.indices("together"))
-    limits.together.push_back(static_cast<char>(is_together));
-  limits.acceleration = from.get<double>("acceleration");
-  const size_t size = static_cast<size_t>(gate.tree.size), nq = static_cast<size_t>(gate.tree.nq);
-  expect(limits.lowest.size() == nq && limits.highest.size() == nq && limits.lower.size() == size &&
-             limits.upper.size() == size && limits.speeds.size() == size &&
-             limits.coordinates.size() == size && limits.together.size() == size,
-         "wrong sizes of limits");
-  expect_indices(limits.coordinates, nq, "coordinates");
+inline void set_limits(Gate& gate, const nb::bytes& bytes) {
+  BoxLimits& limits = gate.limits = decode<BoxLimits>({bytes.c_str(), bytes.size()});
+  expect_count("BoxLimits.lowest", limits.lowest.size(), static_cast<size_t>(gate.tree.nq));
+  expect_count("BoxLimits.lower", limits.lower.size(), static_cast<size_t>(gate.tree.size));
 }
 
 inline Shape make_shape(const Fields& from) {
@@ -366,7 +351,7 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
 }
 
 // Set what a gate of a hand admits: by its `BoxLimits`, and by its `CollisionLimit` or None.
-inline void set_gate(Gate& gate, const Fields& hand, const Fields& limits,
+inline void set_gate(Gate& gate, const Fields& hand, const nb::bytes& limits,
                      const nb::object& collisions) {
   set_fingers(gate, hand);
   set_limits(gate, limits);
@@ -386,7 +371,7 @@ struct PythonIk : Ik {
 
 // Of a hand and its tree, `IkOptions`, `BoxLimits`, and a `CollisionLimit` or None with its links.
 inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
-                    const nb::object& options, const nb::object& limits,
+                    const nb::object& options, const nb::bytes& limits,
                     const nb::object& collisions, const nb::object& links) {
   PythonIk& ik = *new (self) PythonIk(tree, hand, links);
   ik.tree.points = reference_points(Fields(hand));
@@ -402,7 +387,7 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
   set_weights(ik, Fields(hand), Fields(options));
   ik.takes_detours = Fields(options).get<bool>("takes_detours");
   ik.stop_detours();
-  set_gate(ik, Fields(hand), Fields(limits), collisions);
+  set_gate(ik, Fields(hand), limits, collisions);
 }
 
 inline Estimator make_estimator(const Fields& from) {

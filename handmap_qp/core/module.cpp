@@ -30,6 +30,7 @@ NB_MODULE(_core, m) {
   nb::set_leak_warnings(false);
   m.def("raise_if_busy", &raise_if_busy, "error"_a);
   // Classes come after their bases.
+  bind_models(m);
   bind_hands(m);
   bind_gate(m);
   bind_steps(m);

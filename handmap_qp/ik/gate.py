@@ -10,11 +10,12 @@ from collections.abc import Callable
 from typing import Any
 
 from handmap_qp.hands import Hand, Names
+from handmap_qp.models import encode
 from handmap_qp.se3 import Array
 from .collision import CollisionLimit, Rows
 from .compiled import core_tree
 from .core import core
-from .limits import BoxLimits
+from .limits import box_limits
 from .motion import Interval, Motion, When
 from .options import IkOptions
 
@@ -45,8 +46,8 @@ class Gate:
     ) -> None:
         self.hand = hand
         self.collisions = collisions
-        together = collisions.columns if collisions else False
-        self.limits = BoxLimits(hand, options, together)
+        together = collisions.columns if collisions else None
+        self.limits = box_limits(hand, options, together)
         self.links: tuple[Names, ...] = collisions.bounds.links if collisions else ((),)
         self._options = options
         self.core = self._make_core()
@@ -68,7 +69,7 @@ class Gate:
     def _make_core(self) -> Any:
         """Return the core's gate of this robot."""
         tree = core_tree(self.hand)
-        return core.Gate(tree, self.hand, self.limits, self.collisions)
+        return core.Gate(tree, self.hand, encode(self.limits), self.collisions)
 
     @property
     def motion(self) -> Motion:
@@ -196,7 +197,7 @@ class IkGate(Gate):
     def _make_core(self) -> Any:
         """Return the core's `Ik` of this hand, which is a gate."""
         tree = core_tree(self.hand)
-        limits = self.limits
+        limits = encode(self.limits)
         return core.Ik(
             tree, self.hand, self._options, limits, self.collisions, self.links
         )

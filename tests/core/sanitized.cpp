@@ -305,7 +305,6 @@ void solvers(Numbers& numbers) {
     const int n = ik.tree.size;
     ik.weights = {{100.0, 100.0}, 100.0, 10.0, 1e-3, 0.5};
     ik.settings = {8, 1e-4, 1e-4, 0.01, 0.0, 0.0, round % 5 == 0};
-    ik.limits.size = n;
     ik.limits.lowest.assign(ik.tree.nq, -kInfinity);
     ik.limits.highest.assign(ik.tree.nq, kInfinity);
     ik.limits.lower.assign(n, -1.5);

@@ -289,7 +289,8 @@ def test_a_file_of_the_first_version_is_read(saved: Path) -> None:
 
 def test_other_names_are_of_another_version(saved: Path) -> None:
     import handmap_run
-    from handmap_run.form import File, decode, encode
+    from handmap_run.form import File, decode
+    from handmap_run.models import encode
 
     file = msgspec.msgpack.decode(saved.read_bytes(), type=File)
     tree = decode(file.body)

@@ -14,10 +14,11 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
 from handmap_qp.human import landmarks_at_rest
 from handmap_qp.mapping import HandMapper, RobotMapper, robot_fingers
+from handmap_qp.models import encode
 from handmap_qp.options import Options
 from handmap_qp.stream import can_grip
 from handmap_qp.trackers import LAYOUTS
-from .form import HAND, KIND, ROBOT, File, encode
+from .form import HAND, KIND, ROBOT, File
 
 _HAND = """
 name side mount is_floating joint_names all_joint_names limits lower_limits upper_limits

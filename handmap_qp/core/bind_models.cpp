@@ -1,0 +1,31 @@
+// The models that the core is made of, as a test compares them with those of Python.
+#include <nanobind/nanobind.h>
+
+#include "bind.hpp"
+#include "limits.hpp"
+
+using namespace nb::literals;
+
+namespace handmap {
+namespace {
+
+template <class Model>
+void add(nb::dict& models) {
+  nb::list fields;
+  for (const auto& [name, form] : fields_of<Model>())
+    fields.append(nb::make_tuple(nb::str(name.c_str()), nb::str(form.c_str())));
+  models[Model::kName] = fields;
+}
+
+// Names and forms of the fields of each model, in their order.
+nb::dict model_fields() {
+  nb::dict models;
+  add<BoxLimits>(models);
+  return models;
+}
+
+}  // namespace
+
+void bind_models(nb::module_& m) { m.def("model_fields", &model_fields); }
+
+}  // namespace handmap
