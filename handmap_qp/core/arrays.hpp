@@ -71,6 +71,16 @@ inline NumpyArray array_of(std::initializer_list<size_t> shape, const double* fr
 
 inline NumpyArray array_of(const Vector& from) { return array_of({from.size()}, from.data()); }
 
+// The same, which cannot be written to.
+template <class Number>
+NumpyArray read_only(const std::vector<Number>& from) {
+  auto* kept = new std::vector<Number>(from);
+  const nb::capsule owner(kept, [](void* p) noexcept {
+    delete static_cast<std::vector<Number>*>(p);
+  });
+  return nb::cast(nb::ndarray<nb::numpy, const Number>(kept->data(), {kept->size()}, owner));
+}
+
 inline NumpyArray array_of(const std::vector<Vec3>& points) {
   static_assert(sizeof(Vec3) == 3 * sizeof(double));
   return array_of({points.size(), 3}, points.empty() ? nullptr : &points[0].x);

@@ -68,7 +68,7 @@ Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
 }
 
 // Move the hand for a `Goal` of Python.
-nb::object solve(PythonIk& ik, const nb::object& wanted) {
+Step solve(PythonIk& ik, const nb::object& wanted) {
   const Fields given(wanted);
   Goal goal;
   goal.points = points_of(given.array("points", 3 * ik.tree.points.size()));
@@ -108,14 +108,14 @@ nb::object solve(PythonIk& ik, const nb::object& wanted) {
        margins_of(ik, given.get<std::optional<Array>>("margins")), given.get<double>("speed"),
        step.result);
   finish(ik, step);
-  return result_of(step, ik.hand, ik.links);
+  return step;
 }
 
 // Take the stop that was admitted last, for one sample.
-nb::object hold_still(PythonIk& ik, const nb::object& when) {
+Step hold_still(PythonIk& ik, const nb::object& when) {
   Step step;
   hold(ik, when_from(when), step);
-  return result_of(step, ik.hand, ik.links);
+  return step;
 }
 
 // The detour of each hand, to go on with.

@@ -244,7 +244,7 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
 inline Estimator make_estimator(const Fields& from) {
   Estimator estimator;
   const Vector shares = from.numbers("estimator.shares");
-  const std::vector<Vec3> centred = from.points("estimator.centred");
+  const std::vector<Vec3> centred = estimator.centred = from.points("estimator.centred");
   const size_t count = shares.size();
   estimator.count = static_cast<int>(count);
   expect(centred.size() == count, "wrong size of centred");

@@ -86,6 +86,9 @@ struct Detour {
 };
 
 enum class Status { converged, limited, unreachable, unsettled, failed, released };
+constexpr const char* kStatusNames[] = {"converged", "limited", "unreachable",
+                                        "unsettled", "failed",  "released"};
+inline const char* name_of(Status status) { return kStatusNames[static_cast<int>(status)]; }
 
 struct Result {
   Status status;

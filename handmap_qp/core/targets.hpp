@@ -108,6 +108,7 @@ struct Estimator {
   Mat3 prior_gain;
   bool has_ridge = false;
   Vec3 centroid;
+  std::vector<Vec3> centred;  // the points at the reference, from their centroid
 
   struct Estimate {
     Mat3 linear;
@@ -203,15 +204,33 @@ class TargetMap {
   virtual const PalmMap* palm() const { return nullptr; }
   // The arrays that the diagnostics of a sample are, one after the other.
   virtual std::vector<ArrayShape> shapes() const = 0;
+  Estimator estimator;
   size_t human_points = 0;
   bool needs_wrist = false;
   Vector rest;  // joint positions that the QP's rest term pulls to
+
+  // RMS distance of the human points from where T takes them [m]. The diagnostics of every map begin
+  // with T's linear part, the centroid after the motion and the points after it.
+  double residual(const Asked& asked) const {
+    const double* from = asked.diagnostics.data();
+    Mat3 linear;
+    std::copy(from, from + 9, linear.m);
+    const Vec3 centroid{from[9], from[10], from[11]};
+    from += 12;
+    double sum = 0.0;
+    for (const Vec3& before : estimator.centred) {
+      const Vec3 after = Vec3{from[0], from[1], from[2]} - centroid;
+      const Vec3 off = after - linear * before;
+      sum += dot(off, off);
+      from += 3;
+    }
+    return std::sqrt(sum / static_cast<double>(estimator.centred.size()));
+  }
 };
 
 // See methods.teleoperation.TeleoperationMap.
 class TeleoperationMap : public TargetMap, public PalmMap {
  public:
-  Estimator estimator;
   std::vector<int> shape_points, from, to, partners;
   int fingers = 0;
   Vector human_reach, aim_slopes, aim_offsets, least_aims, largest_aims, extension_weights;
@@ -301,7 +320,6 @@ class HomogeneousMap : public TargetMap {
  public:
   enum class Rigid { points, wrist, none };
   Rigid rigid = Rigid::points;
-  Estimator estimator;
   double stretch_min = 0.2, stretch_max = 3.0, deformation_gain = 1.0, scale = 1.0;
   Vec3 pivot, origin;
   Mat3 alignment;

@@ -19,6 +19,7 @@ from .qp import WRIST_LEVERS as WRIST_LEVERS
 from .qp import IkResult as IkResult
 from .qp import PointIk as PointIk
 from .qp import Status as Status
+from .qp import result_of as result_of
 from .qp import solve_by_daqp as solve_by_daqp
 from .qp import wrist_error as wrist_error
 from .tasks import AttachedPoints as AttachedPoints

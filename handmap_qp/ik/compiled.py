@@ -4,7 +4,7 @@ The core (`handmap_qp/core`, C++) has kinematics, distances and a QP solver of i
 """
 
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -19,10 +19,6 @@ from handmap_qp.models import (
     encode,
 )
 from .core import core
-from .qp import Status
-
-STATUSES = get_args(Status)
-"""Outcomes in the order of the core's numbers."""
 
 _FRAMES: dict[pin.FrameType, Literal["joint", "fixed_joint", "link"]] = {
     pin.FrameType.JOINT: "joint",

@@ -22,7 +22,7 @@ def load_core() -> Any:
         MissingCoreError: If it is missing, cannot be loaded, or is older than its sources.
     """
     # Not above: a build runs this file by itself, before anything else can be imported.
-    from handmap_qp.errors import MissingCoreError
+    from handmap_qp.errors import MapperBusyError, MissingCoreError
 
     try:
         module = importlib.import_module("handmap_qp._core")
@@ -31,6 +31,7 @@ def load_core() -> Any:
         raise MissingCoreError(problem, command=_installing()) from error
     if fingerprint() not in ("", module.SOURCES):
         raise MissingCoreError("is older than its sources", command=_installing())
+    module.raise_if_busy(MapperBusyError)
     return module
 
 

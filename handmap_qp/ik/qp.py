@@ -104,6 +104,29 @@ class IkResult(ArrayStruct, frozen=True):
         return self.targets - self.points
 
 
+def result_of(step: Any, hand: Hand, links: Sequence[Names]) -> IkResult:
+    """Return the result of a step of the core.
+
+    Args:
+        step: The step, as the core has it.
+        hand: The hand.
+        links: Links of each pair of shapes that its gate keeps apart; at -1, there are none.
+    """
+    return IkResult(
+        step.status,
+        step.points,
+        step.targets,
+        step.q,
+        step.wrists,
+        step.displacement,
+        step.active,
+        hand,
+        step.iterations,
+        step.last_step,
+        links[step.held_by],
+    )
+
+
 @lru_cache(maxsize=16)
 def _costs(hand: Hand, options: IkOptions) -> Array:
     """Return the costs of points and wrist by their coordinates, shape (3 m + 6,), read-only."""
@@ -353,7 +376,13 @@ class PointIk:
             speed,
             regularisation,
         )
-        return self.core.solve(goal) if self.is_compiled else self._solve_here(goal)
+        if not self.is_compiled:
+            return self._solve_here(goal)
+        return self.result_of(self.core.solve(goal))
+
+    def result_of(self, step: Any) -> IkResult:
+        """Return the result of a step of the core."""
+        return result_of(step, self.hand, self.gate.links)
 
     def _solve_here(self, goal: Goal) -> IkResult:
         """Move the hand straight towards the targets of one sample, by QPs that are posed here."""
@@ -421,7 +450,7 @@ class PointIk:
         Args:
             dt: Time since the robot's last command [s], or the instant of this one.
         """
-        return self.core.hold(dt)
+        return self.result_of(self.core.hold(dt))
 
     def postures(
         self, dt: float, rest: Array | None, regularisation: Array | None = None

@@ -33,6 +33,7 @@ from .method import RobotPosture as RobotPosture
 from .method import Stages as Stages
 from .method import Targets as Targets
 from .method import arm_held_by as arm_held_by
+from .method import core_pose as core_pose
 from .method import default_preset as default_preset
 from .method import get_preset as get_preset
 from .objects import KINDS as KINDS

@@ -67,8 +67,10 @@ from .method import (
     Stages,
     TargetMap,
     Targets,
+    core_pose,
     default_preset,
     get_preset,
+    step_views,
 )
 
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
@@ -233,9 +235,6 @@ class HandMapper(Mover):
     One thread at a time works on a mapper: while it maps, other threads that enter get a
     `MapperBusyError`, and nothing changes.
     """
-
-    # The core's class that maps samples.
-    _core_kind = "SampleMapper"
 
     def __init__(
         self,
@@ -439,7 +438,7 @@ class HandMapper(Mover):
         if targets:
             stages = self._moved(sample, targets, target_map, when, speed)
         else:
-            stages = own.follow(sample, when, speed)
+            stages = own.follow(core_pose(sample), when, speed)
         self.core = own
         if bound.renews_reference:
             self.core = None
@@ -458,8 +457,11 @@ class HandMapper(Mover):
         own = self.core
         when = self._when(dt, time)
         # None for a sample that Python has to look at.
-        step = own and own.map(reader.core, numbers, wrist, when)
-        if not step:
+        timed = own and own.map(reader.core, numbers, wrist, when)
+        if timed:
+            stages, duration = timed
+            step = MapStep(stages, (), duration)
+        else:
             started = perf_counter()
             sample, outside = reader.read(numbers, wrist)
             step = self.map(sample, when)
@@ -499,8 +501,16 @@ class HandMapper(Mover):
         is_python = self._is_released or self.tasks or ik.options.tasks
         if is_python or not (ik.is_compiled and getattr(target_map, "core", None)):
             return None
-        kind = getattr(core, self._core_kind)
-        return self.core or kind(ik.core, self.robot, target_map)
+        return self.core or self._new_core(target_map)
+
+    def _new_core(self, target_map: Any) -> Any:
+        """Return the core's mapper by a map that the core has too."""
+        views = self._views_by(target_map)
+        return core.SampleMapper(self.point_ik.core, target_map.core, views)
+
+    def _views_by(self, target_map: Any) -> Any:
+        links = self.point_ik.gate.links
+        return step_views(target_map.asked, self.robot, links)
 
     @exclusively
     def hold(self, dt: When, seen: HumanPose | None = None) -> MapStep:

@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -113,6 +112,11 @@ def hostile(rng: random.Random, value: Any, others: list[Any]) -> Any:
         items[place] = hostile(rng, items[place], others)
         whole = rng.choice([items, items[:-1], items * 3, items[:0]])
         return type(value)(whole) if type(value) in (list, tuple) else whole
+    if isinstance(value, bytes) and value and rng.random() < 0.9:
+        damaged = bytearray(value)
+        for _ in range(rng.choice([1, 1, 3])):
+            damaged[rng.randrange(len(damaged))] = rng.choice([0, 1, 127, 192, 255])
+        return rng.choice([bytes(damaged), value[: rng.randrange(len(value))]])
     numbers = [0, -1, 1, 1000, 2**31, 2**62, 0.0, -1.0, 1e300, np.nan, np.inf, 1e-300]
     if isinstance(value, int | float) and rng.random() < 0.8:
         return rng.choice(numbers)
@@ -133,11 +137,15 @@ Call = tuple[Callable[..., Any], tuple[Any, ...]]
 def calls_of(core: Any) -> dict[str, Call]:
     """Return a call of each function with arguments that are right."""
     from handmap_qp import Follower, HandMapper, load_hand, read_recording
+    from handmap_qp.errors import MapperBusyError
+    from handmap_qp.hands.robot import load_robot
     from handmap_qp.human.recording import sample_columns
     from handmap_qp.human.sample import landmarks_at_rest
     from handmap_qp.ik import core_tree
     from handmap_qp.ik.compiled import hand_model
     from handmap_qp.ik.tasks import Goal
+    from handmap_qp.mapping.method import step_views
+    from handmap_qp.mapping.robot_mapper import RobotMapper
     from handmap_qp.stream.step_table import StepTable
     from handmap_qp.trackers.plausibility import known_orders
 
@@ -169,13 +177,18 @@ def calls_of(core: Any) -> dict[str, Call]:
     reader: Any = mapper.landmarks.core
     teleoperation: Any = teleoperated.target_map
     table = StepTable(mapper.robot, len(columns.time))
-    trajectory = SimpleNamespace(
-        point_error=np.ones((60, 5)),
-        q=np.ones((60, 16)),
-        valid=np.ones(60, dtype=bool),
-        at_limit=np.zeros((60, 16), dtype=bool),
-        at_speed_limit=np.zeros((60, 16), dtype=bool),
-    )
+    valid, at_bounds = np.ones(60, dtype=bool), np.zeros((60, 16), dtype=bool)
+    wrists = np.tile(wrist, (60, 1, 1))
+    given = recording.time, recording.landmarks, recording.valid, np.ones(60), wrists
+    samples = core.Samples(*given)
+    judged = sample.time, sample.landmarks, None, True, 1.0
+    views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
+    both = RobotMapper(load_robot("g1"))
+    right = recording.landmarks[0]
+    for _ in range(2):
+        both.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
+    asks = [leader.asked for leader in both.leaders.values()]
+    mover = both.core
     goal = Goal(points, wrist[None], ik.postures(dt, None), (), dt, None, 1.0)
     geometry = bounds.geometry.geometryObjects
     solver, in_core = ik.core, mapper.core
@@ -187,7 +200,7 @@ def calls_of(core: Any) -> dict[str, Call]:
 
     many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
     solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
-    _, orders = known_orders()
+    orders = known_orders().core
     check = core.InputCheck("right", orders)
     track = core.Track(0.0, sample.landmarks)
     rest = landmarks_at_rest(human)
@@ -197,6 +210,7 @@ def calls_of(core: Any) -> dict[str, Call]:
             (recording.landmarks, recording.landmarks[0, [0, 5, 9, 13, 17]], 0.8),
         ),
         "model_fields": (core.model_fields, ()),
+        "raise_if_busy": (core.raise_if_busy, (MapperBusyError,)),
         "log3": (core.log3, (np.eye(3),)),
         "exp3": (core.exp3, (np.ones(3),)),
         "quat_xyzw": (core.quat_xyzw, (np.eye(3),)),
@@ -204,7 +218,10 @@ def calls_of(core: Any) -> dict[str, Call]:
             core.smallest_gap,
             (recording.time, recording.landmarks, 0.1, 1.0),
         ),
-        "measure_episode": (core.measure_episode, (recording, trajectory)),
+        "measure_episode": (
+            core.measure_episode,
+            (samples, valid, np.ones((60, 5)), at_bounds, at_bounds, np.ones((60, 16))),
+        ),
         "solve_qp": (
             core.solve_qp,
             (np.eye(3), *np.ones((3, 3)), np.ones((2, 3)), np.ones(2)),
@@ -281,18 +298,25 @@ def calls_of(core: Any) -> dict[str, Call]:
         "Ik.solve": (solver.solve, (goal,)),
         "Ik.solve_many": (solver.solve_many, solve_many),
         "Ik.go_on": (solver.go_on, (list(solver.detours),)),
+        "HumanPose": (core.HumanPose, (points, wrist)),
+        "StepViews": (core.StepViews, (list, list, list, list)),
         "SampleMapper": (
             core.SampleMapper,
-            (mapper.point_ik.core, mapper.robot, own_map),
+            (mapper.point_ik.core, own_map.core, views),
         ),
         "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
+        "Asker": (
+            core.Asker,
+            (mapper.point_ik.core, own_map.core, views, own_map),
+        ),
+        "RobotMover.move": (mover.move, (asks, [0.1, 0.1], wrists[:2], dt)),
         "SampleMapper.map": (
             in_core.map,
             (reader, sample.landmarks, None, dt),
         ),
         "SampleMapper.map_sample": (
             in_core.map_sample,
-            (guard.core, smoother.core, reader, sample, None, None, None),
+            (guard.core, smoother.core, reader, *judged, dt, None, 0.0),
         ),
         "SampleMapper.run": (
             in_core.run,
@@ -301,7 +325,7 @@ def calls_of(core: Any) -> dict[str, Call]:
                 smoother.core,
                 reader,
                 0.0,
-                columns,
+                samples,
                 2,
                 9,
                 table.rows,
@@ -320,16 +344,17 @@ def calls_of(core: Any) -> dict[str, Call]:
             (joints.rest, wrist),
         ),
         "StreamGuard": (core.StreamGuard, ("right", rest, orders)),
-        "StreamGuard.check": (guard.core.check, (sample, None)),
-        "StreamGuard.holds": (guard.core.holds, (columns,)),
+        "Samples": (core.Samples, given),
+        "StreamGuard.check": (guard.core.check, (*judged, None)),
+        "StreamGuard.holds": (guard.core.holds, (samples,)),
         "StreamGuard.restore": (guard.core.restore, (guard.core.save(),)),
         "InputCheck": (core.InputCheck, ("right", orders)),
         "InputCheck.update": (check.update, (0.1, sample.landmarks, wrist)),
-        "InputCheck.examine": (check.examine, (recording,)),
+        "InputCheck.examine": (check.examine, (samples,)),
         "InputCheck.restore": (check.restore, (check.save(),)),
         "LandmarkOrders": (
             core.LandmarkOrders,
-            (["", "reversed"], [[*range(21)], [*range(20, -1, -1)]]),
+            ([[*range(21)], [*range(20, -1, -1)]],),
         ),
         "SampleClock.advance": (core.SampleClock().advance, (0.1,)),
         "SampleClock.at": (core.SampleClock().at, (0.1,)),

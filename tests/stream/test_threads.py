@@ -234,7 +234,7 @@ def test_a_solver_at_work_refuses_every_call() -> None:
                 ),
                 lambda: solver.detours,
                 lambda: solver.go_on([]),
-                lambda: in_core.follow(mapper.reference, 0.02, 1.0),
+                lambda: in_core.follow(core_pose(mapper.reference), 0.02, 1.0),
                 lambda: in_core.map(reader, SAMPLE.landmarks, None, 0.02),
             ]
         )
