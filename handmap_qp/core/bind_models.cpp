@@ -3,6 +3,9 @@
 
 #include "bind.hpp"
 #include "limits.hpp"
+#include "method_models.hpp"
+#include "person_models.hpp"
+#include "robot_model.hpp"
 
 using namespace nb::literals;
 
@@ -21,6 +24,15 @@ void add(nb::dict& models) {
 nb::dict model_fields() {
   nb::dict models;
   add<BoxLimits>(models);
+  add<EstimatorModel>(models);
+  add<PalmModel>(models);
+  add<DistancesModel>(models);
+  add<TeleoperationModel>(models);
+  add<HomogeneousModel>(models);
+  add<GuardModel>(models);
+  add<LandmarkReaderModel>(models);
+  add<RobotHandModel>(models);
+  add<RobotModel>(models);
   return models;
 }
 

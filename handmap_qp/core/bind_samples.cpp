@@ -27,10 +27,24 @@ void bind_samples(nb::module_& m) {
       .def_prop_ro("wrist", &wrist_of);
   nb::class_<TargetMap>(m, "TargetMap");
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
-      .def("__init__", &make_teleoperation);
-  nb::class_<HomogeneousMap, TargetMap>(m, "HomogeneousMap").def("__init__", &make_homogeneous);
+      .def("__init__",
+           [](TeleoperationMap* self, const nb::bytes& model, const nb::bytes& palm) {
+             new (self)
+                 TeleoperationMap(model_of<TeleoperationModel>(model), {model_of<PalmModel>(palm)});
+           },
+           "model"_a, "palm"_a);
+  nb::class_<HomogeneousMap, TargetMap>(m, "HomogeneousMap")
+      .def("__init__",
+           [](HomogeneousMap* self, const nb::bytes& model) {
+             new (self) HomogeneousMap(model_of<HomogeneousModel>(model));
+           },
+           "model"_a);
   nb::class_<LandmarkReader>(m, "LandmarkReader")
-      .def("__init__", &make_landmark_reader)
+      .def("__init__",
+           [](LandmarkReader* self, const nb::bytes& model) {
+             new (self) LandmarkReader(model_of<LandmarkReaderModel>(model));
+           },
+           "model"_a)
       .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none());
   nb::class_<JointReader>(m, "JointReader")
       .def("__init__", &make_joint_reader)

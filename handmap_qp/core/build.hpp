@@ -21,6 +21,11 @@ namespace handmap {
 
 using Array = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
+template <class Model>
+Model model_of(const nb::bytes& bytes) {
+  return decode<Model>({bytes.c_str(), bytes.size()});
+}
+
 inline Vector vector_of(const Array& a) { return Vector(a.data(), a.data() + a.size()); }
 
 inline void expect_size(const Array& a, size_t size, const char* name) {
@@ -390,146 +395,6 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
   set_gate(ik, Fields(hand), limits, collisions);
 }
 
-inline Estimator make_estimator(const Fields& from) {
-  Estimator estimator;
-  const Vector shares = from.numbers("estimator.shares");
-  const std::vector<Vec3> centred = estimator.centred = from.points("estimator.centred");
-  const size_t count = shares.size();
-  estimator.count = static_cast<int>(count);
-  expect(centred.size() == count, "wrong size of centred");
-  // One product gives A^T without the prior, Kabsch's covariance and the centroid of a sample.
-  Vector& moments = estimator.moments = from.numbers("estimator.gain");
-  expect(moments.size() == 3 * count, "wrong size of gain");
-  for (int i = 0; i < 3; ++i)
-    for (size_t k = 0; k < count; ++k) moments.push_back(shares[k] * centred[k][i]);
-  // The rows of the first two sum to zero, so that they centre the sample as well.
-  for (size_t r = 0; r < 6; ++r) {
-    const auto row = moments.begin() + static_cast<std::ptrdiff_t>(r * count);
-    const double sum = std::accumulate(row, row + static_cast<std::ptrdiff_t>(count), 0.0);
-    for (size_t k = 0; k < count; ++k) row[static_cast<std::ptrdiff_t>(k)] -= sum * shares[k];
-  }
-  append(shares, moments);
-  estimator.prior_gain = from.matrix("estimator.prior_gain");
-  estimator.has_ridge = from.get<double>("estimator.ridge") != 0.0;
-  estimator.centroid = from.point("estimator.centroid");
-  return estimator;
-}
-
-inline void set_palm(PalmMap& map, const Fields& from) {
-  map.human_wrist_to_palm = from.pose("human_wrist_to_palm");
-  map.robot_palm_to_wrist = from.pose("robot_palm_to_wrist");
-  map.start = from.pose("start");
-  map.is_still = from.get<bool>("is_still");
-  map.alignment = from.matrix("alignment");
-  map.rotation = from.matrix("rotation");
-  map.origin = from.point("origin");
-  map.offset = from.point("offset");
-  map.human_anchor = from.point("human_anchor");
-  map.robot_anchor = from.point("robot_anchor");
-  map.human_start = from.point("human_start");
-  map.further = from.get<double>("further");
-}
-
-inline void check_sizes(const TeleoperationMap& map) {
-  const size_t rows = map.from.size(), fingers = map.human_reach.size(), count = map.partners.size();
-  expect(fingers <= rows && map.to.size() == rows && map.distances.first.size() == rows &&
-             map.extension_weights.size() >= fingers,
-         "wrong number of distances");
-  for (const Vector* each :
-       {&map.aim_slopes, &map.aim_offsets, &map.least_aims, &map.largest_aims})
-    expect(each->size() == rows, "wrong number of aims");
-  expect(static_cast<size_t>(map.estimator.count) == map.shape_points.size(),
-         "wrong number of shape_points");
-  expect(map.offsets.size() == count && map.directions.size() == count &&
-             map.ratios.size() == count && map.bases.size() == count &&
-             map.starts.size() == count && map.finger_of.size() == count,
-         "wrong number of points");
-  for (const std::vector<int>* each :
-       {&map.shape_points, &map.from, &map.to, &map.partners, &map.starts})
-    expect_indices(*each, map.human_points, "the human's points");
-  const size_t pinches = rows - fingers;
-  // Finger 0 is the thumb, which has all pinches.
-  if (pinches > 0) expect_indices(map.finger_of, pinches + 1, "finger_of");
-  expect(map.pinch_margins.size() == map.pinch_pairs.size() &&
-             map.pinch_of_pair.size() == map.pinch_pairs.size(),
-         "wrong number of pinch_pairs");
-  expect_indices(map.pinch_pairs, map.base_margins.size(), "pinch_pairs");
-  expect_indices(map.pinch_of_pair, pinches, "pinch_of_pair");
-}
-
-inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) {
-  const Fields from(owner);
-  TeleoperationMap& map = *new (self) TeleoperationMap();
-  set_palm(map, from);
-  map.needs_wrist = true;
-  map.rest = from.numbers("rest");
-  map.human_points = from.get<Array>("pair.human_rest").shape(0);
-  map.estimator = make_estimator(from);
-  map.shape_points = from.indices("pair.shape_points");
-  map.from = from.indices("from_points");
-  map.to = from.indices("to_points");
-  map.partners = from.indices("pair.partners");
-  map.human_reach = from.numbers("pair.human_reach");
-  map.fingers = static_cast<int>(map.human_reach.size());
-  map.aim_slopes = from.numbers("method.aim_slopes");
-  map.aim_offsets = from.numbers("method.aim_offsets");
-  map.least_aims = from.numbers("method.least_aims");
-  map.largest_aims = from.numbers("method.largest_aims");
-  map.extension_weights = from.numbers("method.extension_weights");
-  map.pinch_weight = from.get<double>("method.pinch_weight");
-  map.carried = from.numbers("carried");
-  map.likeness = from.get<double>("pair.palms.likeness");
-  map.regularisation = from.numbers("regularisation");
-  map.pinch_far = from.get<double>("method.pinch_from");
-  map.pinch_over = from.get<double>("method.pinch_over");
-  map.offsets = from.points("offsets");
-  map.robot_centre = from.point("pair.robot_centre");
-  map.ratio = from.get<double>("pair.finger_ratio");
-  map.gain = from.get<double>("gain");
-  map.directions = from.numbers("directions");
-  map.ratios = from.numbers("ratios");
-  map.bases = from.points("bases");
-  map.starts = from.indices("starts");
-  map.finger_of = from.indices("pair.finger_of");
-  map.base_margins = from.numbers("method.base_margins");
-  map.pinch_margins = from.numbers("method.pinch_margins");
-  map.pinch_pairs = from.indices("method.pinch_pairs");
-  map.pinch_of_pair = from.indices("method.pinch_of_pair");
-  map.contact_slope = from.get<double>("method.contact_slope");
-  map.contact_from = from.get<double>("method.contact_from");
-  map.contact_most = from.get<double>("method.contact_most");
-  map.distances = from.get<DistanceTask>("method.distances.core");
-  check_sizes(map);
-}
-
-inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
-  const Fields from(owner);
-  HomogeneousMap& map = *new (self) HomogeneousMap();
-  const std::string rigid = from.get<std::string>("options.rigid_from");
-  map.rigid = rigid == "wrist"  ? HomogeneousMap::Rigid::wrist
-              : rigid == "none" ? HomogeneousMap::Rigid::none
-                                : HomogeneousMap::Rigid::points;
-  map.needs_wrist = rigid == "wrist";
-  map.rest = from.numbers("rest");
-  map.estimator = make_estimator(from);
-  map.human_points = map.estimator.count;
-  map.stretch_min = from.get<double>("options.stretch_min");
-  map.stretch_max = from.get<double>("options.stretch_max");
-  map.deformation_gain = from.get<double>("options.deformation_gain");
-  map.scale = from.get<double>("options.scale");
-  map.pivot = from.point("pivot");
-  map.origin = from.point("origin");
-  map.alignment = from.matrix("alignment");
-  if (map.needs_wrist) map.human_wrist = from.pose("human_wrist");
-  map.robot_wrist = from.pose("robot_wrist");
-  map.human_offsets = from.points("human_offsets");
-  map.robot_offsets = from.points("robot_offsets");
-  if (!from.object("share").is_none()) map.share = from.numbers("share");
-  expect(map.human_offsets.size() == map.human_points &&
-             (map.share.empty() || map.share.size() == map.robot_offsets.size() * map.human_points),
-         "wrong number of points");
-}
-
 inline std::vector<Attached> points_of_task(const Fields& task) {
   return attached_of(task.get<Indices>("points.joints"), task.get<Array>("points.offsets"));
 }
@@ -547,15 +412,6 @@ inline void make_distances(DistanceTask* self, const nb::object& owner) {
 inline OffsetTask offset_of(const Fields& task) {
   const std::vector<Attached> ends = points_of_task(task);
   return {ends.at(0), ends.at(1), task.point("aim"), task.get<double>("weight") / kLengthUnit};
-}
-
-inline void make_landmark_reader(LandmarkReader* self, const nb::object& owner) {
-  const Fields from(owner);
-  LandmarkReader& reader = *new (self) LandmarkReader{from.indices("used"), from.points("model"),
-                                                      from.numbers("weights")};
-  expect_indices(reader.used, kLandmarks, "used");
-  expect(reader.model.size() == std::size(kPalm), "wrong size of model");
-  expect(reader.weights.size() == std::size(kPalm), "wrong size of weights");
 }
 
 inline void make_joint_reader(JointReader* self, const nb::object& owner) {

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands import AttachedPoints, Configuration, Hand
+from handmap_qp.models import DistancesModel
 from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import Array, as_floats, lengths
 from .core import Compiled
@@ -145,6 +146,15 @@ class PointDistances(Compiled):
         self.first, self.second = indices.T
         self.distances = _check_numbers(distances, len(indices), "distances")
         self.weights = _check_numbers(weights, len(indices), "weights")
+
+    def model(self) -> DistancesModel:
+        """Return its points and pairs, as the core has them."""
+        return DistancesModel(
+            joints=np.asarray(self.points.joints) - 1,
+            offsets=self.points.offsets,
+            first=self.first,
+            second=self.second,
+        )
 
     def aimed_at(self, distances: Array, weights: Array) -> PointDistances:
         """Return the same task with other targets, unchecked: for use sample by sample.

@@ -13,3 +13,12 @@ from .encoding import Vector as Vector
 from .encoding import encode as encode
 from .encoding import unpacked as unpacked
 from .limits import BoxLimits as BoxLimits
+from .method import DistancesModel as DistancesModel
+from .method import EstimatorModel as EstimatorModel
+from .method import HomogeneousModel as HomogeneousModel
+from .method import PalmModel as PalmModel
+from .method import TeleoperationModel as TeleoperationModel
+from .person import GuardModel as GuardModel
+from .person import LandmarkReaderModel as LandmarkReaderModel
+from .robot import RobotHandModel as RobotHandModel
+from .robot import RobotModel as RobotModel

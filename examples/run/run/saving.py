@@ -14,7 +14,7 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
 from handmap_qp.human import landmarks_at_rest
 from handmap_qp.mapping import HandMapper, RobotMapper, robot_fingers
-from handmap_qp.models import encode
+from handmap_qp.models import Model, encode
 from handmap_qp.options import Options
 from handmap_qp.stream import can_grip
 from handmap_qp.trackers import LAYOUTS
@@ -49,16 +49,8 @@ _ATTRIBUTES = {
         wrist_to_palm
     """,
     "BoundTeleoperation": """
-        alignment choices pair estimator pinch_from pinch_over pinched distances aim_slopes
-        aim_offsets least_aims largest_aims extension_weights pinch_weight base_margins pinch_pairs
-        pinch_of_pair pinch_margins contact_slope wrist_to_palm
+        alignment choices model estimator distances human_anchor robot_anchor wrist_to_palm
     """,
-    "HandPair": """
-        fingers partners finger_of tips knuckles finger_ratio matched human_rest robot_rest
-        human_knuckles robot_knuckles finger_likeness robot_bases robot_centre shape_points
-        human_reach reach_ratios palms is_carried regularisation
-    """,
-    "PalmMatch": "turn bases likeness",
     "Pad": "joint offset radius cover",
     "Finger": "columns is_jaw",
 }
@@ -164,6 +156,9 @@ def _packed(value: Any) -> Any:
         return value
     if isinstance(value, pin.SE3):
         return {"": "Pose", "homogeneous": value.homogeneous}
+    if isinstance(value, Model):
+        names = value.__struct_fields__
+        return {"": kind} | {name: _packed(getattr(value, name)) for name in names}
     if isinstance(value, Options):
         return {"": kind} | {name: _packed(each) for name, each in value.values.items()}
     if make := _MADE.get(kind):
