@@ -143,8 +143,12 @@ void bind_checks(nb::module_& m) {
       .def("finding", exclusively(&PythonInputCheck::finding))
       .def("is_wrist_proven", exclusively(&PythonInputCheck::is_wrist_proven));
   nb::class_<PythonGuard>(m, "StreamGuard")
-      .def(nb::init<const std::string&, const Array&, std::shared_ptr<const LandmarkOrders>>(),
-           "side"_a, "landmarks"_a, "orders"_a)
+      .def("__init__",
+           [](PythonGuard* self, const nb::bytes& model,
+              std::shared_ptr<const LandmarkOrders> orders) {
+             new (self) PythonGuard(model_of<GuardModel>(model), std::move(orders));
+           },
+           "model"_a, "orders"_a)
       .def("save", exclusively(&PythonGuard::save))
       .def("restore", exclusively(&PythonGuard::restore), "saved"_a)
       .def("forget", exclusively(&PythonGuard::forget))

@@ -3,7 +3,11 @@
 
 #include "bind.hpp"
 #include "hand_model.hpp"
+#include "ik_models.hpp"
 #include "limits.hpp"
+#include "method_models.hpp"
+#include "person_models.hpp"
+#include "robot_model.hpp"
 
 using namespace nb::literals;
 
@@ -26,6 +30,21 @@ nb::dict model_fields() {
   add<PlaceModel>(models);
   add<HandModel>(models);
   add<BoxLimits>(models);
+  add<ShapeModel>(models);
+  add<BodyModel>(models);
+  add<PairsModel>(models);
+  add<ContactYield>(models);
+  add<CollisionModel>(models);
+  add<IkModel>(models);
+  add<EstimatorModel>(models);
+  add<PalmModel>(models);
+  add<DistancesModel>(models);
+  add<TeleoperationModel>(models);
+  add<HomogeneousModel>(models);
+  add<GuardModel>(models);
+  add<LandmarkReaderModel>(models);
+  add<RobotHandModel>(models);
+  add<RobotModel>(models);
   return models;
 }
 

@@ -27,10 +27,24 @@ void bind_samples(nb::module_& m) {
       .def_prop_ro("wrist", &wrist_of);
   nb::class_<TargetMap>(m, "TargetMap");
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
-      .def("__init__", &make_teleoperation);
-  nb::class_<HomogeneousMap, TargetMap>(m, "HomogeneousMap").def("__init__", &make_homogeneous);
+      .def("__init__",
+           [](TeleoperationMap* self, const nb::bytes& model, const nb::bytes& palm) {
+             new (self)
+                 TeleoperationMap(model_of<TeleoperationModel>(model), {model_of<PalmModel>(palm)});
+           },
+           "model"_a, "palm"_a);
+  nb::class_<HomogeneousMap, TargetMap>(m, "HomogeneousMap")
+      .def("__init__",
+           [](HomogeneousMap* self, const nb::bytes& model) {
+             new (self) HomogeneousMap(model_of<HomogeneousModel>(model));
+           },
+           "model"_a);
   nb::class_<LandmarkReader>(m, "LandmarkReader")
-      .def("__init__", &make_landmark_reader)
+      .def("__init__",
+           [](LandmarkReader* self, const nb::bytes& model) {
+             new (self) LandmarkReader(model_of<LandmarkReaderModel>(model));
+           },
+           "model"_a)
       .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none());
   nb::class_<JointReader>(m, "JointReader")
       .def(nb::init<const Tree&>(), "tree"_a)
@@ -55,12 +69,12 @@ void bind_samples(nb::module_& m) {
            "landmarks"_a, "wrist"_a.none(), "valid"_a, "confidence"_a, "when"_a.none(),
            "arrival"_a.none(), "origin"_a.none());
   nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
-      .def(nb::init<std::shared_ptr<PythonIk>, std::shared_ptr<const TargetMap>, StepViews>(),
+      .def(nb::init<std::shared_ptr<Ik>, std::shared_ptr<const TargetMap>, StepViews>(),
            "ik"_a, "target_map"_a, "views"_a)
       .def("run", &SampleMapper::run, "guard"_a, "smoother"_a, "reader"_a, "origin"_a, "samples"_a,
            "first"_a, "last"_a, "rows"_a.noconvert());
   nb::class_<Asker, SampleReader>(m, "Asker")
-      .def(nb::init<const PythonIk&, std::shared_ptr<const TargetMap>, StepViews, nb::object>(),
+      .def(nb::init<const Ik&, std::shared_ptr<const TargetMap>, StepViews, nb::object>(),
            "ik"_a, "target_map"_a, "views"_a, "source"_a);
   nb::class_<Ask>(m, "Ask")
       .def_ro("pose", &Ask::pose)

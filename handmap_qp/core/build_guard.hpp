@@ -192,10 +192,8 @@ class PythonGuard : public Exclusive {
  public:
   StreamGuard guard;
 
-  // Of the landmarks of the person's hand at rest.
-  PythonGuard(const std::string& side, const Array& person,
-              std::shared_ptr<const LandmarkOrders> orders)
-      : guard(sign_of(side), landmarks_from(person), std::move(orders)) {}
+  PythonGuard(const GuardModel& model, std::shared_ptr<const LandmarkOrders> orders)
+      : guard(sign_of(model.side), landmarks_of(&model.landmarks[0].x), std::move(orders)) {}
 
   using Saved = std::tuple<nb::bytes, nb::bytes, nb::bytes>;
   Saved save() const {

@@ -80,6 +80,7 @@ inline void check_pose(const TargetMap& map, const HumanPose& pose) {
 
 inline void check_robot(const TargetMap& map, const Ik& ik) {
   expect(map.rest.size() == ik.tree.q_indices.size(), "the map is of another robot");
+  if (const DistanceTask* task = map.distances()) expect_joints(ik.tree, task->points);
 }
 
 // -- steps
@@ -260,7 +261,7 @@ class SampleReader {
 // What a `HandMapper` does with the samples after its reference.
 class SampleMapper : public SampleReader {
  public:
-  SampleMapper(std::shared_ptr<PythonIk> ik, std::shared_ptr<const TargetMap> map, StepViews views)
+  SampleMapper(std::shared_ptr<Ik> ik, std::shared_ptr<const TargetMap> map, StepViews views)
       : SampleReader(map), ik_(std::move(ik)),
         reader_(std::make_shared<StepReader>(
             StepReader{std::move(views), std::move(map), ik_->tree.joint_columns})) {
@@ -278,7 +279,7 @@ class SampleMapper : public SampleReader {
     if (last > samples.count || rows.ndim() != 2 || rows.shape(0) != samples.count ||
         rows.shape(1) != width)
       throw std::invalid_argument("wrong sizes of samples or rows");
-    check_pose(*map_, {std::vector<Vec3>(reader.used.size()), true, {}});
+    check_pose(*map_, {std::vector<Vec3>(reader.size()), true, {}});
     const Work moving(*ik_), judging(guard), smoothing(smoother);
     Run run{*ik_, *map_, reader, guard.guard, smoother.smoother, origin};
     size_t next = first;

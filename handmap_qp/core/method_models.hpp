@@ -58,6 +58,7 @@ struct PalmModel {
     visit("human_start", human_start);
     visit("further", further);
   }
+  void check() const {}
 };
 
 // Points of a hand, and the pairs of them whose p distances are asked for.

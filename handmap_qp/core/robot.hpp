@@ -2,6 +2,7 @@
 #pragma once
 
 #include "mapper.hpp"
+#include "robot_model.hpp"
 
 namespace handmap {
 
@@ -28,7 +29,7 @@ struct Ask {
 class Asker : public SampleReader {
  public:
   // `source` is handed on with every `Ask`.
-  Asker(const PythonIk& ik, std::shared_ptr<const TargetMap> map, StepViews views, nb::object source)
+  Asker(const Ik& ik, std::shared_ptr<const TargetMap> map, StepViews views, nb::object source)
       : SampleReader(map), source_(std::move(source)),
         reader_(std::make_shared<StepReader>(
             StepReader{std::move(views), std::move(map), ik.tree.joint_columns})) {
@@ -56,43 +57,26 @@ inline Pose turned(const Pose& palm, const Vec3& anchor, const Pose& to, double 
   return {turn, centre - turn * centre};
 }
 
-// A hand of a robot.
-struct RobotHand {
-  int palm_joint;
-  Pose palm;  // on that joint
-  // Pairs of links that pinch, among those of the robot and among the hand's own.
-  Indices pinching = {}, among_own = {};
-};
-
-// How the palms of a robot's hands are led; see mapping/robot_mapper.py.
-struct PalmLeading {
-  double turns_in;        // time after a reference until palms have the person's directions [s]
-  double near, together;  // distances of the person's palms where the robot's go by them [m]
-  double together_share;  // weight of that over the weight of a wrist's position
-  double margin;          // of links where no hand has another one [m]
-};
-
 // Moves a robot for what its hands ask.
 class RobotMover {
  public:
   using Asks = std::vector<const Ask*>;
 
-  RobotMover(std::shared_ptr<PythonIk> ik, Vector rest, std::vector<RobotHand> hands,
-             const PalmLeading& leading, StepViews views)
+  RobotMover(std::shared_ptr<Ik> ik, RobotModel model, StepViews views)
       : ik_(std::move(ik)), reader_(std::make_shared<StepReader>(
                                 StepReader{std::move(views), nullptr, ik_->tree.joint_columns})),
-        rest_(std::move(rest)), hands_(std::move(hands)), leading_(leading) {
-    const auto pinches = [](const RobotHand& hand) { return !hand.pinching.empty(); };
-    const bool has_pinches = std::any_of(hands_.begin(), hands_.end(), pinches);
-    expect(!hands_.empty() && hands_.size() == ik_->tree.parts.size() &&
-               (!has_pinches || ik_->pairs) && rest_.size() == ik_->tree.joint_columns.size(),
-           "a robot of other hands");
-    for (const RobotHand& hand : hands_) {
-      expect(ik_->tree.has_joint(hand.palm_joint), "a palm of another robot");
-      expect(hand.pinching.size() == hand.among_own.size(), "wrong number of pinching pairs");
-      if (has_pinches) expect_indices(hand.pinching, ik_->pairs->size(), "pinching pairs");
+        model_(std::move(model)), hands_(model_.hands), rest_(model_.rest) {
+    expect_count("RobotModel.hands", hands_.size(), ik_->tree.parts.size());
+    expect_count("RobotModel.rest", rest_.size(), ik_->tree.joint_columns.size());
+    const bool has_pinches = model_.has_pinches();
+    expect_that(!has_pinches || ik_->pairs, "RobotModel.hands: pinching",
+                "none where no links are kept apart");
+    for (const RobotHandModel& hand : hands_) {
+      expect_that(ik_->tree.has_joint(hand.palm_joint), "RobotModel.hands: palm_joint", "a joint");
+      if (has_pinches)
+        expect_below("RobotModel.hands: pinching", hand.pinching, ik_->pairs->size());
     }
-    if (has_pinches) margins_.assign(ik_->pairs->size(), leading_.margin);
+    if (has_pinches) margins_.assign(ik_->pairs->size(), model_.margin);
   }
   RobotMover(const RobotMover&) = delete;
 
@@ -151,7 +135,7 @@ class RobotMover {
       }
       if (const PalmMap* palm = asks[k]->map().palm()) {
         persons_[k] = world * palm->person_at(asks[k]->pose.wrist);
-        turn(*palm, k, smoothstep(since[k] / leading_.turns_in));
+        turn(*palm, k, smoothstep(since[k] / model_.turns_in));
       }
       for (size_t i = 0; i < rest_.size(); ++i)
         if (ik_->tree.fingers[k][i] != 0.0) {
@@ -161,7 +145,7 @@ class RobotMover {
       // Others never change.
       for (size_t i = 0; i < hands_[k].pinching.size(); ++i)
         margins_.at(hands_[k].pinching[i]) =
-            asked.margins.empty() ? leading_.margin : asked.margins.at(hands_[k].among_own[i]);
+            asked.margins.empty() ? model_.margin : asked.margins.at(hands_[k].among_own[i]);
     }
     if (count == 2) bring_together(asks);
     for (const Asked& asked : asked_) {
@@ -195,7 +179,7 @@ class RobotMover {
     if (!first || !other) return;
     const Vec3 apart = persons_[1].p - persons_[0].p;
     const double gap = norm(apart) / (1.0 + first->further);
-    const double share = smoothstep((leading_.near - gap) / (leading_.near - leading_.together));
+    const double share = smoothstep((model_.near - gap) / (model_.near - model_.together));
     if (share == 0.0 || !std::equal(first->alignment.m, first->alignment.m + 9, other->alignment.m))
       return;
     const Vec3 own =
@@ -206,7 +190,7 @@ class RobotMover {
     goal_.offsets.push_back({{hands_[0].palm_joint, hands_[0].palm * first->robot_anchor},
                              {hands_[1].palm_joint, hands_[1].palm * other->robot_anchor},
                              aim,
-                             leading_.together_share * share * ik_->weights.wrist_position});
+                             model_.together_share * share * ik_->weights.wrist_position});
   }
 
   // The stages of one hand.
@@ -228,11 +212,12 @@ class RobotMover {
     return made;
   }
 
-  std::shared_ptr<PythonIk> ik_;
+  std::shared_ptr<Ik> ik_;
   std::shared_ptr<const StepReader> reader_;
-  Vector rest_, margins_;
-  const std::vector<RobotHand> hands_;
-  const PalmLeading leading_;
+  const RobotModel model_;
+  const std::vector<RobotHandModel>& hands_;
+  const Vector rest_;
+  Vector margins_;
   // What the hands ask, where the person's palms are in the robot's world, and what the QP is to do.
   std::vector<Asked> asked_;
   std::vector<Pose> persons_;

@@ -47,26 +47,29 @@ struct HumanPose {
 // See mapper.LandmarkReader.
 class LandmarkReader {
  public:
-  std::vector<int> used;
-  std::vector<Vec3> model;  // the palm's landmarks in wrist axes
-  Vector weights;           // of each of them in the fit
+  explicit LandmarkReader(LandmarkReaderModel model) : model_(std::move(model)) {}
+
+  // Number of the points that it reads.
+  size_t size() const { return model_.used.size(); }
 
   // Without a wrist, it is fitted to the palm.
   HumanPose read(const double* landmarks, const Pose* wrist) const {
     HumanPose pose{{}, true, {}};
-    pose.points.reserve(used.size());
-    for (const int i : used) pose.points.push_back(point(landmarks, i));
+    pose.points.reserve(size());
+    for (const int i : model_.used) pose.points.push_back(point(landmarks, i));
     if (wrist) {
       pose.wrist = *wrist;
     } else {
       std::vector<Vec3> seen;
       for (const int i : kPalm) seen.push_back(point(landmarks, i));
-      pose.wrist = rigid_fit(model.data(), seen, weights, nearest_rotation);
+      pose.wrist = rigid_fit(model_.palm.data(), seen, model_.weights, nearest_rotation);
     }
     return pose;
   }
 
  private:
+  const LandmarkReaderModel model_;
+
   static Vec3 point(const double* landmarks, int i) {
     return {landmarks[3 * i], landmarks[3 * i + 1], landmarks[3 * i + 2]};
   }

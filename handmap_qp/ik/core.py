@@ -2,7 +2,6 @@
 
 import importlib
 import zlib
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -46,19 +45,3 @@ def _installing() -> str:
 
 core: Any = load_core() if __package__ else None
 """The core; None where a build runs this file by itself, for `fingerprint`."""
-
-
-class Compiled:
-    """Base of classes that the core has too, under the same name; subclasses run in Python."""
-
-    @cached_property
-    def core(self) -> Any | None:
-        """The core's own, made of this object's attributes; None for a class of a user."""
-        kind = getattr(core, type(self).__name__, None)
-        return kind and kind(self)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all but the core's own, which a copy makes anew."""
-        state = vars(self).copy()
-        state.pop("core", None)
-        return state

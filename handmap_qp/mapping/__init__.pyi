@@ -25,6 +25,7 @@ from .mapper import check_when as check_when
 from .mapper import own_time as own_time
 from .method import FOLLOWING as FOLLOWING
 from .method import PRESETS as PRESETS
+from .method import CoreMap as CoreMap
 from .method import HumanPose as HumanPose
 from .method import MapStep as MapStep
 from .method import Preset as Preset

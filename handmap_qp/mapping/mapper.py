@@ -32,7 +32,6 @@ from handmap_qp.human import (
 from handmap_qp.ik import (
     BEHIND,
     LONGEST_STEP,
-    Compiled,
     IkOptions,
     IkResult,
     Instant,
@@ -43,6 +42,7 @@ from handmap_qp.ik import (
     core_tree,
 )
 from handmap_qp.ik.core import core
+from handmap_qp.models import LandmarkReaderModel, encode
 from handmap_qp.se3 import (
     Array,
     PoseLike,
@@ -58,6 +58,7 @@ from handmap_qp.se3 import (
 from .exclusive import WorkLock, exclusively
 from .method import (
     BoundMethod,
+    CoreMap,
     HumanPose,
     MapStep,
     Method,
@@ -499,16 +500,16 @@ class HandMapper(Mover):
         """Return the core's mapper by the map of a reference; None if Python has to map."""
         ik = self.point_ik
         is_python = self._is_released or self.tasks or ik.options.tasks
-        if is_python or not (ik.is_compiled and getattr(target_map, "core", None)):
+        if is_python or not (ik.is_compiled and isinstance(target_map, CoreMap)):
             return None
         return self.core or self._new_core(target_map)
 
-    def _new_core(self, target_map: Any) -> Any:
-        """Return the core's mapper by a map that the core has too."""
+    def _new_core(self, target_map: CoreMap) -> Any:
+        """Return the core's mapper by a map."""
         views = self._views_by(target_map)
-        return core.SampleMapper(self.point_ik.core, target_map.core, views)
+        return core.SampleMapper(self.point_ik.core, target_map.make_core(), views)
 
-    def _views_by(self, target_map: Any) -> Any:
+    def _views_by(self, target_map: CoreMap) -> Any:
         links = self.point_ik.gate.links
         return step_views(target_map.asked, self.robot, links)
 
@@ -686,12 +687,17 @@ class HandMapper(Mover):
             raise InvalidInputError(f"needed for {needs}", argument="wrist_pose")
 
 
-class LandmarkReader(Compiled):
+class LandmarkReader:
     """Turns the 21 landmarks of a tracker into samples of a human hand.
 
     Args:
         human: The human hand, scaled to the person.
         quat_order: Order of the quaternion in wrist poses of seven numbers.
+
+    Attributes:
+        quat_order: As given.
+        model: What the core reads by.
+        core: The reader of the core.
 
     Raises:
         InvalidOptionsError: If a reference point of the hand is not a landmark.
@@ -706,9 +712,21 @@ class LandmarkReader(Compiled):
                 option="human_points",
                 advice="choose reference points among the landmarks, or call map_points",
             )
-        self.used = np.array([*map(LANDMARK_NAMES.index, names)])
-        self.model = landmarks_at_rest(human)[PALM]
-        self.weights = palm_fit_weights(human.palm_weights)
+        self.model = LandmarkReaderModel(
+            used=np.array([*map(LANDMARK_NAMES.index, names)]),
+            palm=landmarks_at_rest(human)[PALM],
+            weights=palm_fit_weights(human.palm_weights),
+        )
+        self.core = core.LandmarkReader(encode(self.model))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made of."""
+        return {"quat_order": self.quat_order, "model": self.model}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Read as another one does."""
+        vars(self).update(state)
+        self.core = core.LandmarkReader(encode(self.model))
 
     def read(
         self, landmarks: ArrayLike, wrist: PoseLike | None = None
@@ -727,13 +745,13 @@ class LandmarkReader(Compiled):
             return pose, ()
         points = as_points(landmarks, "landmarks", LANDMARK_COUNT)
         if wrist is None:
-            wrist = rigid_fit(self.model, points[PALM], self.weights)
+            wrist = rigid_fit(self.model.palm, points[PALM], self.model.weights)
         else:
             wrist = check_pose(wrist, "wrist_pose", self.quat_order)
-        return HumanPose(points[self.used], wrist), ()
+        return HumanPose(points[self.model.used], wrist), ()
 
 
-class JointReader(Compiled):
+class JointReader:
     """Turns joint angles into samples of a human hand (eq. 4).
 
     Args:
@@ -755,6 +773,10 @@ class JointReader(Compiled):
     def core(self) -> Any | None:
         """The core's own; None for a hand with joints that follow others."""
         return None if self.human.rules else core.JointReader(core_tree(self.human))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the core's own, which a copy makes anew."""
+        return {name: value for name, value in vars(self).items() if name != "core"}
 
     def read(self, q: ArrayLike, wrist_pose: PoseLike) -> tuple[HumanPose, Names]:
         """Return a sample, and the names of the joints that are outside their limits.

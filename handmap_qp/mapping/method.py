@@ -134,7 +134,7 @@ class Targets(ArrayStruct, frozen=True):
 class TargetMap(Protocol):
     """Turns samples into targets, counted from one reference of both hands.
 
-    One that the core has too (`Compiled`) makes targets of its arrays by a method `asked`.
+    One that the core has too is a `CoreMap`.
 
     Attributes:
         rest: Joint positions that the QP's rest term pulls to [rad or m], shape (n,).
@@ -144,6 +144,23 @@ class TargetMap(Protocol):
 
     def targets(self, sample: HumanPose) -> Targets:
         """Return the targets of one sample; a failure changes nothing."""
+
+
+class CoreMap:
+    """Base of target maps that the core has too."""
+
+    def make_core(self) -> Any:
+        """Return the map as the core has it."""
+        raise NotImplementedError
+
+    def asked(self, parts: list[Array], is_clamped: bool) -> Targets:
+        """Return the targets whose arrays the core has computed.
+
+        Args:
+            parts: The arrays: points, wrist, and what the map of the core adds to them.
+            is_clamped: Whether a stretch was outside its allowed range.
+        """
+        raise NotImplementedError
 
 
 class BoundMethod(Protocol):
@@ -457,7 +474,7 @@ class MapStep(ArrayStruct, frozen=True):
     @property
     def finding(self) -> Finding | None:
         """What the input is instead of what it says, with advice; None if it is plausible."""
-        return self.verdict and self.verdict.finding
+        return self.verdict.finding if self.verdict else None
 
     @property
     def consistency(self) -> float:

@@ -42,6 +42,7 @@ from handmap_qp.ik import (
     When,
 )
 from handmap_qp.ik.core import core
+from handmap_qp.models import RobotHandModel, RobotModel, encode
 from handmap_qp.se3 import (
     Array,
     PoseLike,
@@ -68,6 +69,7 @@ from .mapper import (
     stages_of,
 )
 from .method import (
+    CoreMap,
     HumanPose,
     MapStep,
     Method,
@@ -138,9 +140,9 @@ class Leader(HandMapper):
         own = None if dt is None else own_time(dt)
         return super().map(sample, own, speed=speed)
 
-    def _new_core(self, target_map: Any) -> Any:
+    def _new_core(self, target_map: CoreMap) -> Any:
         views = self._views_by(target_map)
-        return core.Asker(self.point_ik.core, target_map.core, views, target_map)
+        return core.Asker(self.point_ik.core, target_map.make_core(), views, target_map)
 
     def _moved(
         self,
@@ -204,7 +206,8 @@ copyreg.pickle(core.Ask, _reduced_ask)
 def _plain_targets(parts: list[Array], is_clamped: bool) -> Targets:
     """Return the targets of a robot, whose points and wrist the core has."""
     flags = ("stretch_clamped",) if is_clamped else ()
-    return Targets(*parts, flags=flags)
+    points, wrist = parts
+    return Targets(points, wrist, flags=flags)
 
 
 def _aimed(
@@ -559,20 +562,27 @@ class RobotMapper(Mover):
     def _new_core(self) -> Any:
         """Return what moves the robot in the core for hands that ask there."""
         robot = self.robot
-        palms = [hand.palm_frame for hand in robot.hands]
-        return core.RobotMover(
-            self.point_ik.core,
+        none = np.zeros(0, dtype=int)
+        pinching = self._pinching or [(none, none)] * len(robot.hands)
+        model = RobotModel(
             rest=robot.rest,
-            palm_joints=[palm.parentJoint for palm in palms],
-            palms=np.array([palm.placement.homogeneous for palm in palms]),
-            pinching=[(rows.tolist(), own.tolist()) for rows, own in self._pinching],
+            hands=tuple(
+                RobotHandModel(
+                    palm_joint=hand.palm_frame.parentJoint - 1,
+                    palm=hand.palm_frame.placement.homogeneous,
+                    pinching=rows,
+                    among_own=own,
+                )
+                for hand, (rows, own) in zip(robot.hands, pinching, strict=True)
+            ),
             turns_in=self._turns_in,
             near=_NEAR,
             together=_TOGETHER,
             together_share=_TOGETHER_SHARE,
             margin=LINK_MARGIN,
-            views=step_views(_plain_targets, robot, self.point_ik.gate.links),
         )
+        views = step_views(_plain_targets, robot, self.point_ik.gate.links)
+        return core.RobotMover(self.point_ik.core, encode(model), views)
 
     def _worlds(self) -> Array | None:
         """Return where the world of each reference is from the base, shape (h, 4, 4).

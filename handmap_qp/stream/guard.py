@@ -27,6 +27,7 @@ from handmap_qp.human import (
 from handmap_qp.human.sample import VerdictNumbers
 from handmap_qp.ik import BEHIND as BEHIND
 from handmap_qp.ik.core import core
+from handmap_qp.models import GuardModel, encode
 from handmap_qp.se3 import Array
 from handmap_qp.trackers import known_orders
 
@@ -62,8 +63,8 @@ class StreamGuard:
         self.core = self._new_core()
 
     def _new_core(self) -> Any:
-        orders = known_orders().core
-        return core.StreamGuard(self._side, self._landmarks, orders)
+        model = GuardModel(side=self._side, landmarks=self._landmarks)
+        return core.StreamGuard(encode(model), known_orders().core)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy continues from."""

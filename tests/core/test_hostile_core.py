@@ -138,16 +138,14 @@ def calls_of(core: Any) -> dict[str, Call]:
     """Return a call of each function with arguments that are right."""
     from handmap_qp import Follower, HandMapper, load_hand, read_recording
     from handmap_qp.errors import MapperBusyError
-    from handmap_qp.hands.robot import load_robot
+    from handmap_qp.hands.collision_shapes import shape_model
     from handmap_qp.human.recording import sample_columns
-    from handmap_qp.human.sample import landmarks_at_rest
     from handmap_qp.ik import core_tree
     from handmap_qp.ik.compiled import hand_model
-    from handmap_qp.ik.tasks import Goal
+    from handmap_qp.ik.options import ik_model
     from handmap_qp.mapping.method import step_views
-    from handmap_qp.mapping.robot_mapper import RobotMapper
+    from handmap_qp.models import encode
     from handmap_qp.stream.step_table import StepTable
-    from handmap_qp.trackers.plausibility import known_orders
 
     recording = read_recording("demo", "right").part(slice(0, 60))
     columns = sample_columns(recording)
@@ -177,20 +175,29 @@ def calls_of(core: Any) -> dict[str, Call]:
     reader: Any = mapper.landmarks.core
     teleoperation: Any = teleoperated.target_map
     table = StepTable(mapper.robot, len(columns.time))
-    valid, at_bounds = np.ones(60, dtype=bool), np.zeros((60, 16), dtype=bool)
-    wrists = np.tile(wrist, (60, 1, 1))
-    given = recording.time, recording.landmarks, recording.valid, np.ones(60), wrists
-    samples = core.Samples(*given)
+    samples = core.Samples(columns.time, columns.landmarks, columns.valid)
     judged = sample.time, sample.landmarks, None, True, 1.0
     views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
-    both = RobotMapper(load_robot("g1"))
-    right = recording.landmarks[0]
-    for _ in range(2):
-        both.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
-    asks = [leader.asked for leader in both.leaders.values()]
-    mover = both.core
-    goal = Goal(points, wrist[None], ik.postures(dt, None), (), dt, None, 1.0)
-    geometry = bounds.geometry.geometryObjects
+    task = teleoperation.method.distances
+    aims = np.ones(len(task.first))
+    size = gate.limits.size
+    goal = (
+        points,
+        wrist[None],
+        ik.postures(dt, None),
+        dt,
+        None,
+        1.0,
+        np.ones(len(robot.joint_names)),
+        [(task.core, aims, aims)],
+        [([1, 5], np.zeros((2, 3)), np.zeros(3), 1.0)],
+        lambda q: [(np.ones(2), np.ones((2, size)), np.ones(size))],
+    )
+    shapes = [
+        encode(shape_model(each.geometry))
+        for each in bounds.geometry.geometryObjects[:2]
+    ]
+    parts = encode(gate.limits), bounds.core, encode(gate.collisions.model)
     solver, in_core = ik.core, mapper.core
     still = np.zeros(gate.limits.size)
 
@@ -200,11 +207,8 @@ def calls_of(core: Any) -> dict[str, Call]:
 
     many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
     solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
-    orders = known_orders().core
-    check = core.InputCheck("right", orders)
-    track = core.Track(0.0, sample.landmarks)
-    rest = landmarks_at_rest(human)
-    return {
+    palm = encode(teleoperation.palm_model())
+    calls: dict[str, Call] = {
         "measure_shape": (
             core.measure_shape,
             (recording.landmarks, recording.landmarks[0, [0, 5, 9, 13, 17]], 0.8),
@@ -218,17 +222,13 @@ def calls_of(core: Any) -> dict[str, Call]:
             core.smallest_gap,
             (recording.time, recording.landmarks, 0.1, 1.0),
         ),
-        "measure_episode": (
-            core.measure_episode,
-            (samples, valid, np.ones((60, 5)), at_bounds, at_bounds, np.ones((60, 16))),
-        ),
         "solve_qp": (
             core.solve_qp,
             (np.eye(3), *np.ones((3, 3)), np.ones((2, 3)), np.ones(2)),
         ),
         "measure_shapes": (
             core.measure_shapes,
-            (geometry[0].geometry, wrist, geometry[1].geometry, 2.0 * wrist),
+            (*shapes[:1], wrist, *shapes[1:], 2.0 * wrist),
         ),
         "Tree": (core.Tree, (encode(hand_model(robot)),)),
         "Tree.moved": (
@@ -254,9 +254,9 @@ def calls_of(core: Any) -> dict[str, Call]:
             tree.smallest_distances,
             (bounds.core, robot.rest[None], [0, 3], 1.0),
         ),
-        "PairBounds": (core.PairBounds, (bounds,)),
-        "PointDistances": (core.PointDistances, (teleoperation.method.distances,)),
-        "Gate": (core.Gate, (tree, encode(gate.limits), gate.collisions)),
+        "PairBounds": (core.PairBounds, (encode(bounds.model()),)),
+        "PointDistances": (core.PointDistances, (encode(task.model()),)),
+        "Gate": (core.Gate, (tree, *parts)),
         "Gate.set_motion": (
             solver.set_motion,
             (motion.q, motion.displacement, dt, motion.stop_times),
@@ -285,31 +285,23 @@ def calls_of(core: Any) -> dict[str, Call]:
         "braking_displacement": (core.braking_displacement, (0.1, 1e-3)),
         "Ik": (
             core.Ik,
-            (
-                tree,
-                ik.hand,
-                ik.options,
-                encode(gate.limits),
-                gate.collisions,
-                gate.links,
-            ),
+            (tree, encode(ik_model(ik.hand, ik.options)), *parts),
         ),
         "Ik.hold": (solver.hold, (dt,)),
-        "Ik.solve": (solver.solve, (goal,)),
+        "Ik.solve": (solver.solve, goal),
         "Ik.solve_many": (solver.solve_many, solve_many),
         "Ik.go_on": (solver.go_on, (list(solver.detours),)),
         "HumanPose": (core.HumanPose, (points, wrist)),
         "StepViews": (core.StepViews, (list, list, list, list)),
         "SampleMapper": (
             core.SampleMapper,
-            (mapper.point_ik.core, own_map.core, views),
+            (mapper.point_ik.core, own_map.make_core(), views),
         ),
         "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
         "Asker": (
             core.Asker,
-            (mapper.point_ik.core, own_map.core, views, own_map),
+            (mapper.point_ik.core, own_map.make_core(), views, own_map),
         ),
-        "RobotMover.move": (mover.move, (asks, [0.1, 0.1], wrists[:2], dt)),
         "SampleMapper.map": (
             in_core.map,
             (reader, sample.landmarks, None, dt),
@@ -331,9 +323,12 @@ def calls_of(core: Any) -> dict[str, Call]:
                 table.rows,
             ),
         ),
-        "TeleoperationMap": (core.TeleoperationMap, (teleoperation,)),
-        "HomogeneousMap": (core.HomogeneousMap, (own_map,)),
-        "LandmarkReader": (core.LandmarkReader, (mapper.landmarks,)),
+        "TeleoperationMap": (
+            core.TeleoperationMap,
+            (encode(teleoperation.model), palm),
+        ),
+        "HomogeneousMap": (core.HomogeneousMap, (encode(own_map.model()),)),
+        "LandmarkReader": (core.LandmarkReader, (encode(mapper.landmarks.model),)),
         "LandmarkReader.read": (
             reader.read,
             (sample.landmarks, wrist),
@@ -343,7 +338,39 @@ def calls_of(core: Any) -> dict[str, Call]:
             core.JointReader(core_tree(joints)).read,
             (joints.rest, wrist),
         ),
-        "StreamGuard": (core.StreamGuard, ("right", rest, orders)),
+    }
+    return (
+        calls
+        | stream_calls(core, follower, columns)
+        | robot_calls(core, recording.landmarks[0], views)
+    )
+
+
+def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
+    """Return calls of what judges and smooths a stream, with the columns of 60 samples."""
+    from handmap_qp.human.sample import landmarks_at_rest
+    from handmap_qp.models import GuardModel, encode
+    from handmap_qp.trackers.plausibility import known_orders
+
+    guard, smoother = follower._guard, follower._smoother
+    wrist, dt = np.eye(4), 1.0 / 60.0
+    wrists = np.tile(wrist, (60, 1, 1))
+    sample = columns.sample(1)
+    judged = sample.time, sample.landmarks, None, True, 1.0
+    pose = follower.mapper.landmarks.read(sample.landmarks)[0]
+    given = columns.time, columns.landmarks, columns.valid, np.ones(60), wrists
+    samples = core.Samples(*given)
+    valid, at_bounds = np.ones(60, dtype=bool), np.zeros((60, 16), dtype=bool)
+    orders = known_orders().core
+    check = core.InputCheck("right", orders)
+    track = core.Track(0.0, sample.landmarks)
+    rest = landmarks_at_rest(follower.mapper.human)
+    person = GuardModel(side="right", landmarks=rest)
+    return {
+        "measure_episode": (
+            core.measure_episode,
+            (samples, valid, np.ones((60, 5)), at_bounds, at_bounds, np.ones((60, 16))),
+        ),
         "Samples": (core.Samples, given),
         "StreamGuard.check": (guard.core.check, (*judged, None)),
         "StreamGuard.holds": (guard.core.holds, (samples,)),
@@ -362,14 +389,51 @@ def calls_of(core: Any) -> dict[str, Call]:
         "RateCheck.update": (core.RateCheck().update, (0.1, 0.1)),
         "Track": (core.Track, (0.1, sample.landmarks)),
         "change_between": (core.change_between, (track, track, dt)),
-        "log_size": (core.log_size, (recording.landmarks,)),
-        "misfit": (core.misfit, (recording.landmarks,)),
-        "palmar_evidence": (core.palmar_evidence, (recording.landmarks,)),
-        "palm_axes": (core.palm_axes, (recording.landmarks, 1.0)),
+        "log_size": (core.log_size, (columns.landmarks,)),
+        "misfit": (core.misfit, (columns.landmarks,)),
+        "palmar_evidence": (core.palmar_evidence, (columns.landmarks,)),
+        "palm_axes": (core.palm_axes, (columns.landmarks, 1.0)),
         "Smoother": (core.Smoother, (0.4, 12.0)),
         "Smoother.restore": (smoother.core.restore, (smoother.core.save(),)),
         "Smoother.smooth": (smoother.core.smooth, (pose, dt)),
         "Smoother.wait": (smoother.core.wait, (dt,)),
+        "StreamGuard": (core.StreamGuard, (encode(person), orders)),
+    }
+
+
+def robot_calls(core: Any, right: np.ndarray, views: Any) -> dict[str, Call]:
+    """Return calls of what moves a robot, given the landmarks of a right hand (21, 3)."""
+    from handmap_qp.hands.robot import load_robot
+    from handmap_qp.mapping.robot_mapper import RobotMapper
+    from handmap_qp.models import RobotHandModel, RobotModel, encode
+
+    mapper = RobotMapper(load_robot("g1"))
+    for _ in range(2):
+        mapper.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
+    hands = [
+        RobotHandModel(
+            palm_joint=hand.palm_frame.parentJoint - 1,
+            palm=np.eye(4),
+            pinching=np.array([0, 1]),
+            among_own=np.array([0, 1]),
+        )
+        for hand in mapper.robot.hands
+    ]
+    model = RobotModel(
+        rest=mapper.robot.rest,
+        hands=tuple(hands),
+        turns_in=2.0,
+        near=0.4,
+        together=0.2,
+        together_share=5.0,
+        margin=1e-3,
+    )
+    asks = [leader.asked for leader in mapper.leaders.values()]
+    solver = mapper.point_ik.core
+    worlds = np.tile(np.eye(4), (2, 1, 1))
+    return {
+        "RobotMover": (core.RobotMover, (solver, encode(model), views)),
+        "RobotMover.move": (mapper.core.move, (asks, [0.1, 0.1], worlds, 1.0 / 60.0)),
     }
 
 

@@ -225,7 +225,8 @@ def test_one_call_for_all_hands_is_a_call_for_each(g1: Hand) -> None:
     given = attrgetter("_joints"), q, wrists, DT
     assert isinstance(at_once._mapped_in_core(*given), RobotStep)
     # Python says what is wrong with the others.
-    for wrong in ({"left": q["left"]}, q | {"left": q["left"][1:]}):
+    others: list[Any] = [{"left": q["left"]}, q | {"left": q["left"][1:]}]
+    for wrong in others:
         assert at_once._mapped_in_core(given[0], wrong, *given[2:]) is None
 
 
