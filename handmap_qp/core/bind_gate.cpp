@@ -10,11 +10,10 @@ using namespace nb::literals;
 namespace handmap {
 namespace {
 
-// Of a hand and its tree, `BoxLimits`, and a `CollisionLimit` or None.
-void make_gate(Gate* self, const Tree& tree, const nb::object& hand, const nb::bytes& limits,
-               const nb::object& collisions) {
+// Of the tree of a hand, `BoxLimits`, and a `CollisionLimit` or None.
+void make_gate(Gate* self, const Tree& tree, const nb::bytes& limits, const nb::object& collisions) {
   Gate& gate = *new (self) Gate(tree);
-  set_gate(gate, Fields(hand), limits, collisions);
+  set_gate(gate, limits, collisions);
 }
 
 // What a `Motion` of Python is made of.
@@ -181,7 +180,7 @@ void bind_gate(nb::module_& m) {
   m.def("loosened", &loosened, "G"_a, "h"_a, "lower"_a, "upper"_a, "stopping"_a, "so_far"_a);
   m.def("braking_displacement", &BoxLimits::braking_displacement, "distance"_a, "change"_a);
   nb::class_<Gate>(m, "Gate")
-      .def("__init__", &make_gate, "tree"_a, "hand"_a, "limits"_a, "collisions"_a.none())
+      .def("__init__", &make_gate, "tree"_a, "limits"_a, "collisions"_a.none())
       .def_ro("held_by", &Gate::held_by)
       .def_prop_ro("stamp", [](const Gate& gate) { return gate.motion.stamp; })
       .def_prop_ro("commands", [](const Gate& gate) { return gate.motion.commands; })

@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 
 #include "bind.hpp"
+#include "hand_model.hpp"
 #include "limits.hpp"
 #include "method_models.hpp"
 #include "person_models.hpp"
@@ -23,6 +24,10 @@ void add(nb::dict& models) {
 // Names and forms of the fields of each model, in their order.
 nb::dict model_fields() {
   nb::dict models;
+  add<JointModel>(models);
+  add<FrameModel>(models);
+  add<PlaceModel>(models);
+  add<HandModel>(models);
   add<BoxLimits>(models);
   add<EstimatorModel>(models);
   add<PalmModel>(models);

@@ -47,7 +47,7 @@ void bind_samples(nb::module_& m) {
            "model"_a)
       .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none());
   nb::class_<JointReader>(m, "JointReader")
-      .def("__init__", &make_joint_reader)
+      .def(nb::init<const Tree&>(), "tree"_a)
       .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
   nb::class_<StepViews>(m, "StepViews")
       .def(nb::init<nb::callable, nb::callable, nb::callable, nb::callable>(), "targets"_a, "ik"_a,

@@ -13,6 +13,7 @@
 #include <stdexcept>
 
 #include "busy.hpp"
+#include "hand_model.hpp"
 #include "step.hpp"
 
 namespace nb = nanobind;
@@ -111,143 +112,9 @@ inline Fields module_of(const char* name) {
 // The element of a sequence of Python.
 inline nb::object item(const nb::object& sequence, size_t i) { return sequence[nb::int_(i)]; }
 
-// The wrist of a hand, and the range of its points among those of a robot.
-inline Part part_of(const Fields& hand, size_t first) {
-  const Fields wrist(hand.object("wrist_frame"));
-  return {wrist.get<int>("parentJoint") - 1, wrist.pose("placement.homogeneous"), first,
-          first + hand.get<Array>("point_weights").size()};
-}
-
 inline void expect_joints(const Tree& tree, const std::vector<Attached>& points) {
   for (const Attached& point : points)
     expect(tree.has_joint(point.joint), "points of another hand");
-}
-
-// Reject a joint that is not behind its parent, or whose numbers configurations do not have.
-inline void check_joint(const Tree& tree, const Joint& joint) {
-  const int nq = joint.kind == JointKind::floating ? 7 : 1;
-  const int nv = joint.kind == JointKind::floating ? 6 : 1;
-  expect(tree.has_joint(joint.parent), "a joint before its parent");
-  expect(joint.q >= 0 && joint.q <= tree.nq - nq && joint.v >= 0 && joint.v <= tree.nv - nv,
-         "wrong index of a joint");
-}
-
-inline Tree make_tree(const Fields& hand) {
-  const Fields model(hand.object("model"));
-  const nb::object joints = model.object("joints"), placements = model.object("jointPlacements");
-  const nb::object parents = model.object("parents");
-  Tree tree;
-  tree.nq = model.get<int>("nq");
-  tree.nv = model.get<int>("nv");
-  const int count = model.get<int>("njoints");
-  for (int j = 1; j < count; ++j) {
-    const Fields joint(item(joints, j));
-    const int nq = joint.get<int>("nq"), nv = joint.get<int>("nv");
-    if (!((nq == 1 && nv == 1) || (nq == 7 && nv == 6)))
-      throw std::domain_error("a joint that is neither revolute, prismatic nor floating");
-    JointKind kind = JointKind::floating;
-    Vec3 axis;
-    if (nv == 1) {
-      // Its motion, linear first.
-      const Array motion = nb::cast<Array>(nb::getattr(joint.object("createData")(), "S"));
-      expect_size(motion, 6, "S");
-      const double* s = motion.data();
-      const bool turns = s[3] != 0.0 || s[4] != 0.0 || s[5] != 0.0;
-      kind = turns ? JointKind::revolute : JointKind::prismatic;
-      axis = turns ? Vec3{s[3], s[4], s[5]} : Vec3{s[0], s[1], s[2]};
-    }
-    const Joint made{nb::cast<int>(item(parents, j)) - 1, kind, axis,
-                     Fields(item(placements, j)).pose("homogeneous"), joint.get<int>("idx_q"),
-                     joint.get<int>("idx_v")};
-    check_joint(tree, made);
-    tree.joints.push_back(made);
-  }
-  const int joint_count = static_cast<int>(tree.joints.size());
-  expect(tree.nq >= 0 && tree.nv >= 0 && tree.nq <= 7 * joint_count && tree.nv <= 6 * joint_count,
-         "wrong number of coordinates");
-  const Array spread = hand.get<Array>("spread");
-  expect(spread.ndim() == 2 && spread.shape(0) == static_cast<size_t>(tree.nv) && spread.shape(1) > 0,
-         "wrong shape of spread");
-  tree.size = static_cast<int>(spread.shape(1));
-  for (int c = 0; c < tree.nv; ++c) {
-    const double* row = spread.data() + c * tree.size;
-    const double* most = std::max_element(
-        row, row + tree.size, [](double a, double b) { return std::abs(a) < std::abs(b); });
-    tree.leader.push_back(static_cast<int>(most - row));
-    tree.factor.push_back(*most);
-  }
-  const Part own = part_of(hand, 0);
-  tree.wrist_origin = {own.joint, {}};
-  tree.wrist = own.wrist;
-  tree.parts = {{own.joint, own.wrist, 0, 0}};
-  const Fields palm(hand.object("palm_frame"));
-  tree.palm_origin = {palm.get<int>("parentJoint") - 1, {}};
-  tree.palm = palm.pose("placement.homogeneous");
-  tree.q_indices = hand.indices("q_indices");
-  tree.joint_columns = hand.indices("joint_columns");
-  expect_joints(tree, {tree.wrist_origin, tree.palm_origin});
-  expect(tree.q_indices.size() == tree.joint_columns.size(), "wrong number of joints");
-  expect_indices(tree.q_indices, static_cast<size_t>(tree.nq), "q_indices");
-  expect_indices(tree.joint_columns, static_cast<size_t>(tree.size), "joint_columns");
-  tree.finish();
-  return tree;
-}
-
-// What places a hand by its joint positions, and its frames.
-inline void make_frames(Tree& tree, const Fields& hand) {
-  tree.rest = vector_of(nb::cast<Array>(hand.object("configuration_vector")(hand.object("rest"))));
-  tree.set_by_joints = hand.indices("_moving_q");
-  tree.matrix = hand.numbers("_motion");
-  tree.offset = hand.numbers("_shift");
-  for (const nb::handle& each : hand.object("model.frames")) {
-    const Fields frame(nb::borrow(each));
-    tree.frames.push_back({frame.get<std::string>("name"), frame.get<int>("type"),
-                           frame.get<int>("parentJoint") - 1, frame.get<int>("parentFrame"),
-                           frame.pose("placement.homogeneous")});
-  }
-  // Behind those of the joints that move, there are rows of locked ones.
-  const size_t count = tree.set_by_joints.size();
-  expect(tree.rest.size() == static_cast<size_t>(tree.nq) && tree.offset.size() >= count &&
-             tree.matrix.size() == tree.offset.size() * tree.q_indices.size(),
-         "wrong sizes of what joint positions set");
-  expect_indices(tree.set_by_joints, static_cast<size_t>(tree.nq), "_moving_q");
-  for (const Frame& frame : tree.frames) {
-    expect(tree.has_joint(frame.joint), "a frame of another hand");
-    expect_indices({frame.parent}, tree.frames.size(), "the parents of frames");
-  }
-}
-
-// The tree of a hand with joints in other places; see hands.Hand.with_lengths.
-inline Tree moved_tree(const Tree& standard, const nb::dict& moves) {
-  Tree tree = standard;
-  for (const auto& [name, move] : moves) {
-    const nb::object by = nb::borrow(move);
-    tree.move_joint(nb::cast<std::string>(name), points_of(nb::cast<Array>(item(by, 0)))[0],
-                    nb::cast<double>(item(by, 1)));
-  }
-  return tree;
-}
-
-// Points by their links and where they are on them, as `PointSpec` has them.
-inline std::vector<Attached> attached_of(const Tree& tree, const nb::object& specs) {
-  std::vector<Attached> points;
-  for (const nb::handle& each : specs) {
-    const Fields spec(nb::borrow(each));
-    const nb::object xyz = spec.object("xyz");
-    points.push_back(tree.attached(spec.get<std::string>("link"),
-                                   {nb::cast<double>(item(xyz, 0)), nb::cast<double>(item(xyz, 1)),
-                                    nb::cast<double>(item(xyz, 2))}));
-  }
-  return points;
-}
-
-inline std::vector<Attached> reference_points(const Fields& hand) {
-  std::vector<Attached> points;
-  for (const nb::handle& each : hand.object("point_frames")) {
-    const Fields frame(nb::borrow(each));
-    points.push_back({frame.get<int>("parentJoint") - 1, frame.point("placement.translation")});
-  }
-  return points;
 }
 
 inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
@@ -262,17 +129,8 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
                  options.get<bool>("points_follow_wrist")};
 }
 
-inline void set_fingers(Gate& gate, const Fields& hand) {
-  for (const Indices& own :
-       nb::cast<std::vector<Indices>>(nb::getattr(hand.object("finger_joints"), "tolist")()))
-    gate.fingers.emplace_back(own.begin(), own.end());
-  expect(gate.fingers.size() >= gate.tree.parts.size(), "fingers of too few hands");
-  for (const Vector& own : gate.fingers)
-    expect(own.size() == gate.tree.joint_columns.size(), "wrong size of finger_joints");
-}
-
 inline void set_limits(Gate& gate, const nb::bytes& bytes) {
-  BoxLimits& limits = gate.limits = decode<BoxLimits>({bytes.c_str(), bytes.size()});
+  BoxLimits& limits = gate.limits = model_of<BoxLimits>(bytes);
   expect_count("BoxLimits.lowest", limits.lowest.size(), static_cast<size_t>(gate.tree.nq));
   expect_count("BoxLimits.lower", limits.lower.size(), static_cast<size_t>(gate.tree.size));
 }
@@ -356,9 +214,7 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
 }
 
 // Set what a gate of a hand admits: by its `BoxLimits`, and by its `CollisionLimit` or None.
-inline void set_gate(Gate& gate, const Fields& hand, const nb::bytes& limits,
-                     const nb::object& collisions) {
-  set_fingers(gate, hand);
+inline void set_gate(Gate& gate, const nb::bytes& limits, const nb::object& collisions) {
   set_limits(gate, limits);
   if (!collisions.is_none()) gate.pairs = make_pairs(gate.tree, Fields(collisions));
   gate.motion = {Vector(gate.tree.nq, 0.0), Vector(gate.tree.size, 0.0), 1.0,
@@ -379,20 +235,10 @@ inline void make_ik(PythonIk* self, const Tree& tree, const nb::object& hand,
                     const nb::object& options, const nb::bytes& limits,
                     const nb::object& collisions, const nb::object& links) {
   PythonIk& ik = *new (self) PythonIk(tree, hand, links);
-  ik.tree.points = reference_points(Fields(hand));
-  expect_joints(tree, ik.tree.points);
-  ik.tree.parts.clear();
-  for (const nb::handle& each : nb::getattr(hand, "hands")) {
-    const size_t first = ik.tree.parts.empty() ? 0 : ik.tree.parts.back().end;
-    ik.tree.parts.push_back(part_of(Fields(nb::borrow(each)), first));
-    expect(tree.has_joint(ik.tree.parts.back().joint), "a wrist of another hand");
-  }
-  expect(!ik.tree.parts.empty() && ik.tree.parts.back().end == ik.tree.points.size(),
-         "wrong number of points");
   set_weights(ik, Fields(hand), Fields(options));
   ik.takes_detours = Fields(options).get<bool>("takes_detours");
   ik.stop_detours();
-  set_gate(ik, Fields(hand), limits, collisions);
+  set_gate(ik, limits, collisions);
 }
 
 inline std::vector<Attached> points_of_task(const Fields& task) {
@@ -412,19 +258,6 @@ inline void make_distances(DistanceTask* self, const nb::object& owner) {
 inline OffsetTask offset_of(const Fields& task) {
   const std::vector<Attached> ends = points_of_task(task);
   return {ends.at(0), ends.at(1), task.point("aim"), task.get<double>("weight") / kLengthUnit};
-}
-
-inline void make_joint_reader(JointReader* self, const nb::object& owner) {
-  const Fields from(owner), human(from.object("human"));
-  if (nb::len(human.object("rules")) > 0)
-    throw std::domain_error("a human hand with joints that follow others");
-  Tree tree = make_tree(human);
-  tree.points = reference_points(human);
-  expect_joints(tree, tree.points);
-  JointReader& reader = *new (self) JointReader(std::move(tree), from.numbers("vector"));
-  reader.lower = human.numbers("lower_limits");
-  reader.upper = human.numbers("upper_limits");
-  expect(reader.fits(), "wrong size of limits or vector");
 }
 
 }  // namespace handmap

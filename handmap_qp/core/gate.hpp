@@ -54,7 +54,6 @@ class Gate : public Exclusive {
   BoxLimits limits;
   std::unique_ptr<Pairs> pairs;  // of shapes to keep apart; null for none
   Motion motion;
-  std::vector<Vector> fingers;  // of each hand, 1 for each joint of its fingers: see Hand.finger_joints
   int held_by = -1;  // the pair of shapes that held the last displacement back; -1 for none
   Placed at;         // where the robot was looked at last: where it is, or where a displacement leads
 
@@ -325,7 +324,7 @@ class Gate : public Exclusive {
       base[i] = limits.together[i] ? brake[i] : clipped[i];
     }
     std::vector<std::vector<int>> parts;
-    for (const Vector& is_finger : fingers) {
+    for (const Vector& is_finger : tree.fingers) {
       parts.emplace_back();
       for (size_t j = 0; j < is_finger.size(); ++j)
         if (is_finger[j] != 0.0) parts.back().push_back(tree.joint_columns[j]);

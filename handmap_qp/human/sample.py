@@ -206,10 +206,10 @@ def landmarks_at_rest(human: Hand) -> Array:
     Raises:
         HandError: If the hand has no landmarks.
     """
-    if (tree := ik.compiled.core_tree(human)) is None:
-        return frozen(human.with_points("landmarks").points(human.rest))
     points = _landmark_points(human.unscaled or human)
-    in_palm = tree.points(human.rest, points)
+    links = [point.link for point in points]
+    offsets = np.array([point.xyz for point in points])
+    in_palm = ik.compiled.core_tree(human).points_on_links(human.rest, links, offsets)
     return frozen(transform_points(human.wrist_to_palm, in_palm))
 
 

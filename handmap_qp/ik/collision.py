@@ -152,6 +152,14 @@ class PairBounds(Compiled):
         sliding = is_between * has_sliding[:, None]
         self.turns = turning * (moved[self.first] + moved[self.second] + sliding)
 
+    def moving_columns(self, spread: Array) -> Array:
+        """Return which active coordinates move the shapes of any pair against each other, (k,).
+
+        Args:
+            spread: `Hand.spread`, shape (nv, k).
+        """
+        return (self.levers > 0.0).any(axis=0) @ (spread != 0.0)
+
 
 pair_bounds = lru_cache(maxsize=32)(PairBounds)
 """The bounds of a model's pairs, computed once."""
@@ -244,8 +252,7 @@ class CollisionLimit:
         self._spread = hand.spread
         self._model = hand.model
         self.bounds = pair_bounds(hand.model, pairs.geometry)
-        is_moving = (self.bounds.levers > 0.0).any(axis=0)
-        self.columns: Array = is_moving @ (self._spread != 0.0)
+        self.columns = self.bounds.moving_columns(hand.spread)
 
     # Workspaces of Pinocchio are large, and the compiled core needs none.
 

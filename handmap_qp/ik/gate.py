@@ -7,17 +7,25 @@ it. What it admits, and why a stop is always possible behind that, is in `core/g
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from handmap_qp.hands import Hand, Names
-from handmap_qp.models import encode
+from handmap_qp.models import BoxLimits, encoded
 from handmap_qp.se3 import Array
-from .collision import CollisionLimit, Rows
+from .collision import CollisionLimit, PairBounds, Rows
 from .compiled import core_tree
 from .core import core
 from .limits import box_limits
 from .motion import Interval, Motion, When
 from .options import IkOptions
+
+
+@lru_cache(maxsize=32)
+def _limits_of(hand: Hand, options: IkOptions, bounds: PairBounds | None) -> BoxLimits:
+    """Return the limits of a hand that keeps pairs of shapes apart; people share them."""
+    together = None if bounds is None else bounds.moving_columns(hand.spread)
+    return box_limits(hand, options, together)
 
 
 class Gate:
@@ -46,8 +54,7 @@ class Gate:
     ) -> None:
         self.hand = hand
         self.collisions = collisions
-        together = collisions.columns if collisions else None
-        self.limits = box_limits(hand, options, together)
+        self.limits = _limits_of(hand, options, collisions and collisions.bounds)
         self.links: tuple[Names, ...] = collisions.bounds.links if collisions else ((),)
         self._options = options
         self.core = self._make_core()
@@ -69,7 +76,7 @@ class Gate:
     def _make_core(self) -> Any:
         """Return the core's gate of this robot."""
         tree = core_tree(self.hand)
-        return core.Gate(tree, self.hand, encode(self.limits), self.collisions)
+        return core.Gate(tree, encoded(self.limits), self.collisions)
 
     @property
     def motion(self) -> Motion:
@@ -197,7 +204,7 @@ class IkGate(Gate):
     def _make_core(self) -> Any:
         """Return the core's `Ik` of this hand, which is a gate."""
         tree = core_tree(self.hand)
-        limits = encode(self.limits)
+        limits = encoded(self.limits)
         return core.Ik(
             tree, self.hand, self._options, limits, self.collisions, self.links
         )

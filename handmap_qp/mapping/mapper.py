@@ -768,8 +768,12 @@ class JointReader(Compiled):
         self.tolerance = tolerance
         self.quat_order = quat_order
         # The wrist is at the origin; points move with it afterwards.
-        self.vector = human.configuration_vector(human.rest)
         self._placed = human.configuration()
+
+    @cached_property
+    def core(self) -> Any | None:
+        """The core's own; None for a hand with joints that follow others."""
+        return None if self.human.rules else core.JointReader(core_tree(self.human))
 
     def read(self, q: ArrayLike, wrist_pose: PoseLike) -> tuple[HumanPose, Names]:
         """Return a sample, and the names of the joints that are outside their limits.
@@ -846,14 +850,8 @@ def _method_of(
 
 def posture_of(robot: Hand, vector: Array) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
-    q = vector[robot.q_indices]
-    if tree := core_tree(robot):
-        frames = (robot.wrist_frame, *robot.point_frames)
-        wrist, *points = tree.poses(vector, frames)
-        return RobotPosture(q, np.array(points)[:, :3, 3], wrist)
-    placed = robot.configuration()
-    placed.place(vector)
-    return RobotPosture(q, placed.points, placed.wrist.homogeneous)
+    points, wrists = core_tree(robot).posture(vector)
+    return RobotPosture(vector[robot.q_indices], points, wrists[0])
 
 
 def stages_of(pose: HumanPose, asked: Targets, result: IkResult) -> Stages:

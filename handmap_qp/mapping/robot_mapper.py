@@ -565,7 +565,6 @@ class RobotMapper(Mover):
         none = np.zeros(0, dtype=int)
         pinching = self._pinching or [(none, none)] * len(robot.hands)
         model = RobotModel(
-            rest=robot.rest,
             hands=tuple(
                 RobotHandModel(
                     palm_joint=hand.palm_frame.parentJoint - 1,

@@ -11,7 +11,12 @@ from .encoding import Poses as Poses
 from .encoding import Rotation as Rotation
 from .encoding import Vector as Vector
 from .encoding import encode as encode
+from .encoding import encoded as encoded
 from .encoding import unpacked as unpacked
+from .hand import FrameModel as FrameModel
+from .hand import HandModel as HandModel
+from .hand import JointModel as JointModel
+from .hand import PlaceModel as PlaceModel
 from .limits import BoxLimits as BoxLimits
 from .method import DistancesModel as DistancesModel
 from .method import EstimatorModel as EstimatorModel

@@ -10,6 +10,7 @@ core reads them by `core/model_reader.hpp` into a struct whose fields have the s
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Annotated, Any
 
 import msgspec
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 _ARRAY = 1
 """Code of the extension of MessagePack that has an array."""
-_TYPES = ("<f8", "<i8", "<i4", "|b1")
+_TYPES = {np.dtype(kind): kind for kind in ("<f8", "<i8", "<i4", "|b1")}
 """Numbers that arrays may have."""
 
 # The forms of arrays, as the core names them. Other sizes are for the core to check.
@@ -38,14 +39,14 @@ class Model(msgspec.Struct, frozen=True, eq=False):
 
 
 def _packed(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    if not isinstance(value, np.ndarray):
+    # A person's hand is bound by some hundred calls, so that each one here counts.
+    if type(value) is not np.ndarray:
+        if isinstance(value, np.generic):
+            return value.item()
         raise TypeError(f"no form for {type(value).__name__}")
-    kind = value.dtype.newbyteorder("<").str
-    if kind not in _TYPES:
-        raise TypeError(f"no form for numbers of the type {kind}")
-    head = kind, value.shape, np.ascontiguousarray(value, kind).tobytes()
+    if value.dtype not in _TYPES:
+        raise TypeError(f"no form for numbers of the type {value.dtype.str}")
+    head = _TYPES[value.dtype], value.shape, value.tobytes()
     return msgspec.msgpack.Ext(_ARRAY, msgspec.msgpack.encode(head))
 
 
@@ -58,7 +59,7 @@ def unpacked(code: int, data: memoryview) -> NDArray[Any]:
     kind, shape, numbers = msgspec.msgpack.decode(
         data, type=tuple[str, tuple[int, ...], bytes]
     )
-    if code != _ARRAY or kind not in _TYPES:
+    if code != _ARRAY or kind not in _TYPES.values():
         raise ValueError("no such numbers")
     if min(shape, default=0) < 0:
         raise ValueError("a negative size")
@@ -72,3 +73,6 @@ def unpacked(code: int, data: memoryview) -> NDArray[Any]:
 
 encode = msgspec.msgpack.Encoder(enc_hook=_packed).encode
 """Return the bytes of a model, or of a mapping or sequence of what models have."""
+
+encoded = lru_cache(maxsize=64)(encode)
+"""Return the same of a model that is used again."""

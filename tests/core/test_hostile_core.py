@@ -13,7 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+
+from handmap_qp.models import encode, unpacked
 
 ROUNDS = 60  # hostile calls of each function
 
@@ -76,21 +79,43 @@ def hostile_array(rng: random.Random, array: np.ndarray) -> Any:
     )
 
 
+def hostile_bytes(rng: random.Random, content: bytes) -> bytes:
+    """Return the bytes of a model with a hostile field, or with damage."""
+    try:
+        model = msgspec.msgpack.decode(content, ext_hook=unpacked)
+    except (msgspec.DecodeError, ValueError):
+        # The bytes of a state.
+        model = None
+    if isinstance(model, dict) and rng.random() < 0.7:
+        at = model
+        while True:
+            place = rng.choice([*at] if isinstance(at, dict) else [*range(len(at))])
+            if not isinstance(at[place], list | dict) or not at[place]:
+                break
+            at = at[place]
+        at[place] = hostile(rng, at[place], [])
+        try:
+            return encode(model)
+        except (TypeError, ValueError, OverflowError):
+            return b""
+    damaged = bytearray(content)
+    for _ in range(rng.choice([1, 3, 30])):
+        damaged[rng.randrange(len(damaged))] = rng.choice([0, 1, 0x80, 0xC0, 0xFF])
+    return bytes(damaged[: rng.choice([len(damaged), rng.randrange(len(damaged))])])
+
+
 def hostile(rng: random.Random, value: Any, others: list[Any]) -> Any:
     """Return something in the place of an argument or an attribute."""
     if isinstance(value, np.ndarray) and rng.random() < 0.85:
         return hostile_array(rng, value)
+    if isinstance(value, bytes) and value and rng.random() < 0.85:
+        return hostile_bytes(rng, value)
     if isinstance(value, list | tuple) and value and rng.random() < 0.7:
         items = list(value)
         place = rng.randrange(len(items))
         items[place] = hostile(rng, items[place], others)
         whole = rng.choice([items, items[:-1], items * 3, items[:0]])
         return type(value)(whole) if type(value) in (list, tuple) else whole
-    if isinstance(value, bytes) and value and rng.random() < 0.9:
-        damaged = bytearray(value)
-        for _ in range(rng.choice([1, 1, 3])):
-            damaged[rng.randrange(len(damaged))] = rng.choice([0, 1, 127, 192, 255])
-        return rng.choice([bytes(damaged), value[: rng.randrange(len(value))]])
     numbers = [0, -1, 1, 1000, 2**31, 2**62, 0.0, -1.0, 1e300, np.nan, np.inf, 1e-300]
     if isinstance(value, int | float) and rng.random() < 0.8:
         return rng.choice(numbers)
@@ -113,9 +138,10 @@ def calls_of(core: Any) -> dict[str, Call]:
     from handmap_qp import Follower, HandMapper, load_hand, read_recording
     from handmap_qp.errors import MapperBusyError
     from handmap_qp.human.recording import sample_columns
+    from handmap_qp.ik import core_tree
+    from handmap_qp.ik.compiled import hand_model
     from handmap_qp.ik.tasks import Goal
     from handmap_qp.mapping.method import step_views
-    from handmap_qp.models import encode
     from handmap_qp.stream.step_table import StepTable
 
     recording = read_recording("demo", "right").part(slice(0, 60))
@@ -131,7 +157,7 @@ def calls_of(core: Any) -> dict[str, Call]:
     joints = load_hand("human")
     ik = teleoperated.point_ik
     robot = ik.hand
-    gate, tree = ik.gate, core.Tree(robot)
+    gate, tree = ik.gate, core_tree(robot)
     assert gate.collisions is not None
     bounds = gate.collisions.bounds
     points = ik.configuration.points
@@ -167,6 +193,7 @@ def calls_of(core: Any) -> dict[str, Call]:
             (recording.landmarks, recording.landmarks[0, [0, 5, 9, 13, 17]], 0.8),
         ),
         "raise_if_busy": (core.raise_if_busy, (MapperBusyError,)),
+        "model_fields": (core.model_fields, ()),
         "log3": (core.log3, (np.eye(3),)),
         "exp3": (core.exp3, (np.ones(3),)),
         "quat_xyzw": (core.quat_xyzw, (np.eye(3),)),
@@ -182,13 +209,25 @@ def calls_of(core: Any) -> dict[str, Call]:
             core.measure_shapes,
             (geometry[0].geometry, wrist, geometry[1].geometry, 2.0 * wrist),
         ),
-        "Tree": (core.Tree, (robot,)),
-        "Tree.moved": (tree.moved, ({},)),
-        "Tree.points": (tree.points, (robot.rest, robot.spec.points)),
-        "Tree.poses": (tree.poses, (motion.q, list(robot.point_frames))),
+        "Tree": (core.Tree, (encode(hand_model(robot)),)),
+        "Tree.moved": (
+            core_tree(human).moved,
+            (["index_MCP_abduction"], np.ones((1, 3)), np.ones(1)),
+        ),
+        "Tree.points": (tree.points, (robot.rest,)),
+        "Tree.points_on_links": (
+            tree.points_on_links,
+            (robot.rest, ["palm_link", "palm_link"], np.zeros((2, 3))),
+        ),
+        "Tree.points_on_joints": (
+            tree.points_on_joints,
+            (robot.rest, [0, 3], np.zeros((2, 3))),
+        ),
+        "Tree.joint_poses": (tree.joint_poses, (motion.q,)),
+        "Tree.posture": (tree.posture, (motion.q,)),
         "Tree.nearest_posture": (
             tree.nearest_posture,
-            (robot, points, np.ones(len(points)), 0.1, robot.rest),
+            (points, np.ones(len(points)), 0.1, robot.rest),
         ),
         "Tree.smallest_distances": (
             tree.smallest_distances,
@@ -196,7 +235,7 @@ def calls_of(core: Any) -> dict[str, Call]:
         ),
         "PairBounds": (core.PairBounds, (bounds,)),
         "PointDistances": (core.PointDistances, (teleoperation.method.distances,)),
-        "Gate": (core.Gate, (tree, ik.hand, gate.limits, gate.collisions)),
+        "Gate": (core.Gate, (tree, encode(gate.limits), gate.collisions)),
         "Gate.set_motion": (
             solver.set_motion,
             (motion.q, motion.displacement, dt, motion.stop_times),
@@ -225,7 +264,14 @@ def calls_of(core: Any) -> dict[str, Call]:
         "braking_displacement": (core.braking_displacement, (0.1, 1e-3)),
         "Ik": (
             core.Ik,
-            (tree, ik.hand, ik.options, gate.limits, gate.collisions, gate.links),
+            (
+                tree,
+                ik.hand,
+                ik.options,
+                encode(gate.limits),
+                gate.collisions,
+                gate.links,
+            ),
         ),
         "Ik.hold": (solver.hold, (dt,)),
         "Ik.solve": (solver.solve, (goal,)),
@@ -273,9 +319,9 @@ def calls_of(core: Any) -> dict[str, Call]:
             reader.read,
             (sample.landmarks, wrist),
         ),
-        "JointReader": (core.JointReader, (mapper._joints,)),
+        "JointReader": (core.JointReader, (core_tree(joints),)),
         "JointReader.read": (
-            core.JointReader(mapper._joints).read,
+            core.JointReader(core_tree(joints)).read,
             (joints.rest, wrist),
         ),
     }
@@ -289,7 +335,7 @@ def calls_of(core: Any) -> dict[str, Call]:
 def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
     """Return calls of what judges and smooths a stream, with the columns of 60 samples."""
     from handmap_qp.human.sample import landmarks_at_rest
-    from handmap_qp.models import GuardModel, encode
+    from handmap_qp.models import GuardModel
     from handmap_qp.trackers.plausibility import known_orders
 
     guard, smoother = follower._guard, follower._smoother
@@ -345,7 +391,7 @@ def robot_calls(core: Any, right: np.ndarray, views: Any) -> dict[str, Call]:
     """Return calls of what moves a robot, given the landmarks of a right hand (21, 3)."""
     from handmap_qp.hands.robot import load_robot
     from handmap_qp.mapping.robot_mapper import RobotMapper
-    from handmap_qp.models import RobotHandModel, RobotModel, encode
+    from handmap_qp.models import RobotHandModel, RobotModel
 
     mapper = RobotMapper(load_robot("g1"))
     for _ in range(2):
@@ -360,7 +406,6 @@ def robot_calls(core: Any, right: np.ndarray, views: Any) -> dict[str, Call]:
         for hand in mapper.robot.hands
     ]
     model = RobotModel(
-        rest=mapper.robot.rest,
         hands=tuple(hands),
         turns_in=2.0,
         near=0.4,

@@ -55,7 +55,7 @@ def test_both_sides_have_the_same_models() -> None:
 
 def _build(content: bytes) -> Any:
     """Return a gate of bytes of limits."""
-    return core.Gate(core_tree(_HAND), _HAND, content, None)
+    return core.Gate(core_tree(_HAND), content, None)
 
 
 def _limits(**changes: Any) -> bytes:

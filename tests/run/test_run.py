@@ -294,7 +294,7 @@ def test_other_names_are_of_another_version(saved: Path) -> None:
 
     file = msgspec.msgpack.decode(saved.read_bytes(), type=File)
     tree = decode(file.body)
-    del tree["robot"]["spread"]
+    del tree["robot"]["tree_model"]
     body = encode(tree)
     file = msgspec.structs.replace(file, body=body, checksum=zlib.crc32(body))
     saved.write_bytes(msgspec.msgpack.encode(file))

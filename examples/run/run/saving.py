@@ -12,7 +12,7 @@ import pinocchio as pin
 import handmap_qp
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
-from handmap_qp.human import landmarks_at_rest
+from handmap_qp.ik.compiled import hand_model
 from handmap_qp.mapping import HandMapper, RobotMapper, robot_fingers
 from handmap_qp.models import Model, encode
 from handmap_qp.options import Options
@@ -30,7 +30,7 @@ _ATTRIBUTES = {
     "Hand": _HAND,
     "HandSpec": "side wrist upright",
     "WristSpec": "max_linear_speed max_angular_speed",
-    "PointSpec": "name",
+    "PointSpec": "name link xyz",
     "Frame": "parentJoint placement",
     "CollisionLimit": "margin horizon columns bounds yielding",
     "ContactYield": "forces depths compliances torques",
@@ -88,7 +88,7 @@ def _robot(mapper: RobotMapper, collisions: Any) -> dict[str, Any]:
     # Which pairs of a hand pinch, among those of all hands and among its own.
     contacts = mapper._pinching or [()] * len(mapper.leaders)
     leaders = zip(mapper.leaders.values(), contacts, strict=True)
-    robot = _packed(mapper.robot) | {"landmarks": None, "collisions": collisions}
+    robot = _hand_of(mapper.robot) | {"collisions": collisions}
     return {
         "": "Saved",
         "robot": robot,
@@ -104,10 +104,11 @@ def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
         _refuse("method", f"{kind.removeprefix('Bound')} is in Python alone")
     if mapper.tasks or mapper.ik.tasks:
         _refuse("tasks", "further tasks are in Python alone")
-    robot = _packed(mapper.robot) | {"landmarks": None, "collisions": collisions}
+    robot = _hand_of(mapper.robot) | {"collisions": collisions}
     if can_grip(mapper):
         robot["grasp"] = _grasp(mapper.robot)
-    human = _packed(mapper.human) | {"landmarks": landmarks_at_rest(mapper.human)}
+    landmarks = mapper.human.with_points("landmarks").reference_points
+    human = _hand_of(mapper.human) | {"landmarks": _packed(landmarks)}
     orders = {
         name: np.array(layout.order("right"))
         for name, layout in LAYOUTS.items()
@@ -124,6 +125,11 @@ def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
         "quat_order": mapper.quat_order,
         "orders": orders,
     }
+
+
+def _hand_of(hand: Hand) -> dict[str, Any]:
+    """Return what is read of a hand in Python, and its model for the core."""
+    return _packed(hand) | {"tree_model": encode(hand_model(hand))}
 
 
 def _grasp(robot: Hand) -> dict[str, Any]:

@@ -140,20 +140,18 @@ class Convex(Record):
 class PairBounds(Compiled, Record):
     """Bounds of pairs of shapes, as of `ik.collision`."""
 
+    levers: Array
+
+    def moving_columns(self, spread: Array) -> Array:
+        """Return which active coordinates move shapes against each other."""
+        return (self.levers > 0.0).any(axis=0) @ (spread != 0.0)
+
 
 class CollisionLimit(Record):
     """Pairs of shapes that are kept apart, as of `ik.collision`."""
 
     # Files of former versions do not have it.
     yielding: Record | None = None
-
-
-class Frame(Record):
-    """A place on a joint of a model."""
-
-    def __init__(self, joint: int) -> None:
-        self.parentJoint = joint
-        self.placement = Pose.of(np.eye(4))
 
 
 class Configuration(configuration.Configuration):
@@ -164,7 +162,7 @@ class Configuration(configuration.Configuration):
     def place(self, q: Array) -> None:
         """Put the hand at a configuration, shape (nq,)."""
         hand = self._hand
-        poses = hand.tree.poses(q, hand.joint_frames)
+        poses = hand.tree.joint_poses(q)
         self.data = Data(self.model, poses)
         self.q = frozen(np.array(q))
 
@@ -193,7 +191,9 @@ class Hand(Record):
     name: str
     side: Side
     is_floating: bool
-    landmarks: Array | None
+    # Of a human hand, its landmarks as points.
+    landmarks: tuple[Any, ...] | None = None
+    tree_model: bytes
     model: Any
     point_frames: tuple[Any, ...]
     reference_points: tuple[Any, ...]
@@ -215,12 +215,7 @@ class Hand(Record):
     @cached_property
     def tree(self) -> Any:
         """The core's kinematics."""
-        return core.Tree(self)
-
-    @cached_property
-    def joint_frames(self) -> list[Frame]:
-        """The joints of the model, the first of which is the world."""
-        return [*map(Frame, range(self.model.njoints))]
+        return core.Tree(self.tree_model)
 
     def __getstate__(self) -> Values:
         """Return all but the core's own, which a copy makes again."""
@@ -273,7 +268,7 @@ class Hand(Record):
         placed.place(self.configuration_vector(q, wrist_pose))
         return placed
 
-    def with_points(self, points: str) -> Hand:
+    def with_points(self, points: str) -> _Landmarks:
         """Return the human hand with its landmarks in place of its reference points."""
         expect(
             points == "landmarks" and self.landmarks is not None,
@@ -288,16 +283,11 @@ class Hand(Record):
         return (q <= self.lower_limits + 1e-6) | (q >= self.upper_limits - 1e-6)
 
 
-class _Landmarks(Hand):
-    """A human hand at rest, of which only the landmarks are asked for."""
+class _Landmarks(Record):
+    """A human hand of which only its landmarks are asked for."""
 
     def __init__(self, hand: Hand) -> None:
-        self.landmarks = hand.landmarks
-
-    def points(self, q: Any, wrist_pose: Any = None) -> Array:
-        """Return the landmarks at rest, in axes of the wrist [m], shape (21, 3)."""
-        assert self.landmarks is not None
-        return self.landmarks
+        self.reference_points = hand.landmarks
 
 
 def joined(name: str, *hands: Hand) -> Hand:

@@ -9,7 +9,7 @@ from handmap_qp.ik.core import core
 from handmap_qp.ik.gate import IkGate
 from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.models import encode
+from handmap_qp.models import encoded
 
 
 class PointIk(qp.PointIk):
@@ -44,7 +44,7 @@ class _SavedGate(IkGate):
 
     def _make_core(self) -> Any:
         hand: Any = self.hand
-        limits = encode(self.limits)
+        limits = encoded(self.limits)
         return core.Ik(
             hand.tree, hand, self._options, limits, self.collisions, self.links
         )
