@@ -32,7 +32,6 @@ from handmap_qp.human import (
 from handmap_qp.ik import (
     BEHIND,
     LONGEST_STEP,
-    Compiled,
     IkOptions,
     IkResult,
     Instant,
@@ -752,13 +751,16 @@ class LandmarkReader:
         return HumanPose(points[self.model.used], wrist), ()
 
 
-class JointReader(Compiled):
+class JointReader:
     """Turns joint angles into samples of a human hand (eq. 4).
 
     Args:
         human: The human hand.
         tolerance: How far a joint may be outside its limits [rad].
         quat_order: Order of the quaternion in wrist poses of seven numbers.
+
+    Attributes:
+        core: The reader of the core; None for a hand with joints that follow others.
     """
 
     def __init__(
@@ -769,11 +771,11 @@ class JointReader(Compiled):
         self.quat_order = quat_order
         # The wrist is at the origin; points move with it afterwards.
         self._placed = human.configuration()
+        self.core = None if human.rules else core.JointReader(core_tree(human))
 
-    @cached_property
-    def core(self) -> Any | None:
-        """The core's own; None for a hand with joints that follow others."""
-        return None if self.human.rules else core.JointReader(core_tree(self.human))
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build a copy with a workspace of its own."""
+        return JointReader, (self.human, self.tolerance, self.quat_order)
 
     def read(self, q: ArrayLike, wrist_pose: PoseLike) -> tuple[HumanPose, Names]:
         """Return a sample, and the names of the joints that are outside their limits.

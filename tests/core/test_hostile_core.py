@@ -391,33 +391,15 @@ def robot_calls(core: Any, right: np.ndarray, views: Any) -> dict[str, Call]:
     """Return calls of what moves a robot, given the landmarks of a right hand (21, 3)."""
     from handmap_qp.hands.robot import load_robot
     from handmap_qp.mapping.robot_mapper import RobotMapper
-    from handmap_qp.models import RobotHandModel, RobotModel
 
     mapper = RobotMapper(load_robot("g1"))
     for _ in range(2):
         mapper.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
-    hands = [
-        RobotHandModel(
-            palm_joint=hand.palm_frame.parentJoint - 1,
-            palm=np.eye(4),
-            pinching=np.array([0, 1]),
-            among_own=np.array([0, 1]),
-        )
-        for hand in mapper.robot.hands
-    ]
-    model = RobotModel(
-        hands=tuple(hands),
-        turns_in=2.0,
-        near=0.4,
-        together=0.2,
-        together_share=5.0,
-        margin=1e-3,
-    )
     asks = [leader.asked for leader in mapper.leaders.values()]
     solver = mapper.point_ik.core
     worlds = np.tile(np.eye(4), (2, 1, 1))
     return {
-        "RobotMover": (core.RobotMover, (solver, encode(model), views)),
+        "RobotMover": (core.RobotMover, (solver, encode(mapper.model()), views)),
         "RobotMover.move": (mapper.core.move, (asks, [0.1, 0.1], worlds, 1.0 / 60.0)),
     }
 
