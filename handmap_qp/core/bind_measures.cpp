@@ -155,15 +155,15 @@ void bind_measures(nb::module_& m) {
   m.def("log3", [](const Array& rotation) {
     const Vec3 turn = log3(matrix_of(rotation));
     return array_of({3}, &turn.x);
-  });
+  }, "rotation"_a);
   m.def("exp3", [](const Array& turn) {
     expect_size(turn, 3, "turn");
     return array_of({3, 3}, exp3(points_of(turn)[0]).m);
-  });
+  }, "turn"_a);
   m.def("quat_xyzw", [](const Array& rotation) {
     const Quat q = quat_of(matrix_of(rotation));
     return array_of(Vector{q.x, q.y, q.z, q.w});
-  });
+  }, "rotation"_a);
   m.def("smallest_gap", &smallest_gap_of, "time"_a, "landmarks"_a, "median_time"_a,
         "percentile"_a);
   m.def("log_size", [](const Array& landmarks) { return own_distances(landmarks).log_size(); },

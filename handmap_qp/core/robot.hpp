@@ -65,9 +65,8 @@ class RobotMover {
   RobotMover(std::shared_ptr<Ik> ik, RobotModel model, StepViews views)
       : ik_(std::move(ik)), reader_(std::make_shared<StepReader>(
                                 StepReader{std::move(views), nullptr, ik_->tree.joint_columns})),
-        model_(std::move(model)), hands_(model_.hands), rest_(model_.rest) {
+        model_(std::move(model)), hands_(model_.hands), rest_(ik_->tree.joint_rest) {
     expect_count("RobotModel.hands", hands_.size(), ik_->tree.parts.size());
-    expect_count("RobotModel.rest", rest_.size(), ik_->tree.joint_columns.size());
     const bool has_pinches = model_.has_pinches();
     expect_that(!has_pinches || ik_->pairs, "RobotModel.hands: pinching",
                 "none where no links are kept apart");

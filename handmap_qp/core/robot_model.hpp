@@ -26,13 +26,11 @@ struct RobotHandModel {
 // The hands of a robot, and how their palms are led; see `RobotMapper`.
 struct RobotModel {
   static constexpr const char* kName = "RobotModel";
-  Vector rest;
   std::vector<RobotHandModel> hands;
   double turns_in = 0.0, near = 0.0, together = 0.0, together_share = 0.0, margin = 0.0;
 
   template <class Visitor>
   void fields(Visitor& visit) {
-    visit("rest", rest);
     visit("hands", hands);
     visit("turns_in", turns_in);
     visit("near", near);

@@ -758,6 +758,9 @@ class JointReader:
         human: The human hand.
         tolerance: How far a joint may be outside its limits [rad].
         quat_order: Order of the quaternion in wrist poses of seven numbers.
+
+    Attributes:
+        core: The reader of the core; None for a hand with joints that follow others.
     """
 
     def __init__(
@@ -768,11 +771,11 @@ class JointReader:
         self.quat_order = quat_order
         # The wrist is at the origin; points move with it afterwards.
         self._placed = human.configuration()
+        self.core = None if human.rules else core.JointReader(core_tree(human))
 
-    @cached_property
-    def core(self) -> Any | None:
-        """The core's own; None for a hand with joints that follow others."""
-        return None if self.human.rules else core.JointReader(core_tree(self.human))
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build a copy with a workspace of its own."""
+        return JointReader, (self.human, self.tolerance, self.quat_order)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all but the core's own, which a copy makes anew."""

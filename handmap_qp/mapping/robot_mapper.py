@@ -561,11 +561,16 @@ class RobotMapper(Mover):
 
     def _new_core(self) -> Any:
         """Return what moves the robot in the core for hands that ask there."""
+        links = self.point_ik.gate.links
+        views = step_views(_plain_targets, self.robot, links)
+        return core.RobotMover(self.point_ik.core, encode(self.model()), views)
+
+    def model(self) -> RobotModel:
+        """Return how the core leads the hands of the robot together."""
         robot = self.robot
         none = np.zeros(0, dtype=int)
         pinching = self._pinching or [(none, none)] * len(robot.hands)
-        model = RobotModel(
-            rest=robot.rest,
+        return RobotModel(
             hands=tuple(
                 RobotHandModel(
                     palm_joint=hand.palm_frame.parentJoint - 1,
@@ -581,8 +586,6 @@ class RobotMapper(Mover):
             together_share=_TOGETHER_SHARE,
             margin=LINK_MARGIN,
         )
-        views = step_views(_plain_targets, robot, self.point_ik.gate.links)
-        return core.RobotMover(self.point_ik.core, encode(model), views)
 
     def _worlds(self) -> Array | None:
         """Return where the world of each reference is from the base, shape (h, 4, 4).

@@ -46,8 +46,17 @@ def _packed(value: Any) -> Any:
         raise TypeError(f"no form for {type(value).__name__}")
     if value.dtype not in _TYPES:
         raise TypeError(f"no form for numbers of the type {value.dtype.str}")
-    head = _TYPES[value.dtype], value.shape, value.tobytes()
-    return msgspec.msgpack.Ext(_ARRAY, msgspec.msgpack.encode(head))
+    head = _head_of(value.dtype, value.shape)
+    numbers = value.data if value.flags.c_contiguous else value.tobytes()
+    return msgspec.msgpack.Ext(_ARRAY, head + numbers)
+
+
+@lru_cache(maxsize=256)
+def _head_of(kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+    """Return what an array's extension begins with, before the numbers."""
+    size = kind.itemsize * math.prod(shape)
+    whole = msgspec.msgpack.encode((_TYPES[kind], shape, bytes(size)))
+    return whole[: len(whole) - size]
 
 
 def unpacked(code: int, data: memoryview) -> NDArray[Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .encoding import Indices, Model, Pose, Vector
+from .encoding import Indices, Model, Pose
 
 
 class RobotHandModel(Model, frozen=True, kw_only=True):
@@ -25,7 +25,6 @@ class RobotModel(Model, frozen=True, kw_only=True):
     """The hands of a robot, and how their palms are led; see `RobotMapper`.
 
     Attributes:
-        rest: Joint positions at rest [rad or m], shape (n,).
         hands: The hands.
         turns_in: Time after a reference until palms have the person's directions [s].
         near: Distance of the person's palms at which the robot's begin to go by it [m].
@@ -34,7 +33,6 @@ class RobotModel(Model, frozen=True, kw_only=True):
         margin: Margin of pairs of links for which no hand has another one [m].
     """
 
-    rest: Vector
     hands: tuple[RobotHandModel, ...]
     turns_in: float
     near: float

@@ -310,6 +310,7 @@ int judge_stream(Numbers& numbers, double hostile, const LandmarkOrders& known,
   Landmarks last{};
   double stamp = 0.0, time = 0.0, before = 0.0;
   Fault fault = Fault::none;
+  bool has_times = true;
   int followed = 0;
   for (int i = 0; i < 160; ++i) {
     if (hostile > 0.0 && i % 20 == 19)
@@ -333,11 +334,13 @@ int judge_stream(Numbers& numbers, double hostile, const LandmarkOrders& known,
     StreamGuard copy = guard;
     const Verdict verdict = guard.check(sample), again = copy.check(sample);
     check(verdict.rule == again.rule && verdict.is_held == again.is_held, "a copy");
-    if (std::isfinite(stamp)) check_verdict(verdict, before);
+    // Python lets no other stamps in, behind which no time is known.
+    has_times &= std::isfinite(stamp);
+    if (has_times) check_verdict(verdict, before);
+    if (!std::isfinite(stamp)) stamp = time;
     before = verdict.time;
     followed += !verdict.is_held;
     ++calls;
-    if (!std::isfinite(stamp)) stamp = time;
   }
   guard.input.finish();
   return followed;
@@ -379,6 +382,9 @@ Tree fingers(bool is_floating) {
   tree.parts = {{first - 1, {}, 0, 2}};
   tree.rest.assign(tree.nq, 0.0);
   if (is_floating) tree.rest[6] = 1.0;
+  tree.joint_rest.assign(4, 0.0);
+  tree.lower.assign(4, -1.5);
+  tree.upper.assign(4, 1.5);
   tree.finish();
   return tree;
 }
@@ -461,12 +467,6 @@ void postures(Numbers& numbers) {
   for (int round = 0; round < 200; ++round) {
     const double hostile = kShares[round % 3];
     NearestPosture problem(tree);
-    problem.settings = {30, 1e-9, 1e-4, 1e-6, 1e-12, 1e-3};
-    problem.points = tree.points;
-    problem.configuration = tree.rest;
-    problem.rest.assign(4, 0.0);
-    problem.lower.assign(4, -1.5);
-    problem.upper.assign(4, 1.5);
     problem.targets = numbers.points(2, hostile, 0.1);
     problem.costs = {1.0, 1.0};
     problem.rest_cost = 1e-3;

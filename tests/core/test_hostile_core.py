@@ -81,8 +81,12 @@ def hostile_array(rng: random.Random, array: np.ndarray) -> Any:
 
 def hostile_bytes(rng: random.Random, content: bytes) -> bytes:
     """Return the bytes of a model with a hostile field, or with damage."""
-    if rng.random() < 0.7:
+    try:
         model = msgspec.msgpack.decode(content, ext_hook=unpacked)
+    except (msgspec.DecodeError, ValueError):
+        # The bytes of a state.
+        model = None
+    if isinstance(model, dict) and rng.random() < 0.7:
         at = model
         while True:
             place = rng.choice([*at] if isinstance(at, dict) else [*range(len(at))])
@@ -104,7 +108,7 @@ def hostile(rng: random.Random, value: Any, others: list[Any]) -> Any:
     """Return something in the place of an argument or an attribute."""
     if isinstance(value, np.ndarray) and rng.random() < 0.85:
         return hostile_array(rng, value)
-    if isinstance(value, bytes) and value[:1] >= b"\x80" and rng.random() < 0.85:
+    if isinstance(value, bytes) and value and rng.random() < 0.85:
         return hostile_bytes(rng, value)
     if isinstance(value, list | tuple) and value and rng.random() < 0.7:
         items = list(value)
@@ -112,11 +116,6 @@ def hostile(rng: random.Random, value: Any, others: list[Any]) -> Any:
         items[place] = hostile(rng, items[place], others)
         whole = rng.choice([items, items[:-1], items * 3, items[:0]])
         return type(value)(whole) if type(value) in (list, tuple) else whole
-    if isinstance(value, bytes) and value and rng.random() < 0.9:
-        damaged = bytearray(value)
-        for _ in range(rng.choice([1, 1, 3])):
-            damaged[rng.randrange(len(damaged))] = rng.choice([0, 1, 127, 192, 255])
-        return rng.choice([bytes(damaged), value[: rng.randrange(len(value))]])
     numbers = [0, -1, 1, 1000, 2**31, 2**62, 0.0, -1.0, 1e300, np.nan, np.inf, 1e-300]
     if isinstance(value, int | float) and rng.random() < 0.8:
         return rng.choice(numbers)
@@ -138,13 +137,9 @@ def calls_of(core: Any) -> dict[str, Call]:
     """Return a call of each function with arguments that are right."""
     from handmap_qp import Follower, HandMapper, load_hand, read_recording
     from handmap_qp.errors import MapperBusyError
-    from handmap_qp.hands.collision_shapes import shape_model
     from handmap_qp.human.recording import sample_columns
     from handmap_qp.ik import core_tree
-    from handmap_qp.ik.compiled import hand_model
-    from handmap_qp.ik.options import ik_model
     from handmap_qp.mapping.method import step_views
-    from handmap_qp.models import encode
     from handmap_qp.stream.step_table import StepTable
 
     recording = read_recording("demo", "right").part(slice(0, 60))
@@ -159,12 +154,7 @@ def calls_of(core: Any) -> dict[str, Call]:
     follower.map_sample(columns.sample(0))
     joints = load_hand("human")
     ik = teleoperated.point_ik
-    robot = ik.hand
-    gate, tree = ik.gate, core_tree(robot)
-    assert gate.collisions is not None
-    bounds = gate.collisions.bounds
     points = ik.configuration.points
-    motion = gate.motion
     wrist = np.eye(4)
     dt = 1.0 / 60.0
     sample = columns.sample(1)
@@ -178,9 +168,106 @@ def calls_of(core: Any) -> dict[str, Call]:
     samples = core.Samples(columns.time, columns.landmarks, columns.valid)
     judged = sample.time, sample.landmarks, None, True, 1.0
     views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
-    task = teleoperation.method.distances
+    in_core = mapper.core
+    palm = encode(teleoperation.palm_model())
+    calls: dict[str, Call] = {
+        "measure_shape": (
+            core.measure_shape,
+            (recording.landmarks, recording.landmarks[0, [0, 5, 9, 13, 17]], 0.8),
+        ),
+        "raise_if_busy": (core.raise_if_busy, (MapperBusyError,)),
+        "model_fields": (core.model_fields, ()),
+        "log3": (core.log3, (np.eye(3),)),
+        "exp3": (core.exp3, (np.ones(3),)),
+        "quat_xyzw": (core.quat_xyzw, (np.eye(3),)),
+        "smallest_gap": (
+            core.smallest_gap,
+            (recording.time, recording.landmarks, 0.1, 1.0),
+        ),
+        "solve_qp": (
+            core.solve_qp,
+            (np.eye(3), *np.ones((3, 3)), np.ones((2, 3)), np.ones(2)),
+        ),
+        "HumanPose": (core.HumanPose, (points, wrist)),
+        "StepViews": (core.StepViews, (list, list, list, list)),
+        "SampleMapper": (
+            core.SampleMapper,
+            (mapper.point_ik.core, own_map.make_core(), views),
+        ),
+        "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
+        "Asker": (
+            core.Asker,
+            (mapper.point_ik.core, own_map.make_core(), views, own_map),
+        ),
+        "SampleMapper.map": (
+            in_core.map,
+            (reader, sample.landmarks, None, dt),
+        ),
+        "SampleMapper.map_sample": (
+            in_core.map_sample,
+            (guard.core, smoother.core, reader, *judged, dt, None, 0.0),
+        ),
+        "SampleMapper.run": (
+            in_core.run,
+            (
+                guard.core,
+                smoother.core,
+                reader,
+                0.0,
+                samples,
+                2,
+                9,
+                table.rows,
+            ),
+        ),
+        "TeleoperationMap": (
+            core.TeleoperationMap,
+            (encode(teleoperation.model), palm),
+        ),
+        "HomogeneousMap": (core.HomogeneousMap, (encode(own_map.model()),)),
+        "LandmarkReader": (core.LandmarkReader, (encode(mapper.landmarks.model),)),
+        "LandmarkReader.read": (
+            reader.read,
+            (sample.landmarks, wrist),
+        ),
+        "JointReader": (core.JointReader, (core_tree(joints),)),
+        "JointReader.read": (
+            core.JointReader(core_tree(joints)).read,
+            (joints.rest, wrist),
+        ),
+    }
+    return (
+        calls
+        | hand_calls(core, ik, teleoperation.method.distances, human)
+        | stream_calls(core, follower, columns)
+        | robot_calls(core, recording.landmarks[0], views)
+    )
+
+
+def hand_calls(core: Any, ik: Any, task: Any, human: Any) -> dict[str, Call]:
+    """Return calls of what moves a hand.
+
+    Args:
+        core: The core.
+        ik: Moves a robot hand whose links are kept apart.
+        task: Distances of points of that hand.
+        human: A human hand that is not scaled.
+    """
+    from handmap_qp.hands.collision_shapes import shape_model
+    from handmap_qp.ik import core_tree
+    from handmap_qp.ik.compiled import hand_model
+    from handmap_qp.ik.options import ik_model
+
+    robot, gate, solver = ik.hand, ik.gate, ik.core
+    tree = core_tree(robot)
+    bounds = gate.collisions.bounds
+    points = ik.configuration.points
+    motion = gate.motion
+    wrist = np.eye(4)
+    dt = 1.0 / 60.0
+    still = np.zeros(gate.limits.size)
     aims = np.ones(len(task.first))
-    size = gate.limits.size
+    size = len(still)
     goal = (
         points,
         wrist[None],
@@ -198,8 +285,6 @@ def calls_of(core: Any) -> dict[str, Call]:
         for each in bounds.geometry.geometryObjects[:2]
     ]
     parts = encode(gate.limits), bounds.core, encode(gate.collisions.model)
-    solver, in_core = ik.core, mapper.core
-    still = np.zeros(gate.limits.size)
 
     def posed() -> Any:
         """Return the rows of the next command: those of a former one are refused."""
@@ -207,25 +292,7 @@ def calls_of(core: Any) -> dict[str, Call]:
 
     many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
     solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
-    palm = encode(teleoperation.palm_model())
-    calls: dict[str, Call] = {
-        "measure_shape": (
-            core.measure_shape,
-            (recording.landmarks, recording.landmarks[0, [0, 5, 9, 13, 17]], 0.8),
-        ),
-        "model_fields": (core.model_fields, ()),
-        "raise_if_busy": (core.raise_if_busy, (MapperBusyError,)),
-        "log3": (core.log3, (np.eye(3),)),
-        "exp3": (core.exp3, (np.ones(3),)),
-        "quat_xyzw": (core.quat_xyzw, (np.eye(3),)),
-        "smallest_gap": (
-            core.smallest_gap,
-            (recording.time, recording.landmarks, 0.1, 1.0),
-        ),
-        "solve_qp": (
-            core.solve_qp,
-            (np.eye(3), *np.ones((3, 3)), np.ones((2, 3)), np.ones(2)),
-        ),
+    return {
         "measure_shapes": (
             core.measure_shapes,
             (*shapes[:1], wrist, *shapes[1:], 2.0 * wrist),
@@ -291,65 +358,13 @@ def calls_of(core: Any) -> dict[str, Call]:
         "Ik.solve": (solver.solve, goal),
         "Ik.solve_many": (solver.solve_many, solve_many),
         "Ik.go_on": (solver.go_on, (list(solver.detours),)),
-        "HumanPose": (core.HumanPose, (points, wrist)),
-        "StepViews": (core.StepViews, (list, list, list, list)),
-        "SampleMapper": (
-            core.SampleMapper,
-            (mapper.point_ik.core, own_map.make_core(), views),
-        ),
-        "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
-        "Asker": (
-            core.Asker,
-            (mapper.point_ik.core, own_map.make_core(), views, own_map),
-        ),
-        "SampleMapper.map": (
-            in_core.map,
-            (reader, sample.landmarks, None, dt),
-        ),
-        "SampleMapper.map_sample": (
-            in_core.map_sample,
-            (guard.core, smoother.core, reader, *judged, dt, None, 0.0),
-        ),
-        "SampleMapper.run": (
-            in_core.run,
-            (
-                guard.core,
-                smoother.core,
-                reader,
-                0.0,
-                samples,
-                2,
-                9,
-                table.rows,
-            ),
-        ),
-        "TeleoperationMap": (
-            core.TeleoperationMap,
-            (encode(teleoperation.model), palm),
-        ),
-        "HomogeneousMap": (core.HomogeneousMap, (encode(own_map.model()),)),
-        "LandmarkReader": (core.LandmarkReader, (encode(mapper.landmarks.model),)),
-        "LandmarkReader.read": (
-            reader.read,
-            (sample.landmarks, wrist),
-        ),
-        "JointReader": (core.JointReader, (core_tree(joints),)),
-        "JointReader.read": (
-            core.JointReader(core_tree(joints)).read,
-            (joints.rest, wrist),
-        ),
     }
-    return (
-        calls
-        | stream_calls(core, follower, columns)
-        | robot_calls(core, recording.landmarks[0], views)
-    )
 
 
 def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
     """Return calls of what judges and smooths a stream, with the columns of 60 samples."""
     from handmap_qp.human.sample import landmarks_at_rest
-    from handmap_qp.models import GuardModel, encode
+    from handmap_qp.models import GuardModel
     from handmap_qp.trackers.plausibility import known_orders
 
     guard, smoother = follower._guard, follower._smoother
@@ -405,34 +420,15 @@ def robot_calls(core: Any, right: np.ndarray, views: Any) -> dict[str, Call]:
     """Return calls of what moves a robot, given the landmarks of a right hand (21, 3)."""
     from handmap_qp.hands.robot import load_robot
     from handmap_qp.mapping.robot_mapper import RobotMapper
-    from handmap_qp.models import RobotHandModel, RobotModel, encode
 
     mapper = RobotMapper(load_robot("g1"))
     for _ in range(2):
         mapper.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
-    hands = [
-        RobotHandModel(
-            palm_joint=hand.palm_frame.parentJoint - 1,
-            palm=np.eye(4),
-            pinching=np.array([0, 1]),
-            among_own=np.array([0, 1]),
-        )
-        for hand in mapper.robot.hands
-    ]
-    model = RobotModel(
-        rest=mapper.robot.rest,
-        hands=tuple(hands),
-        turns_in=2.0,
-        near=0.4,
-        together=0.2,
-        together_share=5.0,
-        margin=1e-3,
-    )
     asks = [leader.asked for leader in mapper.leaders.values()]
     solver = mapper.point_ik.core
     worlds = np.tile(np.eye(4), (2, 1, 1))
     return {
-        "RobotMover": (core.RobotMover, (solver, encode(model), views)),
+        "RobotMover": (core.RobotMover, (solver, encode(mapper.model()), views)),
         "RobotMover.move": (mapper.core.move, (asks, [0.1, 0.1], worlds, 1.0 / 60.0)),
     }
 

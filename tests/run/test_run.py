@@ -299,7 +299,7 @@ def test_other_names_are_of_another_version(saved: Path) -> None:
     file = msgspec.structs.replace(file, body=body, checksum=zlib.crc32(body))
     saved.write_bytes(msgspec.msgpack.encode(file))
     with pytest.raises(
-        handmap_run.HandError, match=r"does not fit this version.*spread"
+        handmap_run.HandError, match=r"does not fit this version.*tree_model"
     ):
         handmap_run.load(saved)
 

@@ -209,6 +209,7 @@ class BoundTeleoperation(PalmMethod):
         self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
         self.pads = pair.measured.pinching
         self.distances = pair.measured.distances
+        self.model = self._make_model()
 
     def _contacts(self) -> ShapePairs:
         """Return the pairs that are kept apart, or may press on each other."""
@@ -230,9 +231,8 @@ class BoundTeleoperation(PalmMethod):
         palm[:3, 3] += palm[:3, :3] @ (self.human_anchor - self.robot_anchor)
         return palm
 
-    @cached_property
-    def model(self) -> TeleoperationModel:
-        """What targets are computed with, whatever the reference."""
+    def _make_model(self) -> TeleoperationModel:
+        """Return what targets are computed with, whatever the reference."""
         choices = self.choices
         pair = self.pair
         likeness = pair.palms.likeness
@@ -247,8 +247,8 @@ class BoundTeleoperation(PalmMethod):
             regularisation=pair.regularisation,
             estimator=self.estimator.model(),
             shape_points=pair.shape_points,
-            from_points=np.append(pair.knuckles, pair.tips[:1].repeat(count)),
-            to_points=np.append(pair.tips, pair.tips[1 : 1 + count]),
+            from_points=np.concatenate([pair.knuckles, pair.tips[:1].repeat(count)]),
+            to_points=np.concatenate([pair.tips, pair.tips[1 : 1 + count]]),
             partners=pair.partners,
             human_reach=pair.human_reach,
             **self._aims(),
@@ -339,10 +339,10 @@ class BoundTeleoperation(PalmMethod):
         # Corrections end where places agree: a hand like the person's needs none.
         corrected = 1.0 - pair.palms.likeness
         return {
-            "aim_slopes": np.append(pair.reach_ratios, np.full(count, ratio)),
-            "aim_offsets": np.append(extension, touching - ratio * closed),
-            "least_aims": np.append(np.zeros(len(pair.fingers)), touching),
-            "largest_aims": np.append(pair.robot_reach, np.full(count, np.inf)),
+            "aim_slopes": np.concatenate([pair.reach_ratios, [ratio] * count]),
+            "aim_offsets": np.concatenate([extension, touching - ratio * closed]),
+            "least_aims": np.concatenate([np.zeros(len(extension)), touching]),
+            "largest_aims": np.concatenate([pair.robot_reach, [np.inf] * count]),
             "extension_weights": corrected * by_finger,
             "pinch_weight": corrected * choices.pinch_weight,
         }
@@ -350,11 +350,8 @@ class BoundTeleoperation(PalmMethod):
     def _margins(self) -> dict[str, Array]:
         """Return the margins of contact pairs, and which of them belongs to which pinch."""
         fingers = self.contacts.fingers if self.contacts else ()
-        closing = [
-            (k, self.pinched.index(f))
-            for k, f in enumerate(fingers)
-            if f in self.pinched
-        ]
+        pinch_of = {finger: pinch for pinch, finger in enumerate(self.pinched)}
+        closing = [(k, pinch_of[f]) for k, f in enumerate(fingers) if f in pinch_of]
         pairs, pinches = np.array(closing, dtype=int).reshape(-1, 2).T
         covers = [self.pads[0].cover + pad.cover for pad in self.pads[1:]]
         return {
