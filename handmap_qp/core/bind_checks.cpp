@@ -124,11 +124,14 @@ void bind_checks(nb::module_& m) {
   bind_numbers(m);
   bind_clocks(m);
   bind_motion(m);
-  nb::class_<NamedOrders>(m, "LandmarkOrders")
-      .def(nb::init<const std::vector<std::string>&, const std::vector<Indices>&>(), "names"_a,
-           "orders"_a);
+  nb::class_<LandmarkOrders>(m, "LandmarkOrders")
+      .def(nb::new_(&make_orders), "orders"_a);
+  nb::class_<Samples>(m, "Samples")
+      .def(nb::init<Array, Array, Flags, std::optional<Array>, std::optional<Array>>(), "time"_a,
+           "landmarks"_a, "valid"_a, "confidence"_a.none() = nb::none(),
+           "wrist"_a.none() = nb::none());
   nb::class_<PythonInputCheck>(m, "InputCheck")
-      .def(nb::init<const std::string&, const std::shared_ptr<const NamedOrders>&>(), "side"_a,
+      .def(nb::init<const std::string&, std::shared_ptr<const LandmarkOrders>>(), "side"_a,
            "orders"_a)
       .def("save", exclusively(&PythonInputCheck::save))
       .def("restore", exclusively(&PythonInputCheck::restore), "saved"_a)
@@ -136,17 +139,22 @@ void bind_checks(nb::module_& m) {
            "wrist"_a.none() = nb::none())
       .def("alert", exclusively(&PythonInputCheck::alert))
       .def("finish", exclusively(&PythonInputCheck::finish))
-      .def("examine", exclusively(&PythonInputCheck::examine), "recording"_a)
+      .def("examine", exclusively(&PythonInputCheck::examine), "samples"_a)
       .def("finding", exclusively(&PythonInputCheck::finding))
       .def("is_wrist_proven", exclusively(&PythonInputCheck::is_wrist_proven));
   nb::class_<PythonGuard>(m, "StreamGuard")
-      .def(nb::init<const std::string&, const Array&, const std::shared_ptr<const NamedOrders>&>(),
-           "side"_a, "landmarks"_a, "orders"_a)
+      .def("__init__",
+           [](PythonGuard* self, const nb::bytes& model,
+              std::shared_ptr<const LandmarkOrders> orders) {
+             new (self) PythonGuard(model_of<GuardModel>(model), std::move(orders));
+           },
+           "model"_a, "orders"_a)
       .def("save", exclusively(&PythonGuard::save))
       .def("restore", exclusively(&PythonGuard::restore), "saved"_a)
       .def("forget", exclusively(&PythonGuard::forget))
-      .def("check", exclusively(&PythonGuard::check), "sample"_a, "arrival"_a.none())
-      .def("holds", exclusively(&PythonGuard::holds), "recording"_a);
+      .def("check", exclusively(&PythonGuard::check), "time"_a, "landmarks"_a, "wrist"_a.none(),
+           "valid"_a, "confidence"_a, "arrival"_a.none())
+      .def("holds", exclusively(&PythonGuard::holds), "samples"_a);
   nb::class_<PythonSmoother>(m, "Smoother")
       .def(nb::init<std::optional<double>, double>(), "acceleration"_a.none(), "speed_gain"_a)
       .def("save", exclusively(&PythonSmoother::save))

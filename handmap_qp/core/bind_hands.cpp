@@ -1,6 +1,8 @@
 // Hands as Python sees them: kinematics of points, the nearest posture, pairs of shapes.
 #include "bind.hpp"
 #include "arrays.hpp"
+#include "hand_model.hpp"
+#include "ik_models.hpp"
 #include "posture.hpp"
 
 namespace handmap {
@@ -13,7 +15,7 @@ namespace {
 // hand_pair.RobotFingers.pinches. Pads are points on joints, at given distances where they touch.
 // `usual` moves the same hand before it was scaled to this tree: its limits and weights hold here too,
 // but those of reference points.
-NumpyArray pinching_postures(const Tree& tree, const PythonIk& usual, const Indices& joints,
+NumpyArray pinching_postures(const Tree& tree, const Ik& usual, const Indices& joints,
                              const Array& offsets, const Array& distances, double weight, double dt,
                              int samples, double tolerance) {
   DistanceTask task{attached_of(joints, offsets), {}, {}};
@@ -28,7 +30,9 @@ NumpyArray pinching_postures(const Tree& tree, const PythonIk& usual, const Indi
   ik.weights.points.clear();
   ik.settings = usual.settings;
   ik.limits = usual.limits;
-  ik.fingers = usual.fingers;
+  // The wrist stays, and no point has a target.
+  ik.tree.points.clear();
+  ik.tree.parts = {{tree.parts[0].joint, tree.parts[0].wrist, 0, 0}};
   Vector rest;
   for (const int i : tree.q_indices) rest.push_back(tree.rest[i]);
   double* to;
@@ -43,35 +47,22 @@ NumpyArray pinching_postures(const Tree& tree, const PythonIk& usual, const Indi
   return postures;
 }
 
-// See ik.nearest_posture, whose constants and arguments these are.
-nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array& targets,
-                           const Array& costs, double rest_cost, const Array& start) {
-  const Fields constants = module_of("ik.nearest_posture");
-  const Fields of(hand);
+// See ik.nearest_posture, whose arguments these are.
+NumpyArray nearest_posture(const Tree& tree, const Array& targets, const Array& costs,
+                           double rest_cost, const Array& start) {
+  expect_size(targets, 3 * tree.points.size(), "targets");
+  expect_size(costs, tree.points.size(), "costs");
+  expect_size(start, tree.q_indices.size(), "start");
   NearestPosture problem(tree);
-  problem.settings = {constants.get<int>("_MOST_STEPS"), constants.get<double>("_SMALLEST_STEP"),
-                      constants.get<double>("_LEAST_DECREASE"),
-                      constants.get<double>("_SMALLEST_SHARE"), constants.get<double>("_ROUNDING"),
-                      constants.get<double>("_LEAST_CURVATURE")};
-  problem.points = reference_points(of);
-  expect_joints(tree, problem.points);
-  const size_t n = tree.joint_columns.size(), m = problem.points.size();
-  problem.configuration = tree.rest;
-  problem.rest = vector_of(of.array("rest", n));
-  problem.lower = vector_of(of.array("lower_limits", n));
-  problem.upper = vector_of(of.array("upper_limits", n));
-  expect_size(targets, 3 * m, "targets");
-  expect_size(costs, m, "costs");
-  expect_size(start, n, "start");
   problem.targets = points_of(targets);
   problem.costs = vector_of(costs);
   for (double& cost : problem.costs) cost *= cost;
   problem.rest_cost = rest_cost * rest_cost;
-  return nb::cast(array_of(problem.solve(vector_of(start))));
+  return array_of(problem.solve(vector_of(start)));
 }
 
 // Points in palm axes, of joint positions (k, n), one posture after the other.
-nb::object points_in_palm(const Tree& tree, const Array& q, const std::vector<Attached>& points) {
+NumpyArray points_in_palm(const Tree& tree, const Array& q, const std::vector<Attached>& points) {
   const size_t n = tree.q_indices.size();
   if (q.size() % n) throw std::invalid_argument("wrong size of q");
   Placed placed(tree);
@@ -84,23 +75,51 @@ nb::object points_in_palm(const Tree& tree, const Array& q, const std::vector<At
   return array_of(found);
 }
 
-// Poses of frames of Pinocchio in a configuration.
-nb::object poses_in(const Tree& tree, const Array& q, const nb::object& frames) {
-  expect_size(q, tree.nq, "q");
+// The same of points that links carry, by the names of those.
+NumpyArray points_on_links(const Tree& tree, const Array& q, const std::vector<std::string>& links,
+                           const Array& offsets) {
+  expect_size(offsets, 3 * links.size(), "offsets");
+  const std::vector<Vec3> at = points_of(offsets);
+  std::vector<Attached> points;
+  for (size_t k = 0; k < links.size(); ++k) points.push_back(tree.attached(links[k], at[k]));
+  return points_in_palm(tree, q, points);
+}
+
+// Poses of the joints in a configuration, that of the world first.
+NumpyArray joint_poses(const Tree& tree, const Array& q) {
+  expect_size(q, static_cast<size_t>(tree.nq), "q");
   Placed placed(tree);
   placed.place(q.data());
-  std::vector<Pose> found;
-  for (const nb::handle& each : frames) {
-    const Fields frame(nb::borrow(each));
-    const int joint = frame.get<int>("parentJoint") - 1;
-    if (!tree.has_joint(joint)) throw std::invalid_argument("a frame of another hand");
-    found.push_back(placed.pose(joint) * frame.pose("placement.homogeneous"));
-  }
-  return array_of(found);
+  std::vector<Pose> poses;
+  for (int j = -1; j < static_cast<int>(tree.joints.size()); ++j) poses.push_back(placed.pose(j));
+  return array_of(poses);
+}
+
+// The reference points and the wrist of each hand in a configuration.
+nb::tuple posture(const Tree& tree, const Array& q) {
+  expect_size(q, static_cast<size_t>(tree.nq), "q");
+  Placed placed(tree);
+  placed.place(q.data());
+  std::vector<Vec3> points;
+  for (const Attached& point : tree.points) points.push_back(placed.point(point));
+  std::vector<Pose> wrists;
+  for (const Part& part : tree.parts) wrists.push_back(placed.wrist(part));
+  return nb::make_tuple(array_of(points), array_of(wrists));
+}
+
+// The tree of a hand with joints in other places; see hands.Hand.with_lengths.
+Tree moved_tree(const Tree& standard, const std::vector<std::string>& joints, const Array& origins,
+                const Array& rolls) {
+  expect_size(origins, 3 * joints.size(), "origins");
+  expect_size(rolls, joints.size(), "rolls");
+  const std::vector<Vec3> at = points_of(origins);
+  Tree tree = standard;
+  for (size_t k = 0; k < joints.size(); ++k) tree.move_joint(joints[k], at[k], rolls.data()[k]);
+  return tree;
 }
 
 // See surface_gaps: of joint positions (T, n), a column for the pairs from each of `starts` on.
-nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
+NumpyArray smallest_distances(const Tree& tree, const PairBounds& bounds,
                               const Array& q, const Indices& starts, double most) {
   const size_t n = tree.q_indices.size(), columns = starts.size();
   if (n == 0 || q.size() % n) throw std::invalid_argument("wrong size of q");
@@ -108,8 +127,7 @@ nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
     const int end = g + 1 < columns ? starts[g + 1] : static_cast<int>(bounds.pairs.size());
     if (starts[g] < 0 || starts[g] > end) throw std::invalid_argument("starts must increase");
   }
-  for (const Body& body : bounds.bodies)
-    if (!tree.has_joint(body.joint)) throw std::invalid_argument("shapes of another hand");
+  bounds.expect_hand(tree);
   const size_t rows = q.size() / n;
   Vector found;
   Placed placed(tree);
@@ -130,26 +148,32 @@ nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
 void bind_hands(nb::module_& m) {
   nb::class_<Tree>(m, "Tree")
       .def("__init__",
-           [](Tree* self, const nb::object& hand) {
-             make_frames(*new (self) Tree(make_tree(Fields(hand))), Fields(hand));
-           })
-      .def("moved", &moved_tree)
-      .def("points",
-           [](const Tree& tree, const Array& q, const nb::object& points) {
-             return points_in_palm(tree, q, attached_of(tree, points));
+           [](Tree* self, const nb::bytes& hand) {
+             new (self) Tree(tree_of(model_of<HandModel>(hand)));
            },
-           "q"_a, "points"_a)
+           "hand"_a)
+      .def("moved", &moved_tree, "joints"_a, "origins"_a, "rolls"_a)
+      .def("points",
+           [](const Tree& tree, const Array& q) { return points_in_palm(tree, q, tree.points); },
+           "q"_a)
+      .def("points_on_links", &points_on_links, "q"_a, "links"_a, "offsets"_a)
       .def("points_on_joints",
            [](const Tree& tree, const Array& q, const Indices& joints, const Array& offsets) {
              return points_in_palm(tree, q, attached_of(joints, offsets));
            },
            "q"_a, "joints"_a, "offsets"_a)
-      .def("poses", &poses_in)
-      .def("nearest_posture", &nearest_posture)
+      .def("joint_poses", &joint_poses, "q"_a)
+      .def("posture", &posture, "q"_a)
+      .def("nearest_posture", &nearest_posture, "targets"_a, "costs"_a, "rest_cost"_a, "start"_a)
       .def("pinching_postures", &pinching_postures, "usual"_a, "joints"_a, "offsets"_a,
            "distances"_a, "weight"_a, "dt"_a, "samples"_a, "tolerance"_a)
-      .def("smallest_distances", &smallest_distances);
-  nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
+      .def("smallest_distances", &smallest_distances, "pairs"_a, "q"_a, "starts"_a, "most"_a);
+  nb::class_<PairBounds>(m, "PairBounds")
+      .def("__init__",
+           [](PairBounds* self, const nb::bytes& pairs) {
+             new (self) PairBounds(bounds_of(model_of<PairsModel>(pairs)));
+           },
+           "pairs"_a);
 }
 
 }  // namespace handmap

@@ -6,6 +6,7 @@
 #include "arrays.hpp"
 #include "build_guard.hpp"
 #include "episode.hpp"
+#include "pair_models.hpp"
 #include "person.hpp"
 
 using namespace nb::literals;
@@ -28,13 +29,13 @@ nb::tuple solve_qp(const Array& H, const Array& c, const Array& lower, const Arr
   return nb::make_tuple(found, array_of(qp.x), qp.iterations);
 }
 
-// Of two shapes of coal in two poses: distance, normal, and the first one's nearest point.
-nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::object& b,
+// Of two shapes in two poses: distance, normal, and the first one's nearest point.
+nb::tuple measure_shapes(const nb::bytes& a, const Array& pose_a, const nb::bytes& b,
                          const Array& pose_b) {
   expect_size(pose_a, 16, "pose_a");
   expect_size(pose_b, 16, "pose_b");
   Warm warm{};
-  const Found found = measure(make_shape(Fields(a)), pose_of(pose_a.data()), make_shape(Fields(b)),
+  const Found found = measure(shape_of(model_of<ShapeModel>(a)), pose_of(pose_a.data()), shape_of(model_of<ShapeModel>(b)),
                               pose_of(pose_b.data()), warm);
   return nb::make_tuple(found.distance,
                         nb::make_tuple(found.normal.x, found.normal.y, found.normal.z),
@@ -56,36 +57,28 @@ nb::tuple measure_shape(const Array& landmarks, const Array& palm, double larges
 }
 
 size_t rows_of(const Flags& flags) {
-  if (flags.ndim() != 2) throw std::invalid_argument("columns of wrong shapes");
+  expect(flags.ndim() == 2, "columns of wrong shapes");
   return flags.shape(0);
 }
 
-// Measures of a `Recording` and of the `Trajectory` of a robot that followed it, by name.
-nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
-  const Fields recording(recorded), trajectory(moved);
-  const Array time = recording.get<Array>("time");
-  const size_t count = time.size();
-  const Array landmarks = recording.array("landmarks", 3 * kLandmarks * count);
-  const Array errors = trajectory.get<Array>("point_error"), q = trajectory.get<Array>("q");
-  if (errors.ndim() != 2 || q.ndim() != 2) throw std::invalid_argument("columns of wrong shapes");
-  const Flags seen = recording.get<Flags>("valid"),
-                  followed = trajectory.get<Flags>("valid"),
-                  at_limit = trajectory.get<Flags>("at_limit"),
-                  at_speed = trajectory.get<Flags>("at_speed_limit");
-  for (const size_t size : {errors.shape(0), q.shape(0), seen.size(), followed.size(),
-                            rows_of(at_limit), rows_of(at_speed)})
-    if (size != count) throw std::invalid_argument("columns of different lengths");
-  const auto has_any = [&](const Flags& flags) {
-    return std::count(flags.data(), flags.data() + count, true) > 0;
-  };
-  if (!has_any(seen) || !has_any(followed)) throw std::invalid_argument("no sample was followed");
-  const EpisodeMeter meter{count, time.data(), landmarks.data(), seen.data(), followed.data(),
+// Measures of a recording and of a robot that followed it, by name: which samples it followed, the
+// errors of its points, joints at limits of position and of speed, and joint positions.
+nb::dict measure_episode(const Samples& samples, const Flags& followed, const Array& errors,
+                         const Flags& at_limit, const Flags& at_speed, const Array& q) {
+  const size_t count = samples.count;
+  expect(errors.ndim() == 2 && q.ndim() == 2, "columns of wrong shapes");
+  for (const size_t size :
+       {errors.shape(0), q.shape(0), followed.size(), rows_of(at_limit), rows_of(at_speed)})
+    expect(size == count, "columns of different lengths");
+  const bool* follows = followed.data();
+  expect(samples.valid_count() > 0 && std::count(follows, follows + count, true) > 0,
+         "no sample was followed");
+  const EpisodeMeter meter{count, samples.times(), samples.landmarks(), samples.valid(), follows,
                            errors.data(), errors.shape(1), {at_limit.data(), at_limit.shape(1)},
                            {at_speed.data(), at_speed.shape(1)}, q.data(), q.shape(1)};
   Vector reaches = meter.reaches();
   nb::dict found;
-  found["valid"] = static_cast<double>(std::count(seen.data(), seen.data() + count, true)) /
-                   static_cast<double>(count);
+  found["valid"] = static_cast<double>(samples.valid_count()) / static_cast<double>(count);
   found["longest_gap_s"] = meter.longest_gap();
   found["bone_variation"] = meter.bone_variation();
   found["reach_mm"] = EpisodeMeter::mean_of(reaches);
@@ -162,15 +155,15 @@ void bind_measures(nb::module_& m) {
   m.def("log3", [](const Array& rotation) {
     const Vec3 turn = log3(matrix_of(rotation));
     return array_of({3}, &turn.x);
-  });
+  }, "rotation"_a);
   m.def("exp3", [](const Array& turn) {
     expect_size(turn, 3, "turn");
     return array_of({3, 3}, exp3(points_of(turn)[0]).m);
-  });
+  }, "turn"_a);
   m.def("quat_xyzw", [](const Array& rotation) {
     const Quat q = quat_of(matrix_of(rotation));
     return array_of(Vector{q.x, q.y, q.z, q.w});
-  });
+  }, "rotation"_a);
   m.def("smallest_gap", &smallest_gap_of, "time"_a, "landmarks"_a, "median_time"_a,
         "percentile"_a);
   m.def("log_size", [](const Array& landmarks) { return own_distances(landmarks).log_size(); },
@@ -180,10 +173,11 @@ void bind_measures(nb::module_& m) {
   m.def("palmar_evidence", &palmar_evidence_of, "landmarks"_a);
   m.def("palm_axes", &palm_axes_of, "landmarks"_a, "sign"_a);
   m.attr("WRIST_CONVENTIONS") = conventions();
-  m.def("measure_episode", &measure_episode);
+  m.def("measure_episode", &measure_episode, "samples"_a, "followed"_a, "point_error"_a, "at_limit"_a,
+        "at_speed_limit"_a, "q"_a);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());
-  m.def("measure_shapes", &measure_shapes);
+  m.def("measure_shapes", &measure_shapes, "a"_a, "pose_a"_a, "b"_a, "pose_b"_a);
 }
 
 }  // namespace handmap

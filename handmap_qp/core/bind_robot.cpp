@@ -7,14 +7,37 @@
 using namespace nb::literals;
 
 namespace handmap {
+namespace {
+
+std::vector<Pose> poses_of(const std::optional<Array>& numbers) {
+  std::vector<Pose> poses;
+  if (!numbers) return poses;
+  expect(numbers->size() % 16 == 0, "wrong size of poses");
+  for (size_t at = 0; at < numbers->size(); at += 16)
+    poses.push_back(pose_of(numbers->data() + at));
+  return poses;
+}
+
+std::pair<nb::object, std::vector<nb::object>> move(RobotMover& mover, const RobotMover::Asks& asks,
+                                                    const Vector& since,
+                                                    const std::optional<Array>& worlds,
+                                                    const nb::object& when) {
+  for (const Ask* ask : asks) expect(ask != nullptr, "a hand that asks nothing");
+  return mover.move(asks, since, poses_of(worlds), when_from(when));
+}
+
+}  // namespace
 
 void bind_robot(nb::module_& m) {
   nb::class_<RobotMover>(m, "RobotMover")
-      .def(nb::init<nb::object, const nb::object&, const nb::list&, nb::dict, double>(), "ik"_a,
-           "robot"_a, "pinching"_a, "leaders"_a, "turns_in"_a)
+      .def("__init__",
+           [](RobotMover* self, std::shared_ptr<Ik> ik, const nb::bytes& model,
+              StepViews views) {
+             new (self) RobotMover(std::move(ik), model_of<RobotModel>(model), std::move(views));
+           },
+           "ik"_a, "model"_a, "views"_a)
       .def("__reduce__", &without_copy<RobotMover>)
-      .def("map", &RobotMover::map, "reader"_a, "numbers"_a, "wrists"_a, "when"_a, "base"_a)
-      .def("move", &RobotMover::move, "base"_a, "when"_a);
+      .def("move", &move, "asks"_a, "since"_a, "worlds"_a.none(), "when"_a);
 }
 
 }  // namespace handmap

@@ -13,61 +13,75 @@ nb::object wrist_of(const HumanPose& pose) {
   return pose.has_wrist ? array_of(pose.wrist) : nb::none();
 }
 
-// A copy of a pose, by copy or pickle, is one of Python.
-nb::tuple reduced_pose(const HumanPose& pose) {
-  const nb::object kind = module_of("mapping.method").object("HumanPose");
-  return nb::make_tuple(kind, nb::make_tuple(array_of(pose.points), wrist_of(pose)));
-}
-
 }  // namespace
 
 void bind_samples(nb::module_& m) {
   nb::class_<HumanPose>(m, "HumanPose")
-      .def("__reduce__", &reduced_pose)
+      .def("__init__",
+           [](HumanPose* self, const Array& points, const std::optional<Array>& wrist) {
+             new (self) HumanPose(make_pose(points, wrist));
+           },
+           "points"_a, "wrist"_a.none())
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })
       .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); })
       .def_prop_ro("wrist", &wrist_of);
   nb::class_<TargetMap>(m, "TargetMap");
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
-      .def("__init__", &make_teleoperation);
-  nb::class_<HomogeneousMap, TargetMap>(m, "HomogeneousMap").def("__init__", &make_homogeneous);
+      .def("__init__",
+           [](TeleoperationMap* self, const nb::bytes& model, const nb::bytes& palm) {
+             new (self)
+                 TeleoperationMap(model_of<TeleoperationModel>(model), {model_of<PalmModel>(palm)});
+           },
+           "model"_a, "palm"_a);
+  nb::class_<HomogeneousMap, TargetMap>(m, "HomogeneousMap")
+      .def("__init__",
+           [](HomogeneousMap* self, const nb::bytes& model) {
+             new (self) HomogeneousMap(model_of<HomogeneousModel>(model));
+           },
+           "model"_a);
   nb::class_<LandmarkReader>(m, "LandmarkReader")
-      .def("__init__", &make_landmark_reader)
+      .def("__init__",
+           [](LandmarkReader* self, const nb::bytes& model) {
+             new (self) LandmarkReader(model_of<LandmarkReaderModel>(model));
+           },
+           "model"_a)
       .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none());
   nb::class_<JointReader>(m, "JointReader")
-      .def("__init__", &make_joint_reader)
+      .def(nb::init<const Tree&>(), "tree"_a)
       .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
-  nb::class_<Stages>(m, "Stages")
-      .def("__reduce__", &reduced)
+  nb::class_<StepViews>(m, "StepViews")
+      .def(nb::init<nb::callable, nb::callable, nb::callable, nb::callable>(), "targets"_a, "ik"_a,
+           "command"_a, "summary"_a);
+  nb::class_<Stages, Step>(m, "Stages")
       .def_ro("pose", &Stages::pose)
-      .def_prop_ro("status", &Stages::status)
       .def_prop_ro("summary", &Stages::read_summary)
       .def_prop_ro("asked", &Stages::read_asked)
       .def_prop_ro("ik", &read_ik)
       .def_prop_ro("command", &Stages::read_command);
   nb::class_<SampleReader>(m, "SampleReader")
       .def("__reduce__", &without_copy<SampleReader>)
-      .def("follow", &SampleReader::follow)
+      .def("follow", &SampleReader::follow, "pose"_a, "when"_a, "speed"_a)
       .def("map", &SampleReader::map_joints, "reader"_a.none(), "q"_a.none(), "wrist"_a.none(),
-           "dt"_a.none())
+           "when"_a)
       .def("map", &SampleReader::map_landmarks, "reader"_a.none(), "landmarks"_a.none(),
-           "wrist"_a.none(), "dt"_a.none())
-      .def("map_sample", &SampleReader::map_sample, "guard"_a, "smoother"_a, "reader"_a,
-           "sample"_a.none(), "dt"_a.none(), "arrival"_a.none(), "origin"_a.none());
+           "wrist"_a.none(), "when"_a)
+      .def("map_sample", &SampleReader::map_sample, "guard"_a, "smoother"_a, "reader"_a, "time"_a,
+           "landmarks"_a, "wrist"_a.none(), "valid"_a, "confidence"_a, "when"_a.none(),
+           "arrival"_a.none(), "origin"_a.none());
   nb::class_<SampleMapper, SampleReader>(m, "SampleMapper")
-      .def(nb::init<nb::object, const nb::object&, const nb::object&>(), "ik"_a, "robot"_a,
-           "target_map"_a)
-      .def("run", &SampleMapper::run);
+      .def(nb::init<std::shared_ptr<Ik>, std::shared_ptr<const TargetMap>, StepViews>(),
+           "ik"_a, "target_map"_a, "views"_a)
+      .def("run", &SampleMapper::run, "guard"_a, "smoother"_a, "reader"_a, "origin"_a, "samples"_a,
+           "first"_a, "last"_a, "rows"_a.noconvert());
   nb::class_<Asker, SampleReader>(m, "Asker")
-      .def(nb::init<const PythonIk&, const nb::object&, const nb::object&>(), "ik"_a, "hand"_a,
-           "target_map"_a);
+      .def(nb::init<const Ik&, std::shared_ptr<const TargetMap>, StepViews, nb::object>(),
+           "ik"_a, "target_map"_a, "views"_a, "source"_a);
   nb::class_<Ask>(m, "Ask")
-      .def("__reduce__", &reduced_ask)
       .def_ro("pose", &Ask::pose)
-      .def_ro("map", &Ask::target_map)
+      .def_ro("map", &Ask::source)
       .def_ro("dt", &Ask::dt)
       .def_ro("speed", &Ask::speed)
-      .def_prop_ro("rest", &Ask::rest)
+      .def_prop_ro("rest", [](const Ask& ask) { return array_of(ask.map().rest); })
       .def_prop_ro("targets", &Ask::read_targets);
 }
 

@@ -6,6 +6,7 @@
 
 namespace handmap {
 
+// Of points (n, 3), and of a wrist (4, 4) if there is one.
 inline HumanPose make_pose(const Array& points, const std::optional<Array>& wrist) {
   HumanPose pose{points_of(points), wrist.has_value(), {}};
   if (wrist) {
@@ -13,14 +14,6 @@ inline HumanPose make_pose(const Array& points, const std::optional<Array>& wris
     pose.wrist = pose_of(wrist->data());
   }
   return pose;
-}
-
-// A `HumanPose` of Python, or one of the core.
-inline HumanPose pose_from(const nb::handle& given) {
-  HumanPose* own;
-  if (nb::try_cast(given, own, false)) return *own;
-  return make_pose(nb::cast<Array>(nb::getattr(given, "points")),
-                   nb::cast<std::optional<Array>>(nb::getattr(given, "wrist")));
 }
 
 // Numbers of a state, one behind the other.
@@ -51,30 +44,30 @@ class PythonSmoother : public Exclusive {
     if (acceleration) smoother.options = {*acceleration, speed_gain};
   }
 
-  nb::tuple save() const {
+  // Number of points, whether there is a wrist, and all numbers.
+  std::tuple<size_t, bool, NumpyArray> save() const {
     SmoothState state = smoother.state;
     Vector numbers;
     each_number(state, [&](double& number) { numbers.push_back(number); });
-    return nb::make_tuple(state.seen.points.size(), state.seen.has_wrist, array_of(numbers));
+    return {state.seen.points.size(), state.seen.has_wrist, array_of(numbers)};
   }
 
-  HumanPose smooth(const nb::handle& pose, double dt) {
-    return smoother.smooth(pose_from(pose), dt);
+  HumanPose smooth(const HumanPose& pose, double dt) {
+    return smoother.smooth(HumanPose(pose), dt);
   }
   void wait(double dt) { smoother.wait(dt); }
   void restart() { smoother.restart(); }
   void forget() { smoother.forget(); }
 
-  void restore(const nb::object& saved) {
+  void restore(const std::tuple<size_t, bool, Array>& saved) {
     SmoothState state;
-    const size_t n = nb::cast<size_t>(item(saved, 0));
-    const bool has_wrist = nb::cast<bool>(item(saved, 1));
-    const Array numbers = nb::cast<Array>(item(saved, 2));
+    const size_t n = std::get<0>(saved);
+    const Array& numbers = std::get<2>(saved);
     // Nothing is made of a number of points that the numbers cannot be of.
     expect(n <= numbers.size(), "a state of another core");
     for (Place* place : {&state.seen, &state.stages[0], &state.stages[1], &state.stages[2]}) {
       place->points.resize(n);
-      place->has_wrist = has_wrist;
+      place->has_wrist = std::get<1>(saved);
     }
     state.moving.resize(n > 0 ? n - 1 : 0);
     state.speeds.resize(n > 0 ? n + 1 : 0);

@@ -45,7 +45,7 @@ class Detours {
       : ik_(ik),
         index_(part),
         part_(ik.tree.parts[part]),
-        is_finger_(ik.fingers[part]),
+        is_finger_(ik.tree.fingers[part]),
         detour_(ik.detours[part]) {}
 
   void solve(const Goal& goal, const When& when, const Vector& margins, double speed,

@@ -54,7 +54,6 @@ class Gate : public Exclusive {
   BoxLimits limits;
   std::unique_ptr<Pairs> pairs;  // of shapes to keep apart; null for none
   Motion motion;
-  std::vector<Vector> fingers;  // of each hand, 1 for each joint of its fingers: see Hand.finger_joints
   int held_by = -1;  // the pair of shapes that held the last displacement back; -1 for none
   Placed at;         // where the robot was looked at last: where it is, or where a displacement leads
 
@@ -191,7 +190,19 @@ class Gate : public Exclusive {
             const Vector& so_far, Rows& rows, Vector& h) {
     start.place(motion.q.data());
     pairs->rows(start, interval.dt, margins, motion.displacement, rows);
+    loosen(rows, interval, lower, upper, so_far, h);
+  }
+
+  // Loosen rows of the next displacement again: more of them, or behind another part of it.
+  void loosen(const Rows& rows, const Interval& interval, const Vector& lower, const Vector& upper,
+              const Vector& so_far, Vector& h) {
     feasible_.loosen(rows, lower, upper, limits.stopping(motion, interval.dt), so_far, h);
+  }
+
+  // Add rows of what met on the line of the displacement that was looked at last.
+  void add_rows_on_line(Rows& rows) {
+    start.place(motion.q.data());
+    pairs->add_met(start, false, rows);
   }
 
   // Add rows of the points that the end of a displacement brings nearer, and within their margin. A row
@@ -325,7 +336,7 @@ class Gate : public Exclusive {
       base[i] = limits.together[i] ? brake[i] : clipped[i];
     }
     std::vector<std::vector<int>> parts;
-    for (const Vector& is_finger : fingers) {
+    for (const Vector& is_finger : tree.fingers) {
       parts.emplace_back();
       for (size_t j = 0; j < is_finger.size(); ++j)
         if (is_finger[j] != 0.0) parts.back().push_back(tree.joint_columns[j]);

@@ -25,7 +25,7 @@
 #include <cstdint>
 #include <limits>
 
-#include "tree.hpp"
+#include "model_reader.hpp"
 
 namespace handmap {
 
@@ -118,24 +118,46 @@ struct Box {
   Vector lower, upper, least, most;
 };
 
+// A model; see models/limits.py.
 class BoxLimits {
  public:
-  int size = 0;
+  static constexpr const char* kName = "BoxLimits";
   Vector lowest, highest;        // of a configuration, (nq,)
   Vector lower, upper, speeds;   // of the active coordinates
   std::vector<int> coordinates;  // index of each in a configuration
   std::vector<char> together;
   double acceleration = kInfinity;
 
+  template <class Visitor>
+  void fields(Visitor& visit) {
+    visit("lowest", lowest);
+    visit("highest", highest);
+    visit("lower", lower);
+    visit("upper", upper);
+    visit("speeds", speeds);
+    visit("coordinates", coordinates);
+    visit("together", together);
+    visit("acceleration", acceleration);
+  }
+  void check() const {
+    expect_count("BoxLimits.highest", highest.size(), lowest.size());
+    for (const size_t count :
+         {upper.size(), speeds.size(), coordinates.size(), together.size()})
+      expect_count("BoxLimits: upper, speeds, coordinates, together", count, lower.size());
+    expect_below("BoxLimits.coordinates", coordinates, lowest.size());
+  }
+  // Number of coordinates.
+  int size() const { return static_cast<int>(lower.size()); }
+
   bool any_together() const {
     return std::find(together.begin(), together.end(), 1) != together.end();
   }
 
   void box(const Motion& motion, double dt, Box& box) const {
-    for (Vector* part : {&box.lower, &box.upper, &box.least, &box.most}) part->resize(size);
+    for (Vector* part : {&box.lower, &box.upper, &box.least, &box.most}) part->resize(size());
     const double change = this->change(dt), usable = acceleration * (kLongestStop * dt);
     const double stretch = 1.0 + stopping(motion, dt), slack = kRounding * dt;
-    for (int i = 0; i < size; ++i) {
+    for (int i = 0; i < size(); ++i) {
       const double here = motion.q[coordinates[i]], farthest = speeds[i] * dt;
       const double down = lower[i] - here, up = upper[i] - here;
       const double low = clip(down, -farthest, farthest), high = clip(up, -farthest, farthest);
@@ -175,14 +197,14 @@ class BoxLimits {
   double change(double dt) const { return std::max(acceleration * (dt * dt), 1e-200); }
 
   void stop_times(const Vector& displacement, double dt, Vector& times) const {
-    times.assign(size, 0.0);
+    times.assign(size(), 0.0);
     if (acceleration == kInfinity) return;
     double longest = 0.0;
-    for (int i = 0; i < size; ++i) {
+    for (int i = 0; i < size(); ++i) {
       times[i] = std::abs(displacement[i] / dt) / acceleration;
       if (together[i]) longest = std::max(longest, times[i]);
     }
-    for (int i = 0; i < size; ++i)
+    for (int i = 0; i < size(); ++i)
       if (together[i]) times[i] = longest;
   }
 
@@ -190,7 +212,7 @@ class BoxLimits {
   double stopping(const Motion& motion, double dt) const {
     if (acceleration == kInfinity || !any_together()) return 0.0;
     double fastest = 0.0;
-    for (int i = 0; i < size; ++i)
+    for (int i = 0; i < size(); ++i)
       if (together[i]) fastest = std::max(fastest, std::abs(motion.displacement[i] / motion.dt));
     return 0.5 * (fastest / acceleration + dt) / dt;
   }

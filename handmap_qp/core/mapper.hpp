@@ -2,6 +2,8 @@
 // stream/follower.py for samples that a guard judges and a filter smooths first.
 #pragma once
 
+#include <nanobind/stl/pair.h>
+
 #include <chrono>
 
 #include "arrays.hpp"
@@ -13,32 +15,27 @@ namespace handmap {
 
 // -- samples
 
-// A float that Python takes for a time between samples; see mapper.check_dt.
-inline std::optional<double> plain_dt(const nb::handle& given) {
-  if (!PyFloat_Check(given.ptr())) return {};
-  const double dt = PyFloat_AsDouble(given.ptr());
-  return dt > 0.0 && dt < HUGE_VAL ? std::optional(dt) : std::nullopt;
-}
-
-// When a command is, as a `When` of Python says it.
+// When a command is: an instant with the longest time that it may take, or the time since the last one.
 inline When when_from(const nb::object& given) {
   if (nb::isinstance<nb::tuple>(given))
     return When::at(nb::cast<double>(item(given, 0)), nb::cast<double>(item(given, 1)));
   return When::after(nb::cast<double>(given));
 }
 
-// Likewise of a caller of the package, or none for one that Python has to look at; see
-// mapper.check_when.
+// The same, or none for what Python has to look at; see mapper.check_when.
 inline std::optional<When> plain_when(const nb::object& given) {
-  static const nb::object& instant = *new nb::object(module_of("ik.motion").object("Instant"));
-  if (given.type().is(instant)) {
-    double time, longest;
-    if (!nb::try_cast(item(given, 0), time) || !nb::try_cast(item(given, 1), longest)) return {};
+  std::pair<double, double> instant;
+  if (nb::isinstance<nb::tuple>(given)) {
+    // An `Instant` has a type of its own.
+    if (given.type().is(nb::handle(reinterpret_cast<PyObject*>(&PyTuple_Type)))) return {};
+    if (!nb::try_cast(given, instant)) return {};
+    const auto [time, longest] = instant;
     const bool is_right = std::isfinite(time) && longest > 0.0;
     return is_right ? std::optional(When::at(time, longest)) : std::nullopt;
   }
-  const std::optional<double> dt = plain_dt(given);
-  return dt ? std::optional(When::after(*dt)) : std::nullopt;
+  if (!PyFloat_Check(given.ptr())) return {};
+  const double dt = PyFloat_AsDouble(given.ptr());
+  return dt > 0.0 && dt < HUGE_VAL ? std::optional(When::after(dt)) : std::nullopt;
 }
 
 // Whether Python has nothing to say about numbers: no coordinate is farther than any hand.
@@ -76,74 +73,32 @@ inline std::optional<HumanPose> read_joints(JointReader* reader, const nb::handl
   return found;
 }
 
-inline void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose) {
-  if (map.needs_wrist && !pose.has_wrist) throw std::invalid_argument("no wrist");
-  if (pose.points.size() != map.human_points || map.rest.size() != ik.tree.q_indices.size())
-    throw std::invalid_argument("the map is of other hands");
+inline void check_pose(const TargetMap& map, const HumanPose& pose) {
+  expect(pose.has_wrist || !map.needs_wrist, "no wrist");
+  expect(pose.points.size() == map.human_points, "the map is of another hand");
+}
+
+inline void check_robot(const TargetMap& map, const Ik& ik) {
+  expect(map.rest.size() == ik.tree.q_indices.size(), "the map is of another robot");
+  if (const DistanceTask* task = map.distances()) expect_joints(ik.tree, task->points);
 }
 
 // -- steps
 
-// Points and wrist; where there are distances, their aims, weights and margins; and diagnostics.
-inline nb::list parts_of(const Asked& asked, const std::vector<ArrayShape>& shapes) {
-  nb::list found;
-  found.append(array_of(asked.points));
-  found.append(array_of(asked.wrist));
-  if (asked.distances)
-    for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins})
-      found.append(array_of(*part));
-  const double* from = asked.diagnostics.data();
-  for (const auto [rows, columns] : shapes) {
-    found.append(columns ? array_of({rows, columns}, from) : array_of({rows}, from));
-    from += rows * std::max<size_t>(columns, 1);
-  }
-  return found;
-}
-
-// `IkResult` of a step of a hand, with the links of each pair that its gate keeps apart.
-inline nb::object result_of(const Step& step, const nb::object& hand, const nb::object& links) {
-  static const nb::object& frozen = *new nb::object(module_of("se3").object("frozen"));
-  static const nb::object& IkResult =
-      *new nb::object(module_of("ik.qp").object("IkResult"));
-  static const nb::object& statuses =
-      *new nb::object(module_of("ik.compiled").object("STATUSES"));
-  const Result& found = step.result;
-  const Vector signs(found.active.begin(), found.active.end());
-  return IkResult(item(statuses, static_cast<size_t>(found.status)), array_of(found.points),
-                  array_of(found.targets), array_of(step.motion.q), array_of(found.wrists),
-                  frozen(array_of(found.displacement)),
-                  frozen(array_of(signs).attr("astype")("int8")), hand, found.iterations,
-                  found.last_step, links[nb::int_(found.held_by)]);
-}
+// What makes the objects of Python of a step, when they are asked for; see method.Stages.
+struct StepViews {
+  nb::callable targets;  // of the arrays of a map, and whether a stretch is clamped
+  nb::callable ik;       // of the step
+  nb::callable command;  // of joint positions and the wrist
+  nb::callable summary;  // of its fields
+};
 
 // What Python needs to read the numbers of a step.
 struct StepReader {
-  nb::object hand, links;     // see `result_of`
-  nb::object targets;         // makes `Targets` of arrays; None for points and wrist alone
-  nb::object joint_names;
-  std::vector<ArrayShape> shapes = {};  // see TargetMap
-  std::vector<Vec3> centred = {};  // the human points that T is estimated from, at the reference
-  Indices columns;                 // see Hand.joint_columns
-  nb::object plain_targets = module_of("mapping.method").object("Targets");
-  nb::object command = module_of("mapping.method").object("RobotCommand");
-  nb::object summary = module_of("mapping.method").object("StepSummary");
-  nb::object statuses = module_of("ik.compiled").object("STATUSES");
-
-  StepReader(const nb::object& robot, nb::object own_links, nb::object make_targets)
-      : hand(robot), links(std::move(own_links)), targets(std::move(make_targets)),
-        joint_names(nb::getattr(robot, "joint_names")),
-        columns(Fields(robot).indices("joint_columns")) {}
+  StepViews views;
+  std::shared_ptr<const TargetMap> map;  // none for a robot of several hands
+  Indices columns;                       // see Hand.joint_columns
 };
-
-// Of one hand, whose targets come from a map of Python.
-inline std::shared_ptr<const StepReader> reader_of(const nb::object& target_map,
-                                                   const nb::object& robot,
-                                                   const nb::object& links) {
-  auto reader = std::make_shared<StepReader>(robot, links, nb::getattr(target_map, "asked"));
-  reader->shapes = Fields(target_map).get<const TargetMap&>("core").shapes();
-  reader->centred = Fields(target_map).points("estimator.centred");
-  return reader;
-}
 
 // `Stages` of a step, whose objects Python gets when it asks for them.
 struct Stages : Step {
@@ -151,22 +106,20 @@ struct Stages : Step {
   HumanPose pose;
   nb::object asked_, ik_, command_, summary_;
 
+  // What a user should know of the sample, a word each; see method.Targets.
+  nb::tuple flags() const {
+    return asked.is_clamped ? nb::make_tuple("stretch_clamped") : nb::tuple();
+  }
   nb::object read_asked() {
-    if (asked_.is_valid()) return asked_;
-    if (!reader->targets.is_none())
-      return asked_ = reader->targets(parts_of(asked, reader->shapes), asked.is_clamped);
-    const nb::object flags = asked.is_clamped ? nb::make_tuple("stretch_clamped") : nb::tuple();
-    return asked_ = reader->plain_targets(array_of(asked.points), array_of(asked.wrist),
-                                          nb::arg("flags") = flags);
+    if (!asked_.is_valid()) asked_ = reader->views.targets(arrays(), asked.is_clamped);
+    return asked_;
   }
   nb::object read_command() {
     if (!command_.is_valid())
-      command_ = reader->command(reader->joint_names, array_of(q), array_of(result.wrists[0]));
+      command_ = reader->views.command(array_of(q), array_of(result.wrists[0]));
     return command_;
   }
-  nb::object status() const { return item(reader->statuses, static_cast<size_t>(result.status)); }
-
-  // `StepSummary`, without the objects of Python that its numbers would need.
+  // The numbers that a watcher of the robot needs, without the objects that they would come from.
   nb::object read_summary() {
     if (summary_.is_valid()) return summary_;
     nb::list point_error, at_bound;
@@ -176,28 +129,27 @@ struct Stages : Step {
     const Pose &wrist = result.wrists[0], &target = asked.wrist;
     const nb::tuple wrist_error = nb::make_tuple(
         norm(wrist.p - target.p), norm(log3(transposed(target.R) * wrist.R)));
-    const nb::object flags = asked.is_clamped ? nb::getattr(read_asked(), "flags") : nb::tuple();
-    return summary_ = reader->summary(point_error, wrist_error, at_bound, residual(), flags);
+    const double residual = reader->map ? reader->map->residual(asked) : 0.0;
+    return summary_ = reader->views.summary(point_error, wrist_error, at_bound, residual,
+                                            flags());
   }
 
  private:
-  // RMS distance of the human points from where T takes them [m]; 0 without T. The diagnostics of
-  // every map begin with T's linear part, the centroid after the motion and the points after it.
-  double residual() const {
-    if (reader->centred.empty()) return 0.0;
+  // Points and wrist; where there are distances, their aims, weights and margins; and diagnostics.
+  nb::list arrays() const {
+    nb::list found;
+    found.append(array_of(asked.points));
+    found.append(array_of(asked.wrist));
+    if (asked.distances)
+      for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins})
+        found.append(array_of(*part));
+    if (!reader->map) return found;
     const double* from = asked.diagnostics.data();
-    Mat3 linear;
-    std::copy(from, from + 9, linear.m);
-    const Vec3 centroid{from[9], from[10], from[11]};
-    from += 12;
-    double sum = 0.0;
-    for (const Vec3& before : reader->centred) {
-      const Vec3 after = Vec3{from[0], from[1], from[2]} - centroid;
-      const Vec3 off = after - linear * before;
-      sum += dot(off, off);
-      from += 3;
+    for (const auto [rows, columns] : reader->map->shapes()) {
+      found.append(columns ? array_of({rows, columns}, from) : array_of({rows}, from));
+      from += rows * std::max<size_t>(columns, 1);
     }
-    return std::sqrt(sum / static_cast<double>(reader->centred.size()));
+    return found;
   }
 };
 
@@ -212,76 +164,70 @@ inline std::pair<nb::object, Stages&> new_stages(std::shared_ptr<const StepReade
 
 inline nb::object read_ik(const nb::object& self) {
   Stages& stages = nb::cast<Stages&>(self);
-  if (!stages.ik_.is_valid())
-    stages.ik_ = result_of(stages, stages.reader->hand, stages.reader->links);
+  if (!stages.ik_.is_valid()) stages.ik_ = stages.reader->views.ik(self);
   return stages.ik_;
-}
-
-// A copy, by copy or pickle, is one of Python: this one moves on.
-inline nb::tuple reduced(const nb::object& self) {
-  Stages& stages = nb::cast<Stages&>(self);
-  const nb::object kind = module_of("mapping.method").object("Stages");
-  return nb::make_tuple(kind, nb::make_tuple(nb::getattr(self, "pose"), stages.read_asked(),
-                                             read_ik(self), stages.read_command()));
 }
 
 // Reads the samples after a reference as they come in, and hands them on; one call each.
 class SampleReader {
  public:
-  // `target_map` is one of Python, with a core.
-  explicit SampleReader(const nb::object& target_map)
-      : map_owner_(target_map), map_(Fields(target_map).get<const TargetMap&>("core")),
-        map_step_(module_of("mapping.method").object("MapStep")) {}
+  // What was made of a sample, and the time that it took [s].
+  using Timed = std::pair<nb::object, double>;
+  // The verdict about a sample, and what was made of it, if anything, with its time.
+  using Judged = std::tuple<VerdictNumbers, nb::object, double>;
+
+  explicit SampleReader(std::shared_ptr<const TargetMap> map) : map_(std::move(map)) {}
   SampleReader(const SampleReader&) = delete;
   virtual ~SampleReader() = default;
 
   // The stages for a pose.
-  nb::object follow(const nb::object& pose, const nb::object& when, double speed) {
-    return moved(pose_from(pose), when_from(when), speed);
+  nb::object follow(const HumanPose& pose, const nb::object& when, double speed) {
+    return moved(HumanPose(pose), when_from(when), speed);
   }
 
-  // Map a sample as it comes in; None for one that Python has to look at.
-  nb::object map_joints(JointReader* reader, const nb::object& q, const nb::object& wrist,
-                        const nb::object& dt) {
+  // Map a sample as it comes in; none for one that Python has to look at.
+  std::optional<Timed> map_joints(JointReader* reader, const nb::object& q, const nb::object& wrist,
+                                  const nb::object& when) {
     const Clock::time_point started = Clock::now();
-    return step_of(read_joints(reader, q, wrist), dt, started);
+    return timed(read_joints(reader, q, wrist), when, started);
   }
-  nb::object map_landmarks(const LandmarkReader* reader, const nb::object& landmarks,
-                           const nb::object& wrist, const nb::object& dt) {
+  std::optional<Timed> map_landmarks(const LandmarkReader* reader, const nb::object& landmarks,
+                                     const nb::object& wrist, const nb::object& when) {
     const Clock::time_point started = Clock::now();
-    return step_of(read_landmarks(reader, landmarks, wrist), dt, started);
+    return timed(read_landmarks(reader, landmarks, wrist), when, started);
   }
 
-  // Judge a `HumanSample` and map it. Return the step; only the verdict about a sample that is to be
-  // held, or that the follower returns with; or None for one that Python has to judge. `origin` is
-  // where the stream's time begins on the robot's clock [s]; None if that is not known.
-  nb::object map_sample(PythonGuard& guard, PythonSmoother& smoother, const LandmarkReader& reader,
-                        const nb::object& sample, const nb::object& dt, const nb::object& arrival,
-                        const nb::object& origin) {
+  // Judge a sample of a tracker and map it. Return only the verdict about one that is to be held, or
+  // that the follower returns with; or none for one that Python has to judge. `origin` is where the
+  // stream's time begins on the robot's clock [s]; none if that is not known.
+  std::optional<Judged> map_sample(PythonGuard& guard, PythonSmoother& smoother,
+                                   const LandmarkReader& reader, double time,
+                                   const nb::object& landmarks, const nb::object& wrist_pose,
+                                   bool valid, double confidence, const nb::object& when,
+                                   std::optional<double> arrival, std::optional<double> origin) {
     std::optional<When> given;
-    if (!dt.is_none() && !(given = plain_when(dt))) return nb::none();
-    if (!given && origin.is_none()) return nb::none();
-    if (!guard.is_own(sample)) return nb::none();
-    const PythonGuard::Given from(guard, sample, arrival);
+    if (!when.is_none() && !(given = plain_when(when))) return {};
+    if (!given && !origin) return {};
+    const GivenSample from(time, landmarks, wrist_pose, valid, confidence, arrival);
     std::optional<Pose> wrist;
-    if (from.sample.wrist && !(wrist = exact_pose(from.sample.wrist))) return nb::none();
-    if (from.sample.valid && !is_near(from.sample.landmarks, 3 * kLandmarks)) return nb::none();
+    if (from.sample.wrist && !(wrist = exact_pose(from.sample.wrist))) return {};
+    if (valid && !is_near(from.sample.landmarks, 3 * kLandmarks)) return {};
     const Work judging(guard), smoothing(smoother);
     const double last = given ? 0.0 : last_time();
-    const Verdict verdict = guard.judge_one(from.sample);
-    nb::object said = guard.verdict_of(verdict);
-    if (verdict.is_held || verdict.is_return) return said;
+    const Verdict verdict = guard.judge(from.sample);
+    const Judged alone{numbers_of(verdict), nb::none(), 0.0};
+    if (verdict.is_held || verdict.is_return) return alone;
     // Python relates the stream's clock to the robot's.
-    const double time = given ? 0.0 : nb::cast<double>(origin) + verdict.time;
-    if (!given && last - time > kBehind) return said;
+    const double instant = given ? 0.0 : *origin + verdict.time;
+    if (!given && last - instant > kBehind) return alone;
     const Clock::time_point started = Clock::now();
     try {
       const double speed = verdict.rule == kUnproven ? kUnprovenSpeed : 1.0;
       const double granted = given ? given->own_time() : std::max(verdict.dt, kShortestDt);
       HumanPose pose = reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr);
-      const When when = given ? *given : When::at(time, granted);
-      nb::object stages = moved(smoother.smoother.smooth(std::move(pose), granted), when, speed);
-      return map_step_(stages, nb::tuple(), seconds_since(started), said, from.sample.confidence);
+      nb::object made = moved(smoother.smoother.smooth(std::move(pose), granted),
+                              given ? *given : When::at(instant, granted), speed);
+      return Judged{numbers_of(verdict), std::move(made), seconds_since(started)};
     } catch (...) {
       guard.forget();
       smoother.smoother.forget();
@@ -290,8 +236,7 @@ class SampleReader {
   }
 
  protected:
-  nb::object map_owner_;
-  const TargetMap& map_;
+  std::shared_ptr<const TargetMap> map_;
 
   virtual nb::object moved(HumanPose&& pose, const When& when, double speed) = 0;
   // Instant of the robot's last command, on its clock [s].
@@ -300,43 +245,43 @@ class SampleReader {
  private:
   using Clock = std::chrono::steady_clock;
 
-  nb::object map_step_;
-
   static double seconds_since(Clock::time_point started) {
     return std::chrono::duration<double>(Clock::now() - started).count();
   }
 
-  nb::object step_of(std::optional<HumanPose>&& pose, const nb::object& given,
-                     Clock::time_point started) {
+  std::optional<Timed> timed(std::optional<HumanPose>&& pose, const nb::object& given,
+                             Clock::time_point started) {
     const std::optional<When> when = plain_when(given);
-    if (!pose || !when) return nb::none();
-    nb::object stages = moved(std::move(*pose), *when, 1.0);
-    return map_step_(stages, nb::tuple(), seconds_since(started));
+    if (!pose || !when) return {};
+    nb::object made = moved(std::move(*pose), *when, 1.0);
+    return Timed{std::move(made), seconds_since(started)};
   }
 };
 
 // What a `HandMapper` does with the samples after its reference.
 class SampleMapper : public SampleReader {
  public:
-  // Of a core's `Ik`, its hand, and a map of Python with a core.
-  SampleMapper(nb::object ik, const nb::object& robot, const nb::object& target_map)
-      : SampleReader(target_map), ik_owner_(std::move(ik)),
-        ik_(nb::cast<PythonIk&>(ik_owner_)), reader_(reader_of(target_map, robot, ik_.links)) {}
+  SampleMapper(std::shared_ptr<Ik> ik, std::shared_ptr<const TargetMap> map, StepViews views)
+      : SampleReader(map), ik_(std::move(ik)),
+        reader_(std::make_shared<StepReader>(
+            StepReader{std::move(views), std::move(map), ik_->tree.joint_columns})) {
+    check_robot(*map_, *ik_);
+  }
 
   // Map samples of a recording, whose time begins at `origin` on the robot's clock; see run.hpp.
   // Return the first that is left out, the verdict about it if it was judged, and the pose that was
   // mapped last, if any.
-  nb::tuple run(PythonGuard& guard, PythonSmoother& smoother, const LandmarkReader& reader,
-                double origin, const nb::object& columns, size_t first, size_t last,
-                const nb::ndarray<double, nb::c_contig, nb::device::cpu>& rows) {
-    const Samples samples(columns, true);
-    const size_t width = row_width(ik_);
+  std::tuple<size_t, std::optional<VerdictNumbers>, std::optional<HumanPose>> run(
+      PythonGuard& guard, PythonSmoother& smoother, const LandmarkReader& reader, double origin,
+      const Samples& samples, size_t first, size_t last,
+      const nb::ndarray<double, nb::c_contig, nb::device::cpu>& rows) {
+    const size_t width = row_width(*ik_);
     if (last > samples.count || rows.ndim() != 2 || rows.shape(0) != samples.count ||
         rows.shape(1) != width)
       throw std::invalid_argument("wrong sizes of samples or rows");
-    check_map(ik_, map_, {std::vector<Vec3>(reader.used.size()), true, {}});
-    const Work moving(ik_), judging(guard), smoothing(smoother);
-    Run run{ik_, map_, reader, guard.guard, smoother.smoother, origin};
+    check_pose(*map_, {std::vector<Vec3>(reader.size()), true, {}});
+    const Work moving(*ik_), judging(guard), smoothing(smoother);
+    Run run{*ik_, *map_, reader, guard.guard, smoother.smoother, origin};
     size_t next = first;
     std::exception_ptr failure;
     {
@@ -349,27 +294,29 @@ class SampleMapper : public SampleReader {
     }
     guard.former = run.former;
     if (failure) std::rethrow_exception(failure);
-    return nb::make_tuple(next, run.leaves ? guard.verdict_of(run.verdict) : nb::none(),
-                          run.has_seen ? nb::cast(std::move(run.seen)) : nb::none());
+    std::optional<VerdictNumbers> verdict;
+    if (run.leaves) verdict = numbers_of(run.verdict);
+    std::optional<HumanPose> seen;
+    if (run.has_seen) seen = std::move(run.seen);
+    return {next, std::move(verdict), std::move(seen)};
   }
 
  protected:
   nb::object moved(HumanPose&& pose, const When& when, double speed) override {
-    check_map(ik_, map_, pose);
-    const Work moving(ik_);
+    check_pose(*map_, pose);
+    const Work moving(*ik_);
     auto [made, stages] = new_stages(reader_);
     stages.pose = std::move(pose);
-    handmap::follow(ik_, map_, stages.pose, when, speed, goal_, stages);
+    handmap::follow(*ik_, *map_, stages.pose, when, speed, goal_, stages);
     return made;
   }
   double last_time() override {
-    const Work reading(ik_);
-    return ik_.motion.time;
+    const Work reading(*ik_);
+    return ik_->motion.time;
   }
 
  private:
-  nb::object ik_owner_;
-  PythonIk& ik_;
+  std::shared_ptr<Ik> ik_;
   std::shared_ptr<const StepReader> reader_;
   Goal goal_;
 };

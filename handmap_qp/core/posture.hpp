@@ -12,19 +12,21 @@
 
 namespace handmap {
 
+constexpr int kMostSteps = 50;
+constexpr double kSmallestStep = 1e-8;  // [rad or m]
+// Share of the decrease that the slope foretells (Armijo), and the least share of a step to try.
+constexpr double kLeastDecrease = 1e-4, kSmallestShare = 1e-4;
+// Near the minimum, values differ by less than their rounding.
+constexpr double kRounded = 1.0 + 1e-14;
+// Least eigenvalue of the Hessian over its largest; smaller ones are turned or lifted.
+constexpr double kLeastCurvature = 1e-6;
+
 // The posture in which a hand's points are nearest to their targets, by Newton's method.
 class NearestPosture {
  public:
-  std::vector<Attached> points;
   std::vector<Vec3> targets;
-  Vector costs;                  // of each point's error, squared
-  double rest_cost;              // squared
-  Vector configuration, rest;    // where the hand is at rest: all coordinates, joints
-  Vector lower, upper;
-  struct Settings {  // see ik.nearest_posture, in its order
-    int most_steps;
-    double smallest_step, least_decrease, smallest_share, rounding, least_curvature;
-  } settings;
+  Vector costs;      // of each point's error, squared
+  double rest_cost;  // squared
 
   explicit NearestPosture(const Tree& tree) : tree_(tree), placed_(tree) {}
 
@@ -34,12 +36,12 @@ class NearestPosture {
     const size_t n = free_.size();
     Vector x(n), low(n), high(n), step, ahead(n);
     for (size_t i = 0; i < n; ++i)
-      x[i] = std::clamp(start[free_[i]], lower[free_[i]], upper[free_[i]]);
+      x[i] = std::clamp(start[free_[i]], tree_.lower[free_[i]], tree_.upper[free_[i]]);
     Terms here = at(x);
-    for (int round = 0; round < settings.most_steps; ++round) {
+    for (int round = 0; round < kMostSteps; ++round) {
       for (size_t i = 0; i < n; ++i) {
-        low[i] = lower[free_[i]] - x[i];
-        high[i] = upper[free_[i]] - x[i];
+        low[i] = tree_.lower[free_[i]] - x[i];
+        high[i] = tree_.upper[free_[i]] - x[i];
       }
       make_convex(here.hessian, n);
       if (!qp_.solve(static_cast<int>(n), here.hessian.data(), here.gradient.data(), low.data(),
@@ -50,17 +52,17 @@ class NearestPosture {
       Terms there;
       for (double share = 1.0;;) {
         for (size_t i = 0; i < n; ++i)
-          ahead[i] = std::clamp(x[i] + share * step[i], lower[free_[i]], upper[free_[i]]);
+          ahead[i] = std::clamp(x[i] + share * step[i], tree_.lower[free_[i]], tree_.upper[free_[i]]);
         there = at(ahead);
-        if (there.value <= settings.rounding * here.value + settings.least_decrease * share * slope) break;
+        if (there.value <= kRounded * here.value + kLeastDecrease * share * slope) break;
         share *= 0.5;
-        if (share < settings.smallest_share) return whole(x);
+        if (share < kSmallestShare) return whole(x);
       }
       double length = 0.0;
       for (size_t i = 0; i < n; ++i) length = std::max(length, std::abs(ahead[i] - x[i]));
       x = ahead;
       here = std::move(there);
-      if (length < settings.smallest_step) break;
+      if (length < kSmallestStep) break;
     }
     return whole(x);
   }
@@ -86,7 +88,7 @@ class NearestPosture {
   }
 
   Vector whole(const Vector& x) const {
-    Vector q = rest;
+    Vector q = tree_.joint_rest;
     for (size_t i = 0; i < free_.size(); ++i) q[free_[i]] = x[i];
     return q;
   }
@@ -97,21 +99,21 @@ class NearestPosture {
     const size_t n = free_.size();
     displacement_.assign(tree_.size, 0.0);
     for (size_t i = 0; i < n; ++i)
-      displacement_[tree_.joint_columns[free_[i]]] = x[i] - rest[free_[i]];
-    placed_.displace(configuration.data(), displacement_.data());
+      displacement_[tree_.joint_columns[free_[i]]] = x[i] - tree_.joint_rest[free_[i]];
+    placed_.displace(tree_.rest.data(), displacement_.data());
     Terms terms;
     terms.gradient.resize(n);
     terms.hessian.assign(n * n, 0.0);
     turning_.assign(tree_.nv, Vec3{});
     double cost = 0.0, moved = 0.0;
     std::vector<Vec3> levers(n);
-    for (size_t k = 0; k < points.size(); ++k) {
-      const Vec3 point = placed_.point(points[k]), error = point - targets[k];
+    for (size_t k = 0; k < tree_.points.size(); ++k) {
+      const Vec3 point = placed_.point(tree_.points[k]), error = point - targets[k];
       const Vec3 force = costs[k] * error;
       cost += dot(force, error);
       std::fill(levers.begin(), levers.end(), Vec3{});
-      if (points[k].joint < 0) continue;
-      for (const int c : tree_.supports[points[k].joint]) {
+      if (tree_.points[k].joint < 0) continue;
+      for (const int c : tree_.supports[tree_.points[k].joint]) {
         if (place_of(c) < 0) continue;
         const Vec3 velocity = placed_.velocity(c, point);
         levers[place_of(c)] += tree_.factor[c] * velocity;
@@ -136,7 +138,7 @@ class NearestPosture {
       }
     }
     for (size_t i = 0; i < n; ++i) {
-      const double away = x[i] - rest[free_[i]];
+      const double away = x[i] - tree_.joint_rest[free_[i]];
       moved += away * away;
       terms.gradient[i] += rest_cost * away;
       terms.hessian[i * n + i] += rest_cost;
@@ -191,7 +193,7 @@ class NearestPosture {
       for (size_t j = 0; j < n; ++j) {
         double sum = 0.0;
         for (size_t k = 0; k < n; ++k)
-          sum += vectors[i * n + k] * std::max(values[k], settings.least_curvature * largest) *
+          sum += vectors[i * n + k] * std::max(values[k], kLeastCurvature * largest) *
                  vectors[j * n + k];
         a[i * n + j] = sum;
       }

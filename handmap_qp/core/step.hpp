@@ -47,26 +47,29 @@ struct HumanPose {
 // See mapper.LandmarkReader.
 class LandmarkReader {
  public:
-  std::vector<int> used;
-  std::vector<Vec3> model;  // the palm's landmarks in wrist axes
-  Vector weights;           // of each of them in the fit
+  explicit LandmarkReader(LandmarkReaderModel model) : model_(std::move(model)) {}
+
+  // Number of the points that it reads.
+  size_t size() const { return model_.used.size(); }
 
   // Without a wrist, it is fitted to the palm.
   HumanPose read(const double* landmarks, const Pose* wrist) const {
     HumanPose pose{{}, true, {}};
-    pose.points.reserve(used.size());
-    for (const int i : used) pose.points.push_back(point(landmarks, i));
+    pose.points.reserve(size());
+    for (const int i : model_.used) pose.points.push_back(point(landmarks, i));
     if (wrist) {
       pose.wrist = *wrist;
     } else {
       std::vector<Vec3> seen;
       for (const int i : kPalm) seen.push_back(point(landmarks, i));
-      pose.wrist = rigid_fit(model.data(), seen, weights, nearest_rotation);
+      pose.wrist = rigid_fit(model_.palm.data(), seen, model_.weights, nearest_rotation);
     }
     return pose;
   }
 
  private:
+  const LandmarkReaderModel model_;
+
   static Vec3 point(const double* landmarks, int i) {
     return {landmarks[3 * i], landmarks[3 * i + 1], landmarks[3 * i + 2]};
   }
@@ -75,16 +78,16 @@ class LandmarkReader {
 // See mapper.JointReader.
 class JointReader {
  public:
-  Vector lower, upper;
-
-  JointReader(Tree given, Vector neutral)
-      : tree_(std::move(given)), at_(tree_), vector_(std::move(neutral)) {}
+  explicit JointReader(Tree given) : tree_(std::move(given)), at_(tree_), vector_(tree_.rest) {
+    if (tree_.nv != tree_.size)
+      throw std::invalid_argument("a human hand with joints that follow others");
+  }
   JointReader(const JointReader&) = delete;
 
   // Return whether all joints are inside their limits.
   bool read(const double* q, const Pose& wrist, HumanPose& pose) {
-    for (size_t j = 0; j < lower.size(); ++j) {
-      if (!(q[j] >= lower[j] && q[j] <= upper[j])) return false;
+    for (size_t j = 0; j < size(); ++j) {
+      if (!(q[j] >= tree_.lower[j] && q[j] <= tree_.upper[j])) return false;
       vector_[tree_.q_indices[j]] = q[j];
     }
     at_.place(vector_.data());
@@ -94,12 +97,7 @@ class JointReader {
     for (const Attached& attached : tree_.points) pose.points.push_back(wrist * at_.point(attached));
     return true;
   }
-  size_t size() const { return lower.size(); }
-  // Whether it has a limit for each joint, and a number for each coordinate.
-  bool fits() const {
-    return lower.size() == tree_.q_indices.size() && upper.size() == lower.size() &&
-           vector_.size() == static_cast<size_t>(tree_.nq);
-  }
+  size_t size() const { return tree_.q_indices.size(); }
 
  private:
   const Tree tree_;

@@ -3,14 +3,13 @@
 
 #include <array>
 #include <memory>
+#include <numeric>
 
 #include "ik.hpp"
+#include "method_models.hpp"
+#include "person_models.hpp"
 
 namespace handmap {
-
-constexpr int kLandmarks = 21;
-// Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers.
-constexpr int kPalm[5] = {0, 5, 9, 13, 17};
 
 // The three columns of A turned orthogonal, longest first: A V = U S (Hestenes, 1958).
 struct Svd3 {
@@ -108,6 +107,25 @@ struct Estimator {
   Mat3 prior_gain;
   bool has_ridge = false;
   Vec3 centroid;
+  std::vector<Vec3> centred;  // the points at the reference, from their centroid
+
+  explicit Estimator(const EstimatorModel& model)
+      : count(static_cast<int>(model.shares.size())), moments(model.gain.data),
+        prior_gain(model.prior_gain), has_ridge(model.ridge != 0.0), centroid(model.centroid),
+        centred(model.centred) {
+    // One product gives A^T without the prior, Kabsch's covariance and the centroid of a sample.
+    const Vector& shares = model.shares;
+    const size_t n = shares.size();
+    for (int i = 0; i < 3; ++i)
+      for (size_t k = 0; k < n; ++k) moments.push_back(shares[k] * centred[k][i]);
+    // The rows of the first two sum to zero, so that they centre the sample as well.
+    for (size_t r = 0; r < 6; ++r) {
+      double* row = moments.data() + r * n;
+      const double sum = std::accumulate(row, row + n, 0.0);
+      for (size_t k = 0; k < n; ++k) row[k] -= sum * shares[k];
+    }
+    moments.insert(moments.end(), shares.begin(), shares.end());
+  }
 
   struct Estimate {
     Mat3 linear;
@@ -166,14 +184,16 @@ struct Asked {
   bool is_clamped = false;
 };
 
-// How a robot's palm follows the human's: see palm.PalmMap.
-struct PalmMap {
-  Pose human_wrist_to_palm, robot_palm_to_wrist, start;
-  bool is_still = false;
-  Mat3 alignment, rotation;
-  Vec3 origin, offset, human_anchor, robot_anchor, human_start;
-  double further = 0.0;
+// The distances of a model.
+inline DistanceTask task_of(const DistancesModel& model) {
+  DistanceTask task{{}, model.first, model.second};
+  for (size_t k = 0; k < model.joints.size(); ++k)
+    task.points.push_back({model.joints[k], model.offsets[k]});
+  return task;
+}
 
+// How a robot's palm follows the human's: see palm.PalmMap.
+struct PalmMap : PalmModel {
   // The target of the robot's palm for the human's.
   Pose follow(const Pose& human) const {
     if (is_still) return start;
@@ -197,93 +217,108 @@ inline double smoothstep(double x) {
 
 class TargetMap {
  public:
+  TargetMap(const EstimatorModel& model, Vector rest, size_t human_points, bool needs_wrist)
+      : estimator(model), human_points(human_points), needs_wrist(needs_wrist),
+        rest(std::move(rest)) {}
   virtual ~TargetMap() = default;
   virtual void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const = 0;
   // How the palm follows; null for methods that move it otherwise.
   virtual const PalmMap* palm() const { return nullptr; }
+  // The distances that are asked for; null for none.
+  virtual const DistanceTask* distances() const { return nullptr; }
   // The arrays that the diagnostics of a sample are, one after the other.
   virtual std::vector<ArrayShape> shapes() const = 0;
-  size_t human_points = 0;
-  bool needs_wrist = false;
-  Vector rest;  // joint positions that the QP's rest term pulls to
+
+  const Estimator estimator;
+  const size_t human_points;
+  const bool needs_wrist;
+  const Vector rest;  // joint positions that the QP's rest term pulls to
+
+  // RMS distance of the human points from where T takes them [m]. The diagnostics of every map begin
+  // with T's linear part, the centroid after the motion and the points after it.
+  double residual(const Asked& asked) const {
+    const double* from = asked.diagnostics.data();
+    Mat3 linear;
+    std::copy(from, from + 9, linear.m);
+    const Vec3 centroid{from[9], from[10], from[11]};
+    from += 12;
+    double sum = 0.0;
+    for (const Vec3& before : estimator.centred) {
+      const Vec3 after = Vec3{from[0], from[1], from[2]} - centroid;
+      const Vec3 off = after - linear * before;
+      sum += dot(off, off);
+      from += 3;
+    }
+    return std::sqrt(sum / static_cast<double>(estimator.centred.size()));
+  }
 };
 
 // See methods.teleoperation.TeleoperationMap.
-class TeleoperationMap : public TargetMap, public PalmMap {
+class TeleoperationMap : public TargetMap {
  public:
-  Estimator estimator;
-  std::vector<int> shape_points, from, to, partners;
-  int fingers = 0;
-  Vector human_reach, aim_slopes, aim_offsets, least_aims, largest_aims, extension_weights;
-  double pinch_weight = 0.0, pinch_far = 0.0, pinch_over = 1.0;
-  std::vector<Vec3> offsets;  // of the robot's points, to be turned by T
-  Vec3 robot_centre;
-  double ratio = 1.0, gain = 1.0;
-  Vector directions, ratios, carried;
-  double likeness = 0.0;
-  std::vector<Vec3> bases;
-  std::vector<int> starts, finger_of;
-  Vector base_margins, pinch_margins;
-  std::vector<int> pinch_pairs, pinch_of_pair;
-  double contact_slope = 0.0, contact_from = 0.0, contact_most = 0.0;
-  DistanceTask distances;
-  Vector regularisation;
+  TeleoperationMap(TeleoperationModel model, PalmMap palm)
+      : TargetMap(model.estimator, model.rest, static_cast<size_t>(model.human_points), true),
+        model_(std::move(model)), palm_(std::move(palm)), distances_(task_of(model_.distances)) {}
 
-  const PalmMap* palm() const override { return this; }
+  const PalmMap* palm() const override { return &palm_; }
+  const DistanceTask* distances() const override { return &distances_; }
   std::vector<ArrayShape> shapes() const override {
-    const size_t own = human_reach.size(), pinches = from.size() - own;
-    return {{3, 3}, {3}, {shape_points.size(), 3}, {4, 4}, {pinches}, {pinches}, {own}};
+    const TeleoperationModel& of = model_;
+    const size_t fingers = of.human_reach.size(), pinches = of.from_points.size() - fingers;
+    return {{3, 3}, {3}, {of.shape_points.size(), 3}, {4, 4}, {pinches}, {pinches}, {fingers}};
   }
 
   void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const override {
-    const Pose human = *wrist * human_wrist_to_palm, to_palm = inverse(human);
-    std::vector<Vec3> now(points.size()), shape(shape_points.size());
+    const TeleoperationModel& of = model_;
+    const Pose human = *wrist * palm_.human_wrist_to_palm, to_palm = inverse(human);
+    std::vector<Vec3> now(points.size()), shape(of.shape_points.size());
     for (size_t k = 0; k < points.size(); ++k) now[k] = to_palm * points[k];
-    const Pose palm = follow(human);
-    for (size_t k = 0; k < shape.size(); ++k) shape[k] = now[shape_points[k]];
+    const Pose palm = palm_.follow(human);
+    for (size_t k = 0; k < shape.size(); ++k) shape[k] = now[of.shape_points[k]];
     const Estimator::Estimate estimate = estimator.estimate(shape.data(), nullptr);
-    const size_t rows = from.size(), pinches = rows - fingers;
+    const size_t rows = of.from_points.size(), fingers = of.human_reach.size();
+    const size_t pinches = rows - fingers;
     Vector extensions(fingers), gaps(pinches), pinching(pinches);
-    asked.distances = &distances;
-    asked.regularisation = &regularisation;
+    asked.distances = &distances_;
+    asked.regularisation = &of.regularisation;
     asked.aims.resize(rows);
     asked.weights.resize(rows);
     for (size_t k = 0; k < rows; ++k) {
-      const double distance = norm(now[to[k]] - now[from[k]]);
-      asked.aims[k] = std::min(std::max(aim_slopes[k] * distance + aim_offsets[k], least_aims[k]),
-                               largest_aims[k]);
-      if (k < static_cast<size_t>(fingers)) {
-        extensions[k] = distance / human_reach[k];
-        asked.weights[k] = extension_weights[k];
+      const double distance = norm(now[of.to_points[k]] - now[of.from_points[k]]);
+      asked.aims[k] = std::min(std::max(of.aim_slopes[k] * distance + of.aim_offsets[k], of.least_aims[k]),
+                               of.largest_aims[k]);
+      if (k < fingers) {
+        extensions[k] = distance / of.human_reach[k];
+        asked.weights[k] = of.extension_weights[k];
       } else {
         const size_t p = k - fingers;
         gaps[p] = distance;
-        pinching[p] = smoothstep((pinch_far - distance) / pinch_over);
-        asked.weights[k] = pinch_weight * pinching[p];
+        pinching[p] = smoothstep((of.pinch_from - distance) / of.pinch_over);
+        asked.weights[k] = of.pinch_weight * pinching[p];
       }
     }
     const Vec3 shift = estimate.centroid_after;
     double most = 0.0;
     for (const double share : pinching) most = std::max(most, share);
-    asked.points.resize(partners.size());
-    for (size_t j = 0; j < partners.size(); ++j) {
-      Vec3 moved = estimate.linear * offsets[j] + robot_centre +
-                   ratio * (shift - estimator.centroid) + gain * (now[partners[j]] - shift);
+    asked.points.resize(of.partners.size());
+    for (size_t j = 0; j < of.partners.size(); ++j) {
+      Vec3 moved = estimate.linear * of.offsets[j] + of.robot_centre +
+                   of.ratio * (shift - estimator.centroid) + of.gain * (now[of.partners[j]] - shift);
       // Away from a pinch, fingers point as the human's do.
-      const int f = finger_of[j];
+      const int f = of.finger_of[j];
       const double closing = pinches == 0 ? 0.0 : f == 0 ? most : pinching[f - 1];
-      const Vec3 led = bases[j] + ratios[j] * (now[partners[j]] - now[starts[j]]) +
-                       carried[j] * now[starts[j]];
-      moved += directions[j] * (1.0 - (1.0 - likeness) * closing) * (led - moved);
+      const Vec3 led = of.bases[j] + of.ratios[j] * (now[of.partners[j]] - now[of.starts[j]]) +
+                       of.carried[j] * now[of.starts[j]];
+      moved += of.directions[j] * (1.0 - (1.0 - of.likeness) * closing) * (led - moved);
       asked.points[j] = palm * moved;
     }
-    asked.wrist = palm * robot_palm_to_wrist;
-    asked.margins = base_margins;
-    for (size_t i = 0; i < pinch_pairs.size(); ++i)
-      asked.margins[pinch_pairs[i]] =
-          pinch_margins[i] +
-          std::min(std::max(contact_slope * (gaps[pinch_of_pair[i]] - contact_from), 0.0),
-                   contact_most);
+    asked.wrist = palm * palm_.robot_palm_to_wrist;
+    asked.margins = of.base_margins;
+    for (size_t i = 0; i < of.pinch_pairs.size(); ++i)
+      asked.margins[of.pinch_pairs[i]] =
+          of.pinch_margins[i] +
+          std::min(std::max(of.contact_slope * (gaps[of.pinch_of_pair[i]] - of.contact_from), 0.0),
+                   of.contact_most);
     Vector& to_python = asked.diagnostics;
     to_python.clear();
     append(estimate.linear, to_python);
@@ -294,74 +329,80 @@ class TeleoperationMap : public TargetMap, public PalmMap {
     append(pinching, to_python);
     append(extensions, to_python);
   }
+
+ private:
+  const TeleoperationModel model_;
+  const PalmMap palm_;
+  const DistanceTask distances_;
 };
 
 // See methods.homogeneous.HomogeneousMap.
 class HomogeneousMap : public TargetMap {
  public:
-  enum class Rigid { points, wrist, none };
-  Rigid rigid = Rigid::points;
-  Estimator estimator;
-  double stretch_min = 0.2, stretch_max = 3.0, deformation_gain = 1.0, scale = 1.0;
-  Vec3 pivot, origin;
-  Mat3 alignment;
-  Pose human_wrist;  // at the reference
-  Pose robot_wrist;  // from the robot's pivot
-  std::vector<Vec3> human_offsets, robot_offsets;
-  Vector share;  // (n_r, n_h), or empty
+  explicit HomogeneousMap(const HomogeneousModel& model)
+      : TargetMap(model.estimator, model.rest, model.estimator.shares.size(),
+                  model.rigid_from == "wrist"),
+        model_(model),
+        rigid_(model.rigid_from == "wrist"  ? Rigid::wrist
+               : model.rigid_from == "none" ? Rigid::none
+                                            : Rigid::points) {
+    if (model.human_wrist) human_wrist_ = *model.human_wrist;
+  }
 
   std::vector<ArrayShape> shapes() const override {
     return {{3, 3}, {3}, {human_points, 3}, {3, 3}, {3, 3}, {3}, {3}, {3}};
   }
 
   void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const override {
-    const Mat3& Q = alignment;
+    const Mat3& Q = model_.alignment;
+    const Vec3& pivot = model_.pivot;
+    const double gain = model_.deformation_gain;
     Mat3 turn;
-    if (rigid == Rigid::wrist) turn = wrist->R * transposed(human_wrist.R);
+    if (rigid_ == Rigid::wrist) turn = wrist->R * transposed(human_wrist_.R);
     const Estimator::Estimate estimate =
-        estimator.estimate(points.data(), rigid == Rigid::wrist ? &turn : nullptr);
+        estimator.estimate(points.data(), rigid_ == Rigid::wrist ? &turn : nullptr);
     Mat3 linear = estimate.linear;
     const Vec3 image = estimate.image(pivot, estimator.centroid);
     const Svd3 factors = svd3(linear);
     const Mat3 R = factors.U * transposed(factors.V);
     Vec3 stretches{factors.s[0], factors.s[1], factors.s[2]}, wanted = stretches;
-    for (int i = 0; i < 3; ++i) wanted[i] = std::min(std::max(wanted[i], stretch_min), stretch_max);
+    for (int i = 0; i < 3; ++i) wanted[i] = std::min(std::max(wanted[i], model_.stretch_min), model_.stretch_max);
     asked.is_clamped = wanted.x != stretches.x || wanted.y != stretches.y || wanted.z != stretches.z;
-    if (asked.is_clamped || deformation_gain != 1.0) {
+    if (asked.is_clamped || gain != 1.0) {
       Mat3 stretch = 0.0 * Mat3{};
       for (int i = 0; i < 3; ++i) {
         const Vec3 axis = factors.U.column(i);
-        stretch = stretch + std::pow(wanted[i], deformation_gain) * outer(axis, axis);
+        stretch = stretch + std::pow(wanted[i], gain) * outer(axis, axis);
       }
       linear = stretch * R;
     }
     Mat3 rotation;
     Vec3 rigid_image = pivot;
-    if (rigid == Rigid::points) {
+    if (rigid_ == Rigid::points) {
       rotation = R;
       rigid_image = image;
-    } else if (rigid == Rigid::wrist) {
+    } else if (rigid_ == Rigid::wrist) {
       rotation = turn;
-      rigid_image = turn * (pivot - human_wrist.p) + wrist->p;
+      rigid_image = turn * (pivot - human_wrist_.p) + wrist->p;
     }
     const Mat3 imposed = Q * linear * transposed(Q);
     const Vec3 centre = placed(image);
-    asked.points.resize(robot_offsets.size());
-    for (size_t j = 0; j < robot_offsets.size(); ++j)
-      asked.points[j] = imposed * robot_offsets[j] + centre;
-    if (!share.empty()) {
+    asked.points.resize(model_.robot_offsets.size());
+    for (size_t j = 0; j < model_.robot_offsets.size(); ++j)
+      asked.points[j] = imposed * model_.robot_offsets[j] + centre;
+    if (!model_.share.data.empty()) {
       // The residual refers to the imposed motion, so it makes up for clamping and gain.
       const size_t count = points.size();
       std::vector<Vec3> residual(count);
       for (size_t k = 0; k < count; ++k)
-        residual[k] = points[k] - (linear * human_offsets[k] + image);
+        residual[k] = points[k] - (linear * model_.human_offsets[k] + image);
       for (size_t j = 0; j < asked.points.size(); ++j) {
         Vec3 sum;
-        for (size_t k = 0; k < count; ++k) sum += share[j * count + k] * residual[k];
+        for (size_t k = 0; k < count; ++k) sum += model_.share.row(j)[k] * residual[k];
         asked.points[j] += Q * sum;
       }
     }
-    asked.wrist = Pose{Q * rotation * transposed(Q), placed(rigid_image)} * robot_wrist;
+    asked.wrist = Pose{Q * rotation * transposed(Q), placed(rigid_image)} * model_.robot_wrist;
     Vector& to_python = asked.diagnostics;
     to_python.clear();
     append(estimate.linear, to_python);
@@ -375,7 +416,14 @@ class HomogeneousMap : public TargetMap {
   }
 
  private:
-  Vec3 placed(const Vec3& image) const { return origin + scale * (alignment * image); }
+  enum class Rigid { points, wrist, none };
+  const HomogeneousModel model_;
+  const Rigid rigid_;
+  Pose human_wrist_;  // at the reference
+
+  Vec3 placed(const Vec3& image) const {
+    return model_.origin + model_.scale * (model_.alignment * image);
+  }
 };
 
 }  // namespace handmap

@@ -39,9 +39,10 @@ inline Mat3 turned(const Vec3& a, double angle) {
 
 // A frame of the URDF: of a joint, of a fixed one, or of a link.
 struct Frame {
-  enum Kind { joint_frame = 2, fixed_joint = 4, link = 8 };  // as Pinocchio counts them
+  enum Kind { joint_frame, fixed_joint, link, other };
   std::string name;
-  int kind, joint, parent;  // the joint that carries it, and the frame before it
+  Kind kind;
+  int joint, parent;        // the joint that carries it, and the frame before it
   Pose placement;           // on the joint
 };
 
@@ -68,12 +69,15 @@ struct Tree {
   Pose palm;                        // likewise
   std::vector<Attached> points;     // reference points
   std::vector<Part> parts;          // the hands; see hands.Hand.hands
-  std::vector<Frame> frames;        // where they are needed, as is what follows
+  std::vector<int> point_frames;    // of the link of each of them
+  std::vector<Vector> fingers;      // of each hand, 1 for each joint of its fingers
+  std::vector<Frame> frames;
   Vector rest;                      // configuration at rest, with the wrist at the origin
   std::vector<int> set_by_joints;   // coordinates that joint positions set, and how: see Expansion
   Vector matrix, offset;
   std::vector<int> q_indices;       // of the joints, in the user's order
   std::vector<int> joint_columns;   // of the same in the active coordinates
+  Vector joint_rest, lower, upper;  // their positions at rest, and their limits
 
   void finish() {
     supports.resize(joints.size());
@@ -108,7 +112,7 @@ struct Tree {
   // Whether it has a joint of a number; -1 is the world.
   bool has_joint(int joint) const { return joint >= -1 && joint < static_cast<int>(joints.size()); }
 
-  size_t find_frame(const std::string& name, int kind) const {
+  size_t find_frame(const std::string& name, Frame::Kind kind) const {
     for (size_t i = 0; i < frames.size(); ++i)
       if (frames[i].kind == kind && frames[i].name == name) return i;
     return frames.size();
@@ -134,6 +138,8 @@ struct Tree {
       is_moved[i] |= is_moved[frames[i].parent];
       if (is_moved[i]) frames[i].placement.p += shift;
     }
+    for (size_t k = 0; k < points.size(); ++k)
+      if (is_moved[point_frames[k]]) points[k].offset += shift;
   }
 
   // A point of a link.

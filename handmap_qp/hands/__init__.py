@@ -2,11 +2,13 @@
 
 from .collision_shapes import (
     add_stand_ins,
+    body_models,
     convex_hull,
     is_lost,
     is_missing,
     prism_around,
     read_collision_shapes,
+    shape_model,
 )
 from .configuration import AttachedPoints, Configuration, moved_by
 from .contact_yield import NEAR, ContactYield
@@ -170,6 +172,7 @@ __all__ = [
     "all_pairs",
     "are_prismatic",
     "ball_in",
+    "body_models",
     "check_tree",
     "child_of",
     "common_pairs",
@@ -222,6 +225,7 @@ __all__ = [
     "read_yaml",
     "robot_files",
     "root_links",
+    "shape_model",
     "sided_name",
     "source_file",
     "source_path",

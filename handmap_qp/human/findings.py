@@ -6,8 +6,9 @@ bad sample takes no longer than a good one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+
+import msgspec
 
 from handmap_qp.hands import FINGERS, OTHER_SIDE, Side
 from handmap_qp.ik.core import core
@@ -32,11 +33,13 @@ _LENGTH_UNITS = {
 _PIXELS = 30.0
 """A hand that is longer in any unit is one of pixels."""
 
+FindingNumbers = tuple[str, str, float, int]
+"""What the core says of a finding: its kind, mistake, number and index."""
 Words = tuple[str, str]
 """What was found, and what to do about it."""
 
 
-class Finding(NamedTuple):
+class Finding(msgspec.Struct, frozen=True):
     """What is wrong with the input.
 
     Attributes:
@@ -54,6 +57,23 @@ class Finding(NamedTuple):
     number: float
     which: int
     order: str
+
+    @classmethod
+    def of_core(
+        cls, numbers: FindingNumbers | None, side: Side, orders: Sequence[str]
+    ) -> Finding | None:
+        """Return what the core has found.
+
+        Args:
+            numbers: What the core says; None if the input is plausible.
+            side: The hand that the samples are said to be of.
+            orders: Names of the orders in which landmarks may come.
+        """
+        if numbers is None:
+            return None
+        kind, mistake, number, which = numbers
+        order = orders[which] if mistake == "order" else ""
+        return cls(kind, mistake, side, number, which, order)
 
     @property
     def problem(self) -> str:

@@ -12,8 +12,9 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
+import msgspec
 import numpy as np
 
 from handmap_qp import ik
@@ -28,7 +29,7 @@ from handmap_qp.se3 import (
     is_real,
     transform_points,
 )
-from .findings import HAND_LENGTHS, Finding
+from .findings import HAND_LENGTHS, Finding, FindingNumbers
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
@@ -205,10 +206,10 @@ def landmarks_at_rest(human: Hand) -> Array:
     Raises:
         HandError: If the hand has no landmarks.
     """
-    if (tree := ik.compiled.core_tree(human)) is None:
-        return frozen(human.with_points("landmarks").points(human.rest))
     points = _landmark_points(human.unscaled or human)
-    in_palm = tree.points(human.rest, points)
+    links = [point.link for point in points]
+    offsets = np.array([point.xyz for point in points])
+    in_palm = ik.compiled.core_tree(human).points_on_links(human.rest, links, offsets)
     return frozen(transform_points(human.wrist_to_palm, in_palm))
 
 
@@ -260,7 +261,13 @@ UNPROVEN_SPEED: float = core.UNPROVEN_SPEED
 """Share of the speed limits at which the robot follows a wrist that is not proven yet."""
 
 
-class Verdict(NamedTuple):
+VerdictNumbers = tuple[
+    Rule, bool, bool, float, float, FindingNumbers | None, float, float
+]
+"""What the core says about a sample, in the order of `Verdict`."""
+
+
+class Verdict(msgspec.Struct, frozen=True):
     """What the guard says about one sample.
 
     Attributes:

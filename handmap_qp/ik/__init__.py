@@ -3,11 +3,18 @@
 from . import collision, compiled, gate
 from .collision import pair_bounds
 from .compiled import core_tree
-from .core import Compiled
 from .gate import Gate
 from .motion import BEHIND, LONGEST_STEP, SHORTEST_DT, Instant, Motion, When
 from .options import LENGTH_UNIT, IkOptions
-from .qp import WRIST_LEVERS, IkResult, PointIk, Status, solve_by_daqp, wrist_error
+from .qp import (
+    WRIST_LEVERS,
+    IkResult,
+    PointIk,
+    Status,
+    result_of,
+    solve_by_daqp,
+    wrist_error,
+)
 from .tasks import (
     AttachedPoints,
     JointPositions,
@@ -24,7 +31,6 @@ __all__ = [
     "SHORTEST_DT",
     "WRIST_LEVERS",
     "AttachedPoints",
-    "Compiled",
     "Gate",
     "IkOptions",
     "IkResult",
@@ -43,6 +49,7 @@ __all__ = [
     "core_tree",
     "gate",
     "pair_bounds",
+    "result_of",
     "solve_by_daqp",
     "wrist_error",
 ]

@@ -2,7 +2,6 @@
 
 import importlib
 import zlib
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ def load_core() -> Any:
         MissingCoreError: If it is missing, cannot be loaded, or is older than its sources.
     """
     # Not above: a build runs this file by itself, before anything else can be imported.
-    from handmap_qp.errors import MissingCoreError
+    from handmap_qp.errors import MapperBusyError, MissingCoreError
 
     try:
         module = importlib.import_module("handmap_qp._core")
@@ -31,6 +30,7 @@ def load_core() -> Any:
         raise MissingCoreError(problem, command=_installing()) from error
     if fingerprint() not in ("", module.SOURCES):
         raise MissingCoreError("is older than its sources", command=_installing())
+    module.raise_if_busy(MapperBusyError)
     return module
 
 
@@ -45,19 +45,3 @@ def _installing() -> str:
 
 core: Any = load_core() if __package__ else None
 """The core; None where a build runs this file by itself, for `fingerprint`."""
-
-
-class Compiled:
-    """Base of classes that the core has too, under the same name; subclasses run in Python."""
-
-    @cached_property
-    def core(self) -> Any | None:
-        """The core's own, made of this object's attributes; None for a class of a user."""
-        kind = getattr(core, type(self).__name__, None)
-        return kind and kind(self)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return all but the core's own, which a copy makes anew."""
-        state = vars(self).copy()
-        state.pop("core", None)
-        return state

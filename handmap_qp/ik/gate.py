@@ -7,16 +7,25 @@ it. What it admits, and why a stop is always possible behind that, is in `core/g
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from handmap_qp.hands import Hand, Names
+from handmap_qp.models import BoxLimits, encoded
 from handmap_qp.se3 import Array
-from .collision import CollisionLimit, Rows
+from .collision import CollisionLimit, PairBounds, Rows
 from .compiled import core_tree
 from .core import core
-from .limits import BoxLimits
+from .limits import box_limits
 from .motion import Interval, Motion, When
-from .options import IkOptions
+from .options import IkOptions, ik_model
+
+
+@lru_cache(maxsize=32)
+def _limits_of(hand: Hand, options: IkOptions, bounds: PairBounds | None) -> BoxLimits:
+    """Return the limits of a hand that keeps pairs of shapes apart; people share them."""
+    together = None if bounds is None else bounds.moving_columns(hand.spread)
+    return box_limits(hand, options, together)
 
 
 class Gate:
@@ -45,8 +54,7 @@ class Gate:
     ) -> None:
         self.hand = hand
         self.collisions = collisions
-        together = collisions.columns if collisions else False
-        self.limits = BoxLimits(hand, options, together)
+        self.limits = _limits_of(hand, options, collisions and collisions.bounds)
         self.links: tuple[Names, ...] = collisions.bounds.links if collisions else ((),)
         self._options = options
         self.core = self._make_core()
@@ -67,8 +75,15 @@ class Gate:
 
     def _make_core(self) -> Any:
         """Return the core's gate of this robot."""
+        return core.Gate(*self._parts())
+
+    def _parts(self) -> tuple[Any, ...]:
+        """Return what the core's gate is made of."""
         tree = core_tree(self.hand)
-        return core.Gate(tree, self.hand, self.limits, self.collisions)
+        limits = encoded(self.limits)
+        if self.collisions is None:
+            return tree, limits
+        return tree, limits, self.collisions.bounds.core, encoded(self.collisions.model)
 
     @property
     def motion(self) -> Motion:
@@ -195,8 +210,5 @@ class IkGate(Gate):
 
     def _make_core(self) -> Any:
         """Return the core's `Ik` of this hand, which is a gate."""
-        tree = core_tree(self.hand)
-        limits = self.limits
-        return core.Ik(
-            tree, self.hand, self._options, limits, self.collisions, self.links
-        )
+        tree, *parts = self._parts()
+        return core.Ik(tree, encoded(ik_model(self.hand, self._options)), *parts)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from handmap_qp.hands import Hand
+from handmap_qp.models import BoxLimits
 from handmap_qp.se3 import Array
 from .options import IkOptions
 
@@ -14,51 +15,43 @@ from .options import IkOptions
 _NO_LIMIT = 1e100
 
 
-class BoxLimits:
-    """Limits of position, speed and acceleration, from which the core makes the bounds of a sample.
+def box_limits(
+    hand: Hand,
+    options: IkOptions = IkOptions(),
+    together: Array | None = None,
+) -> BoxLimits:
+    """Return the limits of a hand.
 
     Args:
         hand: The hand.
         options: Say whether speed limits hold, and limit the acceleration.
         together: Which coordinates must be able to stop together, shape (nv,); none if omitted.
-
-    Attributes:
-        size: Number of coordinates, nv.
-        lowest: Lower position limits of a configuration, shape (nq,); `highest` the upper ones.
-        coordinates: Where each coordinate's joint is in a configuration, shape (nv,).
-        lower: Lower position limits of the coordinates, shape (nv,); `upper` the upper ones.
-        speeds: Speed limits, shape (nv,); infinite for none.
-        acceleration: Limit of every coordinate's acceleration; infinite for none.
-        together: As given, shape (nv,).
     """
-
-    def __init__(
-        self,
-        hand: Hand,
-        options: IkOptions = IkOptions(),
-        together: Array | bool = False,
-    ) -> None:
-        self.size = len(hand.active_columns)
-        # The limits of a configuration. Those of Pinocchio's free-flyer, +-1.8e308, stay out of all
-        # arithmetic. Infinite ones take their place, so its first coordinate does for six speeds.
-        self.lowest = np.full(hand.model.nq, -np.inf)
-        self.highest = -self.lowest
-        self.lowest[hand.q_indices] = hand.lower_limits
-        self.highest[hand.q_indices] = hand.upper_limits
-        joints = hand.joint_columns
-        self.coordinates = np.zeros(self.size, dtype=int)
-        self.coordinates[joints] = hand.q_indices
-        self.lower = self.lowest[self.coordinates]
-        self.upper = self.highest[self.coordinates]
-        self.speeds = np.full(self.size, np.inf)
-        if options.has_velocity_limits:
-            self.speeds[joints] = hand.velocity_limits
-            if hand.is_floating:
-                wrist = hand.spec.wrist
-                self.speeds[:6] = np.repeat(
-                    [wrist.max_linear_speed, wrist.max_angular_speed], 3
-                )
-        self.together = np.zeros(self.size, dtype=bool) | together
-        # A limit beyond all speeds is none; as such, its products with times cannot overflow.
-        most = options.max_acceleration
-        self.acceleration = math.inf if most is None or most >= _NO_LIMIT else most
+    size = len(hand.active_columns)
+    # The limits of a configuration. Those of Pinocchio's free-flyer, +-1.8e308, stay out of all
+    # arithmetic. Infinite ones take their place, so its first coordinate does for six speeds.
+    lowest = np.full(hand.model.nq, -np.inf)
+    highest = -lowest
+    lowest[hand.q_indices] = hand.lower_limits
+    highest[hand.q_indices] = hand.upper_limits
+    joints = hand.joint_columns
+    coordinates = np.zeros(size, dtype=np.int64)
+    coordinates[joints] = hand.q_indices
+    speeds = np.full(size, np.inf)
+    if options.has_velocity_limits:
+        speeds[joints] = hand.velocity_limits
+        if hand.is_floating:
+            wrist = hand.spec.wrist
+            speeds[:6] = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)
+    # A limit beyond all speeds is none; as such, its products with times cannot overflow.
+    most = options.max_acceleration
+    return BoxLimits(
+        lowest=lowest,
+        highest=highest,
+        lower=lowest[coordinates],
+        upper=highest[coordinates],
+        speeds=speeds,
+        coordinates=coordinates,
+        together=np.zeros(size, dtype=np.bool_) if together is None else together,
+        acceleration=math.inf if most is None or most >= _NO_LIMIT else most,
+    )

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import daqp
@@ -28,7 +28,15 @@ from handmap_qp.hands import Configuration, Hand, Names
 from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
 from .motion import Motion, When
 from .options import IkOptions
-from .tasks import Goal, JointPositions, Task, TaskRows, tasks_named
+from .tasks import (
+    Goal,
+    JointPositions,
+    PointDistances,
+    PointOffset,
+    Task,
+    TaskRows,
+    tasks_named,
+)
 
 if TYPE_CHECKING:
     from handmap_qp.hands import ShapePairs
@@ -102,6 +110,29 @@ class IkResult(ArrayStruct, frozen=True):
     def errors(self) -> Array:
         """Target minus point [m], shape (m, 3)."""
         return self.targets - self.points
+
+
+def result_of(step: Any, hand: Hand, links: Sequence[Names]) -> IkResult:
+    """Return the result of a step of the core.
+
+    Args:
+        step: The step, as the core has it.
+        hand: The hand.
+        links: Links of each pair of shapes that its gate keeps apart; at -1, there are none.
+    """
+    return IkResult(
+        step.status,
+        step.points,
+        step.targets,
+        step.q,
+        step.wrists,
+        step.displacement,
+        step.active,
+        hand,
+        step.iterations,
+        step.last_step,
+        links[step.held_by],
+    )
 
 
 @lru_cache(maxsize=16)
@@ -356,7 +387,45 @@ class PointIk:
             speed,
             regularisation,
         )
-        return self.core.solve(goal) if self.is_compiled else self._solve_here(goal)
+        if not self.is_compiled:
+            return self._solve_here(goal)
+        return self.result_of(self._solve_in_core(goal))
+
+    def _solve_in_core(self, goal: Goal) -> Any:
+        """Return the core's step to the targets of one sample."""
+        distances = []
+        offsets = []
+        others = []
+        for task in goal.tasks:
+            # A subclass may have other rows.
+            if type(task) is PointDistances:
+                distances.append((task.core, task.distances, task.weights))
+            elif isinstance(task, PointOffset):
+                points = task.points
+                offsets.append((points.joints, points.offsets, task.aim, task.weight))
+            else:
+                others.append(task)
+        return self.core.solve(
+            goal.points,
+            goal.wrists,
+            goal.postures,
+            goal.dt,
+            goal.margins,
+            goal.speed,
+            goal.damping_shares,
+            distances,
+            offsets,
+            partial(self._linearise, others) if others else None,
+        )
+
+    def _linearise(self, tasks: Sequence[Task], q: Array) -> list[TaskRows]:
+        """Return the rows of tasks that the core does not have, at a configuration, (nq,)."""
+        self._configuration.place(q)
+        return [task.linearise(self._configuration) for task in tasks]
+
+    def result_of(self, step: Any) -> IkResult:
+        """Return the result of a step of the core."""
+        return result_of(step, self.hand, self.gate.links)
 
     def _solve_here(self, goal: Goal) -> IkResult:
         """Move the hand straight towards the targets of one sample, by QPs that are posed here."""
@@ -424,7 +493,7 @@ class PointIk:
         Args:
             dt: Time since the robot's last command [s], or the instant of this one.
         """
-        return self.core.hold(dt)
+        return self.result_of(self.core.hold(dt))
 
     def postures(
         self, dt: float, rest: Array | None, regularisation: Array | None = None

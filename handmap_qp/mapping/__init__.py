@@ -33,6 +33,7 @@ from .mapper import (
 from .method import (
     FOLLOWING,
     PRESETS,
+    CoreMap,
     HumanPose,
     MapStep,
     Method,
@@ -42,6 +43,7 @@ from .method import (
     Stages,
     Targets,
     arm_held_by,
+    core_pose,
     default_preset,
     get_preset,
 )
@@ -81,6 +83,7 @@ __all__ = [
     "AlignedOptions",
     "Box",
     "Choice",
+    "CoreMap",
     "Cylinder",
     "Decomposition",
     "HandMapper",
@@ -112,6 +115,7 @@ __all__ = [
     "check_dt",
     "check_joints",
     "check_when",
+    "core_pose",
     "decompose",
     "default_preset",
     "distance",

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from handmap_qp.errors import DegeneratePointsError, expect
+from handmap_qp.models import EstimatorModel
 from handmap_qp.se3 import (
     Array,
     ArrayStruct,
@@ -134,6 +135,17 @@ class MotionEstimator:
         # A^T = gain y + prior_gain R0^T, of centred points y
         self.gain = right.T @ (roots[:, None] * left * gains).T
         self.prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
+
+    def model(self) -> EstimatorModel:
+        """Return what the core estimates by."""
+        return EstimatorModel(
+            shares=self.shares,
+            centroid=self.centroid,
+            centred=self.centred,
+            gain=self.gain,
+            prior_gain=self.prior_gain,
+            ridge=self.ridge,
+        )
 
     def _check_rank(self, floor: float, has_prior: bool) -> None:
         _, middle, smallest = self._singular_values

@@ -17,7 +17,6 @@ from handmap_qp.hands import (
     Finger,
     Hand,
     Pad,
-    PalmKinematics,
     Place,
     PointSpec,
     ShapePairs,
@@ -412,26 +411,16 @@ class RobotFingers:
         hand = self.hand
         # The thumb is the first finger.
         pads = [*self.pads.values()]
-        tree = core_tree(hand)
-        usual = _pinching_ik(hand.unscaled or hand) if tree else None
-        if tree and usual and usual.core:
-            return tree.pinching_postures(
-                usual.core,
-                *_split(pad.place for pad in pads),
-                touching_distances(pads),
-                weight=_GAP_WEIGHT,
-                dt=_UNHURRIED,
-                samples=_PINCH_STEPS,
-                tolerance=_TOUCHING,
-            )
-        ik = PointIk(hand, _PINCHING)
-        task = gap_task(hand, pads)
-        weights = np.diag(task.weights)
-        postures = [
-            approach(ik, task.aimed_at(task.distances, row), _PINCH_STEPS)
-            for row in weights
-        ]
-        return np.array(postures)
+        usual = _pinching_ik(hand.unscaled or hand)
+        return core_tree(hand).pinching_postures(
+            usual.core,
+            *_split(pad.place for pad in pads),
+            touching_distances(pads),
+            weight=_GAP_WEIGHT,
+            dt=_UNHURRIED,
+            samples=_PINCH_STEPS,
+            tolerance=_TOUCHING,
+        )
 
     @cached_property
     def pinching_thumb(self) -> Array:
@@ -551,17 +540,10 @@ def points_in_palm(
         q: Its joint positions [rad or m], shape (n,), or of several postures, shape (..., n).
         places: Points on joints; the hand's reference points if omitted.
     """
-    tree = core_tree(hand)
-    if tree is None:
-        if places is None:
-            frames = hand.point_frames
-            places = [(f.parentJoint, f.placement.translation) for f in frames]
-        return PalmKinematics(hand).points(q, places)
+    shape = (*q.shape[:-1], -1, 3)
     if places is None:
-        points = tree.points(q, hand.reference_points)
-    else:
-        points = tree.points_on_joints(q, *_split(places))
-    return points.reshape(*q.shape[:-1], -1, 3)
+        return core_tree(hand).points(q).reshape(shape)
+    return core_tree(hand).points_on_joints(q, *_split(places)).reshape(shape)
 
 
 def _split(places: Iterable[Place]) -> tuple[list[int], Array]:

@@ -32,7 +32,6 @@ from handmap_qp.human import (
 from handmap_qp.ik import (
     BEHIND,
     LONGEST_STEP,
-    Compiled,
     IkOptions,
     IkResult,
     Instant,
@@ -43,6 +42,7 @@ from handmap_qp.ik import (
     core_tree,
 )
 from handmap_qp.ik.core import core
+from handmap_qp.models import LandmarkReaderModel, encode
 from handmap_qp.se3 import (
     Array,
     PoseLike,
@@ -58,6 +58,7 @@ from handmap_qp.se3 import (
 from .exclusive import WorkLock, exclusively
 from .method import (
     BoundMethod,
+    CoreMap,
     HumanPose,
     MapStep,
     Method,
@@ -67,8 +68,10 @@ from .method import (
     Stages,
     TargetMap,
     Targets,
+    core_pose,
     default_preset,
     get_preset,
+    step_views,
 )
 
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
@@ -245,9 +248,6 @@ class HandMapper(Mover):
     One thread at a time works on a mapper: while it maps, other threads that enter get a
     `MapperBusyError`, and nothing changes.
     """
-
-    # The core's class that maps samples.
-    _core_kind = "SampleMapper"
 
     def __init__(
         self,
@@ -451,7 +451,7 @@ class HandMapper(Mover):
         if targets:
             stages = self._moved(sample, targets, target_map, when, speed)
         else:
-            stages = own.follow(sample, when, speed)
+            stages = own.follow(core_pose(sample), when, speed)
         self.core = own
         if bound.renews_reference:
             self.core = None
@@ -470,8 +470,11 @@ class HandMapper(Mover):
         own = self.core
         when = self._when(dt, time)
         # None for a sample that Python has to look at.
-        step = own and own.map(reader.core, numbers, wrist, when)
-        if not step:
+        timed = own and own.map(reader.core, numbers, wrist, when)
+        if timed:
+            stages, duration = timed
+            step = MapStep(stages, (), duration)
+        else:
             started = perf_counter()
             sample, outside = reader.read(numbers, wrist)
             step = self.map(sample, when)
@@ -509,10 +512,18 @@ class HandMapper(Mover):
         """Return the core's mapper by the map of a reference; None if Python has to map."""
         ik = self.point_ik
         is_python = self._is_released or self.tasks or ik.options.tasks
-        if is_python or not (ik.is_compiled and getattr(target_map, "core", None)):
+        if is_python or not (ik.is_compiled and isinstance(target_map, CoreMap)):
             return None
-        kind = getattr(core, self._core_kind)
-        return self.core or kind(ik.core, self.robot, target_map)
+        return self.core or self._new_core(target_map)
+
+    def _new_core(self, target_map: CoreMap) -> Any:
+        """Return the core's mapper by a map."""
+        views = self._views_by(target_map)
+        return core.SampleMapper(self.point_ik.core, target_map.make_core(), views)
+
+    def _views_by(self, target_map: CoreMap) -> Any:
+        links = self.point_ik.gate.links
+        return step_views(target_map.asked, self.robot, links)
 
     @exclusively
     def hold(self, dt: When, seen: HumanPose | None = None) -> MapStep:
@@ -688,12 +699,17 @@ class HandMapper(Mover):
             raise InvalidInputError(f"needed for {needs}", argument="wrist_pose")
 
 
-class LandmarkReader(Compiled):
+class LandmarkReader:
     """Turns the 21 landmarks of a tracker into samples of a human hand.
 
     Args:
         human: The human hand, scaled to the person.
         quat_order: Order of the quaternion in wrist poses of seven numbers.
+
+    Attributes:
+        quat_order: As given.
+        model: What the core reads by.
+        core: The reader of the core.
 
     Raises:
         InvalidOptionsError: If a reference point of the hand is not a landmark.
@@ -708,9 +724,21 @@ class LandmarkReader(Compiled):
                 option="human_points",
                 advice="choose reference points among the landmarks, or call map_points",
             )
-        self.used = np.array([*map(LANDMARK_NAMES.index, names)])
-        self.model = landmarks_at_rest(human)[PALM]
-        self.weights = palm_fit_weights(human.palm_weights)
+        self.model = LandmarkReaderModel(
+            used=np.array([*map(LANDMARK_NAMES.index, names)]),
+            palm=landmarks_at_rest(human)[PALM],
+            weights=palm_fit_weights(human.palm_weights),
+        )
+        self.core = core.LandmarkReader(encode(self.model))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made of."""
+        return {"quat_order": self.quat_order, "model": self.model}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Read as another one does."""
+        vars(self).update(state)
+        self.core = core.LandmarkReader(encode(self.model))
 
     def read(
         self, landmarks: ArrayLike, wrist: PoseLike | None = None
@@ -729,19 +757,22 @@ class LandmarkReader(Compiled):
             return pose, ()
         points = as_points(landmarks, "landmarks", LANDMARK_COUNT)
         if wrist is None:
-            wrist = rigid_fit(self.model, points[PALM], self.weights)
+            wrist = rigid_fit(self.model.palm, points[PALM], self.model.weights)
         else:
             wrist = check_pose(wrist, "wrist_pose", self.quat_order)
-        return HumanPose(points[self.used], wrist), ()
+        return HumanPose(points[self.model.used], wrist), ()
 
 
-class JointReader(Compiled):
+class JointReader:
     """Turns joint angles into samples of a human hand (eq. 4).
 
     Args:
         human: The human hand.
         tolerance: How far a joint may be outside its limits [rad].
         quat_order: Order of the quaternion in wrist poses of seven numbers.
+
+    Attributes:
+        core: The reader of the core; None for a hand with joints that follow others.
     """
 
     def __init__(
@@ -751,8 +782,16 @@ class JointReader(Compiled):
         self.tolerance = tolerance
         self.quat_order = quat_order
         # The wrist is at the origin; points move with it afterwards.
-        self.vector = human.configuration_vector(human.rest)
         self._placed = human.configuration()
+        self.core = None if human.rules else core.JointReader(core_tree(human))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build a copy with a workspace of its own."""
+        return JointReader, (self.human, self.tolerance, self.quat_order)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the core's own, which a copy makes anew."""
+        return {name: value for name, value in vars(self).items() if name != "core"}
 
     def read(self, q: ArrayLike, wrist_pose: PoseLike) -> tuple[HumanPose, Names]:
         """Return a sample, and the names of the joints that are outside their limits.
@@ -829,14 +868,8 @@ def _method_of(
 
 def posture_of(robot: Hand, vector: Array) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
-    q = vector[robot.q_indices]
-    if tree := core_tree(robot):
-        frames = (robot.wrist_frame, *robot.point_frames)
-        wrist, *points = tree.poses(vector, frames)
-        return RobotPosture(q, np.array(points)[:, :3, 3], wrist)
-    placed = robot.configuration()
-    placed.place(vector)
-    return RobotPosture(q, placed.points, placed.wrist.homogeneous)
+    points, wrists = core_tree(robot).posture(vector)
+    return RobotPosture(vector[robot.q_indices], points, wrists[0])
 
 
 def stages_of(pose: HumanPose, asked: Targets, result: IkResult) -> Stages:

@@ -16,13 +16,16 @@ entry points of the group `handmap_qp.presets` name.
 
 from __future__ import annotations
 
+import copyreg
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import (
     TYPE_CHECKING,
+    Any,
     ClassVar,
     Literal,
     NamedTuple,
@@ -36,7 +39,16 @@ import numpy as np
 from handmap_qp.errors import InvalidOptionsError, did_you_mean
 from handmap_qp.hands import Hand, Names
 from handmap_qp.human import Finding, Rule, Verdict
-from handmap_qp.ik import WRIST_LEVERS, IkOptions, IkResult, Status, Task, wrist_error
+from handmap_qp.ik import (
+    WRIST_LEVERS,
+    IkOptions,
+    IkResult,
+    Status,
+    Task,
+    result_of,
+    wrist_error,
+)
+from handmap_qp.ik.core import core
 from handmap_qp.options import Options
 from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import Array, ArrayStruct, lengths
@@ -56,6 +68,21 @@ class HumanPose(ArrayStruct, frozen=True):
 
     points: Array
     wrist: Array | None
+
+
+def core_pose(pose: HumanPose) -> Any:
+    """Return a pose as the core has it."""
+    if isinstance(pose, core.HumanPose):
+        return pose
+    return core.HumanPose(pose.points, pose.wrist)
+
+
+def _reduced_pose(pose: Any) -> tuple[Any, ...]:
+    """Make a copy of a pose of the core one of Python, by copy or pickle."""
+    return HumanPose, (pose.points, pose.wrist)
+
+
+copyreg.pickle(core.HumanPose, _reduced_pose)
 
 
 class RobotPosture(NamedTuple):
@@ -107,7 +134,7 @@ class Targets(ArrayStruct, frozen=True):
 class TargetMap(Protocol):
     """Turns samples into targets, counted from one reference of both hands.
 
-    One that the core has too (`Compiled`) makes targets of its arrays by a method `asked`.
+    One that the core has too is a `CoreMap`.
 
     Attributes:
         rest: Joint positions that the QP's rest term pulls to [rad or m], shape (n,).
@@ -117,6 +144,23 @@ class TargetMap(Protocol):
 
     def targets(self, sample: HumanPose) -> Targets:
         """Return the targets of one sample; a failure changes nothing."""
+
+
+class CoreMap:
+    """Base of target maps that the core has too."""
+
+    def make_core(self) -> Any:
+        """Return the map as the core has it."""
+        raise NotImplementedError
+
+    def asked(self, parts: list[Array], is_clamped: bool) -> Targets:
+        """Return the targets whose arrays the core has computed.
+
+        Args:
+            parts: The arrays: points, wrist, and what the map of the core adds to them.
+            is_clamped: Whether a stretch was outside its allowed range.
+        """
+        raise NotImplementedError
 
 
 class BoundMethod(Protocol):
@@ -338,6 +382,34 @@ class Stages(ArrayStruct, frozen=True):
         )
 
 
+def _reduced_stages(stages: Any) -> tuple[Any, ...]:
+    """Make a copy of stages of the core one of Python, by copy or pickle."""
+    return Stages, (stages.pose, stages.asked, stages.ik, stages.command)
+
+
+copyreg.pickle(core.Stages, _reduced_stages)
+
+
+def step_views(
+    make_targets: Callable[[list[Array], bool], Targets],
+    hand: Hand,
+    links: Sequence[Names],
+) -> Any:
+    """Return what makes the objects of a core's step that are asked for.
+
+    Args:
+        make_targets: Makes targets of their arrays, given whether a stretch is clamped.
+        hand: The hand that is moved.
+        links: Links of each pair of shapes that are kept apart; see `result_of`.
+    """
+    return core.StepViews(
+        targets=make_targets,
+        ik=partial(result_of, hand=hand, links=links),
+        command=partial(RobotCommand, hand.joint_names),
+        summary=StepSummary,
+    )
+
+
 class MapStep(ArrayStruct, frozen=True):
     """One step of the mapping, stage by stage.
 
@@ -402,7 +474,7 @@ class MapStep(ArrayStruct, frozen=True):
     @property
     def finding(self) -> Finding | None:
         """What the input is instead of what it says, with advice; None if it is plausible."""
-        return self.verdict and self.verdict.finding
+        return self.verdict.finding if self.verdict else None
 
     @property
     def consistency(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
+from handmap_qp.models import PalmModel
 from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 from .alignment import AlignedOptions, rotation_of
 from .method import HumanPose, RobotPosture, TargetMap
@@ -116,6 +117,23 @@ class PalmMap:
         self.human_anchor = human_anchor
         self.robot_anchor = robot_anchor
         self.further = scale - 1.0
+
+    def palm_model(self) -> PalmModel:
+        """Return what the core follows the palm by."""
+        return PalmModel(
+            human_wrist_to_palm=self.human_wrist_to_palm,
+            robot_palm_to_wrist=self.robot_palm_to_wrist,
+            is_still=self.is_still,
+            start=self.start,
+            alignment=self.alignment,
+            rotation=self.rotation,
+            origin=self.origin,
+            offset=self.offset,
+            human_anchor=self.human_anchor,
+            robot_anchor=self.robot_anchor,
+            human_start=self.human_start,
+            further=self.further,
+        )
 
     def follow(self, sample: HumanPose) -> tuple[Array, Array, Array]:
         """Move the robot's palm with a sample's.

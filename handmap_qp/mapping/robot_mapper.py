@@ -9,6 +9,7 @@ its reference, the robot's palm has the directions of the person's. Where the pe
 near each other, the robot's have their offset, too.
 """
 
+import copyreg
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from operator import attrgetter
@@ -41,6 +42,7 @@ from handmap_qp.ik import (
     When,
 )
 from handmap_qp.ik.core import core
+from handmap_qp.models import RobotHandModel, RobotModel, encode
 from handmap_qp.se3 import (
     Array,
     PoseLike,
@@ -56,6 +58,8 @@ from .exclusive import WorkLock, exclusively
 from .mapper import (
     Asked,
     HandMapper,
+    JointReader,
+    LandmarkReader,
     Mover,
     check_dt,
     check_joints,
@@ -64,7 +68,16 @@ from .mapper import (
     posture_of,
     stages_of,
 )
-from .method import HumanPose, MapStep, Method, Stages, TargetMap, Targets
+from .method import (
+    CoreMap,
+    HumanPose,
+    MapStep,
+    Method,
+    Stages,
+    TargetMap,
+    Targets,
+    step_views,
+)
 from .palm import PalmMap
 
 # Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
@@ -90,7 +103,6 @@ class Leader(HandMapper):
     since = 0.0
     waited = 0.0
     base = _HOME
-    _core_kind = "Asker"
 
     def join(self, ik: PointIk) -> None:
         """Ask the robot that a solver moves."""
@@ -127,6 +139,10 @@ class Leader(HandMapper):
         """
         own = None if dt is None else own_time(dt)
         return super().map(sample, own, speed=speed)
+
+    def _new_core(self, target_map: CoreMap) -> Any:
+        views = self._views_by(target_map)
+        return core.Asker(self.point_ik.core, target_map.make_core(), views, target_map)
 
     def _moved(
         self,
@@ -165,6 +181,33 @@ class Leader(HandMapper):
         asked = self.asked
         own = check_dt(own_time(dt))
         return MapStep(asked._replace(pose=seen or asked.pose, dt=own), (), 0.0)
+
+
+ReaderOf = Callable[[Leader], LandmarkReader | JointReader]
+"""Returns what reads the samples of a hand as they come in."""
+
+
+def _landmark_reader(leader: Leader) -> LandmarkReader:
+    return leader.landmarks
+
+
+def _joint_reader(leader: Leader) -> JointReader:
+    return leader._joints
+
+
+def _reduced_ask(ask: Any) -> tuple[Any, ...]:
+    """Make a copy of what a hand asks in the core one of Python, by copy or pickle."""
+    return Asked, (ask.pose, ask.targets, ask.rest, ask.dt, ask.speed, ask.map)
+
+
+copyreg.pickle(core.Ask, _reduced_ask)
+
+
+def _plain_targets(parts: list[Array], is_clamped: bool) -> Targets:
+    """Return the targets of a robot, whose points and wrist the core has."""
+    flags = ("stretch_clamped",) if is_clamped else ()
+    points, wrist = parts
+    return Targets(points, wrist, flags=flags)
 
 
 def _aimed(
@@ -352,7 +395,7 @@ class RobotMapper(Mover):
                 it was before.
             DegeneratePointsError: As of `HandMapper.map_landmarks`.
         """
-        return self._mapped("landmarks", landmarks, wrist_poses or {}, dt, time)
+        return self._mapped(_landmark_reader, landmarks, wrist_poses or {}, dt, time)
 
     @exclusively
     def map_step(
@@ -365,32 +408,63 @@ class RobotMapper(Mover):
     ) -> RobotStep:
         """Map joint angles of one or both hands; see `HandMapper.map_step` and `map_landmarks`."""
         _expect_sides(human_q, wrist_pose, "wrist_pose")
-        return self._mapped("_joints", human_q, wrist_pose, dt, time)
+        return self._mapped(_joint_reader, human_q, wrist_pose, dt, time)
 
     def _mapped(
         self,
-        reader: str,
+        reader_of: ReaderOf,
         numbers: Mapping[Side, ArrayLike],
         wrists: Mapping[Side, PoseLike],
         dt: When | None,
         time: float | None,
     ) -> RobotStep:
-        """Map samples as they come in, by the readers that leaders have under a name."""
-        own = self.core
+        """Map samples as they come in, by a reader that each leader has."""
+
+        def ask(side: Side) -> MapStep:
+            leader = self.leaders[side]
+            since = self.time_since_sample(side, when)
+            reader = reader_of(leader)
+            return leader._mapped(reader, numbers[side], wrists.get(side), since)
+
         when = self._when(dt, time)
-        # None for samples that Python has to look at.
-        step = own and own.map(reader, numbers, wrists, when, self._base)
-        if not step:
-
-            def ask(side: Side) -> MapStep:
-                leader = self.leaders[side]
-                read = getattr(leader, reader)
-                since = self.time_since_sample(side, when)
-                return leader._mapped(read, numbers[side], wrists.get(side), since)
-
-            step = self.step(numbers, ask, when)
+        step = self._mapped_in_core(reader_of, numbers, wrists, when)
+        step = step or self.step(numbers, ask, when)
         self._note_time(time, when)
         return step
+
+    def _mapped_in_core(
+        self,
+        reader_of: ReaderOf,
+        numbers: Mapping[Side, ArrayLike],
+        wrists: Mapping[Side, PoseLike],
+        when: When,
+    ) -> RobotStep | None:
+        """Map samples of all hands as `step` does; None for some that Python has to look at."""
+        if self.core is None or numbers.keys() != self.leaders.keys():
+            return None
+        started = perf_counter()
+        granted = self.point_ik.gate.interval(when).granted
+        asking = []
+        for side, leader in self.leaders.items():
+            # A hand that has stayed asks in Python first.
+            if leader.core is None or not isinstance(leader.asked, core.Ask):
+                return None
+            reader = reader_of(leader).core
+            own = leader.waited + granted
+            timed = leader.core.map(reader, numbers[side], wrists.get(side), own)
+            if timed is None:
+                return None
+            asking.append((leader, timed[0], leader.since + timed[0].dt))
+        _, asks, since = map(list, zip(*asking, strict=True))
+        stages, parts = self.core.move(asks, since, self._worlds(), when)
+        duration = perf_counter() - started
+        for leader, asked, time in asking:
+            leader.last = MapStep(asked, (), duration)
+            leader.since = time
+            leader.waited = 0.0
+        steps = [MapStep(part, (), duration) for part in parts]
+        hands = dict(zip(self.leaders, steps, strict=True))
+        return RobotStep(stages, (), duration, hands=hands)
 
     def time_since_sample(self, side: Side, when: When) -> float:
         """Return the time from a hand's last sample to a command that it has one for [s].
@@ -464,7 +538,7 @@ class RobotMapper(Mover):
             stages=stages,
             out_of_range=tuple(name for step in steps for name in step.out_of_range),
             duration=duration,
-            verdict=first and first._replace(is_held=is_held),
+            verdict=first and structs.replace(first, is_held=is_held),
             confidence=min(step.confidence for step in steps),
             is_gliding=any(step.is_gliding for step in steps),
             hands=hands,
@@ -473,20 +547,55 @@ class RobotMapper(Mover):
     def _moved(self, when: When) -> tuple[Stages, list[Stages]]:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
         leaders = self.leaders.values()
-        own = self.point_ik.core if self.ik.is_compiled else None
-        if own and not self._is_released:
-            self.core = self.core or core.RobotMover(
-                own, self.robot, self._pinching, self.leaders, self._turns_in
-            )
-            # None where a leader has asked in Python.
-            if moved := self.core.move(self._base, when):
-                return moved
+        asked = [leader.asked for leader in leaders]
+        if self.ik.is_compiled and not self._is_released:
+            self.core = self.core or self._new_core()
+            if all(isinstance(each, core.Ask) for each in asked):
+                since = [leader.since for leader in leaders]
+                return self.core.move(asked, since, self._worlds(), when)
         to_base = inverse_pose(self._base)
         aimed = [_aimed(leader, to_base, self._turns_in) for leader in leaders]
         targets, persons = map(list, zip(*aimed, strict=True))
-        asked = [leader.asked for leader in leaders]
         tasks = self._together([each.map for each in asked], targets, persons)
         return self._stages(asked, targets, self._solved(asked, targets, tasks, when))
+
+    def _new_core(self) -> Any:
+        """Return what moves the robot in the core for hands that ask there."""
+        links = self.point_ik.gate.links
+        views = step_views(_plain_targets, self.robot, links)
+        return core.RobotMover(self.point_ik.core, encode(self.model()), views)
+
+    def model(self) -> RobotModel:
+        """Return how the core leads the hands of the robot together."""
+        robot = self.robot
+        none = np.zeros(0, dtype=int)
+        pinching = self._pinching or [(none, none)] * len(robot.hands)
+        return RobotModel(
+            hands=tuple(
+                RobotHandModel(
+                    palm_joint=hand.palm_frame.parentJoint - 1,
+                    palm=hand.palm_frame.placement.homogeneous,
+                    pinching=rows,
+                    among_own=own,
+                )
+                for hand, (rows, own) in zip(robot.hands, pinching, strict=True)
+            ),
+            turns_in=self._turns_in,
+            near=_NEAR,
+            together=_TOGETHER,
+            together_share=_TOGETHER_SHARE,
+            margin=LINK_MARGIN,
+        )
+
+    def _worlds(self) -> Array | None:
+        """Return where the world of each reference is from the base, shape (h, 4, 4).
+
+        None if the base has not moved.
+        """
+        if self._base is _HOME:
+            return None
+        to_base = inverse_pose(self._base)
+        return np.array([to_base @ leader.base for leader in self.leaders.values()])
 
     def _solved(
         self, asked: list[Any], targets: list[Targets], tasks: list[Task], when: When

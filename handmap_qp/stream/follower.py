@@ -28,11 +28,12 @@ from handmap_qp.mapping import (
     MapStep,
     check_dt,
     check_when,
+    core_pose,
     own_time,
 )
 from handmap_qp.mapping.exclusive import exclusively
 from handmap_qp.options import NotNegative, Option, Options, Positive
-from handmap_qp.se3 import Array, affine, lengths, transform_points
+from handmap_qp.se3 import Array, ArrayStruct, affine, lengths, transform_points
 from .guard import BEHIND, StreamGuard
 from .step_table import StepTable
 
@@ -85,7 +86,7 @@ class _Place(NamedTuple):
         return _Place(self.points + way[:-1], rotation, self.has_wrist)
 
 
-class Rejoin(NamedTuple):
+class Rejoin(ArrayStruct, frozen=True):
     """State of the return after a sample; `start` and `advance` return the next one.
 
     Attributes:
@@ -117,14 +118,14 @@ class Rejoin(NamedTuple):
         if self.is_fading and lost < math.inf:
             return self
         if before is None or (before.wrist is None) != (pose.wrist is None):
-            return self._replace(offset=None)
+            return structs.replace(self, offset=None)
         offset = _Place.of(pose).to(_Place.of(before))
         *fingers, palm, turn = lengths(offset)
         times = [max(fingers) / FINGER_SPEED]
         if self.kind == "glide":
             times += [palm / PALM_SPEED, turn / TURN_SPEED]
         duration = max(_SHORTEST, min(lost, _PEAK * max(times)))
-        return self._replace(offset=offset, duration=duration, elapsed=0.0)
+        return structs.replace(self, offset=offset, duration=duration, elapsed=0.0)
 
     def advance(self, pose: HumanPose, dt: float) -> tuple[HumanPose, Rejoin]:
         """Return the pose to map for that of the tracker, dt [s] later, and the state after it."""
@@ -136,7 +137,8 @@ class Rejoin(NamedTuple):
         if stays:
             offset[-2:] = self.offset[-2:]
         moved = _Place.of(pose).moved(offset).pose()
-        return moved, self._replace(
+        return moved, structs.replace(
+            self,
             offset=self.offset if left > 0.0 or stays else None,
             elapsed=self.elapsed + dt,
         )
@@ -203,7 +205,7 @@ class Smoother:
 
     def smooth(self, pose: HumanPose, dt: float) -> HumanPose:
         """Smooth the next sample, dt [s] after the last call; one that repeats is the same one."""
-        return self.core.smooth(pose, dt)
+        return self.core.smooth(core_pose(pose), dt)
 
     def wait(self, dt: float) -> None:
         """Let time pass without a sample [s]."""
@@ -304,19 +306,32 @@ class Follower:
                 determine the motion.
             MapperBusyError: If another thread works on the mapper.
         """
-        found = None
         self._before = self._return, self._reference
-        if cores := self._cores():
-            # The step, or the verdict about a sample that Python has to look at, if it is known.
-            origin = self._origin
-            found = self.mapper.core.map_sample(*cores, sample, dt, arrival, origin)
-        if isinstance(found, MapStep):
-            if dt is not None:
-                self._origin = None
-            self._return = self._return._replace(seen=found.stages.pose)
-            return found
-        verdict = found or self._guard.check(sample, arrival=arrival)
-        return self._judged(sample, verdict, dt)
+        judged = None
+        cores = self._cores()
+        if cores and self._guard.is_own(sample):
+            judged = self.mapper.core.map_sample(
+                *cores,
+                sample.time,
+                sample.landmarks,
+                sample.wrist,
+                bool(sample.valid),
+                sample.confidence,
+                dt,
+                arrival,
+                self._origin,
+            )
+        if judged is None:
+            verdict = self._guard.check(sample, arrival=arrival)
+            return self._judged(sample, verdict, dt)
+        numbers, stages, duration = judged
+        verdict = self._guard.verdict_of(numbers)
+        if stages is None:
+            return self._judged(sample, verdict, dt)
+        if dt is not None:
+            self._origin = None
+        self._return = structs.replace(self._return, seen=stages.pose)
+        return MapStep(stages, (), duration, verdict, sample.confidence)
 
     @exclusively
     def map_samples(
@@ -338,6 +353,13 @@ class Follower:
         self._guard.check_side(samples, Recording)
         count = len(samples)
         table = StepTable(self.mapper.robot, count)
+        columns = core.Samples(
+            samples.time,
+            samples.landmarks,
+            samples.valid,
+            samples.confidence,
+            samples.wrist,
+        )
         i = 0
         while i < count:
             # That about a sample which the core has judged, and leaves to the return here.
@@ -345,11 +367,12 @@ class Follower:
             cores = self._cores()
             origin = self._origin
             if cores and origin is not None:
-                i, verdict, seen = self.mapper.core.run(
-                    *cores, origin, samples, i, min(count, i + _RUN), table.rows
+                i, numbers, seen = self.mapper.core.run(
+                    *cores, origin, columns, i, min(count, i + _RUN), table.rows
                 )
+                verdict = numbers and self._guard.verdict_of(numbers)
                 if seen:
-                    self._return = self._return._replace(seen=seen)
+                    self._return = structs.replace(self._return, seen=seen)
             if i < count:
                 started = thread_time()
                 sample = samples.sample(i)
@@ -434,7 +457,7 @@ class Follower:
         except HandmapError:
             self._guard.forget()
             raise
-        self._return = back._replace(seen=step.stages.pose)
+        self._return = structs.replace(back, seen=step.stages.pose)
         self._note_origin(verdict, dt)
         said |= {"is_gliding": back.is_fading, "duration": perf_counter() - started}
         return structs.replace(step, **said)

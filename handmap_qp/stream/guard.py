@@ -17,9 +17,17 @@ from typing import Any
 
 from handmap_qp.errors import expect
 from handmap_qp.hands import Hand
-from handmap_qp.human import HumanSample, Recording, Verdict, landmarks_at_rest
+from handmap_qp.human import (
+    Finding,
+    HumanSample,
+    Recording,
+    Verdict,
+    landmarks_at_rest,
+)
+from handmap_qp.human.sample import VerdictNumbers
 from handmap_qp.ik import BEHIND as BEHIND
 from handmap_qp.ik.core import core
+from handmap_qp.models import GuardModel, encode
 from handmap_qp.se3 import Array
 from handmap_qp.trackers import known_orders
 
@@ -55,8 +63,8 @@ class StreamGuard:
         self.core = self._new_core()
 
     def _new_core(self) -> Any:
-        _, orders = known_orders()
-        return core.StreamGuard(self._side, self._landmarks, orders)
+        model = GuardModel(side=self._side, landmarks=self._landmarks)
+        return core.StreamGuard(encode(model), known_orders().core)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy continues from."""
@@ -87,7 +95,25 @@ class StreamGuard:
             MapperBusyError: If another thread works on the guard.
         """
         self.check_side(sample)
-        return self.core.check(sample, arrival)
+        numbers = self.core.check(
+            sample.time,
+            sample.landmarks,
+            sample.wrist,
+            bool(sample.valid),
+            sample.confidence,
+            arrival,
+        )
+        return self.verdict_of(numbers)
+
+    def verdict_of(self, numbers: VerdictNumbers) -> Verdict:
+        """Return the verdict that the core gives as numbers."""
+        rule, is_held, is_return, dt, consistency, found, lost, time = numbers
+        finding = found and Finding.of_core(found, self._side, known_orders().names)
+        return Verdict(rule, is_held, is_return, dt, consistency, finding, lost, time)
+
+    def is_own(self, sample: HumanSample) -> bool:
+        """Return whether something is a sample, and of this hand."""
+        return type(sample) is HumanSample and sample.side == self._side
 
     def check_side(
         self, samples: HumanSample | Recording, kind: type = HumanSample
@@ -106,4 +132,9 @@ class StreamGuard:
 
     def holds(self, recording: Recording) -> Array:
         """Tell which samples of a recording the robot may not follow, wrists apart, shape (T,)."""
-        return self.core.holds(recording)
+        valid = recording.valid
+        return self.core.holds(
+            core.Samples(
+                recording.time, recording.landmarks, valid, recording.confidence
+            )
+        )

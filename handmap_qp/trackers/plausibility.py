@@ -12,13 +12,14 @@ explains it, and names it. `check_recording` does the same for a file. The compi
 
 from functools import cache
 from itertools import permutations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands import FINGERS, Side
+from handmap_qp.hands import FINGERS, Names, Side
 from handmap_qp.human import LANDMARK_COUNT, Finding, Recording, check_side
+from handmap_qp.human.findings import FindingNumbers
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import Array
 from .layouts import LAYOUTS
@@ -47,8 +48,7 @@ class InputCheck:
         self._core = self._new_core()
 
     def _new_core(self) -> Any:
-        _, orders = known_orders()
-        return core.InputCheck(self.side, orders)
+        return core.InputCheck(self.side, known_orders().core)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy continues from."""
@@ -63,7 +63,7 @@ class InputCheck:
     @property
     def finding(self) -> Finding | None:
         """What is wrong with the input; None if it is plausible, or if too little was seen."""
-        return self._core.finding()
+        return self._finding_of(self._core.finding())
 
     @property
     def is_wrist_proven(self) -> bool:
@@ -86,7 +86,7 @@ class InputCheck:
         Raises:
             MapperBusyError: If another thread works on the check.
         """
-        return self._core.update(time, landmarks, wrist)
+        return self._finding_of(self._core.update(time, landmarks, wrist))
 
     def alert(self) -> None:
         """Judge the next samples by themselves and soon: something has changed."""
@@ -94,11 +94,18 @@ class InputCheck:
 
     def finish(self) -> Finding | None:
         """Judge what is left at the end of a recording, by one batch if there was no other."""
-        return self._core.finish()
+        return self._finding_of(self._core.finish())
 
     def examine(self, recording: Recording) -> Finding | None:
         """Take a whole recording; see `examine_recording`."""
-        return self._core.examine(recording)
+        samples = core.Samples(
+            recording.time, recording.landmarks, recording.valid, wrist=recording.wrist
+        )
+        return self._finding_of(self._core.examine(samples))
+
+    def _finding_of(self, numbers: FindingNumbers | None) -> Finding | None:
+        """Return a finding that the core gives as numbers."""
+        return Finding.of_core(numbers, self.side, known_orders().names)
 
 
 def check_recording(recording: Recording, *, name: str = "") -> None:
@@ -131,13 +138,23 @@ def examine_recording(recording: Recording) -> Finding | None:
     return InputCheck(recording.side).examine(recording)
 
 
-@cache
-def known_orders() -> tuple[dict[str, Array], Any]:
-    """Return orders in which landmarks may come, by name, and as the core has them.
+class KnownOrders(NamedTuple):
+    """Orders in which landmarks may come: ours, which has no name, comes first.
 
-    Each has the indices of our landmarks among those that came, shape (21,). Our own order, which
-    has no name, comes first, then those of layouts, then all orders of fingers.
+    Attributes:
+        names: Their names.
+        indices: Indices of our landmarks among those that came, in each order, shape (21,).
+        core: The orders as the core has them.
     """
+
+    names: Names
+    indices: tuple[Array, ...]
+    core: Any
+
+
+@cache
+def known_orders() -> KnownOrders:
+    """Return the known orders: those of layouts come behind ours, then all orders of fingers."""
     own = np.arange(LANDMARK_COUNT)
     known = {"": own}
     for name, layout in LAYOUTS.items():
@@ -151,4 +168,4 @@ def known_orders() -> tuple[dict[str, Array], Any]:
         name = f"one with the fingers {', '.join(fingers)}"
         known[name] = np.array([0, *chains.ravel()])
     orders = [order.tolist() for order in known.values()]
-    return known, core.LandmarkOrders([*known], orders)
+    return KnownOrders((*known,), (*known.values(),), core.LandmarkOrders(orders))

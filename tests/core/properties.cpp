@@ -364,7 +364,6 @@ std::unique_ptr<Gate> gate_of(double acceleration, bool is_apart = true) {
   gate->limits = box_limits_of(gate->tree);
   gate->limits.acceleration = acceleration;
   gate->limits.together.assign(gate->tree.size, is_apart);
-  gate->fingers = {Vector(4, 1.0)};
   if (is_apart)
     gate->pairs = std::make_unique<Pairs>(
         gate->tree, pair_of(gate->tree, make_sphere(kTipRadius), kTip, kTipRadius));

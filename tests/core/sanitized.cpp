@@ -188,30 +188,136 @@ void smoothing(Numbers& numbers) {
   }
 }
 
-void guards(Numbers& numbers) {
-  std::array<int, kLandmarks> own, reversed;
-  for (int k = 0; k < kLandmarks; ++k) {
-    own[k] = k;
-    reversed[k] = kLandmarks - 1 - k;
-  }
-  const auto orders =
-      std::make_shared<const LandmarkOrders>(std::vector<std::array<int, kLandmarks>>{own, reversed});
-  const std::vector<Vec3> at_rest = hands(numbers, 1, 0.0);
-  const Landmarks person = landmarks_of(&at_rest[0].x);
-  for (int round = 0; round < 60; ++round) {
-    const double hostile = kShares[round % 3];
-    StreamGuard guard(1.0, person, orders);
-    double time = 0.0;
-    for (int i = 0; i < 80; ++i) {
-      const std::vector<Vec3> hand = hands(numbers, 1, hostile);
-      double pose[16];
-      for (double& each : pose) each = numbers.number(hostile);
-      time += numbers.below(6) ? 0.02 : numbers.number(hostile, 0.2);
-      guard.check({time, &hand[0].x, numbers.below(2) ? pose : nullptr, numbers.below(9) > 0, 1.0,
-                   numbers.below(2) ? time : NAN});
-      ++calls;
+// Landmarks of a hand at rest, a right one for a sign of 1, so many times as large.
+Landmarks resting(double sign, double size) {
+  Landmarks found{};
+  for (int finger = 0; finger < 5; ++finger) {
+    const bool is_thumb = finger == 0;
+    Vec3 at{sign * size * (is_thumb ? -0.03 : 0.02 * finger - 0.05), size * (is_thumb ? 0.03 : 0.09), 0.0};
+    const Vec3 step{is_thumb ? -sign * 0.6 : 0.0, 0.8, -0.3};
+    for (int k = 0; k < 4; ++k) {
+      found[1 + 4 * finger + k] = at;
+      at += (size * (0.04 - 0.006 * k)) * step;
     }
-    guard.input.finish();
+  }
+  return found;
+}
+
+using Order = std::array<int, kLandmarks>;
+
+Order shuffled(Numbers& numbers) {
+  Order order;
+  for (int k = 0; k < kLandmarks; ++k) order[k] = k;
+  for (int k = kLandmarks - 1; k > 0; --k) std::swap(order[k], order[numbers.below(k + 1)]);
+  return order;
+}
+
+// Our own order, those of all fingers if wanted, and others at random.
+std::shared_ptr<const LandmarkOrders> orders_of(Numbers& numbers, bool has_fingers) {
+  std::vector<Order> orders(1);
+  for (int k = 0; k < kLandmarks; ++k) orders[0][k] = k;
+  std::array<int, 5> fingers{0, 1, 2, 3, 4};
+  while (has_fingers && std::next_permutation(fingers.begin(), fingers.end())) {
+    Order& order = orders.emplace_back();
+    order[0] = 0;
+    for (int k = 1; k < kLandmarks; ++k) order[k] = 1 + 4 * fingers[(k - 1) / 4] + (k - 1) % 4;
+  }
+  for (int more = numbers.below(4); more > 0; --more) orders.push_back(shuffled(numbers));
+  return std::make_shared<const LandmarkOrders>(std::move(orders));
+}
+
+// What is wrong with the samples of a hand for a while.
+enum class Fault { none, mirrored, size, order, one_away, one_place, stuck, hostile, count };
+
+void spoil(Numbers& numbers, Fault fault, const Order& order, Landmarks& hand) {
+  const Landmarks right = hand;
+  switch (fault) {
+    case Fault::mirrored:
+      for (Vec3& each : hand) each.x = -each.x;
+      break;
+    case Fault::size:
+      for (Vec3& each : hand) each *= 1000.0;
+      break;
+    case Fault::order:
+      for (int k = 0; k < kLandmarks; ++k) hand[k] = right[order[k]];
+      break;
+    case Fault::one_away:
+      hand[numbers.below(kLandmarks)] += numbers.point(0.0, 0.1);
+      break;
+    case Fault::one_place:
+      hand.fill(right[0]);
+      break;
+    case Fault::hostile:
+      for (Vec3& each : hand) each += numbers.point(0.4, 1e-3);
+      break;
+    default:
+      break;
+  }
+}
+
+// Whether what a guard says of a sample goes with what it said before.
+void check_verdict(const Verdict& verdict, double before) {
+  check(!(verdict.is_held && verdict.is_return), "a return that is held");
+  check(verdict.time >= before, "a time that goes back");
+  check(verdict.dt >= 0.0 && std::isfinite(verdict.dt), "a time between samples");
+  check(kNothing <= verdict.rule && verdict.rule <= kUnproven, "a rule");
+  check(verdict.finding.is_sound(), "a finding");
+}
+
+// A hand that moves for seconds, with faults for a while; returns how many samples were followed.
+int judge_stream(Numbers& numbers, double hostile, const LandmarkOrders& known,
+                 StreamGuard guard, const Landmarks& at_rest) {
+  const Pose start = numbers.pose(0.0);
+  const Vec3 speed = numbers.point(0.0, 0.1), turn = numbers.point(0.0, 0.3);
+  const bool has_wrist = numbers.below(2) > 0, arrives = numbers.below(2) > 0;
+  const Order order = known.orders[numbers.below(static_cast<int>(known.orders.size()))];
+  Landmarks last{};
+  double stamp = 0.0, time = 0.0, before = 0.0;
+  Fault fault = Fault::none;
+  bool has_times = true;
+  int followed = 0;
+  for (int i = 0; i < 160; ++i) {
+    if (hostile > 0.0 && i % 20 == 19)
+      fault = static_cast<Fault>(numbers.below(static_cast<int>(Fault::count)));
+    time += 0.02;
+    stamp += hostile > 0.0 && numbers.below(12) == 0 ? numbers.number(hostile, 0.2) : 0.02;
+    const Pose wrist{exp3(time * turn) * start.R, start.p + time * speed};
+    Landmarks hand;
+    for (int k = 0; k < kLandmarks; ++k) hand[k] = wrist * at_rest[k] + numbers.point(0.0, 2e-4);
+    spoil(numbers, fault, order, hand);
+    if (fault == Fault::stuck) hand = last;
+    last = hand;
+    double pose[16] = {wrist.R(0, 0), wrist.R(0, 1), wrist.R(0, 2), wrist.p.x,
+                       wrist.R(1, 0), wrist.R(1, 1), wrist.R(1, 2), wrist.p.y,
+                       wrist.R(2, 0), wrist.R(2, 1), wrist.R(2, 2), wrist.p.z,
+                       0.0,           0.0,           0.0,           1.0};
+    if (fault == Fault::hostile) pose[numbers.below(16)] = numbers.number(hostile);
+    const bool is_seen = hostile == 0.0 || numbers.below(30) > 0;
+    const StreamSample sample{stamp, &hand[0].x, has_wrist ? pose : nullptr, is_seen, 1.0,
+                              arrives ? time : kNaN};
+    StreamGuard copy = guard;
+    const Verdict verdict = guard.check(sample), again = copy.check(sample);
+    check(verdict.rule == again.rule && verdict.is_held == again.is_held, "a copy");
+    // Python lets no other stamps in, behind which no time is known.
+    has_times &= std::isfinite(stamp);
+    if (has_times) check_verdict(verdict, before);
+    if (!std::isfinite(stamp)) stamp = time;
+    before = verdict.time;
+    followed += !verdict.is_held;
+    ++calls;
+  }
+  guard.input.finish();
+  return followed;
+}
+
+void guards(Numbers& numbers) {
+  for (int round = 0; round < 48; ++round) {
+    const double hostile = kShares[round % 3], sign = round % 2 ? 1.0 : -1.0;
+    const auto known = orders_of(numbers, round % 12 < 6);
+    const Landmarks person = resting(sign, 0.8 + 0.1 * numbers.below(5));
+    const StreamGuard guard(sign, person, known);
+    const int followed = judge_stream(numbers, hostile, *known, guard, person);
+    check(hostile > 0.0 || followed > 100, "a hand that moves as it should is followed");
   }
 }
 
@@ -225,7 +331,6 @@ void solvers(Numbers& numbers) {
     ik.limits = box_limits_of(ik.tree);
     ik.limits.together.assign(n, static_cast<char>(round % 4 == 0));
     if (round % 3) ik.limits.acceleration = 40.0;
-    ik.fingers = {Vector(4, 1.0)};
     if (round % 4 < 2) {
       ik.pairs = std::make_unique<Pairs>(ik.tree, boxes_of(ik.tree));
       ik.pairs->margin = 1e-3;
@@ -267,12 +372,6 @@ void postures(Numbers& numbers) {
   for (int round = 0; round < 200; ++round) {
     const double hostile = kShares[round % 3];
     NearestPosture problem(tree);
-    problem.settings = {30, 1e-9, 1e-4, 1e-6, 1e-12, 1e-3};
-    problem.points = tree.points;
-    problem.configuration = tree.rest;
-    problem.rest.assign(4, 0.0);
-    problem.lower.assign(4, -1.5);
-    problem.upper.assign(4, 1.5);
     problem.targets = numbers.points(2, hostile, 0.1);
     problem.costs = {1.0, 1.0};
     problem.rest_cost = 1e-3;

@@ -11,10 +11,12 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
+
+from handmap_qp.models import encode, unpacked
 
 ROUNDS = 60  # hostile calls of each function
 
@@ -77,10 +79,37 @@ def hostile_array(rng: random.Random, array: np.ndarray) -> Any:
     )
 
 
+def hostile_bytes(rng: random.Random, content: bytes) -> bytes:
+    """Return the bytes of a model with a hostile field, or with damage."""
+    try:
+        model = msgspec.msgpack.decode(content, ext_hook=unpacked)
+    except (msgspec.DecodeError, ValueError):
+        # The bytes of a state.
+        model = None
+    if isinstance(model, dict) and rng.random() < 0.7:
+        at = model
+        while True:
+            place = rng.choice([*at] if isinstance(at, dict) else [*range(len(at))])
+            if not isinstance(at[place], list | dict) or not at[place]:
+                break
+            at = at[place]
+        at[place] = hostile(rng, at[place], [])
+        try:
+            return encode(model)
+        except (TypeError, ValueError, OverflowError):
+            return b""
+    damaged = bytearray(content)
+    for _ in range(rng.choice([1, 3, 30])):
+        damaged[rng.randrange(len(damaged))] = rng.choice([0, 1, 0x80, 0xC0, 0xFF])
+    return bytes(damaged[: rng.choice([len(damaged), rng.randrange(len(damaged))])])
+
+
 def hostile(rng: random.Random, value: Any, others: list[Any]) -> Any:
     """Return something in the place of an argument or an attribute."""
     if isinstance(value, np.ndarray) and rng.random() < 0.85:
         return hostile_array(rng, value)
+    if isinstance(value, bytes) and value and rng.random() < 0.85:
+        return hostile_bytes(rng, value)
     if isinstance(value, list | tuple) and value and rng.random() < 0.7:
         items = list(value)
         place = rng.randrange(len(items))
@@ -107,11 +136,11 @@ Call = tuple[Callable[..., Any], tuple[Any, ...]]
 def calls_of(core: Any) -> dict[str, Call]:
     """Return a call of each function with arguments that are right."""
     from handmap_qp import Follower, HandMapper, load_hand, read_recording
+    from handmap_qp.errors import MapperBusyError
     from handmap_qp.human.recording import sample_columns
-    from handmap_qp.human.sample import landmarks_at_rest
-    from handmap_qp.ik.tasks import Goal
+    from handmap_qp.ik import core_tree
+    from handmap_qp.mapping.method import step_views
     from handmap_qp.stream.step_table import StepTable
-    from handmap_qp.trackers.plausibility import known_orders
 
     recording = read_recording("demo", "right").part(slice(0, 60))
     columns = sample_columns(recording)
@@ -125,12 +154,7 @@ def calls_of(core: Any) -> dict[str, Call]:
     follower.map_sample(columns.sample(0))
     joints = load_hand("human")
     ik = teleoperated.point_ik
-    robot = ik.hand
-    gate, tree = ik.gate, core.Tree(robot)
-    assert gate.collisions is not None
-    bounds = gate.collisions.bounds
     points = ik.configuration.points
-    motion = gate.motion
     wrist = np.eye(4)
     dt = 1.0 / 60.0
     sample = columns.sample(1)
@@ -141,33 +165,18 @@ def calls_of(core: Any) -> dict[str, Call]:
     reader: Any = mapper.landmarks.core
     teleoperation: Any = teleoperated.target_map
     table = StepTable(mapper.robot, len(columns.time))
-    trajectory = SimpleNamespace(
-        point_error=np.ones((60, 5)),
-        q=np.ones((60, 16)),
-        valid=np.ones(60, dtype=bool),
-        at_limit=np.zeros((60, 16), dtype=bool),
-        at_speed_limit=np.zeros((60, 16), dtype=bool),
-    )
-    goal = Goal(points, wrist[None], ik.postures(dt, None), (), dt, None, 1.0)
-    geometry = bounds.geometry.geometryObjects
-    solver, in_core = ik.core, mapper.core
-    still = np.zeros(gate.limits.size)
-
-    def posed() -> Any:
-        """Return the rows of the next command: those of a former one are refused."""
-        return core.PosedRows(solver, dt, still - 0.1, still + 0.1, None)
-
-    many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
-    solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
-    _, orders = known_orders()
-    check = core.InputCheck("right", orders)
-    track = core.Track(0.0, sample.landmarks)
-    rest = landmarks_at_rest(human)
-    return {
+    samples = core.Samples(columns.time, columns.landmarks, columns.valid)
+    judged = sample.time, sample.landmarks, None, True, 1.0
+    views = step_views(own_map.asked, mapper.robot, mapper.point_ik.gate.links)
+    in_core = mapper.core
+    palm = encode(teleoperation.palm_model())
+    calls: dict[str, Call] = {
         "measure_shape": (
             core.measure_shape,
             (recording.landmarks, recording.landmarks[0, [0, 5, 9, 13, 17]], 0.8),
         ),
+        "raise_if_busy": (core.raise_if_busy, (MapperBusyError,)),
+        "model_fields": (core.model_fields, ()),
         "log3": (core.log3, (np.eye(3),)),
         "exp3": (core.exp3, (np.ones(3),)),
         "quat_xyzw": (core.quat_xyzw, (np.eye(3),)),
@@ -175,30 +184,146 @@ def calls_of(core: Any) -> dict[str, Call]:
             core.smallest_gap,
             (recording.time, recording.landmarks, 0.1, 1.0),
         ),
-        "measure_episode": (core.measure_episode, (recording, trajectory)),
         "solve_qp": (
             core.solve_qp,
             (np.eye(3), *np.ones((3, 3)), np.ones((2, 3)), np.ones(2)),
         ),
+        "HumanPose": (core.HumanPose, (points, wrist)),
+        "StepViews": (core.StepViews, (list, list, list, list)),
+        "SampleMapper": (
+            core.SampleMapper,
+            (mapper.point_ik.core, own_map.make_core(), views),
+        ),
+        "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
+        "Asker": (
+            core.Asker,
+            (mapper.point_ik.core, own_map.make_core(), views, own_map),
+        ),
+        "SampleMapper.map": (
+            in_core.map,
+            (reader, sample.landmarks, None, dt),
+        ),
+        "SampleMapper.map_sample": (
+            in_core.map_sample,
+            (guard.core, smoother.core, reader, *judged, dt, None, 0.0),
+        ),
+        "SampleMapper.run": (
+            in_core.run,
+            (
+                guard.core,
+                smoother.core,
+                reader,
+                0.0,
+                samples,
+                2,
+                9,
+                table.rows,
+            ),
+        ),
+        "TeleoperationMap": (
+            core.TeleoperationMap,
+            (encode(teleoperation.model), palm),
+        ),
+        "HomogeneousMap": (core.HomogeneousMap, (encode(own_map.model()),)),
+        "LandmarkReader": (core.LandmarkReader, (encode(mapper.landmarks.model),)),
+        "LandmarkReader.read": (
+            reader.read,
+            (sample.landmarks, wrist),
+        ),
+        "JointReader": (core.JointReader, (core_tree(joints),)),
+        "JointReader.read": (
+            core.JointReader(core_tree(joints)).read,
+            (joints.rest, wrist),
+        ),
+    }
+    return (
+        calls
+        | hand_calls(core, ik, teleoperation.method.distances, human)
+        | stream_calls(core, follower, columns)
+        | robot_calls(core, recording.landmarks[0], views)
+    )
+
+
+def hand_calls(core: Any, ik: Any, task: Any, human: Any) -> dict[str, Call]:
+    """Return calls of what moves a hand.
+
+    Args:
+        core: The core.
+        ik: Moves a robot hand whose links are kept apart.
+        task: Distances of points of that hand.
+        human: A human hand that is not scaled.
+    """
+    from handmap_qp.hands.collision_shapes import shape_model
+    from handmap_qp.ik import core_tree
+    from handmap_qp.ik.compiled import hand_model
+    from handmap_qp.ik.options import ik_model
+
+    robot, gate, solver = ik.hand, ik.gate, ik.core
+    tree = core_tree(robot)
+    bounds = gate.collisions.bounds
+    points = ik.configuration.points
+    motion = gate.motion
+    wrist = np.eye(4)
+    dt = 1.0 / 60.0
+    still = np.zeros(gate.limits.size)
+    aims = np.ones(len(task.first))
+    size = len(still)
+    goal = (
+        points,
+        wrist[None],
+        ik.postures(dt, None),
+        dt,
+        None,
+        1.0,
+        np.ones(len(robot.joint_names)),
+        [(task.core, aims, aims)],
+        [([1, 5], np.zeros((2, 3)), np.zeros(3), 1.0)],
+        lambda q: [(np.ones(2), np.ones((2, size)), np.ones(size))],
+    )
+    shapes = [
+        encode(shape_model(each.geometry))
+        for each in bounds.geometry.geometryObjects[:2]
+    ]
+    parts = encode(gate.limits), bounds.core, encode(gate.collisions.model)
+
+    def posed() -> Any:
+        """Return the rows of the next command: those of a former one are refused."""
+        return core.PosedRows(solver, dt, still - 0.1, still + 0.1, None)
+
+    many = (np.tile(points, (4, 1, 1)), np.tile(wrist, (4, 1, 1)), np.full(4, dt))
+    solve_many = (*many, np.ones(4), None, [(0.1, robot.rest)])
+    return {
         "measure_shapes": (
             core.measure_shapes,
-            (geometry[0].geometry, wrist, geometry[1].geometry, 2.0 * wrist),
+            (*shapes[:1], wrist, *shapes[1:], 2.0 * wrist),
         ),
-        "Tree": (core.Tree, (robot,)),
-        "Tree.moved": (tree.moved, ({},)),
-        "Tree.points": (tree.points, (robot.rest, robot.spec.points)),
-        "Tree.poses": (tree.poses, (motion.q, list(robot.point_frames))),
+        "Tree": (core.Tree, (encode(hand_model(robot)),)),
+        "Tree.moved": (
+            core_tree(human).moved,
+            (["index_MCP_abduction"], np.ones((1, 3)), np.ones(1)),
+        ),
+        "Tree.points": (tree.points, (robot.rest,)),
+        "Tree.points_on_links": (
+            tree.points_on_links,
+            (robot.rest, ["palm_link", "palm_link"], np.zeros((2, 3))),
+        ),
+        "Tree.points_on_joints": (
+            tree.points_on_joints,
+            (robot.rest, [0, 3], np.zeros((2, 3))),
+        ),
+        "Tree.joint_poses": (tree.joint_poses, (motion.q,)),
+        "Tree.posture": (tree.posture, (motion.q,)),
         "Tree.nearest_posture": (
             tree.nearest_posture,
-            (robot, points, np.ones(len(points)), 0.1, robot.rest),
+            (points, np.ones(len(points)), 0.1, robot.rest),
         ),
         "Tree.smallest_distances": (
             tree.smallest_distances,
             (bounds.core, robot.rest[None], [0, 3], 1.0),
         ),
-        "PairBounds": (core.PairBounds, (bounds,)),
-        "PointDistances": (core.PointDistances, (teleoperation.method.distances,)),
-        "Gate": (core.Gate, (tree, ik.hand, gate.limits, gate.collisions)),
+        "PairBounds": (core.PairBounds, (encode(bounds.model()),)),
+        "PointDistances": (core.PointDistances, (encode(task.model()),)),
+        "Gate": (core.Gate, (tree, *parts)),
         "Gate.set_motion": (
             solver.set_motion,
             (motion.q, motion.displacement, dt, motion.stop_times),
@@ -227,61 +352,51 @@ def calls_of(core: Any) -> dict[str, Call]:
         "braking_displacement": (core.braking_displacement, (0.1, 1e-3)),
         "Ik": (
             core.Ik,
-            (tree, ik.hand, ik.options, gate.limits, gate.collisions, gate.links),
+            (tree, encode(ik_model(ik.hand, ik.options)), *parts),
         ),
         "Ik.hold": (solver.hold, (dt,)),
-        "Ik.solve": (solver.solve, (goal,)),
+        "Ik.solve": (solver.solve, goal),
         "Ik.solve_many": (solver.solve_many, solve_many),
         "Ik.go_on": (solver.go_on, (list(solver.detours),)),
-        "SampleMapper": (
-            core.SampleMapper,
-            (mapper.point_ik.core, mapper.robot, own_map),
+    }
+
+
+def stream_calls(core: Any, follower: Any, columns: Any) -> dict[str, Call]:
+    """Return calls of what judges and smooths a stream, with the columns of 60 samples."""
+    from handmap_qp.human.sample import landmarks_at_rest
+    from handmap_qp.models import GuardModel
+    from handmap_qp.trackers.plausibility import known_orders
+
+    guard, smoother = follower._guard, follower._smoother
+    wrist, dt = np.eye(4), 1.0 / 60.0
+    wrists = np.tile(wrist, (60, 1, 1))
+    sample = columns.sample(1)
+    judged = sample.time, sample.landmarks, None, True, 1.0
+    pose = follower.mapper.landmarks.read(sample.landmarks)[0]
+    given = columns.time, columns.landmarks, columns.valid, np.ones(60), wrists
+    samples = core.Samples(*given)
+    valid, at_bounds = np.ones(60, dtype=bool), np.zeros((60, 16), dtype=bool)
+    orders = known_orders().core
+    check = core.InputCheck("right", orders)
+    track = core.Track(0.0, sample.landmarks)
+    rest = landmarks_at_rest(follower.mapper.human)
+    person = GuardModel(side="right", landmarks=rest)
+    return {
+        "measure_episode": (
+            core.measure_episode,
+            (samples, valid, np.ones((60, 5)), at_bounds, at_bounds, np.ones((60, 16))),
         ),
-        "SampleMapper.follow": (in_core.follow, (pose, dt, 1.0)),
-        "SampleMapper.map": (
-            in_core.map,
-            (reader, sample.landmarks, None, dt),
-        ),
-        "SampleMapper.map_sample": (
-            in_core.map_sample,
-            (guard.core, smoother.core, reader, sample, None, None, None),
-        ),
-        "SampleMapper.run": (
-            in_core.run,
-            (
-                guard.core,
-                smoother.core,
-                reader,
-                0.0,
-                columns,
-                2,
-                9,
-                table.rows,
-            ),
-        ),
-        "TeleoperationMap": (core.TeleoperationMap, (teleoperation,)),
-        "HomogeneousMap": (core.HomogeneousMap, (own_map,)),
-        "LandmarkReader": (core.LandmarkReader, (mapper.landmarks,)),
-        "LandmarkReader.read": (
-            reader.read,
-            (sample.landmarks, wrist),
-        ),
-        "JointReader": (core.JointReader, (mapper._joints,)),
-        "JointReader.read": (
-            core.JointReader(mapper._joints).read,
-            (joints.rest, wrist),
-        ),
-        "StreamGuard": (core.StreamGuard, ("right", rest, orders)),
-        "StreamGuard.check": (guard.core.check, (sample, None)),
-        "StreamGuard.holds": (guard.core.holds, (columns,)),
+        "Samples": (core.Samples, given),
+        "StreamGuard.check": (guard.core.check, (*judged, None)),
+        "StreamGuard.holds": (guard.core.holds, (samples,)),
         "StreamGuard.restore": (guard.core.restore, (guard.core.save(),)),
         "InputCheck": (core.InputCheck, ("right", orders)),
         "InputCheck.update": (check.update, (0.1, sample.landmarks, wrist)),
-        "InputCheck.examine": (check.examine, (recording,)),
+        "InputCheck.examine": (check.examine, (samples,)),
         "InputCheck.restore": (check.restore, (check.save(),)),
         "LandmarkOrders": (
             core.LandmarkOrders,
-            (["", "reversed"], [[*range(21)], [*range(20, -1, -1)]]),
+            ([[*range(21)], [*range(20, -1, -1)]],),
         ),
         "SampleClock.advance": (core.SampleClock().advance, (0.1,)),
         "SampleClock.at": (core.SampleClock().at, (0.1,)),
@@ -289,14 +404,32 @@ def calls_of(core: Any) -> dict[str, Call]:
         "RateCheck.update": (core.RateCheck().update, (0.1, 0.1)),
         "Track": (core.Track, (0.1, sample.landmarks)),
         "change_between": (core.change_between, (track, track, dt)),
-        "log_size": (core.log_size, (recording.landmarks,)),
-        "misfit": (core.misfit, (recording.landmarks,)),
-        "palmar_evidence": (core.palmar_evidence, (recording.landmarks,)),
-        "palm_axes": (core.palm_axes, (recording.landmarks, 1.0)),
+        "log_size": (core.log_size, (columns.landmarks,)),
+        "misfit": (core.misfit, (columns.landmarks,)),
+        "palmar_evidence": (core.palmar_evidence, (columns.landmarks,)),
+        "palm_axes": (core.palm_axes, (columns.landmarks, 1.0)),
         "Smoother": (core.Smoother, (0.4, 12.0)),
         "Smoother.restore": (smoother.core.restore, (smoother.core.save(),)),
         "Smoother.smooth": (smoother.core.smooth, (pose, dt)),
         "Smoother.wait": (smoother.core.wait, (dt,)),
+        "StreamGuard": (core.StreamGuard, (encode(person), orders)),
+    }
+
+
+def robot_calls(core: Any, right: np.ndarray, views: Any) -> dict[str, Call]:
+    """Return calls of what moves a robot, given the landmarks of a right hand (21, 3)."""
+    from handmap_qp.hands.robot import load_robot
+    from handmap_qp.mapping.robot_mapper import RobotMapper
+
+    mapper = RobotMapper(load_robot("g1"))
+    for _ in range(2):
+        mapper.map_landmarks({"right": right, "left": right * (-1.0, 1.0, 1.0)})
+    asks = [leader.asked for leader in mapper.leaders.values()]
+    solver = mapper.point_ik.core
+    worlds = np.tile(np.eye(4), (2, 1, 1))
+    return {
+        "RobotMover": (core.RobotMover, (solver, encode(mapper.model()), views)),
+        "RobotMover.move": (mapper.core.move, (asks, [0.1, 0.1], worlds, 1.0 / 60.0)),
     }
 
 

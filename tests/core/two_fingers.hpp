@@ -71,6 +71,10 @@ inline Tree fingers(bool is_floating, const Vec3& axis = {1, 0, 0}) {
   tree.parts = {{first - 1, {}, 0, 2}};
   tree.rest.assign(tree.nq, 0.0);
   if (is_floating) tree.rest[6] = 1.0;
+  tree.joint_rest.assign(4, 0.0);
+  tree.lower.assign(4, -1.5);
+  tree.upper.assign(4, 1.5);
+  tree.fingers = {Vector(4, 1.0)};
   tree.finish();
   return tree;
 }
@@ -103,7 +107,6 @@ inline std::shared_ptr<PairBounds> boxes_of(const Tree& tree) {
 // Position limits of 1.5 rad and speed limits of 3 rad/s for all coordinates.
 inline BoxLimits box_limits_of(const Tree& tree) {
   BoxLimits limits;
-  limits.size = tree.size;
   limits.lowest.assign(tree.nq, -kInfinity);
   limits.highest.assign(tree.nq, kInfinity);
   limits.lower.assign(tree.size, -1.5);

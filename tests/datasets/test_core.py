@@ -23,7 +23,14 @@ def test_an_episode_is_measured_as_by_numpy() -> None:
     arguments = MappingArguments()
     for recording in (DEMO, with_gaps(DEMO), DEMO.part(slice(0, 2))):
         trajectory, *_ = map_hands([recording], robot, person, arguments)
-        found = core.measure_episode(recording, trajectory)
+        found = core.measure_episode(
+            core.Samples(recording.time, recording.landmarks, recording.valid),
+            trajectory.valid,
+            trajectory.point_error,
+            trajectory.at_limit,
+            trajectory.at_speed_limit,
+            trajectory.q,
+        )
         expected = people.measure_episode(recording, trajectory)
         assert found.keys() == expected.keys()
         for key, value in expected.items():

@@ -28,7 +28,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.gate import Gate
-from handmap_qp.ik.limits import BoxLimits
+from handmap_qp.ik.limits import box_limits
 from handmap_qp.ik.motion import Motion
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.ik.solvers import make_solver
@@ -461,7 +461,7 @@ def test_a_slower_box_is_in_the_box_and_keeps_the_share_where_braking_allows(
     motion = Motion(q, velocity, 1.0, np.zeros_like(velocity))
     gate = Gate(hand, motion, IkOptions(max_acceleration=10.0))
     full, (lower, upper) = gate.bounds(dt), gate.bounds(dt, share)
-    farthest = share * dt * BoxLimits(hand).speeds
+    farthest = share * dt * box_limits(hand).speeds
     assert (full[0] <= lower).all()
     assert (lower <= upper).all()
     assert (upper <= full[1]).all()

@@ -2,28 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 from oracles import people
+from oracles.nearest_posture import distance, nearest_posture
 
 from handmap_qp import HumanLengths, load_hand, read_recording
-from handmap_qp.apps.offline import surface_gaps
 from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.hands.fingers import PalmKinematics
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
+from handmap_qp.hands.shape_pairs import pair_distances
 from handmap_qp.human.measure import _standard_palm, measure_shape
 from handmap_qp.human.sample import landmarks_at_rest
 from handmap_qp.ik import nearest_posture as posture_module
 from handmap_qp.ik.compiled import core_tree
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping import hand_pair
-from handmap_qp.mapping.hand_pair import HandPair
-from handmap_qp.se3 import inverse_pose, transform_points
+from handmap_qp.mapping.hand_pair import HandPair, robot_fingers
+from handmap_qp.se3 import Array, inverse_pose, transform_points
 
 HANDS = ("allegro_right", "three_finger", "hey5", "g1_right", "ur5_allegro")
+
+
+def _points_in_palm(
+    hand: Hand, q: Array, places: Sequence[tuple[int, Array]] | None = None
+) -> Array:
+    if places is None:
+        frames = hand.point_frames
+        places = [(f.parentJoint, f.placement.translation) for f in frames]
+    return PalmKinematics(hand).points(q, places)
+
+
+def _pinches(fingers: hand_pair.RobotFingers) -> Array:
+    ik = PointIk(fingers.hand, hand_pair._PINCHING.replaced(formulation="direct"))
+    task = hand_pair.gap_task(fingers.hand, [*fingers.pads.values()])
+    postures = [
+        hand_pair.approach(
+            ik, task.aimed_at(task.distances, row), hand_pair._PINCH_STEPS
+        )
+        for row in np.diag(task.weights)
+    ]
+    return np.array(postures)
 
 
 @pytest.fixture
@@ -31,11 +55,11 @@ def in_python(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     """Take the core away from what is called afterwards."""
 
     def take() -> None:
-        for module in (hand_pair, posture_module, surface_gaps):
-            monkeypatch.setattr(module, "core_tree", lambda _: None)
-        for name in ("_OPENING", "_PINCHING"):
-            options = getattr(hand_pair, name).replaced(formulation="direct")
-            monkeypatch.setattr(hand_pair, name, options)
+        monkeypatch.setattr(hand_pair, "nearest_posture", nearest_posture)
+        monkeypatch.setattr(hand_pair, "points_in_palm", _points_in_palm)
+        monkeypatch.setattr(hand_pair.RobotFingers, "pinches", property(_pinches))
+        options = hand_pair._OPENING.replaced(formulation="direct")
+        monkeypatch.setattr(hand_pair, "_OPENING", options)
         hand_pair.robot_fingers.cache_clear()
         hand_pair.hand_pair.cache_clear()
 
@@ -75,7 +99,7 @@ def test_the_robot_is_matched_to_people_as_in_python(
 
 @pytest.mark.parametrize("name", HANDS)
 def test_a_posture_is_the_nearest_one_to_hostile_targets_too(
-    name: str, in_python: Callable[[], None]
+    name: str,
 ) -> None:
     hand = load_hand(name)
     rng = np.random.default_rng(1)
@@ -88,13 +112,12 @@ def test_a_posture_is_the_nearest_one_to_hostile_targets_too(
         start = rng.uniform(hand.lower_limits, hand.upper_limits)
         arguments = hand, targets, costs, 0.05, start
         cases.append((arguments, posture_module.nearest_posture(*arguments)))
-    in_python()
     apart = []
     for arguments, q in cases:
         assert (q >= hand.lower_limits).all()
         assert (q <= hand.upper_limits).all()
-        other = posture_module.nearest_posture(*arguments)
-        terms_at = posture_module._distance(*arguments[:4])
+        other = nearest_posture(*arguments)
+        terms_at = distance(*arguments[:4])
         values = [terms_at(x).value for x in (q, other)]
         # Of several minima nearby, rounding may choose.
         apart.append(abs(values[0] - values[1]) / values[1])
@@ -120,7 +143,7 @@ def test_people_are_measured_as_by_procrustes_analysis() -> None:
 
 
 @pytest.mark.parametrize("name", HANDS)
-def test_gaps_are_measured_as_by_coal(name: str, in_python: Callable[[], None]) -> None:
+def test_gaps_are_measured_as_by_coal(name: str) -> None:
     robot = load_hand(name)
     rng = np.random.default_rng(5)
     q = rng.uniform(
@@ -129,13 +152,13 @@ def test_gaps_are_measured_as_by_coal(name: str, in_python: Callable[[], None]) 
     meter = GapMeter(robot)
     near, pinches = meter.nearest(q, most=-0.001), meter.pinches(q)
     assert GapMeter(robot).nearest(q[:1]) == meter.nearest(q[:1])
-    in_python()
     # coal's search ends at 1e-6, and overlaps of curved shapes are less exact.
-    expected = meter.pinches(q)
-    assert pinches.keys() == expected.keys()
-    for finger, gap in expected.items():
+    for finger, geometry in meter._pinching.items():
+        gap = pair_distances(robot, geometry, q).min(axis=1)
         np.testing.assert_allclose(pinches[finger], gap, atol=2e-5)
-    np.testing.assert_allclose(near, meter.nearest(q, most=-0.001), atol=2e-5)
+    contacts = robot_fingers(robot).contacts
+    expected = pair_distances(robot, contacts.geometry, q).min(axis=1, initial=-0.001)
+    np.testing.assert_allclose(near, expected, atol=2e-5)
 
 
 @pytest.mark.parametrize("name", ["human", "human_left"])
@@ -159,7 +182,10 @@ def test_the_core_moves_the_joints_of_a_scaled_hand(name: str) -> None:
         palm = human.frame_pose("palm", q)
         expected = transform_points(inverse_pose(palm), human.points(q))
         tree: Any = core_tree(human)
-        in_palm = tree.points(q, human.reference_points)
+        np.testing.assert_allclose(tree.points(q), expected, atol=1e-12)
+        links = [point.link for point in human.reference_points]
+        offsets = np.array([point.xyz for point in human.reference_points])
+        in_palm = tree.points_on_links(q, links, offsets)
         np.testing.assert_allclose(in_palm, expected, atol=1e-12)
         at_rest = human.points(human.rest)
         np.testing.assert_allclose(landmarks_at_rest(human), at_rest, atol=1e-12)

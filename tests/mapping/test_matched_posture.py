@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from marks import slow
+from oracles.nearest_posture import distance
 
 from handmap_qp import load_hand
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.nearest_posture import _distance, nearest_posture
+from handmap_qp.ik.nearest_posture import nearest_posture
 
 REST_COST = 0.05
 
@@ -32,7 +33,7 @@ def test_nothing_nearby_is_better(name: str, seed: int) -> None:
     hand, targets, costs = case(name, seed)
     q = nearest_posture(hand, targets, costs, REST_COST, hand.rest)
     assert ((q >= hand.lower_limits) & (q <= hand.upper_limits)).all()
-    terms_at = _distance(hand, targets, costs, REST_COST)
+    terms_at = distance(hand, targets, costs, REST_COST)
     free = ~hand.moves_wrist
     assert free.sum() == len(hand.spec.joints)
     np.testing.assert_array_equal(q[~free], hand.rest[~free])
@@ -51,7 +52,7 @@ def test_nothing_nearby_is_better(name: str, seed: int) -> None:
 @pytest.mark.parametrize("name", ["allegro_right", "hey5", "ur5_allegro"])
 def test_derivatives_are_those_of_the_value(name: str) -> None:
     hand, targets, costs = case(name, 0)
-    terms_at = _distance(hand, targets, costs, REST_COST)
+    terms_at = distance(hand, targets, costs, REST_COST)
     found, step, free = terms_at(hand.rest), 1e-6, ~hand.moves_wrist
     # Joints that move the wrist stay: nothing but the pull to rest is known of them.
     assert not found.gradient[~free].any()

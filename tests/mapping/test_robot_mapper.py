@@ -6,6 +6,7 @@ import copy
 import pickle
 from collections.abc import Mapping
 from dataclasses import replace
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any
 
@@ -221,12 +222,12 @@ def test_one_call_for_all_hands_is_a_call_for_each(g1: Hand) -> None:
             np.testing.assert_array_equal(part.ik.points, other.hands[side].ik.points)
             np.testing.assert_array_equal(leader.asked.pose.wrist, wrists[side])
             assert leader.since == own.since
-    if (core := at_once.core) is not None:
-        arguments = "_joints", q, wrists, DT, at_once.base_pose
-        assert isinstance(core.map(*arguments), RobotStep)
-        # Python says what is wrong with the others.
-        assert core.map("_joints", {"left": q["left"]}, *arguments[2:]) is None
-        assert core.map("_joints", q | {"left": q["left"][1:]}, *arguments[2:]) is None
+    given = attrgetter("_joints"), q, wrists, DT
+    assert isinstance(at_once._mapped_in_core(*given), RobotStep)
+    # Python says what is wrong with the others.
+    others: list[Any] = [{"left": q["left"]}, q | {"left": q["left"][1:]}]
+    for wrong in others:
+        assert at_once._mapped_in_core(given[0], wrong, *given[2:]) is None
 
 
 def test_smoothing_counts_from_where_the_robot_is(g1: Hand) -> None:

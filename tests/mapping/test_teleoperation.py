@@ -471,7 +471,7 @@ def test_the_weight_of_the_thumbs_extension_counts_for_the_thumb_alone() -> None
         q[HUMAN.joint_names.index(name)] = angle
     method = BoundTeleoperation(Teleoperation(pinch_weight=0.0), HUMAN, ALLEGRO)
     pair, points = method.pair, HUMAN.points(q)
-    distances = np.zeros(len(method.aim_slopes))
+    distances = np.zeros(len(method.model.aim_slopes))
     distances[: len(pair.fingers)] = np.linalg.norm(
         points[pair.tips] - points[pair.knuckles], axis=1
     )
@@ -495,7 +495,7 @@ def test_a_gap_to_the_thumb_grows_with_the_hands_but_between_jaws_it_is_the_obje
 ) -> None:
     method = BoundTeleoperation(Teleoperation(), HUMAN, load_hand(name))
     pair = method.pair
-    narrow = np.full(len(method.aim_slopes), 0.06)
+    narrow = np.full(len(method.model.aim_slopes), 0.06)
     grown = (method.aims(narrow + 0.01) - method.aims(narrow))[len(pair.fingers) :]
     ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
     assert len(grown) > 0
@@ -507,8 +507,8 @@ def test_a_gap_to_the_thumb_grows_with_the_hands_but_between_jaws_it_is_the_obje
 def test_no_finger_is_asked_for_more_than_its_reach_and_no_pad_into_another() -> None:
     method = BoundTeleoperation(Teleoperation(), HUMAN, ALLEGRO)
     count = len(method.pair.fingers)
-    shortest = method.aims(np.zeros(len(method.aim_slopes)))
-    longest = method.aims(np.full(len(method.aim_slopes), 1.0))
+    shortest = method.aims(np.zeros(len(method.model.aim_slopes)))
+    longest = method.aims(np.full(len(method.model.aim_slopes), 1.0))
     np.testing.assert_array_equal(longest[:count], method.pair.robot_reach)
     assert (shortest[:count] >= 0.0).all()
     assert (shortest[count:] > 0.0).all()
@@ -654,12 +654,14 @@ def test_picking_changes_rows_in_proportion_and_of_jaws_no_ratio() -> None:
         for share in (0.0, 1.0)
     ]
     half = BoundTeleoperation(Teleoperation(picking=0.5), HUMAN, ALLEGRO)
-    slopes = np.array([method.aim_slopes for method in ends])
-    np.testing.assert_allclose(half.aim_slopes, slopes.mean(axis=0), rtol=1e-12)
-    assert half.pinch_from == pytest.approx(np.mean([m.pinch_from for m in ends]))
+    slopes = np.array([method.model.aim_slopes for method in ends])
+    np.testing.assert_allclose(half.model.aim_slopes, slopes.mean(axis=0), rtol=1e-12)
+    assert half.model.pinch_from == pytest.approx(
+        np.mean([m.model.pinch_from for m in ends])
+    )
     gripper = load_hand("panda_gripper")
     jaws = BoundTeleoperation(Teleoperation(picking=1.0), HUMAN, gripper)
-    np.testing.assert_array_equal(jaws.aim_slopes[len(jaws.pair.fingers) :], 1.0)
+    np.testing.assert_array_equal(jaws.model.aim_slopes[len(jaws.pair.fingers) :], 1.0)
     # They follow a gap of any size.
     assert jaws.pinching(np.array([0.5])) == 1.0
 
@@ -678,15 +680,15 @@ def test_each_constant_of_picking_is_that_of_its_end() -> None:
         np.testing.assert_allclose(shares, (0.0, 0.5, 1.0), atol=1e-12)
     # The thumb's extension counts half; others as before.
     halves = [0.5 if name == THUMB else 1.0 for name in gestures.pair.fingers]
-    weights = gestures.extension_weights
-    np.testing.assert_allclose(objects.extension_weights, halves * weights)
+    weights = gestures.model.extension_weights
+    np.testing.assert_allclose(objects.model.extension_weights, halves * weights)
     # Pads of a closed pinch overlap by 4 mm more, and are closed from a gap of 12 mm more on.
     rows = slice(len(halves), None)
-    deeper = gestures.least_aims - objects.least_aims
+    deeper = gestures.model.least_aims - objects.model.least_aims
     np.testing.assert_allclose(deeper[rows], 0.004, atol=1e-12)
     lengths = np.full(len(weights) + len(gestures.pinched), 0.013 + 0.012)
     closed = objects.aims(lengths)[rows]
-    np.testing.assert_allclose(closed, objects.least_aims[rows], atol=1e-12)
+    np.testing.assert_allclose(closed, objects.model.least_aims[rows], atol=1e-12)
     assert (objects.aims(lengths + 0.002)[rows] > closed + 0.002).all()
 
 

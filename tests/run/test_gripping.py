@@ -176,7 +176,8 @@ def test_a_hand_that_cannot_grip_follows(site: Path, tmp_path: Path) -> None:
 
 def test_a_file_from_before_grips_follows(site: Path, tmp_path: Path) -> None:
     import handmap_run
-    from handmap_run.form import File, decode, encode
+    from handmap_run.form import File, decode
+    from handmap_run.models import encode
 
     hand = load_hand("panda_gripper")
     file = saved_as(tmp_path, HandMapper(HUMAN, hand, "teleoperation"))

@@ -289,16 +289,17 @@ def test_a_file_of_the_first_version_is_read(saved: Path) -> None:
 
 def test_other_names_are_of_another_version(saved: Path) -> None:
     import handmap_run
-    from handmap_run.form import File, decode, encode
+    from handmap_run.form import File, decode
+    from handmap_run.models import encode
 
     file = msgspec.msgpack.decode(saved.read_bytes(), type=File)
     tree = decode(file.body)
-    del tree["robot"]["spread"]
+    del tree["robot"]["tree_model"]
     body = encode(tree)
     file = msgspec.structs.replace(file, body=body, checksum=zlib.crc32(body))
     saved.write_bytes(msgspec.msgpack.encode(file))
     with pytest.raises(
-        handmap_run.HandError, match=r"does not fit this version.*spread"
+        handmap_run.HandError, match=r"does not fit this version.*tree_model"
     ):
         handmap_run.load(saved)
 

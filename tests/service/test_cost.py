@@ -28,9 +28,9 @@ from handmap_qp.client.messages import HandSample, Step
 from handmap_qp.hands import Side
 from handmap_qp.human.recording import Recording, sample_columns
 
-MOST_CALLS = 122
+MOST_CALLS = 118
 """Calls of Python and C for an answer."""
-MOST_CALLS_FOR_TWO = 365
+MOST_CALLS_FOR_TWO = 345
 """Likewise for a robot with two hands."""
 MOST_CALLS_OF_A_TICK = 14
 """Calls for a look at a session that is led, of which there are 50 in a second."""

@@ -27,6 +27,7 @@ from handmap_qp import (
 from handmap_qp.errors import HandmapError
 from handmap_qp.human.recording import sample_columns
 from handmap_qp.ik.tasks import JointPositions
+from handmap_qp.mapping.method import core_pose
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.plausibility import InputCheck
 
@@ -218,6 +219,7 @@ def test_a_solver_at_work_refuses_every_call() -> None:
     in_core = mapper.core
     solver = ik.core
     reader: Any = mapper.landmarks.core
+    reference: Any = mapper.reference
     motion = mapper.motion
     points = ik.configuration.points
 
@@ -234,7 +236,7 @@ def test_a_solver_at_work_refuses_every_call() -> None:
                 ),
                 lambda: solver.detours,
                 lambda: solver.go_on([]),
-                lambda: in_core.follow(mapper.reference, 0.02, 1.0),
+                lambda: in_core.follow(core_pose(reference), 0.02, 1.0),
                 lambda: in_core.map(reader, SAMPLE.landmarks, None, 0.02),
             ]
         )

@@ -95,7 +95,9 @@ def all_lies() -> list[Lie]:
         Lie("inverse wrist pose", "wrist", _inverse),
         *(
             Lie(f"order of {name.split()[-1]}", "order", _ordered(order))
-            for name, order in known_orders()[0].items()
+            for name, order in zip(
+                known_orders().names, known_orders().indices, strict=True
+            )
             if name.startswith("that of the layout ")
         ),
         Lie("thumb last", "order", _ordered(_finger_order(1, 2, 3, 4, 0))),

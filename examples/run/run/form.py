@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, cast
 
 import msgspec
-import numpy as np
+
+from handmap_qp.models import unpacked
 
 KIND = "handmap hand"
 HAND, ROBOT = 1, 2
 """Forms of what a file has: a hand, or a robot with two."""
-TYPES = ("<f8", "<i8", "<i4", "|b1")
-"""Numbers that arrays may have."""
-_ARRAY = 1
 
 
 class File(msgspec.Struct, frozen=True):
@@ -34,32 +31,7 @@ class File(msgspec.Struct, frozen=True):
     form: int = HAND
 
 
-def _pack(value: Any) -> msgspec.msgpack.Ext:
-    if not isinstance(value, np.ndarray):
-        raise TypeError(f"no form for {type(value).__name__}")
-    kind = np.dtype(value.dtype).newbyteorder("<").str
-    if kind not in TYPES:
-        raise TypeError(f"no form for numbers of the type {kind}")
-    head = kind, value.shape, np.ascontiguousarray(value, kind).tobytes()
-    return msgspec.msgpack.Ext(_ARRAY, msgspec.msgpack.encode(head))
-
-
-def _unpack(code: int, data: memoryview) -> np.ndarray:
-    kind, shape, numbers = msgspec.msgpack.decode(
-        data, type=tuple[str, tuple[int, ...], bytes]
-    )
-    if code != _ARRAY or kind not in TYPES:
-        raise ValueError("no such numbers")
-    if math.prod(shape) * np.dtype(kind).itemsize != len(numbers):
-        raise ValueError("an array of another size")
-    # A copy, aligned; nobody writes to it.
-    array = np.frombuffer(numbers, kind).reshape(shape).copy()
-    array.setflags(write=False)
-    return array
-
-
-encode = msgspec.msgpack.Encoder(enc_hook=_pack).encode
-_decode = msgspec.msgpack.Decoder(ext_hook=_unpack).decode
+_decode = msgspec.msgpack.Decoder(ext_hook=unpacked).decode
 
 
 def decode(body: bytes) -> Any:

@@ -18,6 +18,7 @@ from handmap_qp.ik.tasks import PointDistances
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.methods import homogeneous, teleoperation
+from handmap_qp.models import DistancesModel, EstimatorModel, TeleoperationModel
 from handmap_qp.stream.follower import RejoinKind, Smoothing
 from handmap_qp.stream.hand_grip import GripOptions
 from .form import HAND, KIND, ROBOT, File, decode
@@ -29,10 +30,13 @@ if TYPE_CHECKING:
     from .robot_gripping import GrippingRobotFollower
 
 _MAKERS: dict[str, type] = {
+    "DistancesModel": DistancesModel,
+    "EstimatorModel": EstimatorModel,
     "Homogeneous": homogeneous.Homogeneous,
     "IkOptions": IkOptions,
     "Pad": Pad,
     "Teleoperation": teleoperation.Teleoperation,
+    "TeleoperationModel": TeleoperationModel,
 }
 """Kinds that are made of their fields by a call."""
 _KINDS: dict[str, type] = {

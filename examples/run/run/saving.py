@@ -12,12 +12,14 @@ import pinocchio as pin
 import handmap_qp
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
-from handmap_qp.human import landmarks_at_rest
+from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.compiled import hand_model
 from handmap_qp.mapping import HandMapper, RobotMapper, robot_fingers
+from handmap_qp.models import Model, encode
 from handmap_qp.options import Options
 from handmap_qp.stream import can_grip
 from handmap_qp.trackers import LAYOUTS
-from .form import HAND, KIND, ROBOT, File, encode
+from .form import HAND, KIND, ROBOT, File
 
 _HAND = """
 name side mount is_floating joint_names all_joint_names limits lower_limits upper_limits
@@ -29,17 +31,8 @@ _ATTRIBUTES = {
     "Hand": _HAND,
     "HandSpec": "side wrist upright",
     "WristSpec": "max_linear_speed max_angular_speed",
-    "PointSpec": "name",
+    "PointSpec": "name link xyz",
     "Frame": "parentJoint placement",
-    "CollisionLimit": "margin horizon columns bounds yielding",
-    "ContactYield": "forces depths compliances torques",
-    "PairBounds": "geometry levers turns signs links",
-    "GeometryModel": "geometryObjects collisionPairs",
-    "GeometryObject": "parentJoint placement geometry",
-    "CollisionPair": "first second",
-    "Box": "halfSide aabb_center aabb_radius",
-    "Sphere": "radius aabb_center aabb_radius",
-    "Capsule": "radius halfLength aabb_center aabb_radius",
     "MotionEstimator": "ridge centroid shares centred gain prior_gain _singular_values",
     "PointDistances": "points first second distances weights",
     "AttachedPoints": "joints offsets",
@@ -48,16 +41,8 @@ _ATTRIBUTES = {
         wrist_to_palm
     """,
     "BoundTeleoperation": """
-        alignment choices pair estimator pinch_from pinch_over pinched distances aim_slopes
-        aim_offsets least_aims largest_aims extension_weights pinch_weight base_margins pinch_pairs
-        pinch_of_pair pinch_margins contact_slope wrist_to_palm
+        alignment choices model estimator distances human_anchor robot_anchor wrist_to_palm
     """,
-    "HandPair": """
-        fingers partners finger_of tips knuckles finger_ratio matched human_rest robot_rest
-        human_knuckles robot_knuckles finger_likeness robot_bases robot_centre shape_points
-        human_reach reach_ratios palms is_carried regularisation
-    """,
-    "PalmMatch": "turn bases likeness",
     "Pad": "joint offset radius cover",
     "Finger": "columns is_jaw",
 }
@@ -79,7 +64,7 @@ def saved(mapper: HandMapper | RobotMapper) -> bytes:
     """
     if not mapper.ik.is_compiled:
         _refuse("formulation", "the compiled core does not move this hand as asked")
-    collisions = _packed(mapper.point_ik.gate.collisions)
+    collisions = _collisions(mapper.point_ik.gate.collisions)
     if isinstance(mapper, RobotMapper):
         form, tree = ROBOT, _robot(mapper, collisions)
     else:
@@ -95,7 +80,7 @@ def _robot(mapper: RobotMapper, collisions: Any) -> dict[str, Any]:
     # Which pairs of a hand pinch, among those of all hands and among its own.
     contacts = mapper._pinching or [()] * len(mapper.leaders)
     leaders = zip(mapper.leaders.values(), contacts, strict=True)
-    robot = _packed(mapper.robot) | {"landmarks": None, "collisions": collisions}
+    robot = _hand_of(mapper.robot) | {"collisions": collisions}
     return {
         "": "Saved",
         "robot": robot,
@@ -111,10 +96,11 @@ def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
         _refuse("method", f"{kind.removeprefix('Bound')} is in Python alone")
     if mapper.tasks or mapper.ik.tasks:
         _refuse("tasks", "further tasks are in Python alone")
-    robot = _packed(mapper.robot) | {"landmarks": None, "collisions": collisions}
+    robot = _hand_of(mapper.robot) | {"collisions": collisions}
     if can_grip(mapper):
         robot["grasp"] = _grasp(mapper.robot)
-    human = _packed(mapper.human) | {"landmarks": landmarks_at_rest(mapper.human)}
+    landmarks = mapper.human.with_points("landmarks").reference_points
+    human = _hand_of(mapper.human) | {"landmarks": _packed(landmarks)}
     orders = {
         name: np.array(layout.order("right"))
         for name, layout in LAYOUTS.items()
@@ -130,6 +116,24 @@ def _hand(mapper: HandMapper, contacts: Any, collisions: Any) -> dict[str, Any]:
         "joint_tolerance": mapper.joint_tolerance,
         "quat_order": mapper.quat_order,
         "orders": orders,
+    }
+
+
+def _hand_of(hand: Hand) -> dict[str, Any]:
+    """Return what is read of a hand in Python, and its model for the core."""
+    return _packed(hand) | {"tree_model": encode(hand_model(hand))}
+
+
+def _collisions(limit: CollisionLimit | None) -> dict[str, Any] | None:
+    """Return the pairs of shapes that a hand keeps apart, and how."""
+    if limit is None:
+        return None
+    return {
+        "": "CollisionLimit",
+        "pairs": encode(limit.bounds.model()),
+        "model": encode(limit.model),
+        "links": limit.bounds.links,
+        "columns": limit.columns,
     }
 
 
@@ -163,6 +167,9 @@ def _packed(value: Any) -> Any:
         return value
     if isinstance(value, pin.SE3):
         return {"": "Pose", "homogeneous": value.homogeneous}
+    if isinstance(value, Model):
+        names = value.__struct_fields__
+        return {"": kind} | {name: _packed(getattr(value, name)) for name in names}
     if isinstance(value, Options):
         return {"": kind} | {name: _packed(each) for name, each in value.values.items()}
     if make := _MADE.get(kind):
@@ -198,13 +205,5 @@ def _joint(joint: pin.JointModel) -> dict[str, Any]:
     }
 
 
-def _convex(shape: Any) -> dict[str, Any]:
-    return {
-        "corners": np.array(shape.points()),
-        "aabb_center": shape.aabb_center,
-        "aabb_radius": shape.aabb_radius,
-    }
-
-
-_MADE = {"Model": _model, "JointModel": _joint, "Convex": _convex}
+_MADE = {"Model": _model, "JointModel": _joint}
 """What the core reads of classes of Pinocchio and coal by their methods."""

@@ -171,7 +171,17 @@ def measure_episode(
     """
     found = []
     for recording in recordings:
-        found.append(core.measure_episode(recording, trajectory))
+        samples = core.Samples(recording.time, recording.landmarks, recording.valid)
+        found.append(
+            core.measure_episode(
+                samples,
+                trajectory.valid,
+                trajectory.point_error,
+                trajectory.at_limit,
+                trajectory.at_speed_limit,
+                trajectory.q,
+            )
+        )
         if meter := _meter(robot.by_side[recording.side]):
             found[-1] |= _surfaces(recording, trajectory, contact_gap, meter)
     rounded = {}

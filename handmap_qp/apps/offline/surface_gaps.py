@@ -10,7 +10,6 @@ from handmap_qp.hands import (
     Hand,
     distal_shapes,
     find_fingers,
-    pair_distances,
     paired,
     read_collision_shapes,
 )
@@ -77,8 +76,5 @@ class GapMeter:
     def _smallest(self, geometry: pin.GeometryModel, q: Array, most: float) -> Array:
         """Measure the least distance of any of the pairs, at most `most` [m], shape (T,)."""
         hand = self._hand
-        if tree := core_tree(hand):
-            pairs = pair_bounds(hand.model, geometry)
-            return tree.smallest_distances(pairs.core, q, [0], most)[:, 0]
-        distances = pair_distances(hand, geometry, q)
-        return distances.min(axis=1, initial=most)
+        pairs = pair_bounds(hand.model, geometry)
+        return core_tree(hand).smallest_distances(pairs.core, q, [0], most)[:, 0]

@@ -18,10 +18,12 @@ from msgspec import Meta
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands import Hand
-from handmap_qp.ik import Compiled, IkOptions
+from handmap_qp.ik import IkOptions
+from handmap_qp.ik.core import core
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
+    CoreMap,
     HumanPose,
     MotionEstimator,
     PalmMethod,
@@ -34,11 +36,12 @@ from handmap_qp.mapping import (
     rotation_of,
 )
 from handmap_qp.mapping.decomposition import about, polar
+from handmap_qp.models import HomogeneousModel, encode
 from handmap_qp.options import NotNegative, Share, number
 from handmap_qp.se3 import Array, affine, frozen, inverse_pose, transform_points
 
 
-class HomogeneousMap(Compiled):
+class HomogeneousMap(CoreMap):
     """From samples to targets, counted from one reference of both hands; see `TargetMap`."""
 
     def __init__(
@@ -85,6 +88,32 @@ class HomogeneousMap(Compiled):
             )
             ratio = robot_size / human_size if human_size > 0.0 else 1.0
             self.share[pairs] = options.residual_gain * ratio
+
+    def make_core(self) -> Any:
+        """Return this map as the core has it."""
+        return core.HomogeneousMap(encode(self.model()))
+
+    def model(self) -> HomogeneousModel:
+        """Return what the core computes targets with."""
+        options = self.options
+        needs_wrist = options.rigid_from == "wrist"
+        return HomogeneousModel(
+            rigid_from=options.rigid_from,
+            rest=self.rest,
+            estimator=self.estimator.model(),
+            stretch_min=options.stretch_min,
+            stretch_max=options.stretch_max,
+            deformation_gain=options.deformation_gain,
+            scale=options.scale,
+            pivot=self.pivot,
+            origin=self.origin,
+            alignment=self.alignment,
+            human_wrist=self.human_wrist if needs_wrist else None,
+            robot_wrist=self.robot_wrist,
+            human_offsets=self.human_offsets,
+            robot_offsets=self.robot_offsets,
+            share=self.share,
+        )
 
     def targets(self, sample: HumanPose) -> Targets:
         """Estimate T, split it about the pivot, and impose both parts on the robot."""

@@ -10,7 +10,8 @@ extended, and that thumb and finger touch. Contact rows keep links apart.
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Self
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
@@ -26,10 +27,12 @@ from handmap_qp.hands import (
     ShapePairs,
     yield_to,
 )
-from handmap_qp.ik import Compiled, IkOptions
+from handmap_qp.ik import IkOptions
+from handmap_qp.ik.core import core
 from handmap_qp.mapping import (
     FOLLOWING,
     AlignedOptions,
+    CoreMap,
     HumanPose,
     MotionEstimate,
     MotionEstimator,
@@ -45,6 +48,7 @@ from handmap_qp.mapping.hand_pair import (
     touching_distances,
 )
 from handmap_qp.mapping.palm import point_indices
+from handmap_qp.models import TeleoperationModel, encode
 from handmap_qp.options import Share, number
 from handmap_qp.se3 import (
     Array,
@@ -69,7 +73,10 @@ _SLACK = 0.0, 0.012
 _OPENING = 1.0, 1.4
 # Share of the weight of the thumb's extension: it says less where objects count.
 _THUMB_EXTENSION = 1.0, 0.5
+# Margin between thumb and finger: its rise with the human's gap, and where it begins and ends [m].
 _CONTACT_SLOPE = 0.25
+_CONTACT_FROM = 0.018
+_CONTACT_MOST = 0.005
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
 
@@ -79,95 +86,47 @@ _KNOWN = "palm", "gaps", "pinching", "extensions"
 finger's [m], and the share of each pinch row's weight, (p,) both; and shares of reach, (f,)."""
 
 
-class TeleoperationMap(Compiled, PalmMap):
-    """From samples to targets; see `TargetMap`. Attributes are what `targets` computes with."""
+class TeleoperationMap(CoreMap, PalmMap):
+    """From samples to targets; see `TargetMap`. `model` has what `targets` computes with."""
 
     def __init__(
         self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture
     ) -> None:
-        pair = method.pair
-        anchors = pair.human_knuckles, pair.robot_knuckles
+        anchors = method.human_anchor, method.robot_anchor
         super().__init__(method, sample, robot, *anchors, method.choices.scale)
-        self.rest = pair.matched
         self.method = method
-        self.pair = pair
-        self.regularisation = pair.regularisation
-        self.estimator = method.estimator
+        self.model = method.model
+        self.rest = method.model.rest
         self.palm_before = method.palm_of(sample)
-        # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
-        # thumb's.
-        count = len(method.pinched)
-        self.from_points = np.append(pair.knuckles, pair.tips[:1].repeat(count))
-        self.to_points = np.append(pair.tips, pair.tips[1 : 1 + count])
-        self.gain = method.choices.residual_gain * pair.finger_ratio
-        partners = pair.human_rest[pair.partners] - self.estimator.centroid
-        self.offsets = pair.robot_rest - pair.robot_centre - self.gain * partners
-        self._prepare_directions()
 
-    def _prepare_directions(self) -> None:
-        """Say how the person's vectors from the knuckles become the robot's, for each point.
-
-        A finger that is like the person's is asked for places: the robot's knuckle plus the
-        person's vector, times the ratio of reaches. Another finger is asked for changes from rest,
-        where it is as in the matched posture, and another thumb only for the motion of the hand.
-        """
-        pair = self.pair
-        choices = self.method.choices
-        finger = pair.finger_of
-        self.starts = pair.knuckles[finger]
-        human = pair.human_rest[pair.partners] - pair.human_rest[self.starts]
-        robot = pair.robot_rest - pair.robot_bases[finger]
-        reaches = lengths(human)
-        is_base = reaches == 0.0
-        at_rest = lengths(robot) / np.where(is_base, 1.0, reaches)
-        changed = pair.robot_rest - at_rest[:, None] * human
-        is_thumb = np.array(pair.fingers)[finger] == THUMB
-        like = pair.finger_likeness[finger]
-        placed = np.where(is_thumb, 1.0, like)
-        self.ratios = placed * pair.reach_ratios[finger] + (1.0 - placed) * at_rest
-        self.bases = (
-            placed[:, None] * pair.robot_bases[finger]
-            + (1.0 - placed[:, None]) * changed
-        )
-        of_thumb = like * choices.thumb_direction
-        directions = np.where(is_thumb, of_thumb, choices.finger_direction)
-        exact = pair.palms.likeness
-        self.directions = exact + (1.0 - exact) * directions
-        self._carry_bases()
-
-    def _carry_bases(self) -> None:
-        """Let bases that a joint moves on the palm follow the person's, on hands that are alike."""
-        pair = self.pair
-        is_carried = pair.palms.likeness * pair.is_carried[pair.finger_of]
-        self.carried = is_carried * pair.reach_ratios[pair.finger_of]
-        at_start = pair.human_rest[self.starts]
-        moved = (pair.palms.bases - pair.robot_bases)[pair.finger_of]
-        self.bases += is_carried[:, None] * moved - self.carried[:, None] * at_start
+    def make_core(self) -> Any:
+        """Return this map as the core has it."""
+        return core.TeleoperationMap(self.method.model_bytes, encode(self.palm_model()))
 
     def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
         method = self.method
-        pair = self.pair
+        model = self.model
         human_palm, palm, now = self.follow(sample)
-        shape = now[pair.shape_points]
-        estimate = self.estimator.estimate(shape)
-        distances = lengths(now[self.to_points] - now[self.from_points])
-        extensions, gaps = np.split(distances, [len(pair.fingers)])
+        shape = now[model.shape_points]
+        estimate = method.estimator.estimate(shape)
+        distances = lengths(now[model.to_points] - now[model.from_points])
+        extensions, gaps = np.split(distances, [len(model.human_reach)])
         pinching = method.pinching(gaps)
-        pinches = method.pinch_weight * pinching
+        pinches = model.pinch_weight * pinching
         points = self._moved(estimate, now)
         # Away from a pinch, fingers point as the human's do.
         closing = np.append(pinching.max(initial=0.0), pinching)
-        closing = closing.take(pair.finger_of, mode="clip")
-        shares = self.directions * (1.0 - (1.0 - pair.palms.likeness) * closing)
-        vectors = now[pair.partners] - now[self.starts]
-        led = self.bases + self.ratios[:, None] * vectors
-        led += self.carried[:, None] * now[self.starts]
+        closing = closing.take(model.finger_of, mode="clip")
+        shares = model.directions * (1.0 - (1.0 - model.likeness) * closing)
+        vectors = now[model.partners] - now[model.starts]
+        led = model.bases + model.ratios[:, None] * vectors
+        led += model.carried[:, None] * now[model.starts]
         points += shares[:, None] * (led - points)
         parts = [
             *self.placed(palm, points),
             method.aims(distances),
-            np.append(method.extension_weights, pinches),
+            np.append(model.extension_weights, pinches),
             method.margins(gaps),
             estimate.linear,
             estimate.centroid_after,
@@ -175,7 +134,7 @@ class TeleoperationMap(Compiled, PalmMap):
             human_palm,
             gaps,
             pinching,
-            extensions / pair.human_reach,
+            extensions / model.human_reach,
         ]
         return self.asked(parts)
 
@@ -187,7 +146,7 @@ class TeleoperationMap(Compiled, PalmMap):
         """
         del is_clamped
         points, wrist, aims, weights, margins, *rest = parts
-        estimate = self.estimator.estimate_of(*rest[:3])
+        estimate = self.method.estimator.estimate_of(*rest[:3])
         known = dict(zip(_KNOWN, rest[3:], strict=True))
         palm = known["palm"]
         rigid = palm @ inverse_pose(self.palm_before)
@@ -209,7 +168,7 @@ class TeleoperationMap(Compiled, PalmMap):
             found | known,
             (self.method.distances.aimed_at(aims, weights),),
             margins if self.method.contacts else None,
-            regularisation=self.regularisation,
+            regularisation=self.model.regularisation,
         )
 
     def _moved(self, estimate: MotionEstimate, now: Array) -> Array:
@@ -219,13 +178,13 @@ class TeleoperationMap(Compiled, PalmMap):
         c and c' the centroids, k the ratio of reaches and g the gain:
         `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`.
         """
-        pair = self.pair
+        model = self.model
         shift = estimate.centroid_after
-        followed = self.offsets @ estimate.linear.T + pair.robot_centre
+        followed = model.offsets @ estimate.linear.T + model.robot_centre
         return (
             followed
-            + pair.finger_ratio * (shift - estimate.centroid_before)
-            + self.gain * (now[pair.partners] - shift)
+            + model.ratio * (shift - estimate.centroid_before)
+            + model.gain * (now[model.partners] - shift)
         )
 
 
@@ -233,9 +192,6 @@ class BoundTeleoperation(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
     map_type = TeleoperationMap
-    # Margin between thumb and finger: where it begins, and most [m].
-    contact_from = 0.018
-    contact_most = 0.005
 
     def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
         self.choices = choices
@@ -243,21 +199,17 @@ class BoundTeleoperation(PalmMethod):
         pair = self.pair
         super().__init__(choices, human, pair.robot)
         self.wrist_to_palm = human.wrist_to_palm @ affine(pair.palms.turn.T)
+        self.human_anchor = pair.human_knuckles
+        self.robot_anchor = pair.robot_knuckles
         self.contacts = self._contacts() if choices.avoids_contact else None
-        # Margin between thumb and finger per human gap beyond where it begins. Places keep the gaps
-        # of a hand like the person's by themselves.
-        self.contact_slope = (1.0 - pair.palms.likeness) * _CONTACT_SLOPE
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge
         )
-        self.pinch_from = math.inf if pair.has_jaws else choices.picked(_PINCH_FROM)
-        self.pinch_over = choices.picked(_PINCH_OVER)
         # The thumb comes first.
         self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
         self.pads = pair.measured.pinching
         self.distances = pair.measured.distances
-        self._prepare_aims()
-        self._prepare_margins()
+        self.model = self._make_model()
 
     def _contacts(self) -> ShapePairs:
         """Return the pairs that are kept apart, or may press on each other."""
@@ -276,13 +228,99 @@ class BoundTeleoperation(PalmMethod):
     def start_palm(self, sample: HumanPose) -> Array:
         """Return the human's palm, moved so that the knuckles of both hands have one centre."""
         palm = super().start_palm(sample)
-        palm[:3, 3] += palm[:3, :3] @ (
-            self.pair.human_knuckles - self.pair.robot_knuckles
-        )
+        palm[:3, 3] += palm[:3, :3] @ (self.human_anchor - self.robot_anchor)
         return palm
 
-    def _prepare_aims(self) -> None:
-        """Make the wanted distance of each row a linear function of the human's, within bounds."""
+    def _make_model(self) -> TeleoperationModel:
+        """Return what targets are computed with, whatever the reference."""
+        choices = self.choices
+        pair = self.pair
+        likeness = pair.palms.likeness
+        gain = choices.residual_gain * pair.finger_ratio
+        partners = pair.human_rest[pair.partners] - self.estimator.centroid
+        # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
+        # thumb's.
+        count = len(self.pinched)
+        return TeleoperationModel(
+            human_points=len(pair.human_rest),
+            rest=pair.matched,
+            regularisation=pair.regularisation,
+            estimator=self.estimator.model(),
+            shape_points=pair.shape_points,
+            from_points=np.concatenate([pair.knuckles, pair.tips[:1].repeat(count)]),
+            to_points=np.concatenate([pair.tips, pair.tips[1 : 1 + count]]),
+            partners=pair.partners,
+            human_reach=pair.human_reach,
+            **self._aims(),
+            pinch_from=math.inf if pair.has_jaws else choices.picked(_PINCH_FROM),
+            pinch_over=choices.picked(_PINCH_OVER),
+            likeness=likeness,
+            robot_centre=pair.robot_centre,
+            offsets=pair.robot_rest - pair.robot_centre - gain * partners,
+            ratio=pair.finger_ratio,
+            gain=gain,
+            finger_of=pair.finger_of,
+            **self._directions(),
+            **self._margins(),
+            # Places keep the gaps of a hand like the person's by themselves.
+            contact_slope=(1.0 - likeness) * _CONTACT_SLOPE,
+            contact_from=_CONTACT_FROM,
+            contact_most=_CONTACT_MOST,
+            distances=self.distances.model(),
+        )
+
+    @cached_property
+    def model_bytes(self) -> bytes:
+        """The bytes of the model."""
+        return encode(self.model)
+
+    def _directions(self) -> dict[str, Array]:
+        """Return how the person's vectors from the knuckles become the robot's, for each point.
+
+        A finger that is like the person's is asked for places: the robot's knuckle plus the
+        person's vector, times the ratio of reaches. Another finger is asked for changes from rest,
+        where it is as in the matched posture, and another thumb only for the motion of the hand.
+        Bases that a joint moves on the palm follow the person's, on hands that are alike.
+        """
+        pair = self.pair
+        choices = self.choices
+        finger = pair.finger_of
+        starts = pair.knuckles[finger]
+        at_start = pair.human_rest[starts]
+        human = pair.human_rest[pair.partners] - at_start
+        robot = pair.robot_rest - pair.robot_bases[finger]
+        reaches = lengths(human)
+        is_base = reaches == 0.0
+        at_rest = lengths(robot) / np.where(is_base, 1.0, reaches)
+        changed = pair.robot_rest - at_rest[:, None] * human
+        is_thumb = np.array(pair.fingers)[finger] == THUMB
+        like = pair.finger_likeness[finger]
+        placed = np.where(is_thumb, 1.0, like)
+        ratios = placed * pair.reach_ratios[finger] + (1.0 - placed) * at_rest
+        bases = (
+            placed[:, None] * pair.robot_bases[finger]
+            + (1.0 - placed[:, None]) * changed
+        )
+        is_carried = pair.palms.likeness * pair.is_carried[finger]
+        carried = is_carried * pair.reach_ratios[finger]
+        moved = (pair.palms.bases - pair.robot_bases)[finger]
+        bases += is_carried[:, None] * moved - carried[:, None] * at_start
+        of_thumb = like * choices.thumb_direction
+        directions = np.where(is_thumb, of_thumb, choices.finger_direction)
+        exact = pair.palms.likeness
+        return {
+            "starts": starts,
+            "directions": exact + (1.0 - exact) * directions,
+            "bases": bases,
+            "ratios": ratios,
+            "carried": carried,
+        }
+
+    def _aims(self) -> dict[str, Any]:
+        """Return the wanted distance of each row, a linear function of the human's within bounds.
+
+        With the weights of the rows.
+        """
         pair = self.pair
         choices = self.choices
         human = pair.human_rest
@@ -295,54 +333,58 @@ class BoundTeleoperation(PalmMethod):
         ratio = 1.0 if pair.has_jaws else opening
         closed = choices.contact_gap + choices.picked(_SLACK)
         count = len(touching)
-        self.aim_slopes = np.append(pair.reach_ratios, np.full(count, ratio))
-        self.aim_offsets = np.append(extension, touching - ratio * closed)
-        self.least_aims = np.append(np.zeros(len(pair.fingers)), touching)
-        self.largest_aims = np.append(pair.robot_reach, np.full(count, np.inf))
         thumb = choices.thumb_extension_weight * choices.picked(_THUMB_EXTENSION)
         is_thumb = np.array(pair.fingers) == THUMB
         by_finger = np.where(is_thumb, thumb, choices.extension_weight)
         # Corrections end where places agree: a hand like the person's needs none.
-        self.extension_weights = (1.0 - pair.palms.likeness) * by_finger
-        self.pinch_weight = (1.0 - pair.palms.likeness) * choices.pinch_weight
+        corrected = 1.0 - pair.palms.likeness
+        return {
+            "aim_slopes": np.concatenate([pair.reach_ratios, [ratio] * count]),
+            "aim_offsets": np.concatenate([extension, touching - ratio * closed]),
+            "least_aims": np.concatenate([np.zeros(len(extension)), touching]),
+            "largest_aims": np.concatenate([pair.robot_reach, [np.inf] * count]),
+            "extension_weights": corrected * by_finger,
+            "pinch_weight": corrected * choices.pinch_weight,
+        }
+
+    def _margins(self) -> dict[str, Array]:
+        """Return the margins of contact pairs, and which of them belongs to which pinch."""
+        fingers = self.contacts.fingers if self.contacts else ()
+        pinch_of = {finger: pinch for pinch, finger in enumerate(self.pinched)}
+        closing = [(k, pinch_of[f]) for k, f in enumerate(fingers) if f in pinch_of]
+        pairs, pinches = np.array(closing, dtype=int).reshape(-1, 2).T
+        covers = [self.pads[0].cover + pad.cover for pad in self.pads[1:]]
+        return {
+            "base_margins": np.full(len(fingers), LINK_MARGIN),
+            "pinch_pairs": pairs,
+            "pinch_of_pair": pinches,
+            "pinch_margins": _CONTACT_MARGIN + np.array(covers).take(pinches),
+        }
 
     def aims(self, distances: Array) -> Array:
         """Return the wanted distance of each row for the human's, shape (k,) both."""
-        aims = self.aim_slopes * distances + self.aim_offsets
-        return np.clip(aims, self.least_aims, self.largest_aims)
+        model = self.model
+        aims = model.aim_slopes * distances + model.aim_offsets
+        return np.clip(aims, model.least_aims, model.largest_aims)
 
     def pinching(self, gaps: Array) -> Array:
         """Return the share of its weight that each pinch row has at a gap, shape (p,) both.
 
         It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
         """
-        return smoothstep((self.pinch_from - gaps) / self.pinch_over)
+        return smoothstep((self.model.pinch_from - gaps) / self.model.pinch_over)
 
     def margins(self, gaps: Array) -> Array:
         """Return the margin of every contact pair at the human's gaps [m], shape (k,).
 
         That between thumb and finger widens with the gap, so that nothing touches.
         """
-        wide = self.contact_slope * (gaps - self.contact_from)
-        wide = np.clip(wide, 0.0, self.contact_most)
-        margins = self.base_margins.copy()
-        margins[self.pinch_pairs] = self.pinch_margins + wide[self.pinch_of_pair]
+        model = self.model
+        wide = model.contact_slope * (gaps - model.contact_from)
+        wide = np.clip(wide, 0.0, model.contact_most)
+        margins = model.base_margins.copy()
+        margins[model.pinch_pairs] = model.pinch_margins + wide[model.pinch_of_pair]
         return margins
-
-    def _prepare_margins(self) -> None:
-        """Say which contact pair belongs to which pinch."""
-        fingers = self.contacts.fingers if self.contacts else ()
-        self.base_margins = np.full(len(fingers), LINK_MARGIN)
-        closing = [
-            (k, self.pinched.index(f))
-            for k, f in enumerate(fingers)
-            if f in self.pinched
-        ]
-        self.pinch_pairs, self.pinch_of_pair = (
-            np.array(closing, dtype=int).reshape(-1, 2).T
-        )
-        covers = [self.pads[0].cover + pad.cover for pad in self.pads[1:]]
-        self.pinch_margins = _CONTACT_MARGIN + np.array(covers).take(self.pinch_of_pair)
 
 
 _Weight = Annotated[float, number(high=1e3)]

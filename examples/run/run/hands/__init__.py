@@ -12,7 +12,7 @@ from handmap_qp.hands import configuration
 from handmap_qp.hands.configuration import AttachedPoints
 from handmap_qp.hands.pad import Pad
 from handmap_qp.hands.pad import PadPair as PadPair
-from handmap_qp.ik.core import Compiled, core
+from handmap_qp.ik.core import core
 from handmap_qp.se3 import (
     Array,
     as_floats,
@@ -33,8 +33,8 @@ class Record:
 
 
 # Types of arguments, and what only describes a hand that is not saved yet.
-Finger = PointSpec = ShapePairs = Record
-load_hand = moved_by = named_pairs = pair_ends = yield_to = None
+ContactYield = Finger = PointSpec = ShapePairs = Record
+body_models = load_hand = moved_by = named_pairs = pair_ends = yield_to = None
 
 
 class Pose(Record):
@@ -128,32 +128,38 @@ class Data:
         return np.hstack([linear, turning]).T
 
 
-class Convex(Record):
-    """A convex shape; the others are plain records."""
-
-    corners: Array
-
-    def points(self) -> Array:
-        return self.corners
-
-
-class PairBounds(Compiled, Record):
-    """Bounds of pairs of shapes, as of `ik.collision`."""
-
-
 class CollisionLimit(Record):
-    """Pairs of shapes that are kept apart, as of `ik.collision`."""
+    """Pairs of shapes that are kept apart, as of `ik.collision`, and their bounds.
 
-    # Files of former versions do not have it.
-    yielding: Record | None = None
+    Attributes:
+        pairs: Bytes of the pairs.
+        model: Bytes of how they are kept apart.
+        links: Links of each pair.
+        columns: Which active coordinates move shapes against each other.
+    """
 
+    pairs: bytes
+    model: bytes
+    links: tuple[Names, ...]
+    columns: Array
 
-class Frame(Record):
-    """A place on a joint of a model."""
+    @property
+    def bounds(self) -> CollisionLimit:
+        return self
 
-    def __init__(self, joint: int) -> None:
-        self.parentJoint = joint
-        self.placement = Pose.of(np.eye(4))
+    @cached_property
+    def core(self) -> Any:
+        """The core's own pairs."""
+        return core.PairBounds(self.pairs)
+
+    def __getstate__(self) -> Values:
+        """Return all but the core's own, which a copy makes again."""
+        return {name: value for name, value in vars(self).items() if name != "core"}
+
+    def moving_columns(self, spread: Array) -> Array:
+        """Return which active coordinates move shapes against each other."""
+        del spread
+        return self.columns
 
 
 class Configuration(configuration.Configuration):
@@ -164,7 +170,7 @@ class Configuration(configuration.Configuration):
     def place(self, q: Array) -> None:
         """Put the hand at a configuration, shape (nq,)."""
         hand = self._hand
-        poses = hand.tree.poses(q, hand.joint_frames)
+        poses = hand.tree.joint_poses(q)
         self.data = Data(self.model, poses)
         self.q = frozen(np.array(q))
 
@@ -193,7 +199,9 @@ class Hand(Record):
     name: str
     side: Side
     is_floating: bool
-    landmarks: Array | None
+    # Of a human hand, its landmarks as points.
+    landmarks: tuple[Any, ...] | None = None
+    tree_model: bytes
     model: Any
     point_frames: tuple[Any, ...]
     reference_points: tuple[Any, ...]
@@ -215,12 +223,7 @@ class Hand(Record):
     @cached_property
     def tree(self) -> Any:
         """The core's kinematics."""
-        return core.Tree(self)
-
-    @cached_property
-    def joint_frames(self) -> list[Frame]:
-        """The joints of the model, the first of which is the world."""
-        return [*map(Frame, range(self.model.njoints))]
+        return core.Tree(self.tree_model)
 
     def __getstate__(self) -> Values:
         """Return all but the core's own, which a copy makes again."""
@@ -273,7 +276,7 @@ class Hand(Record):
         placed.place(self.configuration_vector(q, wrist_pose))
         return placed
 
-    def with_points(self, points: str) -> Hand:
+    def with_points(self, points: str) -> _Landmarks:
         """Return the human hand with its landmarks in place of its reference points."""
         expect(
             points == "landmarks" and self.landmarks is not None,
@@ -288,16 +291,11 @@ class Hand(Record):
         return (q <= self.lower_limits + 1e-6) | (q >= self.upper_limits - 1e-6)
 
 
-class _Landmarks(Hand):
-    """A human hand at rest, of which only the landmarks are asked for."""
+class _Landmarks(Record):
+    """A human hand of which only its landmarks are asked for."""
 
     def __init__(self, hand: Hand) -> None:
-        self.landmarks = hand.landmarks
-
-    def points(self, q: Any, wrist_pose: Any = None) -> Array:
-        """Return the landmarks at rest, in axes of the wrist [m], shape (21, 3)."""
-        assert self.landmarks is not None
-        return self.landmarks
+        self.reference_points = hand.landmarks
 
 
 def joined(name: str, *hands: Hand) -> Hand:
@@ -319,8 +317,6 @@ KINDS = {
         CollisionLimit,
         JointModel,
         Model,
-        Convex,
-        PairBounds,
         Grasp,
         Hand,
     )

@@ -1,0 +1,35 @@
+"""What the compiled core is made of, as typed structs. Needs numpy and msgspec alone."""
+
+from .encoding import Flags as Flags
+from .encoding import Indices as Indices
+from .encoding import Matrix as Matrix
+from .encoding import Model as Model
+from .encoding import Point as Point
+from .encoding import Points as Points
+from .encoding import Pose as Pose
+from .encoding import Poses as Poses
+from .encoding import Rotation as Rotation
+from .encoding import Vector as Vector
+from .encoding import encode as encode
+from .encoding import encoded as encoded
+from .encoding import unpacked as unpacked
+from .hand import FrameModel as FrameModel
+from .hand import HandModel as HandModel
+from .hand import JointModel as JointModel
+from .hand import PlaceModel as PlaceModel
+from .ik import IkModel as IkModel
+from .limits import BoxLimits as BoxLimits
+from .method import DistancesModel as DistancesModel
+from .method import EstimatorModel as EstimatorModel
+from .method import HomogeneousModel as HomogeneousModel
+from .method import PalmModel as PalmModel
+from .method import TeleoperationModel as TeleoperationModel
+from .person import GuardModel as GuardModel
+from .person import LandmarkReaderModel as LandmarkReaderModel
+from .robot import RobotHandModel as RobotHandModel
+from .robot import RobotModel as RobotModel
+from .shapes import BodyModel as BodyModel
+from .shapes import CollisionModel as CollisionModel
+from .shapes import PairsModel as PairsModel
+from .shapes import ShapeModel as ShapeModel
+from .shapes import YieldModel as YieldModel
