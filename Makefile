@@ -109,7 +109,7 @@ bench: $(INSTALLED) ## Run every benchmark, one after the other
 	done
 
 # All of them take hours. Each has options of its own: `python tests/judges NAME --help`.
-JUDGES := exactness exact_streams exact_robots self_collision slews reengagement file_fuzz batch_kills service_faults service_soak
+JUDGES := exactness exact_streams exact_robots self_collision slews reengagement file_fuzz model_fuzz batch_kills service_faults service_soak
 judges: $(INSTALLED) ## Run the judges for hours, or some: JUDGES='exact_streams' ARGS='--steps 3000000 --seed 7'
 	@for name in $(JUDGES); do \
 	    echo "== $$name"; \
