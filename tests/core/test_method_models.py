@@ -113,10 +113,15 @@ def test_a_model_of_the_paper_is_checked(changes: dict[str, Any], problem: str) 
         core.HomogeneousMap(encode(structs.replace(model, **changes)))
 
 
+def _views(module: Any) -> Any:
+    """Return views that are never made."""
+    return module.StepViews(list, list, list, list)
+
+
 def test_a_map_of_another_hand_moves_none() -> None:
     mapper = HandMapper(HUMAN, load_hand("three_finger"), "object")
     mapper.map(REST)
-    views = core.StepViews(list, list, list, list)
+    views = _views(core)
     with pytest.raises(ValueError, match="the map is of another robot"):
         core.SampleMapper(mapper.point_ik.core, IMPOSED.make_core(), views)
     distances = structs.replace(
@@ -156,7 +161,7 @@ def test_models_of_a_person_are_checked() -> None:
 def test_a_model_of_a_robot_is_checked() -> None:
     mapper = RobotMapper(load_robot("g1"))
     solver = mapper.point_ik.core
-    views = core.StepViews(list, list, list, list)
+    views = _views(core)
     model = mapper.model()
     core.RobotMover(solver, encode(model), views)
     first, other = model.hands
