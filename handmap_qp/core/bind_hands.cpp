@@ -167,7 +167,7 @@ void bind_hands(nb::module_& m) {
       .def("pinching_postures", &pinching_postures, "usual"_a, "joints"_a, "offsets"_a,
            "distances"_a, "weight"_a, "dt"_a, "samples"_a, "tolerance"_a)
       .def("smallest_distances", &smallest_distances, "pairs"_a, "q"_a, "starts"_a, "most"_a);
-  nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
+  nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds, "bounds"_a);
 }
 
 }  // namespace handmap

@@ -191,7 +191,7 @@ NumpyArray solve_many(PythonIk& ik, const Array& points,
 }  // namespace
 
 void bind_ik(nb::module_& m) {
-  nb::class_<DistanceTask>(m, "PointDistances").def("__init__", &make_distances);
+  nb::class_<DistanceTask>(m, "PointDistances").def("__init__", &make_distances, "task"_a);
   nb::class_<PythonIk, Gate>(m, "Ik")
       .def("__init__", &make_ik, "tree"_a, "hand"_a, "options"_a, "limits"_a,
            "collisions"_a.none(), "links"_a)

@@ -176,7 +176,7 @@ void bind_measures(nb::module_& m) {
         "at_speed_limit"_a, "q"_a);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());
-  m.def("measure_shapes", &measure_shapes);
+  m.def("measure_shapes", &measure_shapes, "a"_a, "pose_a"_a, "b"_a, "pose_b"_a);
 }
 
 }  // namespace handmap

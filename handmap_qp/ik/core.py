@@ -4,7 +4,8 @@ import importlib
 import zlib
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 
 def fingerprint() -> str:
@@ -15,7 +16,7 @@ def fingerprint() -> str:
     return f"{zlib.crc32(content):08x}" if content else ""
 
 
-def load_core() -> Any:
+def load_core() -> ModuleType:
     """Load the compiled module.
 
     Raises:
@@ -44,8 +45,11 @@ def _installing() -> str:
     return f"pip install --no-deps --force-reinstall {package}"
 
 
-core: Any = load_core() if __package__ else None
-"""The core; None where a build runs this file by itself, for `fingerprint`."""
+if TYPE_CHECKING:
+    from handmap_qp import _core as core
+else:
+    # None where a build runs this file by itself, for `fingerprint`.
+    core = load_core() if __package__ else None
 
 
 class Compiled:
