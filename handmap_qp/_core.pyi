@@ -1,47 +1,43 @@
-"""The compiled core (`core/`, C++). `.ci/core_stub.py` compares this file with the module.
+"""The compiled core (`handmap_qp/core`, C++), as Python sees it.
 
-Bytes are those of a model (`handmap_qp.models.encode`). Wrong sizes and indices raise ValueError,
-and leave the state as it was. Joints of points count as Pinocchio's do: 0 is the world.
+Written by hand; `.ci/core_stub.py` compares it with the module. Models cross as
+their bytes (`handmap_qp.models.encode`). Arrays are of float64 and C-contiguous unless another type
+is named. What is taken as an `object` may be anything: where it is not plain numbers of the right
+shape, the answer is None, and Python looks at it.
+
+Raises:
+    ValueError: Of every call, if sizes or indices do not go together.
+    MapperBusyError: Of calls that work on an object on which another thread works.
 """
 
 from collections.abc import Callable, Sequence
-from typing import overload
+from typing import Generic, TypeVar, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from handmap_qp.human.findings import FindingNumbers
+from handmap_qp.human.sample import VerdictNumbers
+from handmap_qp.ik.motion import When
 from handmap_qp.ik.qp import IkResult, Status
-from handmap_qp.mapping import method
-from handmap_qp.mapping.method import RobotCommand, StepSummary, Targets
+from handmap_qp.mapping.method import CoreMap, RobotCommand, StepSummary, Targets
+from handmap_qp.se3 import Array
 
-Array = NDArray[np.float64]
-When = float | tuple[float, float]
-"""Time since the last command [s], or an instant with the longest time that it may take [s]."""
-Rows = tuple[Array, Array]
-"""G, shape (r, k), and h, shape (r,), of `G x <= h`."""
-MotionNumbers = tuple[Array, Array, float, Array, float]
-"""q, displacement, dt, stop times and time, as of `ik.motion.Motion`."""
-DetourNumbers = tuple[Array | None, Array, Array, float, float]
-"""Of each hand: posture to pass, targets it was found for, errors where none was, times [s]."""
-TaskRowsLike = tuple[ArrayLike, ArrayLike, ArrayLike]
-"""Residual, Jacobian and damping, as of `ik.tasks.TaskRows`."""
-FindingNumbers = tuple[str, str, float, int]
-"""Rule, mistake, number and index, as of `human.findings.Finding`."""
-VerdictNumbers = tuple[
-    str, bool, bool, float, float, FindingNumbers | None, float, float
-]
-"""In the order of `human.sample.Verdict`."""
+_Made = TypeVar("_Made")
 
 SOURCES: str
+"""Fingerprint of the sources that it was compiled from."""
 
-def raise_if_busy(error: type[Exception]) -> None: ...
-def model_fields() -> dict[str, list[tuple[str, str]]]: ...
+def raise_if_busy(error: type[Exception]) -> None:
+    """Set what is raised where a thread enters an object on which another one works."""
+
+def model_fields() -> dict[str, list[tuple[str, str]]]:
+    """Return names and forms of the fields of each model."""
+
+# -- hands
 
 class Tree:
-    """The kinematics of a hand, of the bytes of a `HandModel`.
-
-    Points are in axes of the palm, for joint positions q, shape (n,) or (T, n).
-    """
+    """The kinematics of a hand; made of a `HandModel`."""
 
     def __init__(self, hand: bytes) -> None: ...
     def moved(self, joints: Sequence[str], origins: Array, rolls: Array) -> Tree: ...
@@ -73,9 +69,11 @@ class Tree:
     ) -> Array: ...
 
 class PairBounds:
-    """Pairs of shapes of a hand, of the bytes of a `PairsModel`."""
+    """Pairs of shapes that are kept apart; made of a `PairsModel`."""
 
     def __init__(self, pairs: bytes) -> None: ...
+
+# -- the gate
 
 def loosened(
     G: Array, h: Array, lower: Array, upper: Array, stopping: float, so_far: Array
@@ -83,11 +81,7 @@ def loosened(
 def braking_displacement(distance: float, change: float) -> float: ...
 
 class Gate:
-    """Admits the displacements of a robot: see `ik.gate`, and `core/gate.hpp`.
-
-    Of a tree, the bytes of `BoxLimits`, and the pairs that it keeps apart with the bytes of a
-    `CollisionModel`.
-    """
+    """Admits the displacements of a robot; made of `BoxLimits` and a `CollisionModel`."""
 
     def __init__(
         self,
@@ -105,7 +99,7 @@ class Gate:
     @property
     def time(self) -> float: ...
     @property
-    def motion(self) -> MotionNumbers: ...
+    def motion(self) -> tuple[Array, Array, float, Array, float]: ...
     def set_motion(
         self,
         q: Array,
@@ -124,7 +118,7 @@ class Gate:
     def brake(self, when: When) -> Array: ...
 
 class PosedRows:
-    """Rows of a QP that is posed and solved elsewhere: see `Gate.rows`."""
+    """Rows of the next command, of a QP that is posed and solved elsewhere."""
 
     def __init__(
         self,
@@ -134,17 +128,139 @@ class PosedRows:
         upper: Array,
         margins: Array | None = None,
     ) -> None: ...
-    def behind(self, so_far: Array) -> Rows: ...
-    def at_end(self, displacement: Array) -> Rows | None: ...
+    def behind(self, so_far: Array) -> tuple[Array, Array]: ...
+    def at_end(self, displacement: Array) -> tuple[Array, Array] | None: ...
     def admit(
-        self, wanted: Array, first: Array, around: Callable[[Rows], Array]
+        self,
+        wanted: Array,
+        first: Array,
+        around: Callable[[tuple[Array, Array]], Array],
     ) -> Array: ...
     def pressed_pair(self, slope: Array, step: Array) -> int: ...
 
-STATUSES: tuple[Status, ...]
+# -- inverse kinematics
+
+class PointDistances:
+    """Pairs of points whose distances are asked for; made of a `DistancesModel`."""
+
+    def __init__(self, distances: bytes) -> None: ...
+
+Detour = tuple[Array | None, Array, Array, float, float]
+"""State of the detour of a hand, to go on with."""
+
+class Ik(Gate):
+    """Moves a robot by QPs, through its gate; made of an `IkModel` and as a `Gate` is."""
+
+    def __init__(
+        self,
+        tree: Tree,
+        options: bytes,
+        limits: bytes,
+        pairs: PairBounds | None = None,
+        collisions: bytes | None = None,
+    ) -> None: ...
+    @property
+    def costs(self) -> int: ...
+    @property
+    def detours(self) -> list[Detour]: ...
+    def go_on(self, detours: Sequence[Detour]) -> None: ...
+    def hold(self, when: When) -> Step: ...
+    def solve(
+        self,
+        points: Array,
+        wrists: Array | None,
+        postures: Sequence[tuple[float | Array, Array]],
+        when: When,
+        margins: Array | None = None,
+        speed: float = 1.0,
+        damping_shares: Array | None = None,
+        distances: Sequence[tuple[PointDistances, Array, Array]] = [],
+        offsets: Sequence[tuple[Sequence[int], Array, Array, float]] = [],
+        rows: Callable[[Array], Sequence[tuple[Array, Array, Array]]] | None = None,
+    ) -> Step:
+        """Move the robot; see `Goal`.
+
+        Args:
+            points: Targets of the reference points, shape (m, 3).
+            wrists: Targets of the wrists, shape (h, 4, 4).
+            postures: A weight, or one for each joint, and joint positions.
+            when: As of `Gate.interval`.
+            margins: Of each pair of shapes.
+            speed: Share of the speed limits.
+            damping_shares: Of each joint.
+            distances: Tasks with wanted distances and weights.
+            offsets: Joints and places of two points, the wanted offset, and its weight.
+            rows: Returns residual, Jacobian and damping of each task of Python in a configuration.
+        """
+    def solve_many(
+        self,
+        points: Array,
+        wrists: Array | None,
+        dt: Array,
+        speed: Array,
+        margins: Array | None,
+        postures: Sequence[tuple[float | Array, Array]],
+    ) -> Array: ...
+
+# -- samples of a human hand
+
+class HumanPose:
+    """A human hand at one instant; see `mapping.HumanPose`."""
+
+    def __init__(self, points: Array, wrist: Array | None) -> None: ...
+    @property
+    def points(self) -> Array: ...
+    @property
+    def in_wrist(self) -> Array: ...
+    @property
+    def wrist(self) -> Array | None: ...
+
+class Samples:
+    """The columns of a recording of T samples."""
+
+    def __init__(
+        self,
+        time: Array,
+        landmarks: Array,
+        valid: NDArray[np.bool_],
+        confidence: Array | None = None,
+        wrist: Array | None = None,
+    ) -> None: ...
+
+class LandmarkReader:
+    """Turns landmarks into samples; made of a `LandmarkReaderModel`."""
+
+    def __init__(self, model: bytes) -> None: ...
+    def read(self, landmarks: object, wrist: object) -> HumanPose | None: ...
+
+class JointReader:
+    """Turns joint angles into samples of a hand."""
+
+    def __init__(self, tree: Tree) -> None: ...
+    def read(self, q: object, wrist: object) -> HumanPose | None: ...
+
+# -- targets of a robot
+
+class TargetMap:
+    """Turns samples into targets, from a reference on."""
+
+class TeleoperationMap(TargetMap):
+    """Made of a `TeleoperationModel`, and of the `PalmModel` of a reference."""
+
+    def __init__(self, model: bytes, palm: bytes) -> None: ...
+
+class HomogeneousMap(TargetMap):
+    """Made of a `HomogeneousModel`."""
+
+    def __init__(self, model: bytes) -> None: ...
+
+# -- steps
+
+STATUSES: tuple[str, ...]
+"""Outcomes of a step, in the order of the numbers of a `StepTable`."""
 
 class Step:
-    """A step of a robot: names and shapes are those of `ik.qp.IkResult`."""
+    """Where a robot has moved in one sample; see `IkResult`."""
 
     @property
     def status(self) -> Status: ...
@@ -165,138 +281,53 @@ class Step:
     @property
     def last_step(self) -> float: ...
     @property
-    def held_by(self) -> int: ...
-
-class PointDistances:
-    """Pairs of points of which distances are kept, of the bytes of a `DistancesModel`."""
-
-    def __init__(self, distances: bytes) -> None: ...
-
-class Ik(Gate):
-    """Moves a robot by QPs, through its gate; made of the bytes of an `IkModel`, too."""
-
-    def __init__(
-        self,
-        tree: Tree,
-        options: bytes,
-        limits: bytes,
-        pairs: PairBounds | None = None,
-        collisions: bytes | None = None,
-    ) -> None: ...
-    @property
-    def costs(self) -> int: ...
-    @property
-    def detours(self) -> list[DetourNumbers]: ...
-    def go_on(self, detours: Sequence[DetourNumbers]) -> None: ...
-    def hold(self, when: When) -> Step: ...
-    def solve(
-        self,
-        points: Array,
-        wrists: Array | None,
-        postures: Sequence[tuple[float | Array, Array]],
-        when: When,
-        margins: Array | None = None,
-        speed: float = 1.0,
-        damping_shares: Array | None = None,
-        distances: Sequence[tuple[PointDistances, Array, Array]] = ...,
-        offsets: Sequence[tuple[Sequence[int], Array, Array, float]] = ...,
-        rows: Callable[[Array], Sequence[TaskRowsLike]] | None = None,
-    ) -> Step: ...
-    def solve_many(
-        self,
-        points: Array,
-        wrists: Array | None,
-        dt: Array,
-        speed: Array,
-        margins: Array | None,
-        postures: Sequence[tuple[float | Array, Array]],
-    ) -> Array: ...
-
-class HumanPose:
-    """Points of a human hand (m, 3) [m], and its wrist (4, 4).
-
-    It takes the place of `mapping.method.HumanPose`, whose fields it has, where it is only read.
-    """
-
-    def __init__(self, points: Array, wrist: Array | None) -> None: ...
-    @property
-    def points(self) -> Array: ...
-    @property
-    def in_wrist(self) -> Array: ...
-    @property
-    def wrist(self) -> Array | None: ...
-
-class TargetMap:
-    """Makes targets of samples of a human hand, since a reference."""
-
-class TeleoperationMap(TargetMap):
-    def __init__(self, model: bytes, palm: bytes) -> None: ...
-
-class HomogeneousMap(TargetMap):
-    def __init__(self, model: bytes) -> None: ...
-
-class LandmarkReader:
-    """Turns landmarks (21, 3) [m] into samples; None for what Python has to look at."""
-
-    def __init__(self, model: bytes) -> None: ...
-    def read(
-        self, landmarks: object | None, wrist: object | None
-    ) -> method.HumanPose | None: ...
-
-class JointReader:
-    """Turns joint angles (n,) into samples; None for what Python has to look at."""
-
-    def __init__(self, tree: Tree) -> None: ...
-    def read(
-        self, q: object | None, wrist: object | None
-    ) -> method.HumanPose | None: ...
+    def held_by(self) -> int:
+        """The pair of shapes that holds the robot back; -1 for none."""
 
 class StepViews:
-    """Makes the objects of Python of a step, when they are asked for."""
+    """Makes the objects of a step that are asked for."""
 
     def __init__(
         self,
         targets: Callable[[list[Array], bool], Targets],
-        ik: Callable[[Step], IkResult],
+        ik: Callable[[Stages], IkResult],
         command: Callable[[Array, Array], RobotCommand],
-        summary: Callable[..., StepSummary],
+        summary: Callable[
+            [list[float], tuple[float, float], list[bool], float, tuple[str, ...]],
+            StepSummary,
+        ],
     ) -> None: ...
 
 class Stages(Step):
-    """All stages of a step."""
+    """The stages of a step; see `mapping.Stages`."""
 
     @property
     def pose(self) -> HumanPose: ...
-    @property
-    def summary(self) -> StepSummary: ...
     @property
     def asked(self) -> Targets: ...
     @property
     def ik(self) -> IkResult: ...
     @property
     def command(self) -> RobotCommand: ...
+    @property
+    def summary(self) -> StepSummary: ...
 
-class SampleReader:
-    """Maps samples after a reference; None for those that Python has to look at."""
+class SampleReader(Generic[_Made]):
+    """Reads the samples after a reference; makes `Stages` of each, or an `Ask`."""
 
-    def __reduce__(self) -> tuple[object, ...]: ...
-    def follow(self, pose: HumanPose, when: When, speed: float) -> object: ...
+    def follow(self, pose: HumanPose, when: When, speed: float) -> _Made: ...
     @overload
     def map(
-        self,
-        reader: JointReader | None,
-        q: object | None,
-        wrist: object | None,
-        when: When,
-    ) -> tuple[object, float] | None: ...
+        self, reader: JointReader | None, q: object, wrist: object, when: object
+    ) -> tuple[_Made, float] | None: ...
     @overload
     def map(
         self,
         reader: LandmarkReader | None,
-        landmarks: object | None,
-        wrist: object | None,
-        when: When,
-    ) -> tuple[object, float] | None: ...
+        landmarks: object,
+        wrist: object,
+        when: object,
+    ) -> tuple[_Made, float] | None: ...
     def map_sample(
         self,
         guard: StreamGuard,
@@ -304,16 +335,16 @@ class SampleReader:
         reader: LandmarkReader,
         time: float,
         landmarks: object,
-        wrist: object | None,
+        wrist: object,
         valid: bool,
         confidence: float,
-        when: When | None,
+        when: object,
         arrival: float | None,
         origin: float | None,
-    ) -> tuple[VerdictNumbers, object, float] | None: ...
+    ) -> tuple[VerdictNumbers, _Made | None, float] | None: ...
 
-class SampleMapper(SampleReader):
-    """Maps samples to `Stages` of one hand."""
+class SampleMapper(SampleReader[Stages]):
+    """What a `HandMapper` does with the samples after its reference."""
 
     def __init__(self, ik: Ik, target_map: TargetMap, views: StepViews) -> None: ...
     def run(
@@ -328,20 +359,13 @@ class SampleMapper(SampleReader):
         rows: Array,
     ) -> tuple[int, VerdictNumbers | None, HumanPose | None]: ...
 
-class Asker(SampleReader):
-    """Maps samples to an `Ask` of one hand of a robot."""
-
-    def __init__(
-        self, ik: Ik, target_map: TargetMap, views: StepViews, source: object
-    ) -> None: ...
-
 class Ask:
-    """What one hand of a robot asks for."""
+    """What a hand of a person asks of a robot; see `mapping.mapper.Asked`."""
 
     @property
     def pose(self) -> HumanPose: ...
     @property
-    def map(self) -> object: ...
+    def map(self) -> CoreMap: ...
     @property
     def dt(self) -> float: ...
     @property
@@ -349,57 +373,50 @@ class Ask:
     @property
     def rest(self) -> Array: ...
     @property
-    def targets(self) -> Array: ...
+    def targets(self) -> Targets: ...
+
+class Asker(SampleReader[Ask]):
+    """Lets a hand of a robot ask with each sample after its reference."""
+
+    def __init__(
+        self, ik: Ik, target_map: TargetMap, views: StepViews, source: CoreMap
+    ) -> None: ...
 
 class RobotMover:
-    """Moves all hands of a robot at once."""
+    """Moves a robot for what its hands ask; made of a `RobotModel`."""
 
     def __init__(self, ik: Ik, model: bytes, views: StepViews) -> None: ...
-    def __reduce__(self) -> tuple[object, ...]: ...
     def move(
         self,
         asks: Sequence[Ask],
         since: Sequence[float],
         worlds: Array | None,
         when: When,
-    ) -> tuple[object, list[object]]: ...
+    ) -> tuple[Stages, list[Stages]]: ...
+
+# -- what judges and smooths a stream
 
 RULES: tuple[str, ...]
-
 MISTAKES: tuple[str, ...]
-
 BONES: tuple[tuple[int, int], ...]
-
 NEIGHBOURS: tuple[tuple[int, int], ...]
-
 LONGEST_STEP: float
-
 BEHIND: float
-
 GAP: float
-
 FROZEN_AFTER: float
-
 SETTLE_TIME: float
-
 UNPROVEN_SPEED: float
-
 PALM_RATIOS: tuple[float, float]
-
 HAND_LENGTHS: tuple[float, float]
-
 SAMPLE_STEPS: tuple[float, float]
-
 BACKWARDS: float
-
 SURE_SIDE: float
-
 RESIZED: float
-
 FIRST_SIZES: int
+WRIST_CONVENTIONS: Array
 
 class SampleClock:
-    """The clock of a stream: see `stream.guard`."""
+    """State of a stream's clock after a sample."""
 
     def __init__(self) -> None: ...
     def advance(self, stamp: float) -> SampleClock: ...
@@ -422,26 +439,22 @@ class SampleClock:
     def is_set_back(self) -> bool: ...
     @property
     def shortest(self) -> float: ...
-    def __getstate__(self) -> bytes: ...
-    def __setstate__(self, arg: bytes, /) -> None: ...
 
 class ArrivalCredit:
-    """Time that a stream has left, by the arrival of its samples."""
+    """Time that the next samples may account for, by the times at which they arrive."""
 
     def __init__(self) -> None: ...
     def spend(self, dt: float, arrival: float) -> tuple[ArrivalCredit, float]: ...
-    def __getstate__(self) -> bytes: ...
-    def __setstate__(self, arg: bytes, /) -> None: ...
 
 class RateCheck:
-    """Compares time stamps with arrivals."""
+    """Compares the time of a stream with the time at which its samples arrive."""
 
     def __init__(self) -> None: ...
     def grant(self, dt: float, arrival: float) -> float: ...
     def update(self, stamp: float, arrival: float) -> float | None: ...
 
 class Track:
-    """A hand that is followed from sample to sample."""
+    """A sample, and the motion that led to it."""
 
     def __init__(self, time: float, landmarks: Array) -> None: ...
     @property
@@ -452,7 +465,7 @@ class Track:
     def bending(self) -> Array: ...
 
 class Change:
-    """What has changed from one sample to the next."""
+    """The motion from a track to a sample."""
 
     @property
     def track(self) -> Track: ...
@@ -468,24 +481,12 @@ class Change:
 def change_between(track: Track, sample: Track, dt: float) -> Change: ...
 
 class LandmarkOrders:
-    """Orders that landmarks may come in."""
+    """Orders in which landmarks may come; ours comes first."""
 
     def __init__(self, orders: Sequence[Sequence[int]]) -> None: ...
 
-class Samples:
-    """Samples of a recording: times (T,), landmarks (T, 21, 3), wrists (T, 4, 4)."""
-
-    def __init__(
-        self,
-        time: Array,
-        landmarks: Array,
-        valid: NDArray[np.bool_],
-        confidence: Array | None = None,
-        wrist: Array | None = None,
-    ) -> None: ...
-
 class InputCheck:
-    """Finds mistakes of an input: see `trackers.plausibility`."""
+    """Tells wrong input from a human hand."""
 
     def __init__(self, side: str, orders: LandmarkOrders) -> None: ...
     def save(self) -> bytes: ...
@@ -500,7 +501,7 @@ class InputCheck:
     def is_wrist_proven(self) -> bool: ...
 
 class StreamGuard:
-    """Judges the samples of a stream: see `stream.guard`."""
+    """Judges the samples of one hand; made of a `GuardModel`."""
 
     def __init__(self, model: bytes, orders: LandmarkOrders) -> None: ...
     def save(self) -> tuple[bytes, bytes, bytes]: ...
@@ -509,16 +510,16 @@ class StreamGuard:
     def check(
         self,
         time: float,
-        landmarks: object,
-        wrist: object | None,
+        landmarks: Array,
+        wrist: Array | None,
         valid: bool,
         confidence: float,
         arrival: float | None,
     ) -> VerdictNumbers: ...
-    def holds(self, samples: Samples) -> Array: ...
+    def holds(self, samples: Samples) -> NDArray[np.bool_]: ...
 
 class Smoother:
-    """Smooths samples: see `stream.follower.Smoothing`."""
+    """Smooths the samples of one hand as much as they are noisy."""
 
     def __init__(self, acceleration: float | None, speed_gain: float) -> None: ...
     def save(self) -> tuple[int, bool, Array]: ...
@@ -527,6 +528,8 @@ class Smoother:
     def wait(self, dt: float) -> None: ...
     def restart(self) -> None: ...
     def forget(self) -> None: ...
+
+# -- measures
 
 def measure_shape(
     landmarks: Array, palm: Array, largest_roll: float
@@ -541,9 +544,6 @@ def log_size(landmarks: Array) -> float: ...
 def misfit(landmarks: Array) -> float: ...
 def palmar_evidence(landmarks: Array) -> Array: ...
 def palm_axes(landmarks: Array, sign: float) -> Array: ...
-
-WRIST_CONVENTIONS: Array
-
 def measure_episode(
     samples: Samples,
     followed: NDArray[np.bool_],
@@ -562,4 +562,5 @@ def solve_qp(
 ) -> tuple[bool, Array, int]: ...
 def measure_shapes(
     a: bytes, pose_a: Array, b: bytes, pose_b: Array
-) -> tuple[float, tuple[float, float, float], tuple[float, float, float]]: ...
+) -> tuple[float, tuple[float, float, float], tuple[float, float, float]]:
+    """Return distance, normal, and the nearest point of the first of two `ShapeModel`."""

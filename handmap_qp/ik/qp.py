@@ -26,6 +26,7 @@ from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands import Configuration, Hand, Names
 from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
+from .core import core
 from .motion import Motion, When
 from .options import IkOptions
 from .tasks import (
@@ -112,7 +113,7 @@ class IkResult(ArrayStruct, frozen=True):
         return self.targets - self.points
 
 
-def result_of(step: Any, hand: Hand, links: Sequence[Names]) -> IkResult:
+def result_of(step: core.Step, hand: Hand, links: Sequence[Names]) -> IkResult:
     """Return the result of a step of the core.
 
     Args:
@@ -420,7 +421,7 @@ class PointIk:
         self._configuration.place(q)
         return [task.linearise(self._configuration) for task in tasks]
 
-    def result_of(self, step: Any) -> IkResult:
+    def result_of(self, step: core.Step) -> IkResult:
         """Return the result of a step of the core."""
         return result_of(step, self.hand, self.gate.links)
 
