@@ -176,7 +176,8 @@ class Ik(Gate):
         damping_shares: Array | None = None,
         distances: Sequence[tuple[PointDistances, Array, Array]] = [],
         offsets: Sequence[tuple[Sequence[int], Array, Array, float]] = [],
-        rows: Callable[[Array], Sequence[tuple[Array, Array, Array]]] | None = None,
+        rows: Callable[[Array], Sequence[tuple[Array, Array, Array | float]]]
+        | None = None,
     ) -> Step:
         """Move the robot; see `Goal`.
 

@@ -58,7 +58,7 @@ nearer, and its row parts it.
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -82,6 +82,9 @@ from handmap_qp.models import (
 )
 from handmap_qp.se3 import Array, inverse_pose, lengths, transform_points
 from .core import core
+
+if TYPE_CHECKING:
+    from handmap_qp import _core
 
 Rows = tuple[Array, Array]
 """G, shape (r, n), and h, shape (r,), of `G x <= h`."""
@@ -160,7 +163,7 @@ class PairBounds:
         self.turns = turning * (moved[self.first] + moved[self.second] + sliding)
 
     @cached_property
-    def core(self) -> Any:
+    def core(self) -> _core.PairBounds:
         """The core's own."""
         return core.PairBounds(encode(self.model()))
 
