@@ -4,77 +4,79 @@
 
 Prints what one of them has and the other one has not: functions, classes with their bases, methods
 with the names of their arguments, properties and constants. nanobind's own stub says what the core
-has. Types are for the stub alone: `ty` checks the callers by them.
+has. Types are in the stub alone: `ty` checks the callers by them.
 """
 
 from __future__ import annotations
 
 import ast
 import sys
-from collections import defaultdict
-from collections.abc import Iterator
 from pathlib import Path
 
 STUB = Path(__file__).parents[1] / "handmap_qp" / "_core.pyi"
+# Copies go by them, not callers.
+_COPYING = {"__reduce__", "__getstate__", "__setstate__"}
 
-Names = dict[str, list[str]]
-"""What there is, by its dotted name; of a function, the names of its arguments, by overload."""
-
-
-def names_in(text: str) -> Names:
-    """Return what a stub names."""
-    found: Names = defaultdict(list)
-    for name, what in _names(ast.parse(text).body, ""):
-        found[name].append(what)
-    # An overload more or less is a difference, their order is none.
-    return {name: sorted(each) for name, each in found.items()}
+Signature = tuple[str, ...]
 
 
-def _names(body: list[ast.stmt], owner: str) -> Iterator[tuple[str, str]]:
+def signature_of(function: ast.FunctionDef) -> Signature:
+    """Return the names of arguments, and how many of the last ones may be left out."""
+    arguments = function.args
+    named = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+    names = [each.arg for each in named if each.arg != "self"]
+    is_property = any(
+        isinstance(each, ast.Name) and each.id == "property"
+        for each in function.decorator_list
+    )
+    kind = "property" if is_property else f"{len(arguments.defaults)} defaults"
+    return kind, *names
+
+
+def names_in(body: list[ast.stmt], path: str = "") -> dict[str, list[Signature]]:
+    """Return the names of a stub: those of functions with the arguments of each overload."""
+    found: dict[str, list[Signature]] = {}
     for node in body:
-        match node:
-            case ast.ClassDef():
-                bases = ", ".join(ast.unparse(base) for base in node.bases)
-                yield owner + node.name, f"class({bases})"
-                yield from _names(node.body, f"{owner}{node.name}.")
-            case ast.FunctionDef():
-                marks = [ast.unparse(mark) for mark in node.decorator_list]
-                if "property" in marks:
-                    yield owner + node.name, "value"
-                else:
-                    yield owner + node.name, _arguments(node.args)
-            case ast.AnnAssign(target=ast.Name(id=name)) if _is_public(name):
-                yield owner + name, "value"
+        if isinstance(node, ast.FunctionDef) and node.name not in _COPYING:
+            found.setdefault(path + node.name, []).append(signature_of(node))
+        elif isinstance(node, ast.ClassDef):
+            bases = [base for base in map(_base_name, node.bases) if base != "Generic"]
+            found[path + node.name] = [("class", *bases)]
+            found |= names_in(node.body, f"{path}{node.name}.")
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            found[path + node.target.id] = [("constant",)]
+    return found
 
 
-def _arguments(given: ast.arguments) -> str:
-    every = [*given.posonlyargs, *given.args, *given.kwonlyargs]
-    optional = len(given.defaults) + sum(each is not None for each in given.kw_defaults)
-    return f"({', '.join(each.arg for each in every)}), {optional} optional"
+def _base_name(base: ast.expr) -> str:
+    """Return the name of a base, whatever its parameters."""
+    return ast.unparse(base).partition("[")[0]
 
 
-def _is_public(name: str) -> bool:
-    return not name.startswith("_")
-
-
-def differences() -> list[str]:
-    """Return the differences of the stub from the compiled core, a line each."""
+def compiled_names() -> dict[str, list[Signature]]:
+    """Return the names of the compiled module."""
     from nanobind.stubgen import StubGen
 
-    from handmap_qp.ik.core import core
+    from handmap_qp.ik.core import load_core
 
-    generator = StubGen(core, include_docstrings=False)
-    generator.put(core)
-    compiled = names_in(generator.get())
-    written = names_in(STUB.read_text(encoding="utf-8"))
-    return [
+    module = load_core()
+    generator = StubGen(module)
+    generator.put(module)
+    return names_in(ast.parse(generator.get()).body)
+
+
+def written_names(text: str | None = None) -> dict[str, list[Signature]]:
+    """Return the names of the stub, or of another text."""
+    text = STUB.read_text(encoding="utf-8") if text is None else text
+    return names_in(ast.parse(text).body)
+
+
+if __name__ == "__main__":
+    compiled, written = compiled_names(), written_names()
+    differences = [
         f"{name}: the core has {compiled.get(name)}, the stub {written.get(name)}"
         for name in sorted(compiled.keys() | written.keys())
         if compiled.get(name) != written.get(name)
     ]
-
-
-if __name__ == "__main__":
-    found = differences()
-    print("\n".join(found) or "The stub of the core is complete")
-    sys.exit(bool(found))
+    print("\n".join(differences) or "The stub of the core is complete")
+    sys.exit(bool(differences))

@@ -4,7 +4,7 @@ The core (`handmap_qp/core`, C++) has kinematics, distances and a QP solver of i
 """
 
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -28,7 +28,7 @@ _FRAMES: dict[pin.FrameType, Literal["joint", "fixed_joint", "link"]] = {
 
 
 @lru_cache(maxsize=16)
-def core_tree(hand: Hand) -> Any:
+def core_tree(hand: Hand) -> core.Tree:
     """Return the core's kinematics of a hand.
 
     Raises:

@@ -3,7 +3,8 @@
 import importlib
 import zlib
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 
 def fingerprint() -> str:
@@ -14,7 +15,7 @@ def fingerprint() -> str:
     return f"{zlib.crc32(content):08x}" if content else ""
 
 
-def load_core() -> Any:
+def load_core() -> ModuleType:
     """Load the compiled module.
 
     Raises:
@@ -43,5 +44,10 @@ def _installing() -> str:
     return f"pip install --no-deps --force-reinstall {package}"
 
 
-core: Any = load_core() if __package__ else None
-"""The core; None where a build runs this file by itself, for `fingerprint`."""
+if TYPE_CHECKING:
+    from handmap_qp import _core as core
+elif __package__:
+    core = load_core()
+else:
+    # A build runs this file by itself, for `fingerprint`.
+    core = None

@@ -26,6 +26,7 @@ from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands import Configuration, Hand, Names
 from handmap_qp.se3 import Array, ArrayStruct, frozen, lengths, transform_points
+from .core import core
 from .motion import Motion, When
 from .options import IkOptions
 from .tasks import (
@@ -112,7 +113,7 @@ class IkResult(ArrayStruct, frozen=True):
         return self.targets - self.points
 
 
-def result_of(step: Any, hand: Hand, links: Sequence[Names]) -> IkResult:
+def result_of(step: core.Step, hand: Hand, links: Sequence[Names]) -> IkResult:
     """Return the result of a step of the core.
 
     Args:
@@ -391,7 +392,7 @@ class PointIk:
             return self._solve_here(goal)
         return self.result_of(self._solve_in_core(goal))
 
-    def _solve_in_core(self, goal: Goal) -> Any:
+    def _solve_in_core(self, goal: Goal) -> core.Step:
         """Return the core's step to the targets of one sample."""
         distances = []
         offsets = []
@@ -423,7 +424,7 @@ class PointIk:
         self._configuration.place(q)
         return [task.linearise(self._configuration) for task in tasks]
 
-    def result_of(self, step: Any) -> IkResult:
+    def result_of(self, step: core.Step) -> IkResult:
         """Return the result of a step of the core."""
         return result_of(step, self.hand, self.gate.links)
 
@@ -460,14 +461,14 @@ class PointIk:
             last_step > self.options.step_tolerance
             and iterations < self.options.max_iterations
         ):
-            total, step = go_on(total, rows and rows.behind(total))
+            total, step = go_on(total, rows.behind(total) if rows else None)
             last_step = 0.0 if step is None else math.sqrt(step.dot(step))
             first = total if iterations == 1 else first
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
-        for _ in range(_LOOKS if rows else 0):
-            met = rows.at_end(total)
+        for _ in range(_LOOKS):
+            met = rows.at_end(total) if rows else None
             if met is None:
                 break
             total = first = around(met)

@@ -439,7 +439,7 @@ class HandMapper(Mover):
         bound = self.bound
         reference = self._reference or self._reference_at(sample)
         target_map = reference.map
-        own: Any = None if sample.wrist is None else self._core_at(target_map)
+        own = None if sample.wrist is None else self._core_at(target_map)
         targets = None if own else target_map.targets(sample)
         if targets and self.tasks:
             targets = structs.replace(targets, tasks=(*targets.tasks, *self.tasks))
@@ -448,10 +448,11 @@ class HandMapper(Mover):
             bound.start(sample, reference.posture)
         if reference is not self._reference:
             self._begin(reference)
-        if targets:
-            stages = self._moved(sample, targets, target_map, when, speed)
-        else:
+        if own:
             stages = own.follow(core_pose(sample), when, speed)
+        else:
+            assert targets
+            stages = self._moved(sample, targets, target_map, when, speed)
         self.core = own
         if bound.renews_reference:
             self.core = None
@@ -508,7 +509,7 @@ class HandMapper(Mover):
             targets = structs.replace(targets, points=result.targets)
         return stages_of(pose, targets, result)
 
-    def _core_at(self, target_map: TargetMap) -> Any:
+    def _core_at(self, target_map: TargetMap) -> core.SampleReader[Any] | None:
         """Return the core's mapper by the map of a reference; None if Python has to map."""
         ik = self.point_ik
         is_python = self._is_released or self.tasks or ik.options.tasks
@@ -516,12 +517,12 @@ class HandMapper(Mover):
             return None
         return self.core or self._new_core(target_map)
 
-    def _new_core(self, target_map: CoreMap) -> Any:
+    def _new_core(self, target_map: CoreMap) -> core.SampleReader[Any]:
         """Return the core's mapper by a map."""
         views = self._views_by(target_map)
         return core.SampleMapper(self.point_ik.core, target_map.make_core(), views)
 
-    def _views_by(self, target_map: CoreMap) -> Any:
+    def _views_by(self, target_map: CoreMap) -> core.StepViews:
         links = self.point_ik.gate.links
         return step_views(target_map.asked, self.robot, links)
 
@@ -754,7 +755,7 @@ class LandmarkReader:
             InvalidInputError: If a coordinate is not finite, or `wrist` is not a pose.
         """
         if self.core and (pose := self.core.read(landmarks, wrist)):
-            return pose, ()
+            return HumanPose.of_core(pose), ()
         points = as_points(landmarks, "landmarks", LANDMARK_COUNT)
         if wrist is None:
             wrist = rigid_fit(self.model.palm, points[PALM], self.model.weights)
@@ -804,7 +805,7 @@ class JointReader:
             InvalidInputError: If they cannot be used.
         """
         if self.core and (pose := self.core.read(q, wrist_pose)):
-            return pose, ()
+            return HumanPose.of_core(pose), ()
         human = self.human
         wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         angles, excess = check_joints(human, q, "human_q", self.tolerance)

@@ -69,15 +69,24 @@ class HumanPose(ArrayStruct, frozen=True):
     points: Array
     wrist: Array | None
 
+    @classmethod
+    def of_core(cls, pose: core.HumanPose) -> HumanPose:
+        """Return a pose that the core has."""
+        return cls(pose.points, pose.wrist)
 
-def core_pose(pose: HumanPose) -> Any:
+
+AnyPose = HumanPose | core.HumanPose
+"""A pose, of Python or of the core: both have the same attributes."""
+
+
+def core_pose(pose: AnyPose) -> core.HumanPose:
     """Return a pose as the core has it."""
     if isinstance(pose, core.HumanPose):
         return pose
     return core.HumanPose(pose.points, pose.wrist)
 
 
-def _reduced_pose(pose: Any) -> tuple[Any, ...]:
+def _reduced_pose(pose: core.HumanPose) -> tuple[Any, ...]:
     """Make a copy of a pose of the core one of Python, by copy or pickle."""
     return HumanPose, (pose.points, pose.wrist)
 
@@ -149,7 +158,7 @@ class TargetMap(Protocol):
 class CoreMap:
     """Base of target maps that the core has too."""
 
-    def make_core(self) -> Any:
+    def make_core(self) -> core.TargetMap:
         """Return the map as the core has it."""
         raise NotImplementedError
 
@@ -359,7 +368,7 @@ class Stages(ArrayStruct, frozen=True):
         command: The robot's next joint angles and wrist pose.
     """
 
-    pose: HumanPose
+    pose: AnyPose
     asked: Targets
     ik: IkResult
     command: RobotCommand
@@ -382,7 +391,11 @@ class Stages(ArrayStruct, frozen=True):
         )
 
 
-def _reduced_stages(stages: Any) -> tuple[Any, ...]:
+AnyStages = Stages | core.Stages
+"""Stages, of Python or of the core: both have the same attributes."""
+
+
+def _reduced_stages(stages: core.Stages) -> tuple[Any, ...]:
     """Make a copy of stages of the core one of Python, by copy or pickle."""
     return Stages, (stages.pose, stages.asked, stages.ik, stages.command)
 
@@ -394,7 +407,7 @@ def step_views(
     make_targets: Callable[[list[Array], bool], Targets],
     hand: Hand,
     links: Sequence[Names],
-) -> Any:
+) -> core.StepViews:
     """Return what makes the objects of a core's step that are asked for.
 
     Args:
@@ -424,7 +437,7 @@ class MapStep(ArrayStruct, frozen=True):
         is_gliding: Whether the robot is still on its way back to the human after a hold.
     """
 
-    stages: Stages
+    stages: AnyStages
     out_of_range: Names
     duration: float
     verdict: Verdict | None = None

@@ -10,7 +10,7 @@ near each other, the robot's have their offset, too.
 """
 
 import copyreg
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import attrgetter
 from time import perf_counter
@@ -69,11 +69,11 @@ from .mapper import (
     stages_of,
 )
 from .method import (
+    AnyStages,
     CoreMap,
     HumanPose,
     MapStep,
     Method,
-    Stages,
     TargetMap,
     Targets,
     step_views,
@@ -140,7 +140,7 @@ class Leader(HandMapper):
         own = None if dt is None else own_time(dt)
         return super().map(sample, own, speed=speed)
 
-    def _new_core(self, target_map: CoreMap) -> Any:
+    def _new_core(self, target_map: CoreMap) -> core.Asker:
         views = self._views_by(target_map)
         return core.Asker(self.point_ik.core, target_map.make_core(), views, target_map)
 
@@ -195,7 +195,7 @@ def _joint_reader(leader: Leader) -> JointReader:
     return leader._joints
 
 
-def _reduced_ask(ask: Any) -> tuple[Any, ...]:
+def _reduced_ask(ask: core.Ask) -> tuple[Any, ...]:
     """Make a copy of what a hand asks in the core one of Python, by copy or pickle."""
     return Asked, (ask.pose, ask.targets, ask.rest, ask.dt, ask.speed, ask.map)
 
@@ -526,7 +526,7 @@ class RobotMapper(Mover):
         return self._whole(hands, stages, duration)
 
     def _whole(
-        self, hands: dict[Side, MapStep], stages: Stages, duration: float
+        self, hands: dict[Side, MapStep], stages: AnyStages, duration: float
     ) -> RobotStep:
         """Return the step of all hands."""
         steps = hands.values()
@@ -544,7 +544,7 @@ class RobotMapper(Mover):
             hands=hands,
         )
 
-    def _moved(self, when: When) -> tuple[Stages, list[Stages]]:
+    def _moved(self, when: When) -> tuple[AnyStages, Sequence[AnyStages]]:
         """Return the stages of the robot, moved as its hands ask or stopped, and of each hand."""
         leaders = self.leaders.values()
         asked = [leader.asked for leader in leaders]
@@ -559,7 +559,7 @@ class RobotMapper(Mover):
         tasks = self._together([each.map for each in asked], targets, persons)
         return self._stages(asked, targets, self._solved(asked, targets, tasks, when))
 
-    def _new_core(self) -> Any:
+    def _new_core(self) -> core.RobotMover:
         """Return what moves the robot in the core for hands that ask there."""
         links = self.point_ik.gate.links
         views = step_views(_plain_targets, self.robot, links)
@@ -623,9 +623,9 @@ class RobotMapper(Mover):
 
     def _stages(
         self, asked: list[Any], targets: list[Targets], result: IkResult
-    ) -> tuple[Stages, list[Stages]]:
+    ) -> tuple[AnyStages, Sequence[AnyStages]]:
         """Return the stages of the robot, and those of each hand."""
-        parts = []
+        parts: list[AnyStages] = []
         for k, own in enumerate(self.point_ik.configuration.parts):
             part = structs.replace(
                 result,

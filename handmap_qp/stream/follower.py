@@ -188,7 +188,7 @@ class Smoother:
         self.options = options
         self.core = self._new_core()
 
-    def _new_core(self) -> Any:
+    def _new_core(self) -> core.Smoother:
         if self.options is None:
             return core.Smoother(None, 0.0)
         return core.Smoother(self.options.acceleration, self.options.speed_gain)
@@ -205,7 +205,7 @@ class Smoother:
 
     def smooth(self, pose: HumanPose, dt: float) -> HumanPose:
         """Smooth the next sample, dt [s] after the last call; one that repeats is the same one."""
-        return self.core.smooth(core_pose(pose), dt)
+        return HumanPose.of_core(self.core.smooth(core_pose(pose), dt))
 
     def wait(self, dt: float) -> None:
         """Let time pass without a sample [s]."""
@@ -420,13 +420,15 @@ class Follower:
         self._reference = self.mapper.reference
         return step
 
-    def _cores(self) -> tuple[Any, ...]:
+    def _cores(
+        self,
+    ) -> tuple[core.StreamGuard, core.Smoother, core.LandmarkReader] | None:
         """Return what the core judges, smooths and reads the next sample by, if it maps it."""
         mapper = self.mapper
         # Python leads back to the hand, and takes a reference.
         is_plain = self._return.offset is None and not self._has_new_reference
         if not (mapper.core and is_plain):
-            return ()
+            return None
         return self._guard.core, self._smoother.core, mapper.landmarks.core
 
     def _judged(

@@ -62,7 +62,7 @@ class StreamGuard:
         self._landmarks = landmarks_at_rest(human)
         self.core = self._new_core()
 
-    def _new_core(self) -> Any:
+    def _new_core(self) -> core.StreamGuard:
         model = GuardModel(side=self._side, landmarks=self._landmarks)
         return core.StreamGuard(encode(model), known_orders().core)
 

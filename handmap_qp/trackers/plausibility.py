@@ -47,7 +47,7 @@ class InputCheck:
         self.side: Side = side
         self._core = self._new_core()
 
-    def _new_core(self) -> Any:
+    def _new_core(self) -> core.InputCheck:
         return core.InputCheck(self.side, known_orders().core)
 
     def __getstate__(self) -> dict[str, Any]:

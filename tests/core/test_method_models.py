@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -26,6 +26,9 @@ HUMAN = load_hand("human", points="landmarks")
 ALLEGRO = load_hand("allegro_right")
 BOUND = BoundTeleoperation(Teleoperation(), HUMAN, ALLEGRO)
 REST = HumanPose(HUMAN.points(HUMAN.rest), np.eye(4))
+
+
+VIEWS: Any = core.StepViews(*[cast("Any", list)] * 4)
 
 
 def map_of(preset: str) -> Any:
@@ -116,9 +119,8 @@ def test_a_model_of_the_paper_is_checked(changes: dict[str, Any], problem: str) 
 def test_a_map_of_another_hand_moves_none() -> None:
     mapper = HandMapper(HUMAN, load_hand("three_finger"), "object")
     mapper.map(REST)
-    views = core.StepViews(list, list, list, list)
     with pytest.raises(ValueError, match="the map is of another robot"):
-        core.SampleMapper(mapper.point_ik.core, IMPOSED.make_core(), views)
+        core.SampleMapper(mapper.point_ik.core, IMPOSED.make_core(), VIEWS)
     distances = structs.replace(
         BOUND.model.distances, joints=BOUND.model.distances.joints + 99
     )
@@ -126,7 +128,7 @@ def test_a_map_of_another_hand_moves_none() -> None:
     away = core.TeleoperationMap(encode(model), encode(TELEOPERATED.palm_model()))
     solver = HandMapper(HUMAN, ALLEGRO, "teleoperation").point_ik.core
     with pytest.raises(ValueError, match="points of another hand"):
-        core.SampleMapper(solver, away, views)
+        core.SampleMapper(solver, away, VIEWS)
 
 
 def test_models_of_a_person_are_checked() -> None:
@@ -156,9 +158,8 @@ def test_models_of_a_person_are_checked() -> None:
 def test_a_model_of_a_robot_is_checked() -> None:
     mapper = RobotMapper(load_robot("g1"))
     solver = mapper.point_ik.core
-    views = core.StepViews(list, list, list, list)
     model = mapper.model()
-    core.RobotMover(solver, encode(model), views)
+    core.RobotMover(solver, encode(model), VIEWS)
     first, other = model.hands
     for hands, problem in (
         ((), "expected a hand at least"),
@@ -168,4 +169,4 @@ def test_a_model_of_a_robot_is_checked() -> None:
         ((structs.replace(first, pinching=first.pinching + 9999), other), "pinching"),
     ):
         with pytest.raises(ValueError, match=rf"RobotModel\.hands.*{problem}"):
-            core.RobotMover(solver, encode(structs.replace(model, hands=hands)), views)
+            core.RobotMover(solver, encode(structs.replace(model, hands=hands)), VIEWS)

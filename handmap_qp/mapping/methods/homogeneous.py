@@ -89,7 +89,7 @@ class HomogeneousMap(CoreMap):
             ratio = robot_size / human_size if human_size > 0.0 else 1.0
             self.share[pairs] = options.residual_gain * ratio
 
-    def make_core(self) -> Any:
+    def make_core(self) -> core.TargetMap:
         """Return this map as the core has it."""
         return core.HomogeneousMap(encode(self.model()))
 

@@ -99,7 +99,7 @@ class TeleoperationMap(CoreMap, PalmMap):
         self.rest = method.model.rest
         self.palm_before = method.palm_of(sample)
 
-    def make_core(self) -> Any:
+    def make_core(self) -> core.TargetMap:
         """Return this map as the core has it."""
         return core.TeleoperationMap(self.method.model_bytes, encode(self.palm_model()))
 
