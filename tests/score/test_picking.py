@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from marks import full
 from handmap_score.tasks.attempt import attempt
 from handmap_score.tasks.catalogue import CATALOGUE
 from handmap_score.tasks.household import HOUSEHOLD
@@ -14,6 +13,7 @@ from handmap_score.tasks.operator import HumanHand
 from handmap_score.tasks.person import Person
 from handmap_score.tasks.picking import TRAY, PickTask, pick_cause
 from handmap_score.tasks.task import Record, Scene
+from marks import full
 
 from handmap_qp.apps.simulation.losses import Touch
 from handmap_qp.errors import InvalidInputError
