@@ -24,7 +24,9 @@ from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.shape_pairs import all_pairs, pair_ends, yield_to
 from handmap_qp.hands.spec import ArmSpec, CollisionSpec, PalmSpec, WristSpec
+from handmap_qp.hands.stiffness import SLIDING_STIFFNESS, STIFFNESS
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.trackers.formats import read_recording
 
@@ -340,3 +342,27 @@ def test_a_description_elsewhere_avoids_self_collision(
     ik = PointIk(hand, IkOptions(avoids_self_collision=True))
     ik.place(hand.configuration_vector(hand.rest))
     assert ik.solve(hand.points(hand.rest), None, 0.01).status != "failed"
+
+
+def test_shapes_that_part_in_most_postures_are_kept_apart() -> None:
+    """One pair of this hand overlaps in a third of random postures: it is no joint."""
+    assert all_pairs(load_hand("hey5")).joined == ()
+
+
+def test_links_press_no_deeper_than_a_part_of_the_thinner_one() -> None:
+    """Beyond its middle, the direction in which they part would turn round."""
+    hand = load_hand("allegro_right")
+    pairs = all_pairs(hand)
+    yielding = yield_to(hand, pairs, 4.0, STIFFNESS, SLIDING_STIFFNESS).yielding
+    assert yielding is not None
+    halves = []
+    for shape in pairs.geometry.geometryObjects:
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        halves.append(0.5 * float(np.min(box.max_ - box.min_)))
+    thinner = np.array(
+        [min(halves[i], halves[j]) for i, j in pair_ends(pairs.geometry)]
+    )
+    presses = yielding.depths > 0.0
+    assert presses.any()
+    np.testing.assert_allclose(yielding.depths[presses], 0.7 * thinner[presses])

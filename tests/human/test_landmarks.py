@@ -316,6 +316,24 @@ def test_a_first_sample_of_any_posture_is_fitted_exactly(seed: int) -> None:
     np.testing.assert_allclose(pose, np.eye(4), atol=1e-9)
 
 
+@pytest.mark.parametrize("bend", [0.3, 0.6, 0.9, 1.2])
+@pytest.mark.parametrize("spread", [(-1.2, 0.5), (0.5, -1.2), (-1.0, 0.6)])
+def test_a_finger_that_changes_its_side_at_90_degrees_is_not_caught_there(
+    spread: tuple[float, float], bend: float
+) -> None:
+    hand = load_hand("human", points="landmarks")
+    abduction = hand.joint_names.index("little_MCP_abduction")
+    fitter = LandmarkFitter("right")
+    for share in np.linspace(0.0, 1.0, 9):
+        q = hand.rest.copy()
+        q[abduction] = spread[int(share >= 0.5)]
+        q[abduction + 1] = np.interp(share, [0.0, 0.5, 1.0], [0.2, np.pi / 2, 0.2])
+        q[abduction + 2] = bend
+        q = np.clip(q, hand.lower_limits, hand.upper_limits)
+        fitted, _ = fitter.fit(hand.points(q))
+    np.testing.assert_allclose(fitted, q, atol=1e-3)
+
+
 @pytest.mark.parametrize("wrong", [None, "1", [0.5], np.array([0.5]), 1j])
 @pytest.mark.parametrize("name", ["time", "confidence"])
 def test_a_sample_has_numbers_for_time_and_confidence(name: str, wrong: Any) -> None:

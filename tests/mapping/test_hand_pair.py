@@ -9,12 +9,14 @@ from marks import slow
 
 from handmap_qp import HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.mapping.hand_pair import (
     bone_lengths,
     hand_pair,
+    match_palms,
     require_partners,
     resting_posture,
+    robot_fingers,
 )
 from handmap_qp.mapping.presets import default_preset
 from handmap_qp.se3 import inverse_pose, transform_points
@@ -141,3 +143,17 @@ def test_bones_of_a_person_are_those_of_its_lengths(name: str, length: float) ->
     np.testing.assert_allclose(
         bones, person.segments.sum(axis=1)[[3, 0, 3]], rtol=1e-12
     )
+
+
+@pytest.mark.parametrize(
+    ("apart", "likeness"), [(0.09, 1.0), (0.15, 0.75), (0.25, 0.25), (0.31, 0.0)]
+)
+def test_palms_are_the_less_alike_the_more_reaches_differ(
+    apart: float, likeness: float
+) -> None:
+    """One finger's reach differs from the palm's scale, by a logarithm of 0.1 to 0.3."""
+    human = load_hand("human", points="landmarks")
+    bases = robot_fingers(human).bases
+    ratios = np.array([1.0, np.exp(apart), 1.0, 1.0, 1.0])
+    match = match_palms(bases, bases, FINGERS, ratios)
+    assert match.likeness == pytest.approx(likeness)
